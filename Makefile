@@ -1,0 +1,66 @@
+# The environment, the tests and the demo; `make` alone lists the targets.
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+SHELL := /bin/sh
+
+# Unset: the first fitting Python that is found. Set: this one or none.
+PYTHON ?=
+BIN := .venv/bin
+
+# Everything ROS stays on this machine, and a sourced ROS or another environment stays out.
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+ifneq ($(AMENT_PREFIX_PATH)$(_ROS_WHEELS_BOOTSTRAP_COMPLETE),)
+unexport LD_LIBRARY_PATH
+endif
+unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHONPATH VIRTUAL_ENV
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
+
+setup: .venv/.installed  ## make .venv: locked requirements, messages built, this tree installed editable
+
+demo: setup  ## replay the shipped recording through the live monitor
+	$(BIN)/scara-effmass demo
+
+test: lint  ## lint, then all tests
+	$(BIN)/pytest
+
+lint: setup  ## ruff and mypy
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+bench: setup  ## time the core, the live monitor and the bag reader
+	$(BIN)/python bench/run.py
+
+colcon: .venv-colcon/.requirements  ## build the tree as a ROS workspace and check what it installs
+	scripts/check_colcon.sh .venv-colcon build/colcon
+
+lock: setup  ## renew the locked requirements
+	$(BIN)/python -m pip install --quiet uv
+	scripts/lock_requirements.sh $(BIN)/python
+
+clean:  ## remove everything that was made
+	rm -rf .venv .venv-colcon build out .mypy_cache .pytest_cache .ruff_cache .hypothesis
+
+.PHONY: help setup demo test lint bench colcon lock clean
+
+# The stamps are written last: an interrupted set-up starts over.
+.venv/.requirements: requirements.lock
+.venv-colcon/.requirements: requirements-colcon.lock
+%/.requirements:
+	@python=$$(scripts/check_machine.sh . $(PYTHON)) && \
+	rm -rf $* && \
+	echo "making $* with $$($$python --version); this takes a minute or two" && \
+	$$python -m venv $* && \
+	$*/bin/python -m pip install --quiet --no-deps --no-compile --requirement $< && \
+	touch $@
+
+.venv/.installed: .venv/.requirements pyproject.toml package.xml $(shell find cmake msg_schemas scripts/ros_executable -type f)
+	@echo "building the messages and installing this tree"
+	@$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@

@@ -1,0 +1,26 @@
+# Builds msg_schemas against the ROS wheels of PyPI: pass this file to CMake as CMAKE_PROJECT_INCLUDE.
+# A ROS workspace with an installed ROS never sees it.
+
+find_package(Python3 REQUIRED COMPONENTS Interpreter)
+execute_process(
+  COMMAND "${Python3_EXECUTABLE}" -c
+    "import ament_package, pathlib; print(pathlib.Path(ament_package.__file__).resolve().parents[4])"
+  OUTPUT_VARIABLE ROS_WHEELS_PREFIX
+  OUTPUT_STRIP_TRAILING_WHITESPACE
+  COMMAND_ERROR_IS_FATAL ANY
+)
+set(ENV{AMENT_PREFIX_PATH} "${ROS_WHEELS_PREFIX}")
+list(PREPEND CMAKE_PREFIX_PATH "${ROS_WHEELS_PREFIX}")
+
+# The imported targets of the wheels name an include directory of the machine that built them.
+function(drop_missing_include_directories)
+  get_directory_property(targets IMPORTED_TARGETS)
+  foreach(target IN LISTS targets)
+    get_target_property(directories ${target} INTERFACE_INCLUDE_DIRECTORIES)
+    if(directories)
+      list(FILTER directories EXCLUDE REGEX "^/opt/python/")
+      set_target_properties(${target} PROPERTIES INTERFACE_INCLUDE_DIRECTORIES "${directories}")
+    endif()
+  endforeach()
+endfunction()
+cmake_language(DEFER CALL drop_missing_include_directories)

@@ -1,0 +1,63 @@
+"""Starts the monitor: `ros2 launch scara_effmass monitor.launch.py robot:=my_robot.urdf namespace:=cell`."""
+
+from __future__ import annotations
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+ARGUMENTS = (
+    DeclareLaunchArgument(
+        "params_file",
+        default_value="",
+        description="YAML file of the monitor's parameters; empty: the defaults",
+    ),
+    DeclareLaunchArgument(
+        "robot",
+        default_value="",
+        description="robot file, URDF or DH YAML; empty: the parameter of params_file, else the shipped Omron i4-550L",
+    ),
+    DeclareLaunchArgument(
+        "namespace",
+        default_value="",
+        description="namespace of the node and of its topics",
+    ),
+    DeclareLaunchArgument(
+        "use_sim_time",
+        default_value="false",
+        choices=["true", "false"],
+        description="take the time from /clock, as when a bag is replayed",
+    ),
+    DeclareLaunchArgument(
+        "log_level",
+        default_value="info",
+        choices=["debug", "info", "warn", "error", "fatal"],
+        description="least severity that the node logs",
+    ),
+)
+
+
+def monitor(context: LaunchContext) -> list[Node]:
+    """Return the node, with those parameters alone that were asked for: an empty argument sets nothing."""
+    given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
+    parameters: list[str | dict[str, str | bool]] = [{"use_sim_time": given["use_sim_time"] == "true"}]
+    if given["params_file"]:
+        parameters.append(given["params_file"])
+    if given["robot"]:
+        parameters.append({"robot": given["robot"]})
+    return [
+        Node(
+            package="scara_effmass",
+            executable="monitor_node",
+            namespace=given["namespace"],
+            parameters=parameters,
+            arguments=["--ros-args", "--log-level", given["log_level"]],
+            output="screen",
+        )
+    ]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the arguments and the monitor."""
+    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=monitor)])

@@ -1,0 +1,1 @@
+"""Recordings and message bytes: the only room that knows MCAP, SQLite and ROS 1 bags, and CDR."""

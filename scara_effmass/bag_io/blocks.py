@@ -1,0 +1,107 @@
+"""JointStates decoded many at a time: equal layouts in a row become one array each, without a loop over messages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from scara_effmass.bag_io.batches import IntArray
+from scara_effmass.bag_io.cdr import NS, STAMP_AT, JointStateLayout, joint_state_layout
+from scara_effmass.errors import DecodeError
+from scara_effmass.values import FloatArray, JointState
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from scara_effmass.bag_io.batches import Losses, MessageBatch
+
+WINDOW_GROWTH = 4
+
+
+@dataclass(frozen=True, slots=True)
+class JointStateBlock:
+    """Consecutive JointStates (m,) of one topic that carry the same names; arrays are read-only.
+
+    `position` (m, n) and `velocity` (m, k) are in [rad] or [m] and per second, as received; n and k may be 0, and
+    differ from the number of names. `log_time_ns` (m,) is when the recorder got them, `stamp_ns` (m,) what they say.
+    """
+
+    log_time_ns: IntArray
+    stamp_ns: IntArray
+    names: tuple[str, ...]
+    position: FloatArray
+    velocity: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    def states(self) -> Iterator[JointState]:
+        """Yield them one by one, equal to the last bit to what `JointStateDecoder` makes of the same bytes."""
+        names = self.names
+        for stamp_ns, position, velocity in zip(self.stamp_ns.tolist(), self.position, self.velocity, strict=True):
+            yield JointState(stamp_ns, names, position, velocity)
+
+
+class BlockDecoder:
+    """Decodes batches of JointState messages; what is no JointState is left out and goes into `losses`."""
+
+    def __init__(self, origin: str, losses: Losses) -> None:
+        self._origin = origin
+        self._losses = losses
+        self._names: tuple[str, ...] = ()
+        self._window = 1
+
+    def blocks(self, batch: MessageBatch) -> Iterator[JointStateBlock]:
+        """Yield the JointStates of `batch`, which must be of one topic, in order."""
+        size = batch.stop - batch.start
+        buffer = np.frombuffer(batch.data, np.uint8)
+        first = 0
+        while first < len(size):
+            try:
+                layout = joint_state_layout(batch.data[batch.start[first] : batch.stop[first]])
+            except DecodeError as error:
+                self._losses.add(f"{self._origin}: left out: {error}")
+                first += 1
+                continue
+            # as many as are alike cannot be known beforehand: try more as long as it goes well
+            window = slice(first, first + self._window)
+            alike = _leading(size[window] == layout.size)
+            rows = sliding_window_view(buffer, layout.size)[batch.start[first : first + alike]]
+            decisive = np.concatenate([np.arange(*span) for span in layout.fixed])
+            alike = _leading((rows[:, decisive] == rows[0, decisive]).all(axis=1))
+            self._window = self._window * WINDOW_GROWTH if alike == self._window else max(alike, 1)
+            if layout.names != self._names:
+                self._names = layout.names
+            yield _block(rows[:alike], batch.log_time_ns[first : first + alike], layout, self._names)
+            first += alike
+
+
+def _leading(flags: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> int:
+    """Return how many flags are true before the first false one."""
+    return len(flags) if flags.all() else int(flags.argmin())
+
+
+def _columns(
+    rows: np.ndarray[tuple[int, int], np.dtype[np.uint8]], first: int, size: int, number: str
+) -> np.ndarray[tuple[int, int], np.dtype[np.generic]]:
+    return rows[:, first : first + size].copy().view(number)
+
+
+def _block(
+    rows: np.ndarray[tuple[int, int], np.dtype[np.uint8]],
+    log_time_ns: IntArray,
+    layout: JointStateLayout,
+    names: tuple[str, ...],
+) -> JointStateBlock:
+    order = layout.byte_order
+    sec = _columns(rows, STAMP_AT, 4, f"{order}i4")[:, 0].astype(np.int64)
+    nanosec = _columns(rows, STAMP_AT + 4, 4, f"{order}u4")[:, 0]
+    position = _columns(rows, layout.position_at, 8 * layout.position_count, f"{order}f8").astype(np.float64)
+    velocity = _columns(rows, layout.velocity_at, 8 * layout.velocity_count, f"{order}f8").astype(np.float64)
+    block = JointStateBlock(log_time_ns.copy(), sec * NS + nanosec, names, position, velocity)
+    for array in (block.log_time_ns, block.stamp_ns, position, velocity):
+        array.flags.writeable = False
+    return block

@@ -1,0 +1,88 @@
+"""Message definitions: those a recording brings along win, the project's own and those of ROS 2 Jazzy fill in."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+
+from scara_effmass.errors import BagError
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rosbags.interfaces.typing import Typesdict
+    from rosbags.typesys.store import Typestore
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+OWN_PACKAGE = "scara_effmass_msgs"
+HEADER = "std_msgs/msg/Header"
+JOINT_STATE_PARTS = (JOINT_STATE, HEADER, "builtin_interfaces/msg/Time")
+IDL_MARK = "=" * 80 + "\n"
+
+
+@cache
+def own_types() -> Typesdict:
+    """Return the definitions of `scara_effmass_msgs`, from the installed .msg files."""
+    folder = share(OWN_PACKAGE, "msg")
+    types: Typesdict = {}
+    for path in sorted(folder.glob("*.msg")):
+        types |= get_types_from_msg(path.read_text(encoding="utf-8"), f"{OWN_PACKAGE}/msg/{path.stem}")
+    if not types:
+        raise BagError(f"{folder}: no message definitions (*.msg) there; install {OWN_PACKAGE}")
+    return types
+
+
+@cache
+def known_types() -> Typestore:
+    """Return the types of ROS 2 Jazzy and the project's own."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(own_types())
+    return store
+
+
+def types_of(definitions: Mapping[str, MessageDefinition], *, ros1: bool = False) -> Typestore:
+    """Return a store of the types in `definitions` and, where they leave any open, of the known ones.
+
+    A definition that cannot be understood is left out: it must not keep anyone from reading the other topics.
+    With `ros1`, the header is that of ROS 2, into which ROS 1 messages are converted.
+    """
+    embedded: Typesdict = {}
+    for name, definition in definitions.items():
+        try:
+            embedded |= _parsed(name, definition)
+        except TypesysError:
+            continue
+    if ros1:
+        embedded.pop(HEADER, None)
+    store = get_typestore(Stores.EMPTY)
+    store.register(embedded)
+    known = known_types()
+    for name in known.fielddefs.keys() - store.fielddefs.keys():
+        store.fielddefs[name] = known.fielddefs[name]
+        store.types[name] = known.types[name]
+    return store
+
+
+def check_joint_state(types: Typestore, origin: str) -> None:
+    """Refuse a recording whose own JointState is not the one of ROS; raises BagError."""
+    known = known_types()
+    for name in JOINT_STATE_PARTS:
+        fields, right = ([(field.lower(), kind) for field, kind in store.fielddefs[name][1]] for store in (types, known))
+        if fields != right:
+            raise BagError(f"{origin}: its own definition of {name} is not that of ROS; it cannot be read as joint states")
+
+
+def _parsed(name: str, definition: MessageDefinition) -> Typesdict:
+    if definition.format == MessageDefinitionFormat.MSG:
+        return get_types_from_msg(definition.data, name)
+    types: Typesdict = {}
+    parts = definition.data.split(IDL_MARK) if definition.data.startswith(f"{IDL_MARK}IDL: ") else [definition.data]
+    for part in parts:
+        text = part.partition("\n")[2] if part.startswith("IDL: ") else part
+        if text.strip():
+            types |= get_types_from_idl(text)
+    return types

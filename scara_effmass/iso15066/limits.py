@@ -1,0 +1,170 @@
+"""The limits that hold for the chosen body regions and kind of contact; settings may tighten them, never loosen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+from scara_effmass.errors import LimitError
+from scara_effmass.iso15066.table import BODY_POINTS, BODY_REGIONS
+from scara_effmass.settings import Contact
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from scara_effmass.iso15066.table import BodyPoint, BodyRegion
+    from scara_effmass.settings import MonitorSettings
+
+_N_M_PER_N_MM = 1e3
+
+Criterion = Literal["force", "pressure"]
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """What one body region bears in one kind of contact.
+
+    `force_points` and `pressure_points` are the rows of Table A.2 that set the limit, the strictest of the region;
+    empty where an own limit from the settings is stricter still. `obstacle_mass_kg` is infinite for a clamped body
+    part. `energy_j` is the standard's, for information: it decides nothing.
+    """
+
+    region: str
+    contact: Contact
+    force_n: float
+    force_points: tuple[BodyPoint, ...]
+    pressure_n_cm2: float
+    pressure_points: tuple[BodyPoint, ...]
+    contact_area_cm2: float
+    stiffness_n_m: float
+    obstacle_mass_kg: float
+    energy_j: float
+
+    @property
+    def permissible_force_n(self) -> float:
+        """Smaller of the force limit and of pressure limit times contact area [N]."""
+        return min(self.force_n, self.pressure_n_cm2 * self.contact_area_cm2)
+
+    @property
+    def criterion(self) -> Criterion:
+        """Which of the two limits is the smaller at this contact area; force when they are equal."""
+        return "force" if self.force_n <= self.pressure_n_cm2 * self.contact_area_cm2 else "pressure"
+
+    @property
+    def clause(self) -> str:
+        """Where the limits come from: rows of Table A.2, or the settings."""
+        force = _rows(self.force_points) or "own limit (max_force)"
+        pressure = _rows(self.pressure_points) or "own limit (max_pressure)"
+        return f"force: {force}; pressure: {pressure}"
+
+
+def limits_for(settings: MonitorSettings) -> tuple[Limit, ...]:
+    """Return the limits of the regions in `settings.body_regions`, from head to foot.
+
+    Without a choice these are all regions that have a limit for `settings.contact`. An own limit counts for those
+    regions where it is the stricter one. Raises LimitError for a region that is unknown, named twice or without a
+    limit for this contact, and for an own value that is looser than the standard's in every chosen region.
+    """
+    regions = _chosen_regions(settings.body_regions, settings.contact)
+    limits = tuple(_standard_limit(region, settings.contact, settings.contact_area) for region in regions)
+    _refuse_loosening(settings, limits)
+    return tuple(_tightened(limit, settings) for limit in limits)
+
+
+def _chosen_regions(names: tuple[str, ...], contact: Contact) -> tuple[BodyRegion, ...]:
+    clamped = contact is Contact.QUASI_STATIC
+    covered = {point.region for point in BODY_POINTS if clamped or point.transient_factor is not None}
+    for name in names:
+        if name not in BODY_REGIONS:
+            raise LimitError(f"body_regions = {name!r}: no such region; there are {', '.join(BODY_REGIONS)}")
+        if names.count(name) > 1:
+            raise LimitError(f"body_regions = {name!r}: named {names.count(name)} times; name each region once")
+        if name not in covered:
+            rows = _rows([point for point in BODY_POINTS if point.region == name])
+            raise LimitError(
+                f"body_regions = {name!r}: the standard gives no transient limit ({rows}); leave it out and "
+                "rule out its contact by other means, or set contact to quasi_static"
+            )
+    return tuple(region for region in BODY_REGIONS.values() if region.name in (names or covered))
+
+
+def _standard_limit(region: BodyRegion, contact: Contact, area_cm2: float) -> Limit:
+    clamped = contact is Contact.QUASI_STATIC
+    points = [point for point in BODY_POINTS if point.region == region.name]
+    force, force_points = _strictest(
+        {point: point.quasi_static_force_n if clamped else point.transient_force_n for point in points}
+    )
+    pressure, pressure_points = _strictest(
+        {point: point.quasi_static_pressure_n_cm2 if clamped else point.transient_pressure_n_cm2 for point in points}
+    )
+    return Limit(
+        region=region.name,
+        contact=contact,
+        force_n=force,
+        force_points=force_points,
+        pressure_n_cm2=pressure,
+        pressure_points=pressure_points,
+        contact_area_cm2=area_cm2,
+        stiffness_n_m=region.stiffness_n_m,
+        obstacle_mass_kg=math.inf if clamped else region.mass_kg,
+        energy_j=region.energy_j,
+    )
+
+
+def _strictest(values: Mapping[BodyPoint, float | None]) -> tuple[float, tuple[BodyPoint, ...]]:
+    """Return the smallest value that is given, and the rows that hold it."""
+    given = {point: value for point, value in values.items() if value is not None}
+    smallest = min(given.values())
+    return smallest, tuple(point for point, value in given.items() if value == smallest)
+
+
+def _refuse_loosening(settings: MonitorSettings, limits: tuple[Limit, ...]) -> None:
+    """Refuse an own value that would tighten nothing: it asks for more than the standard gives in every region."""
+    force = max(limits, key=lambda limit: limit.force_n)
+    if settings.max_force > force.force_n:
+        raise LimitError(
+            f"max_force = {settings.max_force:g} N: looser than the standard's {force.force_n:g} N for {force.region} "
+            f"({force.contact.value}, {_rows(force.force_points)}); give at most that, or 0 for no own limit"
+        )
+    pressure = max(limits, key=lambda limit: limit.pressure_n_cm2)
+    if settings.max_pressure > pressure.pressure_n_cm2:
+        raise LimitError(
+            f"max_pressure = {settings.max_pressure:g} N/cm2: looser than the standard's "
+            f"{pressure.pressure_n_cm2:g} N/cm2 for {pressure.region} "
+            f"({pressure.contact.value}, {_rows(pressure.pressure_points)}); give at most that, or 0 for no own limit"
+        )
+    stiffness = min(limits, key=lambda limit: limit.stiffness_n_m)
+    if 0.0 < _N_M_PER_N_MM * settings.stiffness < stiffness.stiffness_n_m:
+        raise LimitError(
+            f"stiffness = {settings.stiffness:g} N/mm: softer than the standard's "
+            f"{stiffness.stiffness_n_m / _N_M_PER_N_MM:g} N/mm for {stiffness.region} (Table A.3); "
+            "give at least that, or 0 for the standard's"
+        )
+    mass = min(limits, key=lambda limit: limit.obstacle_mass_kg)
+    if 0.0 < settings.obstacle_mass < mass.obstacle_mass_kg:
+        bound = (
+            f"a clamped body part counts as infinitely heavy (contact = {mass.contact.value}); give 0"
+            if math.isinf(mass.obstacle_mass_kg)
+            else f"lighter than the standard's {mass.obstacle_mass_kg:g} kg for {mass.region} (Table A.3); "
+            "give at least that, or 0 for the standard's"
+        )
+        raise LimitError(f"obstacle_mass = {settings.obstacle_mass:g} kg: {bound}")
+
+
+def _tightened(limit: Limit, settings: MonitorSettings) -> Limit:
+    own_force, own_pressure = settings.max_force or math.inf, settings.max_pressure or math.inf
+    return replace(
+        limit,
+        force_n=min(limit.force_n, own_force),
+        force_points=() if own_force < limit.force_n else limit.force_points,
+        pressure_n_cm2=min(limit.pressure_n_cm2, own_pressure),
+        pressure_points=() if own_pressure < limit.pressure_n_cm2 else limit.pressure_points,
+        stiffness_n_m=max(limit.stiffness_n_m, _N_M_PER_N_MM * settings.stiffness),
+        obstacle_mass_kg=max(limit.obstacle_mass_kg, settings.obstacle_mass),
+    )
+
+
+def _rows(points: Sequence[BodyPoint]) -> str:
+    """Return "Table A.2 row 28, 29", or nothing for no point."""
+    return ", ".join([point.clause for point in points[:1]] + [str(point.number) for point in points[1:]])

@@ -1,0 +1,1 @@
+"""Mechanics: what mass a serial robot presents at a contact point along a direction. Pure; SI units."""

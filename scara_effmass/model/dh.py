@@ -1,0 +1,173 @@
+"""Robots from a small Denavit-Hartenberg YAML file, such as `config/omron_i4_550l.yaml`."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import pinocchio as pin
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from scara_effmass.errors import RobotError
+from scara_effmass.model.robot import Robot, finished
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from scara_effmass.values import FloatArray
+
+Point = tuple[float, float, float]
+Inertia = float | tuple[float, float, float, float, float, float]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class DhJoint(_Strict):
+    """One standard DH row, Rz(theta) Tz(d) Tx(a) Rx(alpha), with limits [rad or m, per second]."""
+
+    name: str = Field(min_length=1)
+    type: Literal["revolute", "prismatic"]
+    a: float
+    alpha: float
+    d: float = 0.0
+    theta: float = 0.0
+    lower: float
+    upper: float
+    max_speed: float = Field(gt=0.0)
+    armature: float = Field(0.0, ge=0.0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> DhJoint:
+        if self.lower >= self.upper:
+            raise ValueError(f"lower {self.lower} must lie below upper {self.upper}")
+        return self
+
+    def link_in_joint(self) -> pin.SE3:
+        """Pose of the link frame (on the axis, x along the common normal) in the moving joint frame."""
+        return pin.SE3(_rotation_z(self.theta), np.array([0.0, 0.0, self.d]))
+
+    def next_in_joint(self) -> pin.SE3:
+        """Pose of the DH frame, in which the next joint moves, in the moving joint frame."""
+        c, s = math.cos(self.alpha), math.sin(self.alpha)
+        turn = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        return self.link_in_joint() * pin.SE3(turn, np.array([self.a, 0.0, 0.0]))
+
+
+class DhLink(_Strict):
+    """Mass [kg], centre of mass [m] and, where known, inertia about it [kg m2], in the link frame."""
+
+    name: str = Field(min_length=1)
+    mass: float = Field(ge=0.0)
+    com: Point
+    inertia: Inertia | None = None
+
+
+class DhPayload(_Strict):
+    """What the robot carries: end-effector and workpiece, in the last DH frame."""
+
+    mass: float = Field(ge=0.0)
+    com: Point = (0.0, 0.0, 0.0)
+    inertia: Inertia | None = None
+
+
+class DhFile(_Strict):
+    """The whole file."""
+
+    robot: str = Field(min_length=1)
+    base_frame: str = Field(min_length=1)
+    joints: tuple[DhJoint, ...] = Field(min_length=1)
+    links: tuple[DhLink, ...] = Field(min_length=1)
+    payload: DhPayload = DhPayload(mass=0.0)
+    contact_points: dict[str, Point] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> DhFile:
+        names = [joint.name for joint in self.joints]
+        if len(set(names)) != len(names):
+            raise ValueError(f"joint names {names} must differ")
+        if len(self.links) != len(self.joints):
+            raise ValueError(f"{len(self.links)} links for {len(self.joints)} joints: one link per joint is needed")
+        return self
+
+
+def load_dh(path: Path, contact_points: Sequence[str] = ()) -> Robot:
+    """Return the robot described in the YAML file at `path`; `contact_points` picks among its points.
+
+    Raises RobotError, in one line with the key, where the file cannot be used.
+    """
+    try:
+        file = DhFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise RobotError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise RobotError(f"{path}: {key or 'file'}: {first['msg']}") from None
+    unknown = [name for name in contact_points if name not in file.contact_points]
+    if unknown:
+        raise RobotError(f"{path}: no contact point {unknown[0]!r}: it has {', '.join(file.contact_points)}")
+    return _built(file, str(path), contact_points or tuple(file.contact_points))
+
+
+def _built(file: DhFile, origin: str, contact_points: Sequence[str]) -> Robot:
+    model = pin.Model()
+    model.name = file.robot
+    parent = 0
+    placement = pin.SE3.Identity()
+    for row, link in zip(file.joints, file.links, strict=True):
+        kind = pin.JointModelRZ() if row.type == "revolute" else pin.JointModelPZ()
+        parent = model.addJoint(
+            parent,
+            kind,
+            placement,
+            row.name,
+            np.array([1e9]),  # effort: not used
+            np.array([row.max_speed]),
+            np.array([row.lower]),
+            np.array([row.upper]),
+        )
+        body = pin.Inertia(link.mass, np.array(link.com), _tensor(link.inertia))
+        model.appendBodyToJoint(parent, body, row.link_in_joint())
+        placement = row.next_in_joint()
+    payload = pin.Inertia(file.payload.mass, np.array(file.payload.com), _tensor(file.payload.inertia))
+    model.appendBodyToJoint(parent, payload, placement)
+    model.armature = np.array([row.armature for row in file.joints])
+    frames = {}
+    for name in contact_points:
+        pose = placement * pin.SE3(np.eye(3), np.array(file.contact_points[name]))
+        frames[name] = model.addFrame(pin.Frame(name, parent, 0, pose, pin.FrameType.OP_FRAME))
+    missing = [link.name for link in file.links if link.inertia is None and link.mass > 0.0]
+    if 0 < len(missing) < len(file.links):
+        raise RobotError(f"{origin}: links.{missing[0]}: no inertia, while other links have one: give all or none")
+    return finished(
+        model,
+        origin,
+        name=file.robot,
+        base_frame=file.base_frame,
+        contact_frames=frames,
+        tool_point=tuple(placement.translation.tolist()),
+        payload_mass=file.payload.mass,
+        notes=(),
+    )
+
+
+def _tensor(inertia: Inertia | None) -> FloatArray:
+    if inertia is None:
+        return np.zeros((3, 3))
+    if isinstance(inertia, float):
+        # A planar file states I_zz alone; the thin-rod completion keeps the triangle inequality.
+        return np.diag([inertia / 2.0, inertia / 2.0, inertia])
+    ixx, iyy, izz, ixy, ixz, iyz = inertia
+    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+
+
+def _rotation_z(angle: float) -> FloatArray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -1,0 +1,201 @@
+"""The simplified model: each link as two point masses on its two joint axes, mass and centre of mass exact.
+
+For link i with unit axes u_a (proximal) and u_b (distal), feet f_a and f_b of their common normal:
+
+    kappa1 (f_a + L1 u_a) + kappa2 (f_b + L2 u_b) = CoM,    kappa1 + kappa2 = 1
+
+Masses of neighbouring links that share an axis are aggregated, so n joints leave n + 1 masses (Table II).
+Covered here: parallel and coincident axes, and prismatic axes, of which only the direction matters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from scara_effmass.errors import RobotError
+
+if TYPE_CHECKING:
+    from scara_effmass.model.robot import Robot
+    from scara_effmass.values import FloatArray, Vector3
+
+PARALLEL = 1e-6
+"""Sine of the angle below which two axes count as parallel."""
+ON_AXIS_M = 1e-4
+"""Distance [m] below which axes coincide, or a centre of mass lies where it must: finer than CAD data are."""
+
+
+@dataclass(frozen=True, slots=True)
+class LumpedLink:
+    """Two masses in place of one link; points in the link's joint frame [m]."""
+
+    joint: str
+    mass: float
+    kappa1: float
+    kappa2: float
+    height1: float
+    height2: float
+    point1: Vector3
+    point2: Vector3
+
+
+@dataclass(frozen=True, slots=True)
+class LumpedModel:
+    """The lumped links of a robot, and Pinocchio's model of them.
+
+    `model` moves as the robot does, its bodies being the pairs of point masses, so that its mass matrix is Eq. 14.
+    `aggregated` are the n + 1 masses by axis, proximal first: the first is at rest. `massless` are the joints
+    (0-based) about which nothing is left to turn: in `model` each has an armature of 1 in place of the zero,
+    which leaves the mass along any direction in which that joint does not move the contact point as it is.
+    """
+
+    links: tuple[LumpedLink, ...]
+    aggregated: tuple[float, ...]
+    model: pin.Model
+    massless: tuple[int, ...]
+
+    def planar_masses(self, robot: Robot) -> tuple[float, float]:
+        """Return M2 (elbow) and M3 (end-effector) of the equivalent planar mechanism [kg], after Eq. 25.
+
+        Raises RobotError for a robot that is no SCARA.
+        """
+        if not is_scara(robot):
+            raise RobotError(f"{robot.origin}: {robot.name} is no SCARA: it has no equivalent planar masses")
+        return self.aggregated[1], sum(self.aggregated[2:])
+
+
+def is_scara(robot: Robot) -> bool:
+    """Whether the robot is a chain revolute, revolute, prismatic, revolute with parallel axes, the last two coaxial."""
+    if robot.revolute != (True, True, False, True):
+        return False
+    axes = [_distal_axis(robot, joint) for joint in range(1, 5)]
+    parallel = all(
+        np.linalg.norm(np.cross(robot.axis_in_joint_frame(joint), axes[joint - 1][1])) < PARALLEL for joint in range(1, 5)
+    )
+    point, axis = axes[2]
+    return parallel and float(np.linalg.norm(point - (point @ axis) * axis)) < ON_AXIS_M
+
+
+def lump(robot: Robot) -> LumpedModel:
+    """Return the simplified model of `robot`. Raises RobotError saying which link has none, and why."""
+    if robot.masses_reason or robot.coms_reason:
+        raise RobotError(robot.masses_reason or robot.coms_reason)
+    source = robot.model
+    if list(source.parents)[1:] != list(range(source.njoints - 1)):
+        raise RobotError("the joints do not form one chain")
+    links = tuple(_lumped_link(robot, joint) for joint in range(1, source.njoints))
+    model = source.copy()
+    for joint, link in enumerate(links, start=1):
+        model.inertias[joint] = _two_masses(link)
+    massless = _massless_joints(robot, model)
+    armature = source.armature.copy()
+    armature[list(massless)] = 1.0
+    model.armature = armature
+    _require_positive_definite(robot, model, links)
+    masses = [0.0] * source.njoints
+    for index, link in enumerate(links):
+        masses[index] += link.kappa1 * link.mass
+        masses[index + 1] += link.kappa2 * link.mass
+    return LumpedModel(links=links, aggregated=tuple(masses), model=model, massless=massless)
+
+
+def _distal_axis(robot: Robot, joint: int) -> tuple[FloatArray, FloatArray]:
+    """Return a point and the unit direction of the axis after `joint`, in the frame of `joint`."""
+    if joint == robot.model.njoints - 1:
+        return np.array(robot.tool_point), robot.axis_in_joint_frame(joint)
+    placement = robot.model.jointPlacements[joint + 1]
+    return placement.translation.copy(), placement.rotation @ robot.axis_in_joint_frame(joint + 1)
+
+
+def _lumped_link(robot: Robot, joint: int) -> LumpedLink:
+    name = robot.joint_names[joint - 1]
+    body = robot.model.inertias[joint]
+    axis = robot.axis_in_joint_frame(joint)
+    point, distal = _distal_axis(robot, joint)
+    if float(np.linalg.norm(np.cross(axis, distal))) > PARALLEL:
+        raise RobotError(f"link behind {name}: its axes are not parallel, a case the two-mass construction does not cover yet")
+    height = float(body.lever @ axis)
+    across = body.lever - height * axis
+    normal = point - (point @ axis) * axis
+    length = float(np.linalg.norm(normal))
+    if length < ON_AXIS_M:
+        kappa2, miss = 0.5, float(np.linalg.norm(across))  # coincident: any share is exact
+    else:
+        kappa2 = float(across @ normal) / length**2
+        miss = float(np.linalg.norm(across - kappa2 * normal))
+    revolute = robot.revolute
+    if miss > ON_AXIS_M and body.mass > 0.0 and not revolute[joint - 1]:
+        # Only the direction of a prismatic axis matters: put it through the centre of mass.
+        kappa2, miss, normal, origin = 0.0, 0.0, np.zeros(3), across
+    else:
+        origin = np.zeros(3)
+    if miss > ON_AXIS_M and body.mass > 0.0 and joint < len(revolute) and not revolute[joint]:
+        kappa2, miss, normal = 1.0, 0.0, across
+    if miss > ON_AXIS_M and body.mass > 0.0:
+        raise RobotError(
+            f"link behind {name}: its centre of mass misses the plane of its two axes by {miss * 1e3:.1f} mm, "
+            "so no two masses on them have it"
+        )
+    return LumpedLink(
+        joint=name,
+        mass=float(body.mass),
+        kappa1=1.0 - kappa2,
+        kappa2=kappa2,
+        height1=height,
+        height2=height * float(np.sign(axis @ distal)),
+        point1=_vector(origin + height * axis),
+        point2=_vector(normal + height * axis),
+    )
+
+
+def _two_masses(link: LumpedLink) -> pin.Inertia:
+    """Return the rigid body that two point masses are."""
+    body = pin.Inertia.Zero()
+    for kappa, point in ((link.kappa1, link.point1), (link.kappa2, link.point2)):
+        # Pinocchio refuses negative masses; kappa < 0 (CoM outside the slab between the axes) needs the sum by hand.
+        body = _sum(body, kappa * link.mass, np.array(point))
+    return body
+
+
+def _sum(body: pin.Inertia, mass: float, point: FloatArray) -> pin.Inertia:
+    total = body.mass + mass
+    if total == 0.0:
+        return pin.Inertia.Zero()
+    com = (body.mass * body.lever + mass * point) / total
+    inertia = body.inertia + body.mass * _spread(body.lever - com) + mass * _spread(point - com)
+    return pin.Inertia(total, com, inertia)
+
+
+def _spread(arm: FloatArray) -> FloatArray:
+    """Return the inertia tensor (3, 3) of a unit mass at `arm` from the reference point."""
+    return np.asarray((arm @ arm) * np.eye(3) - np.outer(arm, arm))
+
+
+def _massless_joints(robot: Robot, model: pin.Model) -> tuple[int, ...]:
+    data = model.createData()
+    largest = np.zeros(model.nv)
+    scale = 0.0
+    for q in robot.sample_configurations():
+        matrix = pin.crba(model, data, q)
+        largest = np.maximum(largest, np.abs(matrix).max(axis=1))
+        scale = max(scale, float(np.abs(matrix).max()))
+    return tuple(int(joint) for joint in np.flatnonzero(largest < 1e-12 * scale))
+
+
+def _require_positive_definite(robot: Robot, model: pin.Model, links: tuple[LumpedLink, ...]) -> None:
+    data = model.createData()
+    for q in robot.sample_configurations():
+        matrix = pin.crba(model, data, q)
+        scale = np.sqrt(np.diag(matrix).clip(min=0.0))
+        if np.any(scale == 0.0) or np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < 1e-9:
+            outside = [link.joint for link in links if not 0.0 <= link.kappa2 <= 1.0]
+            because = f": the centre of mass lies outside the slab between the axes behind {', '.join(outside)}" if outside else ""
+            raise RobotError(f"the lumped mass matrix is not positive definite at q = {np.round(q, 3).tolist()}{because}")
+
+
+def _vector(point: FloatArray) -> Vector3:
+    x, y, z = point.tolist()
+    return x, y, z

@@ -1,0 +1,1 @@
+"""Who runs it live: the ROS 2 nodes. The only room that knows rclpy."""

@@ -1,0 +1,275 @@
+"""`monitor_node`: joint states in, verdicts out. It converts, calls `safety.Monitor` and publishes."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray
+from pydantic import Field
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from scara_effmass_msgs.msg import ContactState
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, String
+from std_srvs.srv import Trigger
+
+from scara_effmass.bag_io.cdr import JointStateDecoder
+from scara_effmass.errors import DecodeError, EffmassError
+from scara_effmass.iso15066 import limits_for
+from scara_effmass.model.arm import Arm
+from scara_effmass.model.load import load_robot, robot_from_urdf
+from scara_effmass.nodes import parameters
+from scara_effmass.nodes.convert import fill_contact_state
+from scara_effmass.nodes.health import Health
+from scara_effmass.nodes.running import SuiteNode, run
+from scara_effmass.safety import Monitor, without_robot
+from scara_effmass.settings import READ_ONLY, MonitorSettings, checked
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rclpy.clock import TimeJump
+    from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, QoSSubscriptionMatchedInfo
+    from rclpy.lifecycle import State, TransitionCallbackReturn
+    from rclpy.parameter import Parameter
+
+    from scara_effmass.model.robot import Robot
+    from scara_effmass.values import Decision, Verdict
+
+Endpoint = TypeVar("Endpoint")
+
+_INPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=200)
+"""Sensor-data QoS, which matches every publisher, with room for a stall of 0.2 s at 1 kHz."""
+_VERDICT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=200)
+_DESCRIPTION_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_LOOKS_PER_TIMEOUT = 4
+_REPORT_S = 1.0
+_REPORTS_APART_NS = 100_000_000
+
+
+class NodeSettings(MonitorSettings):
+    """The monitor's settings and the node's own."""
+
+    autostart: bool = Field(True, description="configure and activate at start", json_schema_extra=READ_ONLY)
+
+
+class MonitorNode(SuiteNode):
+    """Watches `joint_states`; publishes `contact_state`, `allowable_speed`, `speed_scaling`, `/diagnostics`."""
+
+    def __init__(self) -> None:
+        """Declare the parameters. Raises SettingsError for one that cannot be used."""
+        super().__init__("monitor")
+        values = parameters.declare(self, NodeSettings)
+        self.autostart = bool(values.pop("autostart"))
+        self._settings = checked(values, self.get_name())
+        limits_for(self._settings)
+        self.add_on_set_parameters_callback(self._judge_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
+        self._active = False
+        self._kept = ExitStack()
+        self._outputs: dict[str, Any] = {}
+        self._number = Float64()
+        self._monitor: Monitor | None = None
+        self._messages: list[ContactState] = []
+        self._decision: Decision | None = None
+        self._last_heard_ns = 0
+
+    def set_up(self) -> None:
+        """Load the robot and create the endpoints. Raises EffmassError."""
+        self._decoder = JointStateDecoder()
+        self._health = Health(self.get_name())
+        self._shown: list[Verdict] = []
+        self._reported_ns = 0
+        self._waiting = ""
+        if self._settings.await_robot_description:
+            self._waiting = "no robot_description yet"
+            self._keep(
+                self.create_subscription(String, "robot_description", self._on_description, _DESCRIPTION_QOS),
+                self.destroy_subscription,
+            )
+        else:
+            path = Path(self._settings.robot) if self._settings.robot else share("config", "omron_i4_550l.yaml")
+            self._watch(load_robot(path, self._settings))
+        overridable = QoSOverridingOptions.with_default_policies()
+        events = PublisherEventCallbacks(incompatible_qos=self._on_incompatible)
+        for kind, topic in ((ContactState, "contact_state"), (Float64, "allowable_speed"), (Float64, "speed_scaling")):
+            self._outputs[topic] = self._keep(
+                self.create_lifecycle_publisher(
+                    kind, topic, _VERDICT_QOS, event_callbacks=events, qos_overriding_options=overridable
+                ),
+                self.destroy_lifecycle_publisher,
+            )
+        self._diagnostics = self._keep(
+            self.create_lifecycle_publisher(DiagnosticArray, "/diagnostics", 10), self.destroy_lifecycle_publisher
+        )
+        self._joint_states = self._keep(
+            self.create_subscription(
+                JointState,
+                "joint_states",
+                self._on_joint_state,
+                _INPUT_QOS,
+                raw=True,
+                event_callbacks=SubscriptionEventCallbacks(
+                    incompatible_qos=self._on_incompatible, matched=self._on_matched
+                ),
+                qos_overriding_options=overridable,
+            ),
+            self.destroy_subscription,
+        )
+        self._keep(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
+        # Steady time: a paused or jumping /clock must not keep the watchdog from looking.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        period = self._settings.timeout / _LOOKS_PER_TIMEOUT
+        self._keep(self.create_timer(period, self._on_watchdog, clock=steady), self.destroy_timer)
+        self._keep(self.create_timer(_REPORT_S, self._report, clock=steady), self.destroy_timer)
+        backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
+        jump = self.get_clock().create_jump_callback(backwards, post_callback=self._on_clock_jump)
+        self._kept.callback(jump.unregister)
+
+    def tear_down(self) -> None:
+        """Destroy the endpoints and forget the robot."""
+        self._kept.close()
+        self._outputs.clear()
+        self._monitor = None
+
+    def on_activate(self, state: State) -> TransitionCallbackReturn:
+        """Start to publish; silence counts from here."""
+        self._last_heard_ns = time.monotonic_ns()
+        self._active = True
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: State) -> TransitionCallbackReturn:
+        """Fall silent."""
+        self._active = False
+        return super().on_deactivate(state)
+
+    def _keep(self, endpoint: Endpoint, destroy: Callable[[Endpoint], object]) -> Endpoint:
+        self._kept.callback(destroy, endpoint)
+        return endpoint
+
+    def _watch(self, robot: Robot) -> None:
+        """Take over `robot`. Raises EffmassError, and then goes on with what it had."""
+        arm = Arm(robot)
+        self._monitor = Monitor(arm, self._settings)
+        self._messages = []
+        for name in arm.contact_points:
+            message = ContactState(contact_point=name)
+            message.header.frame_id = robot.base_frame
+            self._messages.append(message)
+        self._waiting = ""
+        log = self.get_logger()
+        log.info(f"watching {robot.name} ({robot.origin}) at {', '.join(arm.contact_points)}")
+        for line in (*robot.notes, *(f"no {line}" for line in self._health.missing_models(arm))):
+            log.info(line)
+
+    def _on_joint_state(self, data: bytes, info: dict[str, int]) -> None:
+        if not self._active:
+            return
+        started_ns = time.monotonic_ns()
+        self._health.received(info["publication_sequence_number"])
+        monitor = self._monitor
+        if monitor is None:
+            self._publish(without_robot(self._waiting))
+            return
+        try:
+            decision = monitor.assess(self._decoder.decode(data), self._clock.now().nanoseconds)
+        except DecodeError as error:
+            decision = monitor.refuse(str(error))
+        if decision is not None:
+            self._last_heard_ns = started_ns
+            self._publish(decision)
+            self._health.answered(time.monotonic_ns() - started_ns)
+
+    def _on_watchdog(self) -> None:
+        silent_ns = time.monotonic_ns() - self._last_heard_ns
+        if not self._active or silent_ns <= self._settings.timeout * 1e9:
+            return
+        self._publish(self._monitor.silence(silent_ns) if self._monitor else without_robot(self._waiting))
+
+    def _publish(self, decision: Decision) -> None:
+        contact_state = self._outputs["contact_state"]
+        for message, contact in zip(self._messages or [ContactState()], decision.contacts, strict=True):
+            fill_contact_state(message, contact)
+            contact_state.publish(message)
+        number = self._number
+        number.data = decision.allowable_speed
+        self._outputs["allowable_speed"].publish(number)
+        number.data = decision.speed_scaling
+        self._outputs["speed_scaling"].publish(number)
+        self._decision = decision
+        shown = [contact.verdict for contact in decision.contacts]
+        if shown != self._shown and time.monotonic_ns() - self._reported_ns > _REPORTS_APART_NS:
+            self._shown = shown
+            self._report()
+
+    def _report(self) -> None:
+        self._reported_ns = time.monotonic_ns()
+        publishers = self.count_publishers(self._joint_states.topic_name)
+        array = DiagnosticArray(status=self._health.statuses(self._monitor, self._decision, publishers))
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def _on_description(self, message: String) -> None:
+        try:
+            self._watch(robot_from_urdf(message.data, "robot_description", self._settings))
+        except EffmassError as error:
+            self._monitor = None
+            self._messages = []
+            self._waiting = str(error)
+            self.get_logger().error(self._waiting)
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._monitor is None:
+            response.message = self._waiting
+        else:
+            cause = self._monitor.first_cause
+            self._monitor.reset()
+            response.success = True
+            response.message = f"cleared: {cause.verdict.name}: {cause.reason}" if cause else "nothing was latched"
+        return response
+
+    def _on_clock_jump(self, _: TimeJump) -> None:
+        if self._monitor is not None:
+            self._monitor.clock_went_back()
+            self.get_logger().info("the clock went back: earlier joint states are forgotten")
+
+    def _on_matched(self, matched: QoSSubscriptionMatchedInfo) -> None:
+        if matched.current_count > 1:
+            self.get_logger().warning(
+                f"{matched.current_count} publishers on {self._joint_states.topic_name}: "
+                "their joint states are taken as one stream"
+            )
+
+    def _on_incompatible(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        self._health.incompatible(policy)
+        self.get_logger().warning(f"an endpoint cannot be connected: its {policy} does not fit")
+
+    def _judge_parameters(self, changes: list[Parameter]) -> SetParametersResult:
+        try:
+            limits_for(self._changed(changes))
+        except EffmassError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_parameters(self, changes: list[Parameter]) -> None:
+        self._settings = self._changed(changes)
+        if self._monitor is not None:
+            self._monitor.apply(self._settings)
+
+    def _changed(self, changes: list[Parameter]) -> MonitorSettings:
+        values = {p.name: parameters.from_ros(p) for p in changes if p.name in MonitorSettings.model_fields}
+        return checked({**self._settings.model_dump(), **values}, self.get_name())
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node with ROS arguments `args`, or those of the process."""
+    return run(MonitorNode, args)

@@ -1,0 +1,255 @@
+"""The verdict: from a joint state to what each contact point may do."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import TYPE_CHECKING, NamedTuple
+
+from scara_effmass.iso15066 import LIGHTEST_MASS, SpeedLimits, limits_for, peak_force, reduced_mass
+from scara_effmass.safety.hold import Hold, severity
+from scara_effmass.safety.intake import NANOSECONDS, Foreign, Intake
+from scara_effmass.settings import MassModel, MonitorSettings
+from scara_effmass.values import NAN, ContactAssessment, Decision, Verdict
+
+if TYPE_CHECKING:
+    from scara_effmass.model.arm import Arm, Presented
+    from scara_effmass.values import JointState
+
+NOWHERE = (0.0, 0.0, 0.0)
+_LATCHING = frozenset({Verdict.VIOLATION, Verdict.UNKNOWN})
+
+
+class Cause(NamedTuple):
+    """The first thing that was not OK since the start or the last reset."""
+
+    stamp_ns: int
+    contact_point: str
+    verdict: Verdict
+    reason: str
+
+
+class Monitor:
+    """Decides, joint state by joint state. The same states give the same decisions, live and offline."""
+
+    def __init__(self, arm: Arm, settings: MonitorSettings) -> None:
+        """Watch `arm` under `settings`. Raises LimitError where they ask for a limit the standard does not give."""
+        self.arm = arm
+        self._intake = Intake(arm.robot)
+        self._iso_mass = 0.0 if arm.robot.masses_reason else arm.robot.iso_mass
+        self._holds = {name: Hold() for name in arm.contact_points}
+        self.first_cause: Cause | None = None
+        self.verdicts: Counter[Verdict] = Counter()
+        self.refused = 0
+        self.foreign = 0
+        self.apply(settings)
+
+    def apply(self, settings: MonitorSettings) -> None:
+        """Take over changed settings; the robot stays. Raises LimitError, and then changes nothing."""
+        limits = SpeedLimits(limits_for(settings))
+        self.settings = settings
+        self._limits = limits
+        self._intake.apply(settings)
+        self._mass_factor = 1.0 + settings.mass_uncertainty
+        self._stiffness_factor = 1.0 + settings.stiffness_uncertainty
+        self._closing_speed = settings.person_speed + settings.speed_uncertainty
+        for hold in self._holds.values():
+            hold.release_ns = round(settings.release_time * NANOSECONDS)
+
+    def reset(self) -> None:
+        """Clear the first cause, and with it a latched verdict."""
+        self.first_cause = None
+        for hold in self._holds.values():
+            hold.clear()
+
+    def clock_went_back(self) -> None:
+        """Forget earlier joint states: the node's clock has jumped back, and stamps will with it."""
+        self._intake.forget()
+        for hold in self._holds.values():
+            hold.clear()
+
+    def assess(self, state: JointState, now_ns: int) -> Decision | None:
+        """Return the decision for `state` as seen at `now_ns` on the node's clock.
+
+        None for a joint state that names none of the robot's joints: it is another device's, and is counted.
+        """
+        intake = self._intake
+        previous_ns = intake.last_stamp_ns
+        motion = intake.check(state, now_ns)
+        if isinstance(motion, Foreign):
+            self.foreign += 1
+            return None
+        age = (now_ns - state.stamp_ns) / 1e9 if state.stamp_ns > 0 else 0.0
+        if isinstance(motion, str):
+            return self.refuse(motion, state.stamp_ns, age)
+        if previous_ns and state.stamp_ns - previous_ns > intake.timeout_ns:
+            for hold in self._holds.values():
+                hold.lapse(f"no joint state for {(state.stamp_ns - previous_ns) / 1e9:.3f} s")
+        presented = self.arm.presented(motion.q, motion.qd, self.settings.speed_threshold)
+        return self._decided(
+            tuple(
+                self._judged(name, hold, p, state.stamp_ns, age)
+                for (name, hold), p in zip(self._holds.items(), presented, strict=True)
+            )
+        )
+
+    def refuse(self, reason: str, stamp_ns: int = 0, age: float = 0.0) -> Decision:
+        """Return the decision for a joint state that cannot be used for `reason`, such as unreadable bytes."""
+        self.refused += 1
+        for hold in self._holds.values():
+            hold.lapse(reason)
+        return self._decided(tuple(self._unknown(name, reason, stamp_ns, age) for name in self._holds))
+
+    def silence(self, elapsed_ns: int) -> Decision:
+        """Return the decision when no joint state has come for `elapsed_ns` of steady time.
+
+        It changes no verdict of later joint states: a gap in their own stamps does that.
+        """
+        seconds = elapsed_ns / 1e9
+        reason = f"no joint state for {seconds:.2f} s" if self._intake.last_stamp_ns else "no joint state yet"
+        if self.foreign:
+            reason += f" ({self.foreign} named none of the robot's joints)"
+        contacts = tuple(self._unknown(name, reason, self._intake.last_stamp_ns, seconds) for name in self._holds)
+        return self._decided(contacts)
+
+    def _decided(self, contacts: tuple[ContactAssessment, ...]) -> Decision:
+        for contact in contacts:
+            self.verdicts[contact.verdict] += 1
+            if contact.verdict in _LATCHING and self.first_cause is None:
+                self.first_cause = Cause(contact.stamp_ns, contact.contact_point, contact.verdict, contact.reason)
+        cause = self.first_cause
+        if cause is not None and self.settings.latch:
+            return Decision(tuple(_latched(contact, cause) for contact in contacts), 0.0, 0.0)
+        allowable = min([contact.allowable_speed for contact in contacts])
+        scaling = min([self._scaling(contact) for contact in contacts])
+        return Decision(contacts, allowable, scaling)
+
+    def _scaling(self, contact: ContactAssessment) -> float:
+        wanted = self.settings.reference_speed or contact.speed
+        allowable = contact.allowable_speed
+        if contact.verdict is Verdict.UNKNOWN or allowable <= 0.0:
+            return 0.0
+        return 1.0 if wanted <= allowable else allowable / wanted
+
+    def _judged(self, name: str, hold: Hold, p: Presented, stamp_ns: int, age: float) -> ContactAssessment:
+        settings = self.settings
+        mass, worst, trouble = self._mass_of_verdict(p)
+        criterion, limit, mu, force, allowable = "", None, 0.0, 0.0, 0.0
+        if trouble:
+            verdict, reason = Verdict.UNKNOWN, trouble
+        else:
+            speed_limit, limit, criterion, _ = self._limits.ceiling(mass * self._mass_factor, self._stiffness_factor)
+            allowable = max(0.0, speed_limit - self._closing_speed)
+            mu = min(reduced_mass(mass, limit.obstacle_mass_kg), settings.mass_cap)
+            force = peak_force(p.speed + settings.person_speed, mu, limit.stiffness_n_m)
+            verdict, reason = Verdict.OK, ""
+            if p.speed + self._closing_speed > speed_limit:
+                verdict = Verdict.VIOLATION
+                reason = f"{p.speed:.3f} m/s is above the {allowable:.3f} m/s that the {criterion} limit of {limit.region} allows"
+            elif p.speed > settings.warn_ratio * allowable:
+                verdict = Verdict.WARN
+                reason = f"{p.speed:.3f} m/s nears the {allowable:.3f} m/s that the {criterion} limit of {limit.region} allows"
+            else:
+                known, which = (p.lumped, "lumped") if math.isnan(p.full) else (p.full, "full")
+                if mass < known * (1.0 - settings.model_margin):
+                    verdict = Verdict.WARN
+                    used = settings.effective_mass_model.value
+                    reason = f"the {used} mass of {mass:.3g} kg is below the {which} model's {known:.3g} kg"
+        verdict, reason = hold.shown(verdict, reason, stamp_ns)
+        if verdict is Verdict.UNKNOWN:
+            allowable = 0.0
+        cap = settings.mass_cap
+        return ContactAssessment(
+            stamp_ns=stamp_ns,
+            contact_point=name,
+            direction=p.direction,
+            speed=p.speed,
+            effective_mass=min(mass, cap),
+            # min() of (cap, NaN) is cap: the order matters, a mass without a model stays NaN.
+            lumped_mass=min(p.lumped, cap),
+            full_mass=min(p.full, cap),
+            iso_mass=self._iso_mass,
+            worst_direction_mass=min(worst, cap),
+            obstacle_mass=0.0 if limit is None or math.isinf(limit.obstacle_mass_kg) else limit.obstacle_mass_kg,
+            reduced_mass=mu,
+            stiffness=0.0 if limit is None else limit.stiffness_n_m,
+            predicted_force=force,
+            allowable_speed=allowable,
+            margin=allowable - p.speed,
+            body_region="" if limit is None else limit.region,
+            criterion=criterion,
+            verdict=verdict,
+            reason=reason,
+            input_age=age,
+            worst_direction_used=p.direction == NOWHERE,
+            mass_capped=mass > cap,
+            smallest_singular_value=p.smallest_singular_value,
+        )
+
+    def _mass_of_verdict(self, p: Presented) -> tuple[float, float, str]:
+        """Return the effective mass that counts, that of its worst direction, and why there is none."""
+        model = self.settings.effective_mass_model
+        reason = self.arm.robot.masses_reason
+        if reason:
+            return 0.0, 0.0, reason
+        if model is MassModel.ISO:
+            return self._iso_mass, self._iso_mass, ""
+        if model is not MassModel.FULL and math.isnan(p.lumped):
+            return 0.0, 0.0, f"no lumped mass ({p.lumped_reason}): choose effective_mass_model full or iso"
+        if model is not MassModel.LUMPED and math.isnan(p.full):
+            return 0.0, 0.0, f"no full mass ({self.arm.full_reason}): choose effective_mass_model lumped or iso"
+        if model is MassModel.LUMPED:
+            mass, worst = p.lumped, p.worst_lumped
+        elif model is MassModel.FULL:
+            mass, worst = p.full, p.worst_full
+        else:
+            mass, worst = max(p.lumped, p.full), max(p.worst_lumped, p.worst_full)
+        if mass < LIGHTEST_MASS:
+            return 0.0, 0.0, f"an effective mass of {mass:.3g} kg cannot be: the robot description is wrong"
+        return mass, worst, ""
+
+    def _unknown(self, name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:
+        return blank(name, reason, stamp_ns, age)._replace(iso_mass=self._iso_mass)
+
+
+def without_robot(reason: str) -> Decision:
+    """Return the decision while there is no robot to watch."""
+    return Decision((blank("", reason, 0, 0.0),), 0.0, 0.0)
+
+
+def blank(name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:
+    """Return an UNKNOWN of which nothing but the reason is known: all numbers 0, the masses of the models NaN."""
+    return ContactAssessment(
+        stamp_ns=max(stamp_ns, 0),
+        contact_point=name,
+        direction=NOWHERE,
+        speed=0.0,
+        effective_mass=0.0,
+        lumped_mass=NAN,
+        full_mass=NAN,
+        iso_mass=0.0,
+        worst_direction_mass=0.0,
+        obstacle_mass=0.0,
+        reduced_mass=0.0,
+        stiffness=0.0,
+        predicted_force=0.0,
+        allowable_speed=0.0,
+        margin=0.0,
+        body_region="",
+        criterion="",
+        verdict=Verdict.UNKNOWN,
+        reason=reason,
+        input_age=age,
+        worst_direction_used=False,
+        mass_capped=False,
+        smallest_singular_value=0.0,
+    )
+
+
+def _latched(contact: ContactAssessment, cause: Cause) -> ContactAssessment:
+    """Return `contact` under the latched `cause`, unless it is worse by itself."""
+    if severity(contact.verdict) >= severity(cause.verdict):
+        return contact
+    at = f"{cause.contact_point}: " if cause.contact_point else ""
+    latched = contact._replace(verdict=cause.verdict, reason=f"latched until reset: {at}{cause.reason}")
+    return latched._replace(allowable_speed=0.0, margin=-contact.speed) if cause.verdict is Verdict.UNKNOWN else latched

@@ -1,0 +1,174 @@
+"""Settings of the monitor: one description from which the ROS parameters, the YAML files and --help are made."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import TYPE_CHECKING, Annotated, Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from scara_effmass.errors import SettingsError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+
+class MassModel(str, Enum):
+    """Which effective mass the verdict uses."""
+
+    LUMPED = "lumped"
+    FULL = "full"
+    ISO = "iso"
+    LARGEST = "largest"
+
+
+class Contact(str, Enum):
+    """Free impact, or clamped between robot and a fixed part (ISO/TS 15066, 5.5.5.2)."""
+
+    TRANSIENT = "transient"
+    QUASI_STATIC = "quasi_static"
+
+
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+
+READ_ONLY: dict[str, Any] = {"read_only": True}
+"""Marks a setting that a running node does not take over: the robot, and what is built from it."""
+
+
+class MonitorSettings(BaseModel):
+    """Everything that can be set on `monitor_node`, on `assess` and on `replay`, with safe defaults.
+
+    Raises pydantic's ValidationError; `load_settings` and `checked` turn it into one SettingsError line.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    robot: str = Field(
+        "",
+        description="robot file, URDF or DH YAML; empty: the robot_description topic if it is awaited, else the shipped Omron i4-550L",
+        json_schema_extra=READ_ONLY,
+    )
+    await_robot_description: bool = Field(
+        False,
+        description="take the robot from the robot_description topic; UNKNOWN until it has come",
+        json_schema_extra=READ_ONLY,
+    )
+    contact_points: tuple[str, ...] = Field(
+        (),
+        description="links (URDF) or named points (DH YAML) that are watched; empty: those of the file, or the tip of the longest chain",
+        json_schema_extra=READ_ONLY,
+    )
+    locked_joints: tuple[str, ...] = Field(
+        ("*gripper*", "*finger*"),
+        description="joints, by name or glob pattern, held fixed in the model: their mass counts, their motion does not",
+        json_schema_extra=READ_ONLY,
+    )
+    payload_mass: float = Field(
+        0.0,
+        ge=0.0,
+        le=1000.0,
+        description="mass carried at the contact point beyond what the robot file states [kg]",
+        json_schema_extra=READ_ONLY,
+    )
+    effective_mass_model: MassModel = Field(
+        MassModel.LUMPED,
+        description="the mass behind the verdict: lumped, full, iso (M/2 + m_L), or largest of lumped and full",
+    )
+    mass_cap: float = Field(
+        1000.0, gt=0.0, le=1e6, description="largest effective mass that is published, reached near singular poses [kg]"
+    )
+    mass_uncertainty: Fraction = Field(0.1, description="relative uncertainty of the effective mass, taken on the safe side")
+    stiffness_uncertainty: Fraction = Field(0.0, description="relative uncertainty of the contact stiffness, taken on the safe side")
+    speed_uncertainty: float = Field(
+        0.0, ge=0.0, le=10.0, description="uncertainty of the measured speed, added to it [m/s]"
+    )
+    model_margin: Fraction = Field(
+        0.1, description="WARN when the lumped mass is smaller than the full one by more than this fraction"
+    )
+    speed_threshold: float = Field(
+        0.005, gt=0.0, le=1.0, description="below this speed the direction is undefined and the worst one is used [m/s]"
+    )
+    person_speed: float = Field(
+        0.0, ge=0.0, le=10.0, description="speed of the person towards the robot, added to the relative speed [m/s]"
+    )
+    warn_ratio: float = Field(0.8, gt=0.0, le=1.0, description="WARN from this fraction of the allowable speed on")
+    reference_speed: float = Field(
+        0.0,
+        ge=0.0,
+        le=100.0,
+        description="speed that speed_scaling 1 stands for [m/s]; 0: the current speed, which suits a display but not a closed loop",
+    )
+    body_regions: tuple[str, ...] = Field(
+        (), description="body regions that can be hit; empty: every region with a limit for this contact"
+    )
+    contact: Contact = Field(Contact.TRANSIENT, description="transient (free impact) or quasi_static (clamped)")
+    contact_area: float = Field(1.0, gt=0.0, le=1000.0, description="contact area for the pressure limit [cm2]")
+    max_force: float = Field(0.0, ge=0.0, description="own force limit, which may only tighten the standard's [N]; 0: none")
+    max_pressure: float = Field(
+        0.0, ge=0.0, description="own pressure limit, which may only tighten the standard's [N/cm2]; 0: none"
+    )
+    obstacle_mass: float = Field(
+        0.0, ge=0.0, le=1000.0, description="mass of the body part, not below the standard's [kg]; 0: the standard's"
+    )
+    stiffness: float = Field(
+        0.0, ge=0.0, le=1e4, description="contact stiffness, not below the standard's [N/mm]; 0: the standard's"
+    )
+    timeout: float = Field(0.2, gt=0.0, le=60.0, description="silence, or age of a stamp, that makes the verdict UNKNOWN [s]")
+    future_tolerance: float = Field(
+        0.02, ge=0.0, le=10.0, description="how far a header stamp may lie ahead of the node's clock [s]"
+    )
+    release_time: float = Field(0.2, ge=0.0, le=60.0, description="how long a better verdict must last before it is shown [s]")
+    latch: bool = Field(False, description="hold the first VIOLATION or UNKNOWN until ~/reset")
+    joint_limit_tolerance: float = Field(
+        0.02, ge=0.0, le=1.0, description="how far a joint may be read beyond its limit [rad or m]"
+    )
+    joint_speed_tolerance: float = Field(
+        0.1, ge=0.0, le=10.0, description="by which fraction a joint may be read above its largest speed"
+    )
+    still_tolerance: float = Field(
+        0.002, gt=0.0, le=0.1, description="joint travel that contradicts a velocity of exactly zero [rad or m]"
+    )
+    still_speed: float = Field(
+        0.05, gt=0.0, le=1.0, description="joint speed that contradicts a velocity of exactly zero [rad/s or m/s]"
+    )
+    differentiate_velocity: bool = Field(
+        False, description="where the velocity is empty, take it from positions over header time"
+    )
+
+
+def checked(values: Mapping[str, Any], origin: str) -> MonitorSettings:
+    """Return the settings in `values`; `origin` names the file or node in the SettingsError of a bad one."""
+    try:
+        return MonitorSettings.model_validate(dict(values))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "settings"
+        value = "" if first["type"] in {"missing", "extra_forbidden"} else f" = {first['input']!r}"
+        raise SettingsError(f"{origin}: {key}{value}: {first['msg']}") from None
+
+
+def load_settings(path: Path) -> MonitorSettings:
+    """Return the settings in the YAML file at `path`, written as ROS writes parameters.
+
+    The file holds `/**` or a node name over `ros__parameters`, as `ros2 param dump` and launch files have it.
+    Raises SettingsError.
+    """
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(document, dict) or len(document) != 1:
+        raise SettingsError(f"{path}: must hold one node name (or /**) over ros__parameters")
+    (node,) = document.values()
+    if not isinstance(node, dict) or not isinstance(node.get("ros__parameters"), dict):
+        raise SettingsError(f"{path}: ros__parameters is missing under {next(iter(document))}")
+    parameters = {k: v for k, v in node["ros__parameters"].items() if k not in NODE_ONLY}
+    return checked(parameters, str(path))
+
+
+NODE_ONLY = frozenset({"autostart", "use_sim_time"})
+"""Parameters of the node itself, which a shared file may hold and offline commands have no use for."""

@@ -1,0 +1,58 @@
+#!/bin/sh
+# Builds the tree as a ROS workspace and checks what the workspace then offers; usage: check_colcon.sh VENV DIRECTORY
+set -eu
+cd "$(dirname "$0")/.."
+venv=$PWD/$1
+work=$PWD/$2
+export PATH="$venv/bin:$PATH"
+
+build() {
+    rm -rf "$work"
+    colcon --log-base "$work/log" build --base-paths . msg_schemas "$@" \
+        --build-base "$work/build" --install-base "$work/install" --event-handlers console_stderr- \
+        --cmake-args -Wno-dev -DBUILD_TESTING=OFF \
+        "-DPython3_EXECUTABLE=$venv/bin/python" "-DCMAKE_PROJECT_INCLUDE=$PWD/cmake/ros_wheels.cmake" \
+        > "$work.log" 2>&1 || { cat "$work.log"; exit 1; }
+}
+
+check() (
+    prefix=$work/install/scara_effmass
+    messages=$work/install/scara_effmass_msgs
+    for path in "$prefix/lib/scara_effmass/monitor_node" \
+        "$prefix/share/ament_index/resource_index/packages/scara_effmass" \
+        "$prefix/share/scara_effmass/package.xml" \
+        "$prefix/share/scara_effmass/config/omron_i4_550l.yaml" \
+        "$prefix/share/scara_effmass/launch/monitor.launch.py" \
+        "$messages/share/scara_effmass_msgs/package.xml" \
+        "$messages/share/scara_effmass_msgs/msg/ContactState.msg"; do
+        [ -e "$path" ] || { echo "colcon: $path was not installed" >&2; exit 1; }
+    done
+    # The set-up files of a workspace read variables that may be unset. The wheels' own libraries come first.
+    set +u
+    . "$work/install/local_setup.sh"
+    LD_LIBRARY_PATH="$LD_LIBRARY_PATH:$venv/lib"
+    _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
+    export LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+    cd /
+    python - "$work" <<'PYTHON'
+import sys
+
+import scara_effmass
+from rclpy.serialization import deserialize_message, serialize_message
+from scara_effmass.share import share
+from scara_effmass_msgs.msg import ContactState
+
+state = deserialize_message(serialize_message(ContactState(speed=0.25)), ContactState)
+assert state.speed == 0.25, state
+for path in (ContactState.__module__, scara_effmass.__file__, str(share("config"))):
+    print(f"colcon: {path}")
+PYTHON
+    "$prefix/lib/scara_effmass/monitor_node" --help > /dev/null
+)
+
+mkdir -p "$(dirname "$work")"
+for option in "" --symlink-install; do
+    build $option
+    check
+    echo "colcon: build${option:+ $option} is complete"
+done

@@ -1,0 +1,44 @@
+#!/bin/sh
+# Checks what the set-up needs before it starts; prints the Python to use, or one line and exits with 2.
+# usage: check_machine.sh DIRECTORY [PYTHON]   DIRECTORY: where the environment goes; PYTHON: insist on this one
+set -u
+directory=$1
+wanted=${2:-}
+
+refuse() {
+    echo "scara_effmass: $1" >&2
+    exit 2
+}
+
+[ "$(uname -sm)" = "Linux x86_64" ] ||
+    refuse "the ROS wheels exist for Linux x86_64 only, this is $(uname -sm); here, build in a ROS 2 Jazzy workspace with colcon"
+
+version='import sys; print("%d.%d" % sys.version_info[:2])'
+python=
+seen=
+for candidate in ${wanted:-python3 python3.12 python3.11 python3.13 python3.10}; do
+    found=$("$candidate" -c "$version" 2>/dev/null) || continue
+    seen="$seen $candidate is $found;"
+    case $found in
+        3.10 | 3.11 | 3.12 | 3.13) python=$candidate && break ;;
+    esac
+done
+[ -n "$python" ] ||
+    refuse "Python 3.10 to 3.13 is needed (${seen:- no ${wanted:-python3} found;} choose one with 'make PYTHON=python3.12')"
+
+"$python" -c 'import ensurepip, venv' 2>/dev/null ||
+    refuse "$python has no venv module: install it (Debian, Ubuntu: apt install python3-venv)"
+header=$("$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
+[ -f "$header" ] ||
+    refuse "$header is missing: install the headers of $python (Debian, Ubuntu: apt install python3-dev)"
+
+echo 'int main(void) { return 0; }' | ${CC:-cc} -x c -o /dev/null - 2>/dev/null ||
+    refuse "no working C compiler (${CC:-cc}): install gcc (Debian, Ubuntu: apt install build-essential) or set CC"
+printf '#include <string>\nint main() { return 0; }\n' | ${CXX:-c++} -x c++ -o /dev/null - 2>/dev/null ||
+    refuse "no working C++ compiler (${CXX:-c++}): install g++ (Debian, Ubuntu: apt install build-essential) or set CXX"
+
+free=$(df -Pk "$directory" | awk 'NR == 2 { print $4 }')
+[ "$free" -ge 2097152 ] ||
+    refuse "2 GB of free disk are needed in $directory, there are $((free / 1024)) MB"
+
+echo "$python"

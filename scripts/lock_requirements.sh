@@ -1,0 +1,21 @@
+#!/bin/sh
+# Writes the two locked requirement files, valid for every supported Python; usage: lock_requirements.sh PYTHON
+set -eu
+python=$1
+cd "$(dirname "$0")/.."
+build=$(mktemp)
+trap 'rm -f "$build"' EXIT
+"$python" - > "$build" <<'PYTHON'
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10
+    import tomli as tomllib
+with open("pyproject.toml", "rb") as file:
+    print(*tomllib.load(file)["build-system"]["requires"], sep="\n")
+PYTHON
+lock() {
+    "$python" -m uv pip compile --quiet --universal --upgrade --no-annotate --python-version 3.10 \
+        --custom-compile-command "make lock" pyproject.toml "$build" --group build "$@"
+}
+lock --extra dev --output-file requirements.lock
+lock --group colcon --constraint requirements.lock --output-file requirements-colcon.lock

@@ -1,0 +1,66 @@
+"""Two masses and a spring: limits of the reduced mass, energy balance, arrays like scalars."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scara_effmass.iso15066 import peak_force, reduced_mass, transferred_energy
+
+masses = st.floats(1e-3, 1e3)
+speeds = st.floats(1e-3, 10.0)
+stiffnesses = st.floats(1e3, 1e6)
+
+
+@pytest.mark.parametrize(("cart", "expected"), [(0.50, 0.42), (2.39, 1.28), (3.72, 1.59), (7.35, 2.01)])
+def test_reduced_mass_of_the_four_test_carts(cart: float, expected: float) -> None:
+    assert reduced_mass(2.77, cart) == pytest.approx(expected, abs=0.005)
+
+
+@given(masses, masses)
+def test_reduced_mass_is_symmetric_and_below_both(robot: float, obstacle: float) -> None:
+    mu = reduced_mass(robot, obstacle)
+    assert mu == pytest.approx(reduced_mass(obstacle, robot))
+    assert 0.5 * min(robot, obstacle) <= mu * (1 + 1e-12)
+    assert mu <= min(robot, obstacle) * (1 + 1e-12)
+
+
+@given(masses)
+def test_an_infinite_mass_leaves_the_other(mass: float) -> None:
+    assert reduced_mass(mass, math.inf) == mass
+    assert reduced_mass(math.inf, mass) == pytest.approx(mass)
+    assert reduced_mass(math.inf, math.inf) == math.inf
+
+
+@given(speeds, masses, stiffnesses)
+def test_the_spring_takes_up_the_energy(speed: float, mu: float, stiffness: float) -> None:
+    force = peak_force(speed, mu, stiffness)
+    assert force**2 / (2.0 * stiffness) == pytest.approx(transferred_energy(speed, mu))
+
+
+def test_peak_force_is_that_of_an_integrated_impact() -> None:
+    """Two free masses meet at 0.25 m/s; the largest spring force in 2e5 steps of symplectic Euler."""
+    robot, hand, stiffness, speed = 0.97, 0.6, 75e3, 0.25
+    mu = 1.0 / (1.0 / robot + 1.0 / hand)
+    step = math.pi * math.sqrt(mu / stiffness) / 200_000
+    compression, closing, largest = 0.0, speed, 0.0
+    while closing > 0.0:
+        closing -= stiffness * compression * (1.0 / robot + 1.0 / hand) * step
+        compression += closing * step
+        largest = max(largest, stiffness * compression)
+    assert peak_force(speed, reduced_mass(robot, hand), stiffness) == pytest.approx(largest, rel=1e-4)
+
+
+def test_arrays_agree_with_scalars() -> None:
+    robot = np.array([0.1, 0.97, 2.77, np.inf])
+    mu = reduced_mass(robot, 0.6)
+    force, energy = peak_force(0.25, mu, 75e3), transferred_energy(0.25, mu)
+    for i, mass in enumerate(robot.tolist()):
+        scalar = reduced_mass(mass, 0.6)
+        assert mu[i] == scalar
+        assert force[i] == pytest.approx(peak_force(0.25, scalar, 75e3), rel=1e-15)
+        assert energy[i] == transferred_energy(0.25, scalar)

@@ -1,0 +1,127 @@
+"""The limits that hold for given settings: the strictest row, and settings that only tighten."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scara_effmass.errors import LimitError
+from scara_effmass.iso15066 import BODY_REGIONS, Limit, limits_for
+from scara_effmass.settings import Contact, MonitorSettings
+
+TRANSIENT_REGIONS = tuple(name for name in BODY_REGIONS if name not in {"skull_forehead", "face"})
+
+contacts = st.sampled_from(Contact)
+selections = st.lists(st.sampled_from(TRANSIENT_REGIONS), unique=True).map(tuple)
+
+
+def limits(**settings: object) -> dict[str, Limit]:
+    return {limit.region: limit for limit in limits_for(MonitorSettings.model_validate(settings))}
+
+
+def test_default_is_every_region_with_a_transient_limit() -> None:
+    assert tuple(limits()) == TRANSIENT_REGIONS
+
+
+def test_clamped_covers_the_head_too() -> None:
+    clamped = limits(contact="quasi_static")
+    assert tuple(clamped) == tuple(BODY_REGIONS)
+    assert {limit.obstacle_mass_kg for limit in clamped.values()} == {math.inf}
+
+
+@given(selections, contacts)
+def test_a_selection_is_that_part_of_the_default(names: tuple[str, ...], contact: Contact) -> None:
+    default = limits(contact=contact)
+    assert limits(contact=contact, body_regions=names) == {n: default[n] for n in default if not names or n in names}
+
+
+def test_the_strictest_row_of_a_region_governs() -> None:
+    hand = limits()["hand_fingers"]
+    assert (hand.force_n, hand.pressure_n_cm2) == (280.0, 380.0)
+    assert [point.number for point in hand.pressure_points] == [25]
+    assert [point.number for point in hand.force_points] == list(range(17, 26))
+    assert (hand.stiffness_n_m, hand.obstacle_mass_kg, hand.energy_j) == (75e3, 0.6, 0.49)
+    leg = limits()["lower_leg"]
+    assert leg.clause == "force: Table A.2 row 28, 29; pressure: Table A.2 row 29"
+
+
+@given(st.sampled_from(TRANSIENT_REGIONS))
+def test_transient_limits_are_twice_the_clamped_ones(name: str) -> None:
+    free, clamped = limits()[name], limits(contact="quasi_static")[name]
+    assert (free.force_n, free.pressure_n_cm2) == (2.0 * clamped.force_n, 2.0 * clamped.pressure_n_cm2)
+
+
+def test_criterion_changes_with_the_contact_area() -> None:
+    small, large = (limits(body_regions=["chest"], contact_area=area)["chest"] for area in (1.0, 2.0))
+    assert (small.criterion, small.permissible_force_n) == ("pressure", 240.0)
+    assert (large.criterion, large.permissible_force_n) == ("force", 280.0)
+
+
+@given(
+    contact=contacts,
+    names=selections,
+    max_force=st.floats(0.0, 500.0),
+    max_pressure=st.floats(0.0, 700.0),
+    stiffness=st.floats(0.0, 200.0),
+    obstacle_mass=st.floats(0.0, 100.0),
+)
+def test_settings_tighten_or_are_refused(contact: Contact, names: tuple[str, ...], **own: float) -> None:
+    standard = limits(contact=contact, body_regions=names)
+    loosest = {
+        "max_force": max(limit.force_n for limit in standard.values()),
+        "max_pressure": max(limit.pressure_n_cm2 for limit in standard.values()),
+        "stiffness": min(limit.stiffness_n_m for limit in standard.values()) / 1e3,
+        "obstacle_mass": min(limit.obstacle_mass_kg for limit in standard.values()),
+    }
+    loosening = {
+        key
+        for key, value in own.items()
+        if value and (value > loosest[key] if key.startswith("max") else value < loosest[key])
+    }
+    if loosening:
+        with pytest.raises(LimitError) as refused:
+            limits(contact=contact, body_regions=names, **own)
+        assert str(refused.value).split(" = ")[0] in loosening
+        return
+    for name, limit in limits(contact=contact, body_regions=names, **own).items():
+        assert limit.force_n == min(standard[name].force_n, own["max_force"] or math.inf)
+        assert limit.pressure_n_cm2 == min(standard[name].pressure_n_cm2, own["max_pressure"] or math.inf)
+        assert limit.stiffness_n_m == max(standard[name].stiffness_n_m, 1e3 * own["stiffness"])
+        assert limit.obstacle_mass_kg == max(standard[name].obstacle_mass_kg, own["obstacle_mass"])
+        assert limit.energy_j == standard[name].energy_j
+
+
+def test_an_own_limit_is_named_as_the_source() -> None:
+    hand = limits(body_regions=["hand_fingers"], max_force=100.0, max_pressure=50.0)["hand_fingers"]
+    assert hand.force_points == hand.pressure_points == ()
+    assert hand.clause == "force: own limit (max_force); pressure: own limit (max_pressure)"
+
+
+def test_the_standards_own_values_are_accepted_and_stay_its_own() -> None:
+    own = limits(body_regions=["hand_fingers"], max_force=280.0, max_pressure=380.0, stiffness=75.0, obstacle_mass=0.6)
+    assert own == limits(body_regions=["hand_fingers"])
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"max_force": 441.0}, ["max_force = 441 N", "440 N", "thigh_knee", "row 26, 27"]),
+        ({"max_pressure": 441.0}, ["max_pressure = 441 N/cm2", "440 N/cm2", "thigh_knee", "row 27"]),
+        ({"body_regions": ["neck"], "stiffness": 49.0}, ["stiffness = 49 N/mm", "50 N/mm", "neck"]),
+        ({"obstacle_mass": 0.5}, ["obstacle_mass = 0.5 kg", "0.6 kg", "hand_fingers"]),
+        ({"contact": "quasi_static", "obstacle_mass": 75.0}, ["obstacle_mass = 75 kg", "clamped", "give 0"]),
+        ({"body_regions": ["face"]}, ["body_regions = 'face'", "no transient limit", "row 3", "quasi_static"]),
+        ({"body_regions": ["skull_forehead"]}, ["body_regions = 'skull_forehead'", "row 1, 2"]),
+        ({"body_regions": ["chest", "chest"]}, ["body_regions = 'chest'", "2 times"]),
+        ({"body_regions": ["hands"]}, ["body_regions = 'hands'", *BODY_REGIONS]),
+    ],
+)
+def test_refusals_name_key_value_region_and_bound(settings: dict[str, object], told: list[str]) -> None:
+    with pytest.raises(LimitError) as refused:
+        limits(**settings)
+    message = str(refused.value)
+    assert [part for part in told if part not in message] == []
+    assert "\n" not in message
