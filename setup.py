@@ -1,26 +1,25 @@
-"""Builds the package in a ROS workspace (colcon). What pip builds is described in pyproject.toml alone."""
+"""For ROS workspaces: what setup.cfg does not hold because package.xml and pyproject.toml state it.
+
+colcon runs this file in the build folder, where with symlinks neither of the two is; what is installed where it
+reads from setup.cfg by itself, as for every setup.py that says `setup()`.
+"""
 
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.etree import ElementTree as ET
 
-from setuptools import find_packages, setup
+from setuptools import setup
 
-SHARE = "share/scara_effmass"
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10
+    import tomli as tomllib
 
-manifest = ElementTree.parse("package.xml").getroot()
+root = Path(__file__).resolve().parent
+manifest = ET.parse(root / "package.xml").getroot()
+scripts = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
 
 setup(
     version=manifest.findtext("version"),
     description=manifest.findtext("description"),
-    packages=find_packages(include=["scara_effmass", "scara_effmass.*"]),
-    package_data={"scara_effmass": ["py.typed"]},
-    zip_safe=False,
-    data_files=[
-        ("share/ament_index/resource_index/packages", ["resource/scara_effmass"]),
-        (SHARE, ["package.xml"]),
-        *(
-            (f"{SHARE}/{folder}", sorted(str(path) for path in Path(folder).iterdir() if path.is_file()))
-            for folder in ("bags", "config", "launch")
-        ),
-    ],
+    entry_points={"console_scripts": [f"{name} = {target}" for name, target in scripts.items()]},
 )

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from launch import LaunchContext, LaunchDescription
+from typing import TYPE_CHECKING
+
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+
+if TYPE_CHECKING:
+    from launch import LaunchContext
 
 ARGUMENTS = (
     DeclareLaunchArgument(

@@ -47,22 +47,30 @@ class MonitorSettings(BaseModel):
 
     robot: str = Field(
         "",
-        description="robot file, URDF or DH YAML; empty: the robot_description topic if it is awaited, else the shipped Omron i4-550L",
+        description=(
+            "robot file, URDF or DH YAML; empty: the robot_description topic if it is "
+            "awaited, else the shipped Omron i4-550L"
+        ),
         json_schema_extra=READ_ONLY,
     )
     await_robot_description: bool = Field(
-        False,
+        default=False,
         description="take the robot from the robot_description topic; UNKNOWN until it has come",
         json_schema_extra=READ_ONLY,
     )
     contact_points: tuple[str, ...] = Field(
         (),
-        description="links (URDF) or named points (DH YAML) that are watched; empty: those of the file, or the tip of the longest chain",
+        description=(
+            "links (URDF) or named points (DH YAML) that are watched; empty: those of the "
+            "file, or the tip of the longest chain"
+        ),
         json_schema_extra=READ_ONLY,
     )
     locked_joints: tuple[str, ...] = Field(
         ("*gripper*", "*finger*"),
-        description="joints, by name or glob pattern, held fixed in the model: their mass counts, their motion does not",
+        description=(
+            "joints, by name or glob pattern, held fixed in the model: their mass counts, their motion does not"
+        ),
         json_schema_extra=READ_ONLY,
     )
     payload_mass: float = Field(
@@ -74,18 +82,22 @@ class MonitorSettings(BaseModel):
     )
     effective_mass_model: MassModel = Field(
         MassModel.LUMPED,
-        description="the mass behind the verdict: lumped, full, iso (M/2 + m_L), or largest of lumped and full",
+        description=("the mass behind the verdict: lumped, full, iso (M/2 + m_L), or largest of lumped and full"),
     )
     mass_cap: float = Field(
         1000.0, gt=0.0, le=1e6, description="largest effective mass that is published, reached near singular poses [kg]"
     )
-    mass_uncertainty: Fraction = Field(0.1, description="relative uncertainty of the effective mass, taken on the safe side")
-    stiffness_uncertainty: Fraction = Field(0.0, description="relative uncertainty of the contact stiffness, taken on the safe side")
+    mass_uncertainty: Fraction = Field(
+        0.1, description="relative uncertainty of the effective mass, taken on the safe side"
+    )
+    stiffness_uncertainty: Fraction = Field(
+        0.0, description="relative uncertainty of the contact stiffness, taken on the safe side"
+    )
     speed_uncertainty: float = Field(
         0.0, ge=0.0, le=10.0, description="uncertainty of the measured speed, added to it [m/s]"
     )
     model_margin: Fraction = Field(
-        0.1, description="WARN when the lumped mass is smaller than the full one by more than this fraction"
+        0.1, description=("WARN when the lumped mass is smaller than the full one by more than this fraction")
     )
     speed_threshold: float = Field(
         0.005, gt=0.0, le=1.0, description="below this speed the direction is undefined and the worst one is used [m/s]"
@@ -98,14 +110,19 @@ class MonitorSettings(BaseModel):
         0.0,
         ge=0.0,
         le=100.0,
-        description="speed that speed_scaling 1 stands for [m/s]; 0: the current speed, which suits a display but not a closed loop",
+        description=(
+            "speed that speed_scaling 1 stands for [m/s]; 0: the current speed, which suits "
+            "a display but not a closed loop"
+        ),
     )
     body_regions: tuple[str, ...] = Field(
-        (), description="body regions that can be hit; empty: every region with a limit for this contact"
+        (), description=("body regions that can be hit; empty: every region with a limit for this contact")
     )
     contact: Contact = Field(Contact.TRANSIENT, description="transient (free impact) or quasi_static (clamped)")
     contact_area: float = Field(1.0, gt=0.0, le=1000.0, description="contact area for the pressure limit [cm2]")
-    max_force: float = Field(0.0, ge=0.0, description="own force limit, which may only tighten the standard's [N]; 0: none")
+    max_force: float = Field(
+        0.0, ge=0.0, description="own force limit, which may only tighten the standard's [N]; 0: none"
+    )
     max_pressure: float = Field(
         0.0, ge=0.0, description="own pressure limit, which may only tighten the standard's [N/cm2]; 0: none"
     )
@@ -115,12 +132,16 @@ class MonitorSettings(BaseModel):
     stiffness: float = Field(
         0.0, ge=0.0, le=1e4, description="contact stiffness, not below the standard's [N/mm]; 0: the standard's"
     )
-    timeout: float = Field(0.2, gt=0.0, le=60.0, description="silence, or age of a stamp, that makes the verdict UNKNOWN [s]")
+    timeout: float = Field(
+        0.2, gt=0.0, le=60.0, description="silence, or age of a stamp, that makes the verdict UNKNOWN [s]"
+    )
     future_tolerance: float = Field(
         0.02, ge=0.0, le=10.0, description="how far a header stamp may lie ahead of the node's clock [s]"
     )
-    release_time: float = Field(0.2, ge=0.0, le=60.0, description="how long a better verdict must last before it is shown [s]")
-    latch: bool = Field(False, description="hold the first VIOLATION or UNKNOWN until ~/reset")
+    release_time: float = Field(
+        0.2, ge=0.0, le=60.0, description="how long a better verdict must last before it is shown [s]"
+    )
+    latch: bool = Field(default=False, description="hold the first VIOLATION or UNKNOWN until ~/reset")
     joint_limit_tolerance: float = Field(
         0.02, ge=0.0, le=1.0, description="how far a joint may be read beyond its limit [rad or m]"
     )
@@ -128,13 +149,13 @@ class MonitorSettings(BaseModel):
         0.1, ge=0.0, le=10.0, description="by which fraction a joint may be read above its largest speed"
     )
     still_tolerance: float = Field(
-        0.002, gt=0.0, le=0.1, description="joint travel that contradicts a velocity of exactly zero [rad or m]"
+        0.005, gt=0.0, le=0.1, description="joint travel that contradicts a velocity of exactly zero [rad or m]"
     )
     still_speed: float = Field(
         0.05, gt=0.0, le=1.0, description="joint speed that contradicts a velocity of exactly zero [rad/s or m/s]"
     )
     differentiate_velocity: bool = Field(
-        False, description="where the velocity is empty, take it from positions over header time"
+        default=False, description="where the velocity is empty, take it from positions over header time"
     )
 
 

@@ -21,18 +21,15 @@ check() (
     for path in "$prefix/lib/scara_effmass/monitor_node" \
         "$prefix/share/ament_index/resource_index/packages/scara_effmass" \
         "$prefix/share/scara_effmass/package.xml" \
-        "$prefix/share/scara_effmass/config/omron_i4_550l.yaml" \
-        "$prefix/share/scara_effmass/launch/monitor.launch.py" \
         "$messages/share/scara_effmass_msgs/package.xml" \
         "$messages/share/scara_effmass_msgs/msg/ContactState.msg"; do
         [ -e "$path" ] || { echo "colcon: $path was not installed" >&2; exit 1; }
     done
-    # The set-up files of a workspace read variables that may be unset. The wheels' own libraries come first.
-    set +u
+    for folder in bags config launch; do
+        diff -r -x __pycache__ "$folder" "$prefix/share/scara_effmass/$folder" || exit 1
+    done
+    set +u  # the set-up files of a workspace read variables that may be unset
     . "$work/install/local_setup.sh"
-    LD_LIBRARY_PATH="$LD_LIBRARY_PATH:$venv/lib"
-    _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
-    export LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
     cd /
     python - "$work" <<'PYTHON'
 import sys

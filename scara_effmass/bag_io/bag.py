@@ -1,40 +1,23 @@
-"""Recordings of every kind behind one door: rosbag2 (MCAP, SQLite), single files, ROS 1."""
+"""An open recording, of whatever format."""
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
-import yaml
-from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag2 import Reader as Ros2Reader
-
-from scara_effmass.bag_io.batches import LATEST_NS, Losses, Source, Topic
-from scara_effmass.bag_io.blocks import BlockDecoder, JointStateBlock
+from scara_effmass.bag_io.batches import LATEST_NS
+from scara_effmass.bag_io.blocks import BlockDecoder
 from scara_effmass.bag_io.definitions import JOINT_STATE, check_joint_state
-from scara_effmass.bag_io.mcap_records import MAGIC
-from scara_effmass.bag_io.mcap_source import McapSource
-from scara_effmass.bag_io.rosbags_source import RosbagsSource
 from scara_effmass.errors import BagError, DecodeError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
+    from collections.abc import Collection, Iterator
+    from pathlib import Path
     from types import TracebackType
 
     from rosbags.typesys.store import Typestore
 
-SUFFIXES = {".mcap", ".db3", ".bag"}
-METADATA = "metadata.yaml"
-PART = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?P<suffix>mcap|db3)")
-"""How rosbag2 names the files of one recording."""
-
-FORMATS: dict[bytes, Callable[[Sequence[Path], Losses], Source]] = {
-    MAGIC: McapSource,
-    b"SQLite format 3\0": lambda paths, losses: RosbagsSource(paths, losses, Ros2Reader),
-    b"#ROSBAG V": lambda paths, losses: RosbagsSource(paths, losses, Ros1Reader),
-}
-"""How the files of each format begin, and what reads them."""
+    from scara_effmass.bag_io.batches import Losses, Source, Topic
+    from scara_effmass.bag_io.blocks import JointStateBlock
 
 
 class RawMessage(NamedTuple):
@@ -46,44 +29,7 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
-def find_bags(path: Path) -> list[Path]:
-    """Return the recordings at `path`: a file, a rosbag2 folder, or a folder of these, each for `open_bag`.
-
-    Raises BagError when there is none.
-    """
-    if path.is_file() or _is_recording(path):
-        return [path]
-    if not path.exists():
-        raise BagError(f"{path}: there is no such file or folder")
-    try:
-        inside = sorted(path.iterdir())
-    except OSError as error:
-        raise BagError(f"{path}: cannot be read: {error.strerror}") from None
-    found = [child for child in inside if _is_recording(child) or (child.is_file() and child.suffix in SUFFIXES)]
-    if not found:
-        raise BagError(f"{path}: holds no recording; a rosbag2 folder or a .mcap, .db3 or ROS 1 .bag file would be right")
-    return found
-
-
-def open_bag(path: Path) -> Bag:
-    """Open the recording at `path`, a file or a rosbag2 folder; to be closed, or used in a `with`.
-
-    Raises BagError when nothing of it can be read.
-    """
-    (first, *others) = find_bags(path)
-    if others:
-        raise BagError(f"{path}: holds {1 + len(others)} recordings; one of them would be right: {first.name}, ...")
-    losses = Losses()
-    try:
-        source = _opened_folder(first, losses) if first.is_dir() else _opened_files([first], losses)
-    except OSError as error:
-        raise BagError(f"{error.filename or first}: cannot be read: {error.strerror or error}") from None
-    if not sum(topic.count for topic in source.topics):
-        source.close()
-        raise BagError("; ".join([f"{first}: holds no messages", *losses]))
-    return Bag(first, source, losses)
-
-
+@final
 class Bag:
     """An open recording. Times are log times in [ns], the recorder's clock; messages come in their order.
 
@@ -139,11 +85,13 @@ class Bag:
         Raises BagError when the topic is not there or not of that type.
         """
         candidates = self.joint_state_topics
-        if topic not in candidates and not (topic is None and len(candidates) == 1):
-            asked = "several topics hold joint states" if topic is None and candidates else f"no joint states on {topic}"
-            right = f"choose one of {', '.join(candidates)}" if candidates else "no topic holds any"
-            raise BagError(f"{self.path}: {asked if topic or candidates else 'no joint states'}; {right}")
-        name = candidates[0] if topic is None else topic
+        name = candidates[0] if topic is None and len(candidates) == 1 else topic
+        if name is None or name not in candidates:
+            asked = f"no joint states on topic {name}" if name else "no topic named"
+            right = (
+                f"one of {', '.join(candidates)} would be right" if candidates else "it holds no joint states at all"
+            )
+            raise BagError(f"{self.path}: {asked}; {right}")
         check_joint_state(self.types, str(self.path))
         chosen = {n for n, each in enumerate(self.topics) if (each.name, each.type) == (name, JOINT_STATE)}
         return self._blocks(name, chosen, *_span(start_ns, stop_ns))
@@ -186,76 +134,3 @@ class Bag:
 
 def _span(start_ns: int | None, stop_ns: int | None) -> tuple[int, int]:
     return 0 if start_ns is None else start_ns, LATEST_NS if stop_ns is None else stop_ns
-
-
-def _is_recording(folder: Path) -> bool:
-    """Whether a folder is one rosbag2 recording: it has the metadata, or the files of one that lost them."""
-    if not folder.is_dir():
-        return False
-    if (folder / METADATA).is_file():
-        return True
-    parts = [PART.fullmatch(path.name) for path in _data_files(folder)]
-    names = {(part["name"], part["suffix"]) for part in parts if part}
-    numbers = sorted(int(part["number"]) for part in parts if part)
-    return len(names) == 1 and numbers == list(range(len(parts)))
-
-
-def _data_files(folder: Path) -> list[Path]:
-    files = (path for path in folder.iterdir() if path.suffix in SUFFIXES and path.is_file())
-    return sorted(files, key=lambda path: ((part := PART.fullmatch(path.name)) and int(part["number"]) or 0, path))
-
-
-def _opened_files(paths: Sequence[Path], losses: Losses) -> Source:
-    sources = set()
-    for path in paths:
-        with path.open("rb") as file:
-            begin = file.read(16)
-        sources |= {magic for magic in FORMATS if begin.startswith(magic)} or {begin}
-        if (journal := Path(f"{path}-wal")).exists() and journal.stat().st_size:
-            losses.add(f"{journal}: the recorder did not finish; what is only in this journal is not read")
-        if begin == b"":
-            raise BagError(f"{path}: is empty; a recording would be right")
-    magic, *others = sources
-    if others or magic not in FORMATS:
-        raise BagError(f"{paths[0]}: is no recording in one of the formats MCAP, SQLite (rosbag2) or ROS 1 bag")
-    return FORMATS[magic](paths, losses)
-
-
-def _opened_folder(folder: Path, losses: Losses) -> Source:
-    metadata = _metadata(folder, losses)
-    present = _data_files(folder)
-    if metadata.get("compression_mode"):
-        return RosbagsSource([folder], losses, Ros2Reader)
-    # older recorders wrote the paths with the folder in front
-    named = [folder / Path(str(name)).name for name in metadata.get("relative_file_paths") or ()]
-    for path in named:
-        if path not in present:
-            losses.add(f"{folder / METADATA}: names {path.name}, which is not there")
-    paths = [path for path in named if path in present]
-    if not paths:
-        paths = present
-    elif unnamed := [path.name for path in present if path not in paths]:
-        losses.add(f"{folder / METADATA}: does not name {', '.join(unnamed)}, not read")
-    if not paths:
-        raise BagError("; ".join([f"{folder}: holds no .mcap or .db3 file", *losses]))
-    source = _opened_files(paths, losses)
-    count = sum(topic.count for topic in source.topics)
-    if metadata.get("message_count", count) != count:
-        losses.add(f"{folder / METADATA}: says {metadata['message_count']} messages, the files hold {count}")
-    return source
-
-
-def _metadata(folder: Path, losses: Losses) -> dict[str, Any]:
-    """Return what the metadata say of the recording, nothing where they cannot be used: the files decide."""
-    path = folder / METADATA
-    try:
-        information = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-    except FileNotFoundError:
-        losses.add(f"{path}: is not there; the files were read without it")
-        return {}
-    except (yaml.YAMLError, ValueError, TypeError, LookupError):
-        information = None
-    if not isinstance(information, dict) or not isinstance(information.get("relative_file_paths"), list):
-        losses.add(f"{path}: is no description of a recording; the files were read without it")
-        return {}
-    return information

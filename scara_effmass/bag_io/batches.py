@@ -48,14 +48,14 @@ class Source(Protocol):
 
 
 class Losses:
-    """What could not be read, one line each; the same thing twice is counted, not repeated."""
+    """What could not be read, one line each, however often it was tried."""
 
     def __init__(self) -> None:
         self._counts: dict[str, int] = {}
 
     def add(self, line: str, count: int = 1) -> None:
-        """Note that `line` happened `count` times."""
-        self._counts[line] = self._counts.get(line, 0) + count
+        """Note what `line` says; `count` is how often it has happened in this reading so far."""
+        self._counts[line] = max(count, self._counts.get(line, 0))
 
     def __iter__(self) -> Iterator[str]:
         return (line if count == 1 else f"{line} ({count} times)" for line, count in self._counts.items())
@@ -81,7 +81,8 @@ class MessageBatch(NamedTuple):
         """Return both batches in one; the buffer of this one is cut down to what its messages need."""
         if not len(self.topic):
             return other
-        mine = batch_of(self.topic, self.log_time_ns, [self.data[a:b] for a, b in zip(self.start, self.stop, strict=True)])
+        messages = [self.data[first:last] for first, last in zip(self.start, self.stop, strict=True)]
+        mine = batch_of(self.topic, self.log_time_ns, messages)
         shift = len(mine.data)
         return MessageBatch(
             mine.data + other.data,

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from scara_effmass.bag_io.batches import IntArray
-from scara_effmass.bag_io.cdr import NS, STAMP_AT, JointStateLayout, joint_state_layout
+from scara_effmass.bag_io.cdr import NS, STAMP_AT, joint_state_layout
 from scara_effmass.errors import DecodeError
-from scara_effmass.values import FloatArray, JointState
+from scara_effmass.values import JointState
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from scara_effmass.bag_io.batches import Losses, MessageBatch
+    from numpy.typing import NDArray
 
+    from scara_effmass.bag_io.batches import IntArray, Losses, MessageBatch
+    from scara_effmass.bag_io.cdr import JointStateLayout
+    from scara_effmass.values import FloatArray
+
+FIRST_WINDOW = 64
 WINDOW_GROWTH = 4
 
 
@@ -51,8 +56,9 @@ class BlockDecoder:
     def __init__(self, origin: str, losses: Losses) -> None:
         self._origin = origin
         self._losses = losses
+        self._left_out: Counter[str] = Counter()
         self._names: tuple[str, ...] = ()
-        self._window = 1
+        self._window = FIRST_WINDOW
 
     def blocks(self, batch: MessageBatch) -> Iterator[JointStateBlock]:
         """Yield the JointStates of `batch`, which must be of one topic, in order."""
@@ -63,7 +69,9 @@ class BlockDecoder:
             try:
                 layout = joint_state_layout(batch.data[batch.start[first] : batch.stop[first]])
             except DecodeError as error:
-                self._losses.add(f"{self._origin}: left out: {error}")
+                line = f"{self._origin}: left out: {error}"
+                self._left_out[line] += 1
+                self._losses.add(line, self._left_out[line])
                 first += 1
                 continue
             # as many as are alike cannot be known beforehand: try more as long as it goes well
@@ -72,33 +80,32 @@ class BlockDecoder:
             rows = sliding_window_view(buffer, layout.size)[batch.start[first : first + alike]]
             decisive = np.concatenate([np.arange(*span) for span in layout.fixed])
             alike = _leading((rows[:, decisive] == rows[0, decisive]).all(axis=1))
-            self._window = self._window * WINDOW_GROWTH if alike == self._window else max(alike, 1)
+            self._window = self._window * WINDOW_GROWTH if alike == len(size[window]) else max(alike, 1)
             if layout.names != self._names:
                 self._names = layout.names
             yield _block(rows[:alike], batch.log_time_ns[first : first + alike], layout, self._names)
             first += alike
 
 
-def _leading(flags: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> int:
+def _leading(flags: NDArray[np.bool_]) -> int:
     """Return how many flags are true before the first false one."""
     return len(flags) if flags.all() else int(flags.argmin())
 
 
-def _columns(
-    rows: np.ndarray[tuple[int, int], np.dtype[np.uint8]], first: int, size: int, number: str
-) -> np.ndarray[tuple[int, int], np.dtype[np.generic]]:
-    return rows[:, first : first + size].copy().view(number)
+def _columns(rows: NDArray[np.uint8], first: int, size: int, number: str) -> NDArray[np.generic]:
+    columns: NDArray[np.generic] = rows[:, first : first + size].copy().view(number)
+    return columns
 
 
 def _block(
-    rows: np.ndarray[tuple[int, int], np.dtype[np.uint8]],
+    rows: NDArray[np.uint8],
     log_time_ns: IntArray,
     layout: JointStateLayout,
     names: tuple[str, ...],
 ) -> JointStateBlock:
     order = layout.byte_order
     sec = _columns(rows, STAMP_AT, 4, f"{order}i4")[:, 0].astype(np.int64)
-    nanosec = _columns(rows, STAMP_AT + 4, 4, f"{order}u4")[:, 0]
+    nanosec = _columns(rows, STAMP_AT + 4, 4, f"{order}u4")[:, 0].astype(np.int64)
     position = _columns(rows, layout.position_at, 8 * layout.position_count, f"{order}f8").astype(np.float64)
     velocity = _columns(rows, layout.velocity_at, 8 * layout.velocity_count, f"{order}f8").astype(np.float64)
     block = JointStateBlock(log_time_ns.copy(), sec * NS + nanosec, names, position, velocity)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import suppress
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
 from scara_effmass.errors import BagError
@@ -14,6 +17,7 @@ from scara_effmass.share import share
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from rosbags.interfaces import MessageDefinition
     from rosbags.interfaces.typing import Typesdict
     from rosbags.typesys.store import Typestore
 
@@ -27,12 +31,10 @@ IDL_MARK = "=" * 80 + "\n"
 @cache
 def own_types() -> Typesdict:
     """Return the definitions of `scara_effmass_msgs`, from the installed .msg files."""
-    folder = share(OWN_PACKAGE, "msg")
+    folder = _message_folder()
     types: Typesdict = {}
     for path in sorted(folder.glob("*.msg")):
         types |= get_types_from_msg(path.read_text(encoding="utf-8"), f"{OWN_PACKAGE}/msg/{path.stem}")
-    if not types:
-        raise BagError(f"{folder}: no message definitions (*.msg) there; install {OWN_PACKAGE}")
     return types
 
 
@@ -52,10 +54,8 @@ def types_of(definitions: Mapping[str, MessageDefinition], *, ros1: bool = False
     """
     embedded: Typesdict = {}
     for name, definition in definitions.items():
-        try:
+        with suppress(TypesysError):
             embedded |= _parsed(name, definition)
-        except TypesysError:
-            continue
     if ros1:
         embedded.pop(HEADER, None)
     store = get_typestore(Stores.EMPTY)
@@ -71,9 +71,20 @@ def check_joint_state(types: Typestore, origin: str) -> None:
     """Refuse a recording whose own JointState is not the one of ROS; raises BagError."""
     known = known_types()
     for name in JOINT_STATE_PARTS:
-        fields, right = ([(field.lower(), kind) for field, kind in store.fielddefs[name][1]] for store in (types, known))
+        fields, right = ([(field, kind) for field, kind in store.fielddefs[name][1]] for store in (types, known))
         if fields != right:
-            raise BagError(f"{origin}: its own definition of {name} is not that of ROS; it cannot be read as joint states")
+            raise BagError(f"{origin}: its own definition of {name} is not that of ROS; joint states cannot be read")
+
+
+def _message_folder() -> Path:
+    """Return where the .msg files are: in a checkout, beside the package's own files, or in another ROS prefix."""
+    mine = share("package.xml").parent
+    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    installed = [mine.parent / OWN_PACKAGE, *(prefix / "share" / OWN_PACKAGE for prefix in prefixes)]
+    for folder in (mine / "msg_schemas", *installed):
+        if any((folder / "msg").glob("*.msg")):
+            return folder / "msg"
+    raise BagError(f"{mine}: no {OWN_PACKAGE}/msg/*.msg beside it or in AMENT_PREFIX_PATH; install {OWN_PACKAGE}")
 
 
 def _parsed(name: str, definition: MessageDefinition) -> Typesdict:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, NamedTuple
 
-import lz4.frame
+import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -113,7 +113,7 @@ def chunk_segment(file: BinaryIO, record: Record) -> Segment | None:
     start_ns, end_ns, whole_size, crc, name_size = CHUNK_HEAD.unpack(fixed)
     name = head.read(min(name_size, 64)).decode("ascii", "replace")
     stored_size = head.read(8)
-    if len(stored_size) < 8:  # noqa: PLR2004 - a uint64
+    if len(stored_size) < 8:
         return None
     size = int.from_bytes(stored_size, "little")
     at = record.at + head.tell()
@@ -176,7 +176,8 @@ def message_table(data: bytes) -> MessageTable:
 
 def _field(octets: NDArray[np.uint8], at: IntArray, number: str) -> IntArray:
     width = np.dtype(number).itemsize
-    return octets[at[:, None] + np.arange(width)].view(number)[:, 0].astype(np.int64)
+    column: IntArray = octets[at[:, None] + np.arange(width)].view(number)[:, 0].astype(np.int64)
+    return column
 
 
 def stream(content: bytes) -> ReadDataStream:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from scara_effmass.bag_io.cdr import NS
 from scara_effmass.bag_io.definitions import HEADER, JOINT_STATE, OWN_PACKAGE, known_types
 
 if TYPE_CHECKING:
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 CONTACT_STATE = f"{OWN_PACKAGE}/msg/ContactState"
 VECTOR3 = "geometry_msgs/msg/Vector3"
 TIME = "builtin_interfaces/msg/Time"
-NS = 1_000_000_000
 
 
 def serialized(kind: str, fields: Mapping[str, Any]) -> bytes:
@@ -52,14 +52,7 @@ def joint_state_message(state: JointState, frame_id: str = "") -> bytes:
 
 def contact_state_message(contact: ContactAssessment, frame_id: str) -> bytes:
     """Return a scara_effmass_msgs/ContactState; `frame_id` is the frame of its direction."""
-    fields = {name: getattr(contact, name) for name in contact.__dataclass_fields__ if name != "stamp_ns"}
-    x, y, z = contact.direction
-    return serialized(
-        CONTACT_STATE,
-        fields
-        | {
-            "header": header(contact.stamp_ns, frame_id),
-            "direction": message(VECTOR3, {"x": x, "y": y, "z": z}),
-            "verdict": int(contact.verdict),
-        },
-    )
+    fields: dict[str, Any] = contact._asdict()
+    fields["header"] = header(fields.pop("stamp_ns"), frame_id)
+    fields["direction"] = message(VECTOR3, dict(zip("xyz", contact.direction, strict=True)))
+    return serialized(CONTACT_STATE, fields)

@@ -8,7 +8,7 @@ from functools import cached_property
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
-from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
+from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
 
 from scara_effmass.bag_io.batches import Topic, batch_of
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
     from pathlib import Path
 
-    from rosbags.interfaces import Connection
+    from rosbags.interfaces import Connection, MessageDefinition
     from rosbags.rosbag2 import Reader as Ros2Reader
     from rosbags.typesys.store import Typestore
 
@@ -120,9 +120,7 @@ class RosbagsSource:
             return b""
 
 
-def _opened(
-    path: Path, reader: Callable[[Path], Ros1Reader] | Callable[[Path], Ros2Reader]
-) -> Ros1Reader | Ros2Reader:
+def _opened(path: Path, reader: Callable[[Path], Ros1Reader] | Callable[[Path], Ros2Reader]) -> Ros1Reader | Ros2Reader:
     try:
         opened = reader(path)
         opened.open()

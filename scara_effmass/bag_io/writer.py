@@ -6,20 +6,25 @@ import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import yaml
 from mcap.writer import Writer
+from rosbags.typesys import TypesysError
 
-from scara_effmass.bag_io.bag import METADATA
 from scara_effmass.bag_io.batches import LATEST_NS
-from scara_effmass.bag_io.definitions import known_types
+from scara_effmass.bag_io.definitions import JOINT_STATE, known_types
+from scara_effmass.bag_io.files import METADATA
+from scara_effmass.bag_io.messages import joint_state_message
 from scara_effmass.errors import BagError, OutputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from types import TracebackType
 
     from rosbags.typesys.store import Typestore
+
+    from scara_effmass.values import JointState
 
 ROSBAG2_VERSION = 9
 """Of the metadata, as ROS 2 Jazzy writes them."""
@@ -32,6 +37,7 @@ class _Channel:
     count: int = 0
 
 
+@final
 class BagWriter:
     """Writes a recording as rosbag2 does: zstd chunks with checksums, an index, and the message definitions in it.
 
@@ -79,6 +85,11 @@ class BagWriter:
         self._start_ns = min(self._start_ns, log_time_ns)
         self._end_ns = max(self._end_ns, log_time_ns)
 
+    def write_joint_states(self, topic: str, states: Iterable[JointState], frame_id: str = "") -> None:
+        """Add joint states, logged at their own stamps; raises OutputError."""
+        for state in states:
+            self.write(topic, JOINT_STATE, state.stamp_ns, joint_state_message(state, frame_id))
+
     def close(self) -> None:
         """Complete the recording and put it in its place; raises OutputError."""
         try:
@@ -87,7 +98,7 @@ class BagWriter:
                 self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
                 full = yaml.safe_dump({"rosbag2_bagfile_information": self._metadata()}, sort_keys=False)
                 (self._content / METADATA).write_text(full, encoding="utf-8")
-            self._writer.finish()
+            self._writer.finish()  # type: ignore[no-untyped-call]
             self._file.close()
             self._check_free()
             if self.path.exists():
@@ -126,8 +137,8 @@ class BagWriter:
         try:
             definition, _ = self._types.generate_msgdef(kind, ros_version=2)
             type_hash = self._types.hash_rihs01(kind)
-        except (LookupError, TypeError) as error:
-            raise BagError(f"{self.path}: {topic}: type {kind} has no definition here ({error})") from None
+        except TypesysError:
+            raise BagError(f"{self.path}: {topic}: type {kind} has no definition here") from None
         if kind not in self._schemas:
             self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", definition.encode())
         about = {"offered_qos_profiles": "", "topic_type_hash": type_hash}

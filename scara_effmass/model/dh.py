@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import pinocchio as pin
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.robot import Robot, finished
+from scara_effmass.model.robot import Robot, StatedLink, finished, principal_moments
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,8 +19,18 @@ if TYPE_CHECKING:
 
     from scara_effmass.values import FloatArray
 
-Point = tuple[float, float, float]
-Inertia = float | tuple[float, float, float, float, float, float]
+
+def _no_bool(value: object) -> object:
+    # Pydantic would read YAML's `yes` as 1.
+    if isinstance(value, bool):
+        raise ValueError("must be a number")  # noqa: TRY004  pydantic reports a ValueError under its key
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_no_bool), Field(ge=-1e6, le=1e6)]
+"""Any quantity of the file: a magnitude above a million [SI] is a slip, and would overflow later."""
+Point = tuple[Number, Number, Number]
+Inertia = Number | tuple[Number, Number, Number, Number, Number, Number]
 
 
 class _Strict(BaseModel):
@@ -32,14 +42,14 @@ class DhJoint(_Strict):
 
     name: str = Field(min_length=1)
     type: Literal["revolute", "prismatic"]
-    a: float
-    alpha: float
-    d: float = 0.0
-    theta: float = 0.0
-    lower: float
-    upper: float
-    max_speed: float = Field(gt=0.0)
-    armature: float = Field(0.0, ge=0.0)
+    a: Number
+    alpha: Number
+    d: Number = 0.0
+    theta: Number = 0.0
+    lower: Number
+    upper: Number
+    max_speed: Number = Field(gt=0.0)
+    armature: Number = Field(0.0, ge=0.0)
 
     @model_validator(mode="after")
     def _ordered(self) -> DhJoint:
@@ -62,17 +72,27 @@ class DhLink(_Strict):
     """Mass [kg], centre of mass [m] and, where known, inertia about it [kg m2], in the link frame."""
 
     name: str = Field(min_length=1)
-    mass: float = Field(ge=0.0)
+    mass: Number = Field(ge=0.0)
     com: Point
     inertia: Inertia | None = None
 
+    @field_validator("inertia")
+    @classmethod
+    def _of_a_body(cls, inertia: Inertia | None) -> Inertia | None:
+        principal_moments(_tensor(inertia))
+        return inertia
 
-class DhPayload(_Strict):
+    @property
+    def body(self) -> pin.Inertia:
+        """The link as Pinocchio has it, in the link frame."""
+        return pin.Inertia(self.mass, np.array(self.com), _tensor(self.inertia))
+
+
+class DhPayload(DhLink):
     """What the robot carries: end-effector and workpiece, in the last DH frame."""
 
-    mass: float = Field(ge=0.0)
+    name: str = "payload"
     com: Point = (0.0, 0.0, 0.0)
-    inertia: Inertia | None = None
 
 
 class DhFile(_Strict):
@@ -109,7 +129,7 @@ def load_dh(path: Path, contact_points: Sequence[str] = ()) -> Robot:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise RobotError(f"{path}: {key or 'file'}: {first['msg']}") from None
+        raise RobotError(f"{path}: {key or 'file'}: {' '.join(first['msg'].split())}") from None
     unknown = [name for name in contact_points if name not in file.contact_points]
     if unknown:
         raise RobotError(f"{path}: no contact point {unknown[0]!r}: it has {', '.join(file.contact_points)}")
@@ -133,28 +153,27 @@ def _built(file: DhFile, origin: str, contact_points: Sequence[str]) -> Robot:
             np.array([row.lower]),
             np.array([row.upper]),
         )
-        body = pin.Inertia(link.mass, np.array(link.com), _tensor(link.inertia))
-        model.appendBodyToJoint(parent, body, row.link_in_joint())
+        model.appendBodyToJoint(parent, link.body, row.link_in_joint())
         placement = row.next_in_joint()
-    payload = pin.Inertia(file.payload.mass, np.array(file.payload.com), _tensor(file.payload.inertia))
-    model.appendBodyToJoint(parent, payload, placement)
+    model.appendBodyToJoint(parent, file.payload.body, placement)
     model.armature = np.array([row.armature for row in file.joints])
     frames = {}
-    for name in contact_points:
+    for name in dict.fromkeys(contact_points):
         pose = placement * pin.SE3(np.eye(3), np.array(file.contact_points[name]))
         frames[name] = model.addFrame(pin.Frame(name, parent, 0, pose, pin.FrameType.OP_FRAME))
     missing = [link.name for link in file.links if link.inertia is None and link.mass > 0.0]
-    if 0 < len(missing) < len(file.links):
+    if missing and any(link.inertia is not None for link in file.links):
         raise RobotError(f"{origin}: links.{missing[0]}: no inertia, while other links have one: give all or none")
     return finished(
         model,
         origin,
+        [StatedLink(link.name, link.mass, np.array(link.com), _tensor(link.inertia)) for link in file.links],
+        (),
         name=file.robot,
         base_frame=file.base_frame,
         contact_frames=frames,
         tool_point=tuple(placement.translation.tolist()),
         payload_mass=file.payload.mass,
-        notes=(),
     )
 
 

@@ -22,15 +22,18 @@ if TYPE_CHECKING:
     from scara_effmass.model.robot import Robot
     from scara_effmass.values import FloatArray, Vector3
 
-PARALLEL = 1e-6
-"""Sine of the angle below which two axes count as parallel."""
+PARALLEL = 2e-3
+"""Sine of the angle below which two axes count as parallel: files write pi as 3.14."""
 ON_AXIS_M = 1e-4
 """Distance [m] below which axes coincide, or a centre of mass lies where it must: finer than CAD data are."""
 
 
 @dataclass(frozen=True, slots=True)
 class LumpedLink:
-    """Two masses in place of one link; points in the link's joint frame [m]."""
+    """Two masses in place of one link; points in the link's joint frame [m].
+
+    `on_axes` is false where a prismatic axis, of which only the direction matters, was put through the CoM.
+    """
 
     joint: str
     mass: float
@@ -40,6 +43,7 @@ class LumpedLink:
     height2: float
     point1: Vector3
     point2: Vector3
+    on_axes: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +64,13 @@ class LumpedModel:
     def planar_masses(self, robot: Robot) -> tuple[float, float]:
         """Return M2 (elbow) and M3 (end-effector) of the equivalent planar mechanism [kg], after Eq. 25.
 
-        Raises RobotError for a robot that is no SCARA.
+        Raises RobotError for a robot that is no SCARA, or whose masses do not all lie on its axes.
         """
         if not is_scara(robot):
             raise RobotError(f"{robot.origin}: {robot.name} is no SCARA: it has no equivalent planar masses")
+        for link in self.links:
+            if not link.on_axes:
+                raise RobotError(f"{robot.origin}: link behind {link.joint}: its centre of mass misses the plane of its two axes")
         return self.aggregated[1], sum(self.aggregated[2:])
 
 
@@ -126,19 +133,20 @@ def _lumped_link(robot: Robot, joint: int) -> LumpedLink:
     else:
         kappa2 = float(across @ normal) / length**2
         miss = float(np.linalg.norm(across - kappa2 * normal))
-    revolute = robot.revolute
-    if miss > ON_AXIS_M and body.mass > 0.0 and not revolute[joint - 1]:
+    revolute = (*robot.revolute, True)
+    foot1, foot2 = np.zeros(3), normal
+    on_axes = miss <= ON_AXIS_M or body.mass == 0.0
+    if not on_axes:
         # Only the direction of a prismatic axis matters: put it through the centre of mass.
-        kappa2, miss, normal, origin = 0.0, 0.0, np.zeros(3), across
-    else:
-        origin = np.zeros(3)
-    if miss > ON_AXIS_M and body.mass > 0.0 and joint < len(revolute) and not revolute[joint]:
-        kappa2, miss, normal = 1.0, 0.0, across
-    if miss > ON_AXIS_M and body.mass > 0.0:
-        raise RobotError(
-            f"link behind {name}: its centre of mass misses the plane of its two axes by {miss * 1e3:.1f} mm, "
-            "so no two masses on them have it"
-        )
+        if not revolute[joint - 1]:
+            kappa2, foot1, foot2 = 0.0, across, across
+        elif not revolute[joint]:
+            kappa2, foot2 = 1.0, across
+        else:
+            raise RobotError(
+                f"link behind {name}: its centre of mass misses the plane of its two axes by {miss * 1e3:.1f} mm, "
+                "so no two masses on them have it"
+            )
     return LumpedLink(
         joint=name,
         mass=float(body.mass),
@@ -146,27 +154,22 @@ def _lumped_link(robot: Robot, joint: int) -> LumpedLink:
         kappa2=kappa2,
         height1=height,
         height2=height * float(np.sign(axis @ distal)),
-        point1=_vector(origin + height * axis),
-        point2=_vector(normal + height * axis),
+        point1=_vector(foot1 + height * axis),
+        point2=_vector(foot2 + height * axis),
+        on_axes=on_axes,
     )
 
 
 def _two_masses(link: LumpedLink) -> pin.Inertia:
     """Return the rigid body that two point masses are."""
+    points = np.array([link.point1, link.point2])
+    kappas = np.array([link.kappa1, link.kappa2])
     body = pin.Inertia.Zero()
-    for kappa, point in ((link.kappa1, link.point1), (link.kappa2, link.point2)):
-        # Pinocchio refuses negative masses; kappa < 0 (CoM outside the slab between the axes) needs the sum by hand.
-        body = _sum(body, kappa * link.mass, np.array(point))
+    # Set piece by piece: the constructor refuses the negative moments that kappa < 0 gives.
+    body.mass = link.mass
+    body.lever = kappas @ points
+    body.inertia = sum(kappa * link.mass * _spread(point - body.lever) for kappa, point in zip(kappas, points, strict=True))
     return body
-
-
-def _sum(body: pin.Inertia, mass: float, point: FloatArray) -> pin.Inertia:
-    total = body.mass + mass
-    if total == 0.0:
-        return pin.Inertia.Zero()
-    com = (body.mass * body.lever + mass * point) / total
-    inertia = body.inertia + body.mass * _spread(body.lever - com) + mass * _spread(point - com)
-    return pin.Inertia(total, com, inertia)
 
 
 def _spread(arm: FloatArray) -> FloatArray:
@@ -186,14 +189,29 @@ def _massless_joints(robot: Robot, model: pin.Model) -> tuple[int, ...]:
 
 
 def _require_positive_definite(robot: Robot, model: pin.Model, links: tuple[LumpedLink, ...]) -> None:
+    outside = [link.joint for link in links if not 0.0 <= link.kappa2 <= 1.0]
+    because = f": the centre of mass lies outside the slab between the axes behind {', '.join(outside)}" if outside else ""
+    # A negative mass on an axis spoils M(q) near stretched poses at least, which the samples may miss.
+    for axis, mass in enumerate(_masses_by_place(links)[1:], start=1):
+        if mass < 0.0:
+            raise RobotError(f"the lumped mass on axis {axis + 1} would be {mass:.3g} kg{because}")
     data = model.createData()
     for q in robot.sample_configurations():
         matrix = pin.crba(model, data, q)
         scale = np.sqrt(np.diag(matrix).clip(min=0.0))
         if np.any(scale == 0.0) or np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < 1e-9:
-            outside = [link.joint for link in links if not 0.0 <= link.kappa2 <= 1.0]
-            because = f": the centre of mass lies outside the slab between the axes behind {', '.join(outside)}" if outside else ""
             raise RobotError(f"the lumped mass matrix is not positive definite at q = {np.round(q, 3).tolist()}{because}")
+
+
+def _masses_by_place(links: tuple[LumpedLink, ...]) -> list[float]:
+    """Return the masses [kg] on distinct axes, proximal first: coaxial ones together."""
+    masses = [0.0]
+    for link in links:
+        masses[-1] += link.kappa1 * link.mass
+        if np.linalg.norm(np.subtract(link.point2, link.point1)) > ON_AXIS_M:
+            masses.append(0.0)
+        masses[-1] += link.kappa2 * link.mass
+    return masses
 
 
 def _vector(point: FloatArray) -> Vector3:

@@ -26,25 +26,15 @@ _LEVELS = {
 
 
 class Health:
-    """Counts what the node receives and how long it takes, between two reports and since the start."""
+    """Counts what the node receives, and what the middleware says was lost, and how long an answer takes."""
 
     def __init__(self, node: str) -> None:
         """Count for the node of that name."""
         self._node = node
-        self._received = 0
-        self._lost = 0
-        self._last_sequence = 0
+        self.received = 0
+        self.lost = 0
         self._took_ns: list[int] = []
         self._unmatched: set[str] = set()
-
-    def received(self, sequence: int) -> None:
-        """Count one message; `sequence` is its publisher's, whose gaps are losses."""
-        self._received += 1
-        gap = sequence - self._last_sequence - 1
-        # A second publisher, or a new one, numbers from anywhere: only small gaps forward are losses of one stream.
-        if self._last_sequence and 0 < gap < _LARGEST_GAP:
-            self._lost += gap
-        self._last_sequence = sequence
 
     def answered(self, took_ns: int) -> None:
         """Note how long one joint state took, from the callback's start until all was published."""
@@ -77,13 +67,13 @@ class Health:
     def _input(self, monitor: Monitor | None, publishers: int) -> DiagnosticStatus:
         took = np.array(self._took_ns or [0]) / 1e3
         self._took_ns = []
-        level, message = DiagnosticStatus.OK, f"{self._received} joint states"
+        level, message = DiagnosticStatus.OK, f"{self.received} joint states"
         if publishers == 0:
             level, message = DiagnosticStatus.WARN, "no publisher of joint states"
         elif publishers > 1:
             level, message = DiagnosticStatus.WARN, f"{publishers} publishers of joint states, taken as one stream"
-        elif self._lost:
-            level, message = DiagnosticStatus.WARN, f"{self._lost} joint states lost"
+        elif self.lost:
+            level, message = DiagnosticStatus.WARN, f"{self.lost} joint states lost"
         elif self._unmatched:
             level, message = DiagnosticStatus.WARN, f"endpoints not connected: {', '.join(sorted(self._unmatched))}"
         return _status(
@@ -92,8 +82,8 @@ class Health:
             message,
             {
                 "publishers": publishers,
-                "received": self._received,
-                "lost": self._lost,
+                "received": self.received,
+                "lost": self.lost,
                 "refused": monitor.refused if monitor else 0,
                 "of other devices": monitor.foreign if monitor else 0,
                 "incompatible QoS": ", ".join(sorted(self._unmatched)),
@@ -125,7 +115,7 @@ class Health:
                 "limits": EDITION,
                 "limits hash": TABLE_HASH,
                 "first cause": f"{cause.verdict.name} at {cause.stamp_ns / 1e9:.6f} s: {cause.reason}" if cause else "",
-                **{f"joint states {verdict.name}": monitor.verdicts[verdict] for verdict in Verdict},
+                **{f"decisions {verdict.name}": monitor.verdicts[verdict] for verdict in Verdict},
             },
         )
 
@@ -148,9 +138,6 @@ class Health:
                 "input age [s]": f"{contact.input_age:.6f}",
             },
         )
-
-
-_LARGEST_GAP = 1_000_000
 
 
 def _status(name: str, level: bytes, message: str, values: dict[str, object]) -> DiagnosticStatus:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rclpy.clock import TimeJump
-    from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, QoSSubscriptionMatchedInfo
+    from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, QoSSubscriptionMatchedInfo
     from rclpy.lifecycle import State, TransitionCallbackReturn
     from rclpy.parameter import Parameter
 
@@ -118,7 +118,7 @@ class MonitorNode(SuiteNode):
                 _INPUT_QOS,
                 raw=True,
                 event_callbacks=SubscriptionEventCallbacks(
-                    incompatible_qos=self._on_incompatible, matched=self._on_matched
+                    incompatible_qos=self._on_incompatible, matched=self._on_matched, message_lost=self._on_lost
                 ),
                 qos_overriding_options=overridable,
             ),
@@ -170,11 +170,11 @@ class MonitorNode(SuiteNode):
         for line in (*robot.notes, *(f"no {line}" for line in self._health.missing_models(arm))):
             log.info(line)
 
-    def _on_joint_state(self, data: bytes, info: dict[str, int]) -> None:
+    def _on_joint_state(self, data: bytes) -> None:
         if not self._active:
             return
         started_ns = time.monotonic_ns()
-        self._health.received(info["publication_sequence_number"])
+        self._health.received += 1
         monitor = self._monitor
         if monitor is None:
             self._publish(without_robot(self._waiting))
@@ -247,6 +247,9 @@ class MonitorNode(SuiteNode):
                 f"{matched.current_count} publishers on {self._joint_states.topic_name}: "
                 "their joint states are taken as one stream"
             )
+
+    def _on_lost(self, lost: QoSMessageLostInfo) -> None:
+        self._health.lost = lost.total_count
 
     def _on_incompatible(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import gc
 import signal
 import sys
@@ -11,15 +12,21 @@ import rclpy
 from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.task import Future
+from rclpy.utilities import remove_ros_args
 
 from scara_effmass.errors import EffmassError, SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from lifecycle_msgs.srv import ChangeState
     from rclpy.lifecycle import State
+
+RCLError = rclpy_implementation.RCLError
 
 _ONE_SPIN_S = 1e6
 """EventsExecutor.spin() without a time-out keeps a core busy in rclpy 7.1; with one it sleeps."""
@@ -31,16 +38,19 @@ class SuiteNode(LifecycleNode):
     def __init__(self, name: str) -> None:
         """Make the node; its parameters are declared by the subclass."""
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
-        self.failure: EffmassError | None = None
         self.autostart = True
+        self._failure: Exception | None = None
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._on_change_state
 
     def on_configure(self, state: State) -> TransitionCallbackReturn:
-        """Set up; a refusal leaves the node unconfigured, with its reason in the log and in `failure`."""
+        """Set up; a refusal leaves the node unconfigured, with its reason in the log."""
+        self._failure = None
         try:
             self.set_up()
-        except EffmassError as error:
-            self.failure = error
-            self.get_logger().error(str(error))
+        except Exception as error:
+            # Kept, because rclpy drops what a transition raises.
+            self._failure = _refusal(self.get_name(), error)
             self.tear_down()
             return TransitionCallbackReturn.FAILURE
         return super().on_configure(state)
@@ -64,19 +74,43 @@ class SuiteNode(LifecycleNode):
         raise NotImplementedError
 
     def bring_up(self) -> None:
-        """Configure and activate. Raises the EffmassError that prevented it."""
-        if self.trigger_configure() is not TransitionCallbackReturn.SUCCESS:
-            raise self.failure or SettingsError(f"{self.get_name()}: could not be configured")
-        if self.trigger_activate() is not TransitionCallbackReturn.SUCCESS:
-            raise self.failure or SettingsError(f"{self.get_name()}: could not be activated")
+        """Configure and activate. Raises what prevented it, such as an EffmassError."""
+        for trigger in (self.trigger_configure, self.trigger_activate):
+            if trigger() is not TransitionCallbackReturn.SUCCESS:
+                raise self._failure or SettingsError(f"{self.get_name()}: could not be brought up")
+
+    def _on_change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        """Answer a request that comes at the wrong time with a refusal: rclpy raises, which would end the process."""
+        try:
+            response = self._change_state(request, response)
+        except RCLError:
+            response.success = False
+            asked = request.transition.label or request.transition.id
+            self.get_logger().error(f"no transition {asked} from {self._state_machine.current_state[1]}: refused")
+        if self._failure is not None:
+            self.get_logger().error(str(self._failure))
+            self._failure = None
+        return response
 
 
 def run(make: Callable[[], SuiteNode], args: Sequence[str] | None) -> int:
-    """Run one node until it is told to stop. Return 0, or 2 with one line on stderr where it cannot start."""
+    """Run one node until it is told to stop. Return 0, or 2 with one line on stderr where it cannot start.
+
+    `args` are those of the process when None; they begin with the first argument otherwise.
+    """
     node: SuiteNode | None = None
     executor: EventsExecutor | None = None
+    # From here on a signal does what rclpy makes it do, which is to end the context, and never interrupts Python:
+    # a launcher sends SIGINT twice, and the second one would break into the clean-up.
+    ending = {signal.SIGINT, signal.SIGTERM}
+    signal.pthread_sigmask(signal.SIG_BLOCK, ending)
+    for number in ending:
+        signal.signal(number, signal.SIG_IGN)
     try:
-        rclpy.init(args=args)
+        _init(args)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ending)
         node = make()
         executor = EventsExecutor()
         executor.add_node(node)
@@ -87,17 +121,41 @@ def run(make: Callable[[], SuiteNode], args: Sequence[str] | None) -> int:
         gc.freeze()
         while rclpy.ok():
             executor.spin_until_future_complete(Future(), timeout_sec=_ONE_SPIN_S)
-    except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
+    except (ExternalShutdownException, ROSInterruptException):
         pass
     except EffmassError as error:
-        print(error, file=sys.stderr)
+        print(error, file=sys.stderr)  # noqa: T201 - the one line for every refusal
         return 2
+    except Exception:
+        if rclpy.ok():
+            raise
+        # Told to stop while starting: whatever was being made missed its context.
     finally:
-        # A launcher sends SIGINT twice; the second must not break into the clean-up.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
         if executor is not None:
             executor.shutdown()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _init(args: Sequence[str] | None) -> None:
+    """Start ROS. Raises SettingsError for arguments that it, or the node, does not know."""
+    words = sys.argv[1:] if args is None else list(args)
+    parser = argparse.ArgumentParser(
+        usage="%(prog)s [--ros-args ...]", description="Run one node until it is told to stop.", allow_abbrev=False
+    )
+    try:
+        _, strays = parser.parse_known_args(remove_ros_args(words))
+        rclpy.init(args=words)
+    except RuntimeError as error:
+        raise SettingsError(f"ROS arguments: {' '.join(str(error).split())}") from None
+    if strays:
+        raise SettingsError(f"{strays[0]!r}: not known; ROS arguments stand behind --ros-args")
+
+
+def _refusal(node: str, error: Exception) -> Exception:
+    """Return `error`, or what it says of a setting, as an EffmassError."""
+    if isinstance(error, InvalidQosOverridesError):
+        return SettingsError(f"{node}: qos_overrides: {error}")
+    return error

@@ -158,7 +158,9 @@ class Intake:
                 return f"{name} at {v:.4f} {unit}/s is faster than it can be ({self._fastest[i]:.4f})"
         raise AssertionError("unreachable: one joint failed the same comparisons before")
 
-    def _contradicted_rest(self, positions: list[float], velocities: list[float], stamp_ns: int, elapsed_ns: int) -> str:
+    def _contradicted_rest(
+        self, positions: list[float], velocities: list[float], stamp_ns: int, elapsed_ns: int
+    ) -> str:
         """Return why a velocity of exactly zero is not believed: some senders never fill it in."""
         reason = ""
         rest, believed = self._rest, self._believed

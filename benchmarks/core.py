@@ -1,0 +1,74 @@
+"""(a) One cycle of the core against the plain way to one effective mass with Pinocchio and numpy."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from scara_effmass.model.arm import Arm
+from scara_effmass.model.load import load_robot
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.share import share
+from scara_effmass.values import JointState
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+CYCLES_PER_BLOCK = 500
+BLOCKS = 60
+
+
+def measure() -> tuple[float, float]:
+    """Return the median time per cycle [us] of the core and of the plain computation, timed in turn."""
+    settings = MonitorSettings()
+    robot = load_robot(share("config", "omron_i4_550l.yaml"), settings)
+    monitor = Monitor(Arm(robot), settings)
+    states = _states()
+    frame = robot.contact_frames["tool"]
+    data = robot.model.createData()
+
+    def plain(state: JointState) -> float:
+        """M(q) by CRBA, J, then m_n of the full model alone along the velocity, Eqs. 3-8."""
+        mass_matrix = pin.crba(robot.model, data, state.position)
+        jacobian = pin.computeFrameJacobian(
+            robot.model, data, state.position, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )[:3]
+        velocity = jacobian @ state.velocity
+        n = velocity / np.linalg.norm(velocity)
+        return float(1.0 / (n @ jacobian @ np.linalg.solve(mass_matrix, jacobian.T) @ n))
+
+    def core(state: JointState) -> object:
+        return monitor.assess(state, state.stamp_ns)
+
+    ours, theirs = [], []
+    for block in range(BLOCKS):
+        chunk = states[block * CYCLES_PER_BLOCK : (block + 1) * CYCLES_PER_BLOCK]
+        ours.append(_time(core, chunk))
+        theirs.append(_time(plain, chunk))
+    return float(np.median(ours)), float(np.median(theirs))
+
+
+def _time(function: Callable[[JointState], object], states: list[JointState]) -> float:
+    started = time.perf_counter()
+    for state in states:
+        function(state)
+    return (time.perf_counter() - started) / len(states) * 1e6
+
+
+def _states() -> list[JointState]:
+    """Return 1 kHz joint states of a smooth motion through the workspace, as the decoder hands them over."""
+    names = ("joint1", "joint2", "joint3", "joint4")
+    amplitudes, offsets = np.array([1.5, 1.2, 0.05, 1.0]), np.array([0.0, 0.8, 0.2, 0.0])
+    frequencies = np.array([0.7, 0.9, 1.3, 1.1])
+    phases = np.outer(np.arange(CYCLES_PER_BLOCK * BLOCKS) / 1000.0, frequencies)
+    positions = offsets + amplitudes * np.sin(phases)
+    velocities = amplitudes * frequencies * np.cos(phases)
+    first_ns = 1_000_000_000
+    return [
+        JointState(first_ns + i * 1_000_000, names, q, qd)
+        for i, (q, qd) in enumerate(zip(positions, velocities, strict=True))
+    ]

@@ -1,0 +1,50 @@
+"""A bare node for comparison: the monitor's messages in and out, and nothing computed in between."""
+
+from __future__ import annotations
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+from scara_effmass_msgs.msg import ContactState
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+IN = QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=200)
+OUT = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=200)
+
+
+class EchoNode(Node):
+    """Answers each joint state with one ContactState and two numbers that never change but for the stamp."""
+
+    def __init__(self) -> None:
+        super().__init__("echo")
+        self._contact_state = self.create_publisher(ContactState, "contact_state", OUT)
+        self._allowable_speed = self.create_publisher(Float64, "allowable_speed", OUT)
+        self._speed_scaling = self.create_publisher(Float64, "speed_scaling", OUT)
+        self._message = ContactState(contact_point="tool", body_region="lower_leg", criterion="force", verdict=1)
+        self._message.header.frame_id = "base_link"
+        self._number = Float64(data=1.0)
+        self.create_subscription(JointState, "joint_states", self._on_joint_state, IN)
+
+    def _on_joint_state(self, state: JointState) -> None:
+        self._message.header.stamp = state.header.stamp
+        self._contact_state.publish(self._message)
+        self._allowable_speed.publish(self._number)
+        self._speed_scaling.publish(self._number)
+
+
+if __name__ == "__main__":
+    rclpy.init()
+    node = EchoNode()
+    executor = EventsExecutor()
+    executor.add_node(node)
+    try:
+        executor.spin_until_future_complete(Future(), timeout_sec=1e6)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()

@@ -1,0 +1,137 @@
+"""(b) The live monitor at 1 kHz against a bare node that answers with the same messages."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import rclpy
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.task import Future
+from scara_effmass_msgs.msg import ContactState
+from sensor_msgs.msg import JointState
+
+PERIOD_S = 0.001
+WARM_UP_S = 2.0
+RUN_S = 10.0
+SETTLE_S = 0.5
+ROUNDS = 3
+DISCOVERY_S = 20.0
+TARGETS = {
+    "monitor": [str(Path(sys.executable).with_name("monitor_node"))],
+    "bare": [sys.executable, str(Path(__file__).with_name("echo_node.py"))],
+}
+
+
+class Run(NamedTuple):
+    """One target at 1 kHz: messages, latency from stamp to answer [us], CPU [share of a core], memory [MB]."""
+
+    sent: int
+    answered: int
+    latency_us: np.ndarray
+    cpu: float
+    resident_mb: float
+
+
+def measure() -> dict[str, list[Run]]:
+    """Return the runs of both targets, taken in turn."""
+    runs: dict[str, list[Run]] = {name: [] for name in TARGETS}
+    for _ in range(ROUNDS):
+        for name, command in TARGETS.items():
+            runs[name].append(_run(command))
+    return runs
+
+
+class Sender(Node):
+    """Publishes joint states of a sweeping arm and takes the time until each is answered."""
+
+    def __init__(self) -> None:
+        super().__init__("sender")
+        self._publisher = self.create_publisher(JointState, "joint_states", QoSProfile(depth=200))
+        self._state = JointState(name=["joint1", "joint2", "joint3", "joint4"])
+        self._counts = False
+        self.sent = 0
+        self.latencies_ns: list[int] = []
+        self._first_ns = 0
+        self.create_subscription(ContactState, "contact_state", self._on_answer, QoSProfile(depth=200))
+        self._timer = self.create_timer(PERIOD_S, self._send)
+
+    def connected(self) -> bool:
+        """Return whether the target listens and answers."""
+        return self._publisher.get_subscription_count() > 0 and self.count_publishers("contact_state") > 0
+
+    def count_from_now(self) -> None:
+        """Forget the warm-up."""
+        self.sent = 0
+        self.latencies_ns = []
+        self._first_ns = time.time_ns()
+
+    def stop(self) -> None:
+        """Send no more; answers still under way are taken."""
+        self._timer.cancel()
+
+    def _send(self) -> None:
+        t = time.time()
+        self._state.position = [np.sin(0.7 * t), 1.0 + 0.8 * np.sin(0.9 * t), 0.2, np.sin(t)]
+        self._state.velocity = [0.7 * np.cos(0.7 * t), 0.72 * np.cos(0.9 * t), 1e-6, np.cos(t)]
+        stamp_ns = time.time_ns()
+        self._state.header.stamp.sec, self._state.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+        self._publisher.publish(self._state)
+        self.sent += 1
+
+    def _on_answer(self, answer: ContactState) -> None:
+        now_ns = time.time_ns()
+        stamp_ns = answer.header.stamp.sec * 1_000_000_000 + answer.header.stamp.nanosec
+        if stamp_ns >= self._first_ns:
+            self.latencies_ns.append(now_ns - stamp_ns)
+
+
+def _run(command: list[str]) -> Run:
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)  # noqa: S603  a fixed command
+    rclpy.init()
+    sender = Sender()
+    executor = EventsExecutor()
+    executor.add_node(sender)
+    try:
+        deadline = time.monotonic() + DISCOVERY_S
+        while not sender.connected():
+            _spin(executor, 0.1)
+            if time.monotonic() > deadline or process.poll() is not None:
+                raise RuntimeError(f"{command[-1]} did not come up")
+        _spin(executor, WARM_UP_S)
+        sender.count_from_now()
+        used, started = _cpu_s(process.pid), time.monotonic()
+        _spin(executor, RUN_S)
+        cpu = (_cpu_s(process.pid) - used) / (time.monotonic() - started)
+        sender.stop()
+        _spin(executor, SETTLE_S)
+        return Run(
+            sender.sent, len(sender.latencies_ns), np.array(sender.latencies_ns) / 1e3, cpu, _resident_mb(process.pid)
+        )
+    finally:
+        sender.destroy_node()
+        rclpy.shutdown()
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=10)
+
+
+def _spin(executor: EventsExecutor, seconds: float) -> None:
+    executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _resident_mb(pid: int) -> float:
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

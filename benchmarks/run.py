@@ -1,0 +1,50 @@
+"""`make bench`: every speed claim as a ratio, both sides measured in turn in one run."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+os.environ.setdefault("ROS_DOMAIN_ID", "71")
+
+import core
+import live
+
+import bags
+
+
+def main() -> None:
+    """Print one table."""
+    table = Table("what", "ours", "compared with", "theirs", "ratio", "goal", title="scara_effmass benchmarks")
+
+    def row(what: str, ours: float, against: str, theirs: float, unit: str, goal: str) -> None:
+        table.add_row(what, f"{ours:,.1f} {unit}", against, f"{theirs:,.1f} {unit}", f"{ours / theirs:.2f}", goal)
+
+    row("core, one cycle", *_around("CRBA + J + solve, one mass", core.measure()), "us", "<= 2")
+    row("bag, joint states", *_around("rosbags", bags.measure()), "1/s", ">= 10")
+    runs = live.measure()
+    monitor, bare = runs["monitor"], runs["bare"]
+    for label, q in (("p50", 50), ("p99", 99), ("p99.9", 99.9)):
+        a, b = (float(np.median([np.percentile(run.latency_us, q) for run in side])) for side in (monitor, bare))
+        row(f"latency {label} at 1 kHz", a, "bare node", b, "us", "<= 1.3")
+    a, b = (float(np.median([100.0 * run.cpu for run in side])) for side in (monitor, bare))
+    row("CPU at 1 kHz", a, "bare node", b, "%", "<= 1.3")
+    a, b = (float(np.median([run.resident_mb for run in side])) for side in (monitor, bare))
+    row("resident memory", a, "bare node", b, "MB", "<= 1.6")
+    lost, bare_lost = (sum(run.sent - run.answered for run in side) for side in (monitor, bare))
+    sent = sum(run.sent for run in monitor)
+    table.add_row("joint states lost", f"{lost} of {sent}", "bare node", str(bare_lost), "", "0")
+    Console(width=120).print(table)
+
+
+def _around(against: str, pair: tuple[float, float]) -> tuple[float, str, float]:
+    ours, theirs = pair
+    return ours, against, theirs
+
+
+if __name__ == "__main__":
+    main()

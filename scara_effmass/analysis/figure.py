@@ -1,0 +1,148 @@
+"""The picture of a run: speed under its limit, the verdict, and the effective masses, over time."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from scara_effmass.analysis.output import completed
+from scara_effmass.analysis.trace import Course, thinned, verdict_spans
+from scara_effmass.values import Verdict
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+    from scara_effmass.values import FloatArray
+
+COLUMNS = 1500
+"""Pixels across the data, about; finer than that nothing can be seen."""
+FORMATS = (".png", ".svg")
+LARGEST_LINEAR_RATIO = 12.0
+"""Masses further apart than this are drawn on a logarithmic axis."""
+
+_COLOURS = {
+    # Okabe and Ito's palette, which the usual kinds of colour blindness can tell apart.
+    Verdict.OK: "#009E73",
+    Verdict.WARN: "#F0E442",
+    Verdict.VIOLATION: "#D55E00",
+    Verdict.UNKNOWN: "#DDDDDD",
+}
+_HATCHES = {Verdict.UNKNOWN: "////"}
+_DRAWN_LAST = (Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN)
+_STYLE = {"font.size": 10.0, "axes.grid": True, "grid.alpha": 0.3, "hatch.linewidth": 0.6, "svg.hashsalt": "scara_effmass"}
+
+
+def draw_run(course: Course, *, title: str, subtitle: str, mass_model: str, timeout: float) -> Figure:
+    """Return the figure of one contact point's course; the verdict used the mass of `mass_model`.
+
+    `timeout` [s] is the silence after which nothing is known.
+    """
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(13.0, 7.5), layout="constrained")
+        FigureCanvasAgg(figure)
+        band, speeds, masses = figure.subplots(3, 1, sharex=True, height_ratios=(0.25, 2.2, 1.6))
+        course = _with_gaps(course, timeout)
+        _draw_verdicts(band, course, timeout)
+        _draw_speeds(speeds, course)
+        _draw_masses(masses, course, mass_model)
+        masses.set_xlabel("time since the first joint state [s]")
+        masses.set_xlim(0.0, max(float(course.time[-1]), 1e-3))
+        for axes in (speeds, masses):
+            for start, stop, verdict in verdict_spans(course, timeout):
+                if verdict is Verdict.UNKNOWN:
+                    axes.axvspan(start, stop, facecolor="none", edgecolor="#BBBBBB", hatch="////", linewidth=0.0, zorder=0)
+        figure.suptitle(f"{title}\n", fontsize=13.0, fontweight="bold", x=0.01, ha="left")
+        figure.text(0.01, 0.94, subtitle, fontsize=9.5, color="#444444", va="center")
+        figure.align_ylabels()
+    return figure
+
+
+def save(figure: Figure, folder: Path, name: str, *, overwrite: bool) -> list[Path]:
+    """Write `figure` as PNG and SVG into `folder`; return the paths. Raises OutputError."""
+    paths = [folder / f"{name}{suffix}" for suffix in FORMATS]
+    with ExitStack() as stack, mpl.rc_context(_STYLE):
+        unfinished = [stack.enter_context(completed(path, overwrite=overwrite)) for path in paths]
+        for path in unfinished:
+            figure.savefig(path, dpi=140)
+    return paths
+
+
+def _with_gaps(course: Course, timeout: float) -> Course:
+    """Break the lines where no joint state came: put NaN right after the last one before each gap."""
+    gaps = np.flatnonzero(np.diff(course.time) > timeout) + 1
+    if not len(gaps):
+        return course
+    nothing = np.full(len(gaps), np.nan)
+    columns = (course.speed, course.allowable_speed, course.effective_mass, course.lumped_mass, course.full_mass, course.iso_mass)
+    return Course(
+        np.insert(course.time, gaps, course.time[gaps - 1] + timeout),
+        *(np.insert(column, gaps, nothing) for column in columns),
+        verdict=np.insert(course.verdict, gaps, Verdict.UNKNOWN),
+    )
+
+
+def _draw_verdicts(axes: Axes, course: Course, timeout: float) -> None:
+    spans = verdict_spans(course, timeout)
+    shortest = float(course.time[-1]) / COLUMNS
+    for verdict in _DRAWN_LAST:
+        # A verdict of a single cycle is thinner than a pixel and would not be seen.
+        bars = [(start, max(stop - start, shortest)) for start, stop, each in spans if each is verdict]
+        axes.broken_barh(
+            bars, (0.0, 1.0), facecolors=_COLOURS[verdict], hatch=_HATCHES.get(verdict), edgecolor="#777777", linewidth=0.0
+        )
+    axes.set_ylim(0.0, 1.0)
+    axes.set_yticks([])
+    axes.grid(visible=False)
+    axes.set_ylabel("verdict", rotation=0, ha="right", va="center")
+    seen = [verdict for verdict in _DRAWN_LAST if any(each is verdict for _, _, each in spans)]
+    patches = [
+        Patch(facecolor=_COLOURS[verdict], hatch=_HATCHES.get(verdict), edgecolor="#777777", linewidth=0.0, label=verdict.name)
+        for verdict in seen
+    ]
+    axes.legend(handles=patches, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, ncols=2)
+
+
+def _draw_speeds(axes: Axes, course: Course) -> None:
+    _line(axes, course, course.allowable_speed, color="#0072B2", linewidth=1.6, label="allowable speed")
+    _line(axes, course, course.speed, color="#000000", linewidth=1.2, label="speed")
+    above = np.where(course.speed > course.allowable_speed, course.speed, np.nan)
+    if np.isfinite(above).any():
+        _line(axes, course, above, color="#D55E00", linewidth=2.4, label="speed above the allowable")
+    axes.set_ylabel("speed of the contact point [m/s]")
+    axes.set_ylim(bottom=0.0)
+    _legend(axes)
+
+
+def _draw_masses(axes: Axes, course: Course, mass_model: str) -> None:
+    _line(axes, course, course.effective_mass, color="#E69F00", linewidth=4.0, alpha=0.6, label=f"used by the verdict ({mass_model})")
+    for values, label, color, style in (
+        (course.lumped_mass, "lumped", "#0072B2", "-"),
+        (course.full_mass, "full", "#000000", "--"),
+        (course.iso_mass, "ISO, M/2 + m_L", "#CC79A7", "-."),
+    ):
+        if np.isfinite(values).any():
+            _line(axes, course, values, color=color, linestyle=style, linewidth=1.3, label=label)
+    drawn = np.concatenate([line.get_ydata() for line in axes.get_lines()])
+    drawn = drawn[np.isfinite(drawn)]
+    if len(drawn) and drawn.max() > LARGEST_LINEAR_RATIO * drawn.min():
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(bottom=0.0)
+    axes.set_ylabel("effective mass [kg]")
+    _legend(axes)
+
+
+def _line(axes: Axes, course: Course, values: FloatArray, **style: object) -> None:
+    axes.plot(*thinned(course.time, values, COLUMNS), **style)  # type: ignore[arg-type]
+
+
+def _legend(axes: Axes) -> None:
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)

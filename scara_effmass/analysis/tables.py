@@ -1,0 +1,169 @@
+"""Assessments as files: Parquet and CSV with a row per contact point and joint state, or a bag of ContactStates."""
+
+from __future__ import annotations
+
+import json
+import re
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import pyarrow as pa
+from pyarrow import csv, parquet
+
+from scara_effmass import __version__
+from scara_effmass.analysis.output import completed
+from scara_effmass.bag_io.messages import CONTACT_STATE, contact_state_message, serialized
+from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.errors import OutputError
+from scara_effmass.iso15066 import EDITION, TABLE_HASH
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from contextlib import AbstractContextManager
+
+    from scara_effmass.settings import MonitorSettings
+    from scara_effmass.values import ContactAssessment
+
+ROWS_AT_ONCE = 50_000
+"""Rows of a Parquet row group; what is held in memory."""
+
+INFO_TOPIC = "/scara_effmass/recording_info"
+STRING = "std_msgs/msg/String"
+
+_UNITS = {
+    "speed": "speed_m_s",
+    "effective_mass": "effective_mass_kg",
+    "lumped_mass": "lumped_mass_kg",
+    "full_mass": "full_mass_kg",
+    "iso_mass": "iso_mass_kg",
+    "worst_direction_mass": "worst_direction_mass_kg",
+    "obstacle_mass": "obstacle_mass_kg",
+    "reduced_mass": "reduced_mass_kg",
+    "stiffness": "stiffness_n_m",
+    "predicted_force": "predicted_force_n",
+    "allowable_speed": "allowable_speed_m_s",
+    "margin": "margin_m_s",
+    "input_age": "input_age_s",
+    "smallest_singular_value": "smallest_singular_value",
+}
+_LABELS = ("contact_point", "body_region", "criterion", "verdict", "reason")
+_FLAGS = ("worst_direction_used", "mass_capped")
+
+SCHEMA = pa.schema(
+    [("bag", pa.string()), ("log_time_ns", pa.int64()), ("stamp_ns", pa.int64())]
+    + [(name, pa.string()) for name in _LABELS]
+    + [(f"direction_{axis}", pa.float64()) for axis in "xyz"]
+    + [(name, pa.float64()) for name in _UNITS.values()]
+    + [(name, pa.bool_()) for name in _FLAGS]
+)
+"""Columns of a table: the fields of ContactState with their units, the recording, and the recorder's time."""
+
+
+class Sink(Protocol):
+    """Where assessments go."""
+
+    def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
+        """Take in the contact points of one joint state."""
+
+
+class Provenance(dict[str, str]):
+    """What a file says of its making."""
+
+    def __init__(self, settings: MonitorSettings, robot: str, bags: Sequence[Path]) -> None:
+        """Say version, settings, robot, recordings, and which table of the standard."""
+        super().__init__(
+            scara_effmass_version=__version__,
+            settings=settings.model_dump_json(),
+            robot=robot,
+            bags=json.dumps([str(bag) for bag in bags]),
+            limits_edition=EDITION,
+            limits_hash=TABLE_HASH,
+        )
+
+
+def sink(path: Path, provenance: Mapping[str, str], frame: str, *, overwrite: bool) -> AbstractContextManager[Sink]:
+    """Return the sink for the suffix of `path`, to be used in a `with`; `frame` is that of the directions.
+
+    Raises OutputError for another suffix, and where the file exists or cannot be written.
+    """
+    if path.suffix not in SINKS:
+        raise OutputError(f"{path}: suffix {path.suffix or 'missing'!r}: one of {', '.join(SINKS)} would be right")
+    return SINKS[path.suffix](path, provenance, frame, overwrite=overwrite)
+
+
+class _TableSink:
+    def __init__(self, writer: parquet.ParquetWriter | csv.CSVWriter) -> None:
+        self._writer = writer
+        self._rows: list[tuple[str, int, ContactAssessment]] = []
+
+    def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
+        self._rows += [(bag, log_time_ns, contact) for contact in contacts]
+        if len(self._rows) >= ROWS_AT_ONCE:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the rows that are held."""
+        if self._rows:
+            self._writer.write_table(pa.table(_columns(self._rows), SCHEMA))
+            self._rows.clear()
+
+
+def _columns(rows: list[tuple[str, int, ContactAssessment]]) -> dict[str, Sequence[Any]]:
+    bags, times, contacts = zip(*rows, strict=True)
+    fields = dict(zip(contacts[0]._fields, zip(*contacts, strict=True), strict=True))
+    columns: dict[str, Sequence[Any]] = {"bag": bags, "log_time_ns": times, "stamp_ns": fields["stamp_ns"]}
+    columns |= {name: fields[name] for name in (*_LABELS, *_FLAGS)}
+    columns["verdict"] = [verdict.name for verdict in fields["verdict"]]
+    for axis, values in zip("xyz", zip(*fields["direction"], strict=True), strict=True):
+        columns[f"direction_{axis}"] = values
+    return columns | {name: fields[field] for field, name in _UNITS.items()}
+
+
+@contextmanager
+def _parquet(path: Path, provenance: Mapping[str, str], _frame: str, *, overwrite: bool) -> Iterator[Sink]:
+    schema = SCHEMA.with_metadata(dict(provenance))
+    with (
+        completed(path, overwrite=overwrite) as unfinished,
+        parquet.ParquetWriter(unfinished, schema, compression="zstd") as writer,
+    ):
+        rows = _TableSink(writer)
+        yield rows
+        rows.flush()
+
+
+@contextmanager
+def _csv(path: Path, _provenance: Mapping[str, str], _frame: str, *, overwrite: bool) -> Iterator[Sink]:
+    with completed(path, overwrite=overwrite) as unfinished, csv.CSVWriter(unfinished, SCHEMA) as writer:
+        rows = _TableSink(writer)
+        yield rows
+        rows.flush()
+
+
+class _BagSink:
+    def __init__(self, writer: BagWriter, provenance: Mapping[str, str], frame: str) -> None:
+        self._writer = writer
+        self._frame = frame
+        self._about = json.dumps(dict(provenance))
+        self._topics: dict[str, str] = {}
+        self._single = len(json.loads(provenance["bags"])) == 1
+
+    def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
+        if not self._topics:
+            self._writer.write(INFO_TOPIC, STRING, log_time_ns, serialized(STRING, {"data": self._about}))
+        if bag not in self._topics:
+            # One topic per recording: their times may overlap.
+            name = re.sub(r"\W", "_", Path(bag).stem)
+            self._topics[bag] = "/contact_state" if self._single else f"/bag_{len(self._topics)}_{name}/contact_state"
+        for contact in contacts:
+            self._writer.write(self._topics[bag], CONTACT_STATE, log_time_ns, contact_state_message(contact, self._frame))
+
+
+@contextmanager
+def _mcap(path: Path, provenance: Mapping[str, str], frame: str, *, overwrite: bool) -> Iterator[Sink]:
+    with BagWriter(path, overwrite=overwrite) as writer:
+        yield _BagSink(writer, provenance, frame)
+
+
+SINKS: dict[str, Callable[..., AbstractContextManager[Sink]]] = {".parquet": _parquet, ".csv": _csv, ".mcap": _mcap}
+"""What writes a file of each suffix."""

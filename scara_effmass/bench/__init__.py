@@ -1,0 +1,1 @@
+"""Where motion comes from when there is no robot: paths, inverse kinematics, recordings. Knows nothing of masses."""

@@ -1,0 +1,94 @@
+"""The command line. A command's module, and what it needs, is imported when that command is called."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from importlib import import_module
+from typing import TYPE_CHECKING, NoReturn
+
+from scara_effmass import __doc__ as purpose
+from scara_effmass import __version__
+from scara_effmass.errors import EffmassError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import FrameType
+
+COMMANDS = {
+    "demo": "replay a recording through the live monitor, watch it, summarise it, plot it",
+    "monitor": "run the live monitor node",
+    "replay": "play a bag into the live nodes, with /clock",
+    "assess": "assess every joint state of bags, offline, into a table or a bag",
+    "limits": "print the body-region table, and the speeds it allows",
+    "doctor": "tell what is installed and whether a robot model is sound",
+}
+
+BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143
+"""Exit codes: the first as rich has it, the last two as a shell gives them to a process that a signal ended."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """Say in one line what is wrong, as for every other bad input."""
+        self.exit(INPUT_ERROR, f"{self.prog}: {message} (--help tells more)\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code: 0, 1 (the answer is no), 2 (bad input), 130 (interrupted)."""
+    arguments, ros_arguments = _split(sys.argv[1:] if argv is None else argv)
+    parser = _parser(arguments)
+    parsed = parser.parse_args(arguments)
+    if "run" not in parsed:
+        parser.print_help()
+        return INPUT_ERROR
+    if "ros_arguments" in parsed:
+        parsed.ros_arguments = ros_arguments
+    elif ros_arguments:
+        parser.error(f"{ros_arguments[0]}: ROS arguments are for the nodes; this command takes none")
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code: int = parsed.run(parsed)
+        sys.stdout.flush()
+    except EffmassError as error:
+        print(error, file=sys.stderr)  # noqa: T201 - the one line for every refusal
+        return INPUT_ERROR
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        # What is left in the buffer has no reader: without this the interpreter complains when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    return code
+
+
+def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:
+    """End by an exception, so that unfinished files are removed and started processes ended."""
+    sys.exit(TERMINATED)
+
+
+def _split(argv: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the command's own arguments, and those for ROS: what stands from `--ros-args` on, or behind `--`."""
+    words = list(argv)
+    at = next((index for index, word in enumerate(words) if word in {"--", "--ros-args"}), len(words))
+    rest = words[at + 1 :] if words[at : at + 1] == ["--"] else words[at:]
+    return words[:at], rest if not rest or "--ros-args" in rest else ["--ros-args", *rest]
+
+
+def _parser(arguments: list[str]) -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="scara-effmass",
+        description=purpose,
+        epilog="'scara-effmass COMMAND --help' gives a command's options and examples. Bad input exits with 2.",
+    )
+    parser.add_argument("--version", action="version", version=f"scara-effmass {__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", parser_class=_Parser)
+    for name, summary in COMMANDS.items():
+        command = commands.add_parser(
+            name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        if name in arguments:
+            import_module(f"scara_effmass.cli.{name}").add_to(command)
+    return parser

@@ -1,0 +1,90 @@
+"""Options that several commands share, and the settings they make."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from scara_effmass.settings import Contact, MassModel, MonitorSettings, checked, load_settings
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    from scara_effmass.model.arm import Arm
+
+PIPE_WIDTH = 160
+"""Columns where no terminal sets them: enough for every table, so that none is cut in a file."""
+
+
+def add_params(parser: argparse.ArgumentParser) -> None:
+    """Add --params, the file that the other options override."""
+    parser.add_argument("--params", type=Path, metavar="FILE", help="YAML file of the monitor's parameters")
+
+
+def add_robot(parser: argparse.ArgumentParser) -> None:
+    """Add --robot and --model."""
+    parser.add_argument("--robot", metavar="FILE", help="robot: URDF or DH YAML (default: the shipped Omron i4-550L)")
+    parser.add_argument(
+        "--model",
+        dest="effective_mass_model",
+        choices=[model.value for model in MassModel],
+        help="effective mass behind the verdict (default: lumped)",
+    )
+
+
+def add_limits(parser: argparse.ArgumentParser) -> None:
+    """Add --region and --contact."""
+    parser.add_argument(
+        "--region",
+        dest="body_regions",
+        action="append",
+        metavar="NAME",
+        help="body region that can be hit; may be given several times (default: all with a limit)",
+    )
+    parser.add_argument(
+        "--contact", choices=[contact.value for contact in Contact], help="kind of contact (default: transient)"
+    )
+
+
+def add_topic(parser: argparse.ArgumentParser) -> None:
+    """Add --topic."""
+    parser.add_argument("--topic", help="topic of the joint states (default: joint_states, or the only one)")
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add --json."""
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Add --force."""
+    parser.add_argument("--force", action="store_true", help="replace output that exists already")
+
+
+def settings_from(args: argparse.Namespace, **more: Any) -> MonitorSettings:  # noqa: ANN401 - any setting
+    """Return the settings of --params with the other options over them. Raises SettingsError."""
+    settings = load_settings(args.params) if args.params else MonitorSettings()
+    given = {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | more
+    changes = {name: value for name, value in given.items() if value is not None}
+    return checked({**settings.model_dump(), **changes}, "options")
+
+
+def robot_path(settings: MonitorSettings) -> Path:
+    """Return the robot file that `settings` mean."""
+    return Path(settings.robot) if settings.robot else share("config", "omron_i4_550l.yaml")
+
+
+def arm_from(settings: MonitorSettings) -> Arm:
+    """Return the robot that `settings` mean, with its models. Raises RobotError."""
+    from scara_effmass.model.arm import Arm  # noqa: PLC0415 - not needed for --help
+    from scara_effmass.model.load import load_robot  # noqa: PLC0415
+
+    return Arm(load_robot(robot_path(settings), settings))
+
+
+def printer() -> Console:
+    """Return the console for results."""
+    return Console(highlight=False, markup=False, soft_wrap=True, width=None if sys.stdout.isatty() else PIPE_WIDTH)

@@ -1,0 +1,55 @@
+"""A summary in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from scara_effmass.values import Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from scara_effmass.analysis.summary import Summary, Tightest
+
+REASONS_SHOWN = 5
+
+
+def summary_lines(summary: Summary) -> Iterator[tuple[str, str]]:
+    """Yield subject and text, line by line."""
+    cycles = sum(summary.cycles.values())
+    total_ns = sum(summary.time_ns.values())
+    for verdict in (Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN):
+        if count := summary.cycles[verdict]:
+            seconds = summary.time_ns[verdict] / 1e9
+            share = summary.time_ns[verdict] / total_ns if total_ns else count / cycles
+            yield verdict.name, f"{count} cycles, {seconds:.2f} s ({share:.1%})"
+    if summary.gaps:
+        yield "gaps", f"{summary.gaps} longer than the timeout, the longest {summary.longest_gap_ns / 1e9:.3f} s"
+    if summary.tightest is not None:
+        yield from _tightest(summary.tightest)
+    reasons = summary.reasons.most_common()
+    for reason, count in reasons[:REASONS_SHOWN]:
+        yield "UNKNOWN because", f"{reason} ({count} cycles)"
+    if reasons[REASONS_SHOWN:]:
+        yield "UNKNOWN because", f"{len(reasons) - REASONS_SHOWN} other reasons (--json lists them)"
+
+
+def _tightest(tightest: Tightest) -> Iterator[tuple[str, str]]:
+    contact = tightest.contact
+    yield (
+        "tightest margin",
+        f"{contact.margin:+.3f} m/s ({contact.verdict.name}): {contact.speed:.3f} m/s where "
+        f"{contact.allowable_speed:.3f} m/s is allowable",
+    )
+    where = f"{contact.contact_point} at stamp {contact.stamp_ns / 1e9:.3f} s"
+    if tightest.source:
+        where += f" in {tightest.source}"
+    yield "  where", where
+    if tightest.positions:
+        yield "  pose", ", ".join(f"{name} {position:.3f}" for name, position in tightest.positions.items())
+    direction = ", ".join(f"{each:.2f}" for each in contact.direction)
+    heading = "in its worst direction" if contact.worst_direction_used else f"along ({direction})"
+    yield (
+        "  why",
+        f"{contact.criterion} limit of {contact.body_region}; {contact.effective_mass:.3g} kg {heading}",
+    )

@@ -1,0 +1,84 @@
+"""Robots for the tests of the model: the shipped file, variations of it, and small URDFs."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import yaml
+
+from scara_effmass.model.arm import Arm, Presented
+from scara_effmass.model.dh import load_dh
+from scara_effmass.model.urdf import parse_urdf
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike
+
+    from scara_effmass.model.robot import Robot
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+OMRON = REPOSITORY / "config" / "omron_i4_550l.yaml"
+RECORDED_URDFS = REPOSITORY.parent / "shared" / "recordings" / "urdf"
+
+
+@pytest.fixture(scope="session")
+def omron() -> Robot:
+    return load_dh(OMRON)
+
+
+@pytest.fixture(scope="session")
+def omron_arm(omron: Robot) -> Arm:
+    return Arm(omron)
+
+
+@pytest.fixture
+def omron_rows() -> dict[str, Any]:
+    """Return the shipped file's content, to be varied."""
+    rows: dict[str, Any] = copy.deepcopy(yaml.safe_load(OMRON.read_text()))
+    return rows
+
+
+@pytest.fixture
+def from_rows(tmp_path: Path) -> Callable[[object], Robot]:
+    """Write a DH file and load it."""
+
+    def load(rows: object) -> Robot:
+        path = tmp_path / "robot.yaml"
+        path.write_text(yaml.safe_dump(rows, sort_keys=False), encoding="utf-8")
+        return load_dh(path)
+
+    return load
+
+
+@pytest.fixture(scope="session")
+def along() -> Callable[..., Presented]:
+    """Ask an arm for the masses along `n`, by moving its first contact point that way."""
+
+    def ask(arm: Arm, q: ArrayLike, n: ArrayLike) -> Presented:
+        q = np.asarray(q, dtype=float)
+        frame = next(iter(arm.robot.contact_frames.values()))
+        qd = np.linalg.pinv(arm.jacobian(q, frame)) @ np.asarray(n, dtype=float)
+        (presented,) = arm.presented(q, qd, 1e-6)
+        assert np.allclose(presented.direction, np.asarray(n) / np.linalg.norm(n), atol=1e-6)
+        return presented
+
+    return ask
+
+
+@pytest.fixture(scope="session")
+def recorded() -> Callable[..., Robot]:
+    """Load a recorded URDF with the monitor's default of locked joints, or skip."""
+
+    def load(name: str, **options: Any) -> Robot:
+        path = RECORDED_URDFS / name
+        if not path.exists():
+            pytest.skip(f"{path} is not here")
+        options.setdefault("locked_joints", ("*gripper*", "*finger*"))
+        return parse_urdf(path.read_text(encoding="utf-8"), name, **options)
+
+    return load

@@ -1,0 +1,248 @@
+"""The two-mass construction: what it covers, what it refuses, and that it never refuses silently."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from scara_effmass.errors import RobotError
+from scara_effmass.model.arm import Arm
+from scara_effmass.model.closed_form import lumped_mass
+from scara_effmass.model.lumping import LumpedModel, is_scara, lump
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from scara_effmass.model.arm import Presented
+    from scara_effmass.model.robot import Robot
+
+one_file_many_robots = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def centres_kept(lumped: LumpedModel, robot: Robot) -> bool:
+    return all(
+        np.allclose(link.kappa1 * np.array(link.point1) + link.kappa2 * np.array(link.point2), body.lever, atol=1e-4)
+        for link, body in zip(lumped.links, list(robot.model.inertias)[1:], strict=True)
+    )
+
+
+def test_structure_of_table_2(omron_arm: Arm) -> None:
+    lumped = omron_arm.lumped
+    assert lumped is not None
+    assert [link.kappa2 for link in lumped.links] == pytest.approx([0.08029 / 0.275, 0.05775 / 0.275, 0.5, 0.5])
+    assert all(link.on_axes for link in lumped.links)
+    assert lumped.massless == (3,)
+    assert is_scara(omron_arm.robot)
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_heights_are_measured_along_each_axis(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], end: int
+) -> None:
+    omron_rows["links"][end]["com"][2] = 0.05
+    link = lump(from_rows(omron_rows)).links[end]
+    # The axis after link 2 points the other way (alpha = pi), as the paper's q3 does.
+    assert (link.height1, link.height2) == pytest.approx((0.05, -0.05 if end else 0.05))
+
+
+class TestCentreOfMassOutsideTheSlab:
+    """A counterweight behind the joint: kappa2 < 0, or a mass beyond the next axis: kappa1 < 0."""
+
+    @one_file_many_robots
+    @given(x1=st.floats(-0.1, 0.5), x2=st.floats(-0.3, 0.5), mass=st.floats(0.1, 5.0))
+    def test_mass_matrix_is_positive_definite_or_refused(
+        self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], x1: float, x2: float, mass: float
+    ) -> None:
+        assume(max(abs(x1), abs(x2)) > 1e-6)  # else every centre of mass is a placeholder
+        omron_rows["links"][0]["com"][0], omron_rows["links"][1]["com"][0] = x1, x2
+        omron_rows["links"][1]["mass"] = mass
+        robot = from_rows(omron_rows)
+        m2 = 2.74 * x1 / 0.275 + mass * (1.0 - x2 / 0.275)
+        m3 = 0.55 + mass * x2 / 0.275
+        try:
+            lumped = lump(robot)
+        except RobotError as error:
+            assert m2 < 1e-6 or m3 < 1e-6  # noqa: PT017  a refusal has to have this cause
+            assert "slab" in str(error)
+            return
+        assert min(m2, m3) > -1e-12
+        assert lumped.planar_masses(robot) == pytest.approx((m2, m3), abs=1e-9)
+        assert centres_kept(lumped, robot)
+        data = lumped.model.createData()
+        for q2 in (0.0, 1e-3, 0.3, 1.5):
+            matrix = pin.crba(lumped.model, data, np.array([0.2, q2, 0.1, 0.0]))
+            assert np.linalg.eigvalsh(matrix)[0] > -1e-12
+
+    def test_refusal_near_the_stretched_pose_alone(
+        self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+    ) -> None:
+        # M2 = -1e-4 kg: M(q) is indefinite only for |q2| below half a degree, where no sample lies.
+        omron_rows["links"][0]["com"][0] = -(2.0 * (1.0 - 0.05775 / 0.275) + 1e-4) * 0.275 / 2.74
+        arm = Arm(from_rows(omron_rows))
+        assert arm.lumped is None
+        assert "axis 2 would be -0.0001 kg: the centre of mass lies outside the slab" in arm.lumped_reason
+        assert "joint1" in arm.lumped_reason
+        (presented,) = arm.presented(np.array([0.2, 0.0, 0.1, 0.0]), np.ones(4), 0.005)
+        assert math.isnan(presented.lumped)
+        assert presented.full > 0.0
+
+    def test_counterweight_on_the_forearm_is_carried_by_the_coaxial_tool(
+        self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], along: Callable[..., Presented]
+    ) -> None:
+        omron_rows["links"][1]["com"][0] = -0.03
+        robot = from_rows(omron_rows)
+        arm = Arm(robot)
+        assert arm.lumped is not None
+        assert arm.lumped.aggregated[2] < 0.0
+        m2, m3 = arm.lumped.planar_masses(robot)
+        presented = along(arm, [0.4, 1.2, 0.1, 0.0], [0.6, 0.8, 0.0])
+        assert presented.lumped == pytest.approx(float(lumped_mass(0.4, 1.2, math.atan2(0.8, 0.6), m2, m3)), rel=1e-9)
+
+
+class TestCentreOfMassBesideThePlaneOfTheAxes:
+    def test_of_two_revolute_joints_is_refused_in_millimetres(
+        self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+    ) -> None:
+        omron_rows["links"][0]["com"][1] = 0.0123
+        with pytest.raises(RobotError, match=r"behind joint1: .* by 12\.3 mm"):
+            lump(from_rows(omron_rows))
+
+    def test_of_a_coaxial_tool_is_refused(self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> None:
+        omron_rows["payload"]["com"] = [0.05, 0.0, 0.0]
+        with pytest.raises(RobotError, match=r"behind joint4: .* by 35\.7 mm"):
+            lump(from_rows(omron_rows))
+
+    @pytest.mark.parametrize("link", [1, 2], ids=["before the slide", "on the slide"])
+    def test_of_a_prismatic_joint_moves_that_axis(
+        self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], link: int
+    ) -> None:
+        omron_rows["links"][link]["com"][1] = 0.02
+        robot = from_rows(omron_rows)
+        lumped = lump(robot)
+        assert [entry.on_axes for entry in lumped.links].index(False) == link
+        assert centres_kept(lumped, robot)
+        with pytest.raises(RobotError, match=r"robot\.yaml: .*misses the plane"):
+            lumped.planar_masses(robot)
+
+    def test_slide_through_the_centre_of_mass_is_one_mass_there(
+        self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+    ) -> None:
+        omron_rows["links"][2]["com"] = [0.03, 0.02, 0.1]
+        link = lump(from_rows(omron_rows)).links[2]
+        assert (link.kappa1, link.kappa2) == (1.0, 0.0)
+        assert link.point1 == pytest.approx((0.03, 0.02, 0.1))
+
+    def test_axes_of_the_file_are_kept_where_they_do(self, omron_arm: Arm) -> None:
+        assert omron_arm.lumped is not None
+        assert omron_arm.lumped.links[1].point2 == pytest.approx((0.275, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("alpha", [0.01, -1.5707963, 3.0])
+def test_axes_that_are_not_parallel_are_refused(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], alpha: float
+) -> None:
+    omron_rows["joints"][0]["alpha"] = alpha
+    robot = from_rows(omron_rows)
+    with pytest.raises(RobotError, match="behind joint1: its axes are not parallel"):
+        lump(robot)
+    assert not is_scara(robot)
+
+
+def test_pi_written_as_3_14_is_parallel(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: Arm
+) -> None:
+    omron_rows["joints"][1]["alpha"] = 3.14
+    sloppy = Arm(from_rows(omron_rows))
+    for q in sloppy.robot.sample_configurations():
+        (exact,), (rough,) = (arm.presented(q, np.array([1.0, 0.3, 0.0, 0.0]), 0.0) for arm in (omron_arm, sloppy))
+        assert rough.lumped == pytest.approx(exact.lumped, rel=0.01)
+
+
+def test_recorded_scara_lumps_although_it_writes_pi_as_3_14(recorded: Callable[..., Robot]) -> None:
+    robot = recorded("scara_icube_tutorial.urdf.xacro")
+    assert lump(robot).aggregated == pytest.approx((0.75, 1.0, 0.85, 0.1), abs=1e-3)
+
+
+def test_six_axis_arm_is_refused(recorded: Callable[..., Robot]) -> None:
+    arm = Arm(recorded("ur5_robot.urdf"))
+    assert arm.lumped is None
+    assert "shoulder_pan_joint: its axes are not parallel" in arm.lumped_reason
+    assert arm.full_reason == ""
+
+
+def test_base_offset_and_turned_base_change_nothing(
+    omron_arm: Arm, along: Callable[..., Presented]
+) -> None:
+    q, n = np.array([0.4, 1.2, 0.1, 0.3]), np.array([0.6, 0.8, 0.0])
+    model = omron_arm.robot.model.copy()
+    base = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.9), np.array([1.0, 2.0, 3.0]))
+    model.jointPlacements[1] = base * model.jointPlacements[1]
+    moved = Arm(replace(omron_arm.robot, model=model))
+    here, there = along(omron_arm, q, n), along(moved, q, base.rotation @ n)
+    assert there.lumped == pytest.approx(here.lumped, rel=1e-9)
+    assert there.full == pytest.approx(here.full, rel=1e-9)
+    assert there.worst_lumped == pytest.approx(here.worst_lumped, rel=1e-9)
+
+
+
+
+@one_file_many_robots
+@given(
+    first=st.floats(0.05, 0.6), second=st.floats(0.05, 0.6), share1=st.floats(0.01, 0.99), share2=st.floats(0.01, 0.99)
+)
+def test_any_scara_is_its_planar_masses(
+    omron_rows: dict[str, Any],
+    from_rows: Callable[[object], Robot],
+    along: Callable[..., Presented],
+    first: float,
+    second: float,
+    share1: float,
+    share2: float,
+) -> None:
+    for row, link, length, share in zip(
+        omron_rows["joints"][:2], omron_rows["links"][:2], (first, second), (share1, share2), strict=True
+    ):
+        row["a"], link["com"][0] = length, share * length
+    robot = from_rows(omron_rows)
+    arm = Arm(robot)
+    assert arm.lumped is not None
+    m2, m3 = arm.lumped.planar_masses(robot)
+    assert m2 == pytest.approx(2.74 * share1 + 2.0 * (1.0 - share2))
+    assert m3 == pytest.approx(2.0 * share2 + 0.55)
+    q1, q2, phi = 0.4, 1.2, 0.9
+    assume(abs(math.sin(q2)) > 0.1)
+    presented = along(arm, [q1, q2, 0.1, 0.0], [math.cos(phi), math.sin(phi), 0.0])
+    assert presented.lumped == pytest.approx(float(lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
+
+
+def test_robot_that_is_no_scara_has_no_planar_masses(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+) -> None:
+    omron_rows["joints"], omron_rows["links"] = omron_rows["joints"][:3], omron_rows["links"][:3]
+    robot = from_rows(omron_rows)
+    assert not is_scara(robot)
+    with pytest.raises(RobotError, match=r"robot\.yaml: omron_i4_550l is no SCARA"):
+        lump(robot).planar_masses(robot)
+
+
+def test_masses_are_needed_but_inertias_are_not(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: Arm
+) -> None:
+    for body in (*omron_rows["links"], omron_rows["payload"]):
+        del body["inertia"]
+    arm = Arm(from_rows(omron_rows))
+    assert arm.full_reason == "the file gives no inertia tensors"
+    assert omron_arm.lumped is not None
+    assert arm.lumped is not None
+    assert arm.lumped.aggregated == omron_arm.lumped.aggregated
+    (presented,) = arm.presented(np.array([0.4, 1.2, 0.1, 0.3]), np.ones(4), 0.005)
+    assert math.isnan(presented.full)
+    assert math.isnan(presented.worst_full)
+    assert math.isfinite(presented.lumped)

@@ -1,0 +1,196 @@
+"""Every number that the paper prints of the Omron i4-550L, out of the shipped file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from scara_effmass.model.closed_form import ScaraInertia, full_mass, largest_lumped_mass, lumped_mass
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from scara_effmass.model.arm import Arm, Presented
+    from scara_effmass.model.robot import Robot
+    from scara_effmass.values import FloatArray
+
+M2, M3, M_R = 2.38, 0.97, 2.77
+OBSTACLES = (0.50, 2.39, 3.72, 7.35)
+Q1_RANGE, Q2_RANGE = np.radians(136.0), np.radians(148.0)
+FITTED = ScaraInertia(
+    l1=0.275, l2=0.275, m1=2.74, m2=2.00, m3=0.20, m4=0.35, r1=0.08029, r2=0.05775, i1=0.02952, i2=0.02272, i3=1e-4, i4=4e-4
+)
+
+q1_values = st.floats(-Q1_RANGE, Q1_RANGE)
+q2_values = st.floats(-Q2_RANGE, Q2_RANGE)
+directions = st.floats(-np.pi, np.pi)
+
+
+def cell_centres(lower: float, upper: float, count: int) -> FloatArray:
+    return np.asarray(lower + (np.arange(count) + 0.5) * (upper - lower) / count)
+
+
+def right_arm_grid(count: int) -> tuple[FloatArray, FloatArray]:
+    q1, q2 = np.meshgrid(cell_centres(-Q1_RANGE, Q1_RANGE, count), cell_centres(0.0, Q2_RANGE, count), indexing="ij")
+    return q1, q2
+
+
+def reduced(mass: FloatArray, obstacle: float) -> FloatArray:
+    return np.asarray(1.0 / (1.0 / mass + 1.0 / obstacle))
+
+
+def placed(x: float, y: float, elbow: float) -> tuple[float, float]:
+    """Joint angles of a 0.275 m + 0.275 m arm at (x, y); `elbow` is the sign of q2: +1 is the right arm."""
+    q2 = elbow * np.arccos((x * x + y * y) / (2.0 * 0.275**2) - 1.0)
+    return float(np.arctan2(y, x) - q2 / 2.0), float(q2)
+
+
+def test_equivalent_masses_come_out_of_the_construction(omron: Robot, omron_arm: Arm) -> None:
+    assert omron_arm.lumped is not None
+    m2, m3 = omron_arm.lumped.planar_masses(omron)
+    assert m2 == pytest.approx(M2, abs=0.005)
+    assert m3 == pytest.approx(M3, abs=0.005)
+    assert len(omron_arm.lumped.aggregated) == 5
+    assert omron_arm.lumped.aggregated[0] == pytest.approx(1.94, abs=0.005)
+    assert sum(omron_arm.lumped.aggregated) == pytest.approx(omron.moving_mass + omron.payload_mass, rel=1e-12)
+
+
+def test_standard_mass(omron: Robot) -> None:
+    assert omron.moving_mass == pytest.approx(5.04)
+    assert omron.iso_mass == pytest.approx(M_R, abs=0.005)
+
+
+@pytest.mark.parametrize(("obstacle", "mu"), [(0.50, 0.42), (2.39, 1.28), (3.72, 1.59), (7.35, 2.01)])
+def test_reduced_mass_of_the_standard(omron: Robot, obstacle: float, mu: float) -> None:
+    assert reduced(np.array(omron.iso_mass), obstacle) == pytest.approx(mu, abs=0.0051)
+
+
+@given(q1=q1_values, q2=q2_values, phi=directions)
+def test_matrix_path_gives_eqs_27_and_28(
+    omron: Robot, omron_arm: Arm, along: Callable[..., Presented], q1: float, q2: float, phi: float
+) -> None:
+    assume(abs(np.sin(q2)) > 1e-3)
+    assert omron_arm.lumped is not None
+    presented = along(omron_arm, [q1, q2, 0.1, 0.3], [np.cos(phi), np.sin(phi), 0.0])
+    m2, m3 = omron_arm.lumped.planar_masses(omron)
+    assert presented.lumped == pytest.approx(float(lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
+    assert presented.full == pytest.approx(float(full_mass(q1, q2, phi, FITTED)), rel=1e-6)
+
+
+def test_matrix_path_gives_eqs_27_and_28_on_thousands_of_cases(
+    omron: Robot, omron_arm: Arm, along: Callable[..., Presented]
+) -> None:
+    assert omron_arm.lumped is not None
+    rng = np.random.default_rng(15066)
+    q1, q2, phi = rng.uniform(-1.0, 1.0, (3, 4000)) * np.array([[Q1_RANGE], [Q2_RANGE], [np.pi]])
+    q2 = np.where(np.abs(np.sin(q2)) > 1e-2, q2, 1.0)
+    states = [
+        along(omron_arm, [a, b, 0.2, c], [np.cos(c), np.sin(c), 0.0]) for a, b, c in zip(q1, q2, phi, strict=True)
+    ]
+    lumped = lumped_mass(q1, q2, phi, *omron_arm.lumped.planar_masses(omron))
+    np.testing.assert_allclose([s.lumped for s in states], lumped, rtol=1e-9)
+    np.testing.assert_allclose([s.full for s in states], full_mass(q1, q2, phi, FITTED), rtol=1e-9)
+
+
+@given(q1=q1_values, phi=directions)
+def test_smallest_mass_is_m3(q1: float, phi: float) -> None:
+    assume(abs(np.cos(q1 - phi)) > 1e-6)
+    assert lumped_mass(q1, -q1 + phi + np.pi / 2.0, phi, M2, M3) == pytest.approx(M3, rel=1e-12)
+
+
+@given(q1=q1_values, q2=q2_values, phi=directions)
+def test_no_mass_is_below_m3(q1: float, q2: float, phi: float) -> None:
+    assert lumped_mass(q1, q2, phi, M2, M3) >= M3 * (1.0 - 1e-12)
+
+
+@given(q2=q2_values, phi=directions)
+def test_largest_mass_is_eq_30(q2: float, phi: float) -> None:
+    assume(abs(np.sin(q2)) > 1e-3)
+    largest = largest_lumped_mass(q2, M2, M3)
+    assert largest >= M2 + M3 - 1e-12
+    assert lumped_mass(phi - q2, q2, phi, M2, M3) == pytest.approx(float(largest), rel=1e-6)
+
+
+def test_stretched_arm_is_infinitely_heavy_along_itself() -> None:
+    assert largest_lumped_mass(0.0, M2, M3) == np.inf
+    assert lumped_mass(0.0, 0.0, 0.0, M2, M3) == np.inf
+    assert full_mass(0.0, 0.0, 0.0, FITTED) == np.inf
+
+
+@given(q1=q1_values, q2=q2_values, phi=directions, turn=directions)
+def test_turning_robot_and_direction_changes_nothing(q1: float, q2: float, phi: float, turn: float) -> None:
+    assume(abs(np.sin(q2)) > 1e-2)
+    for law, parameters in ((lumped_mass, (M2, M3)), (full_mass, (FITTED,))):
+        mass = float(law(q1, q2, phi, *parameters))  # type: ignore[operator]
+        assert law(q1 + turn, q2, phi + turn, *parameters) == pytest.approx(mass, rel=1e-6)  # type: ignore[operator]
+        assert law(-q1, -q2, -phi, *parameters) == pytest.approx(mass, rel=1e-9)  # type: ignore[operator]
+        assert law(q1, q2, phi + np.pi, *parameters) == pytest.approx(mass, rel=1e-6)  # type: ignore[operator]
+
+
+def test_distribution_over_the_workspace_along_x() -> None:
+    q1, q2 = right_arm_grid(2000)
+    area = np.sin(q2)  # |d(x, y) / d(q1, q2)| = l1 l2 |sin q2|
+    mass = lumped_mass(q1, q2, 0.0, M2, M3)
+    assert np.average(mass < M_R, weights=area) == pytest.approx(0.709, abs=5e-4)
+    assert np.average(mass > M_R, weights=area) == pytest.approx(0.29, abs=5e-3)
+    assert np.average(mass, weights=area) == pytest.approx(2.359, abs=1e-3)
+    assert weighted_median(mass, area) == pytest.approx(1.7725, abs=2e-4)
+
+
+def test_distribution_over_the_workspace_along_y() -> None:
+    q1, q2 = right_arm_grid(2000)
+    mass = lumped_mass(q1, q2, np.pi / 2.0, M2, M3)
+    assert np.average(mass < M_R, weights=np.sin(q2)) == pytest.approx(0.773, abs=5e-4)
+    assert weighted_median(mass, np.sin(q2)) == pytest.approx(1.427, abs=1e-3)
+
+
+def test_distribution_has_its_two_peaks() -> None:
+    q1, q2 = right_arm_grid(1000)
+    density, edges = np.histogram(
+        lumped_mass(q1, q2, 0.0, M2, M3), bins=np.arange(M3 - 0.07, 6.0, 0.1), weights=np.sin(q2), density=True
+    )
+    inner = np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] > density[2:])) + 1
+    peaks = (edges[inner] + edges[inner + 1]) / 2.0
+    np.testing.assert_allclose(peaks, [1.0, 3.35], atol=0.1)
+
+
+def test_errors_of_the_simplified_model_on_the_grid_of_50_by_50() -> None:
+    q1, q2 = right_arm_grid(50)
+    simplified, full = lumped_mass(q1, q2, 0.0, M2, M3), full_mass(q1, q2, 0.0, FITTED)
+    error = np.abs(full - simplified) / full
+    assert error.max() == pytest.approx(0.1004, abs=1e-4)
+    assert np.percentile(error, 75) == pytest.approx(0.0488, abs=1e-4)
+    assert np.all(simplified > full)
+    for obstacle, worst in zip(OBSTACLES, (0.0118, 0.0285, 0.0349, 0.0459), strict=True):
+        mu = reduced(full, obstacle)
+        assert (np.abs(mu - reduced(simplified, obstacle)) / mu).max() == pytest.approx(worst, abs=1e-4)
+
+
+def test_impact_point_of_figure_17(omron_arm: Arm, along: Callable[..., Presented]) -> None:
+    q1, q2 = placed(0.3, 0.2, elbow=1.0)
+    assert np.degrees([q1, q2]) == pytest.approx([-15.35, 98.08], abs=0.005)
+    right = along(omron_arm, [q1, q2, 0.0, 0.0], [1.0, 0.0, 0.0])
+    left = along(omron_arm, [*placed(0.3, 0.2, elbow=-1.0), 0.0, 0.0], [1.0, 0.0, 0.0])
+    assert right.lumped == pytest.approx(0.981, abs=5e-4)
+    assert left.lumped == pytest.approx(2.891, abs=5e-4)
+    mu = [reduced(np.array(right.lumped), obstacle) for obstacle in OBSTACLES]
+    assert np.sqrt(mu) == pytest.approx([0.576, 0.834, 0.881, 0.930], abs=5.1e-4)
+
+
+@pytest.mark.parametrize(("y", "mass"), [(0.2, 0.981), (0.0, 1.247), (-0.2, 2.891)])
+def test_three_points_that_span_the_range(y: float, mass: float) -> None:
+    assert lumped_mass(*placed(0.3, y, elbow=1.0), 0.0, M2, M3) == pytest.approx(mass, abs=5e-4)
+
+
+def test_reduced_mass_tends_to_the_obstacle() -> None:
+    assert reduced(np.array(np.inf), 2.39) == 2.39
+
+
+def weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    order = np.argsort(values, axis=None)
+    share = np.cumsum(weights.ravel()[order])
+    return float(values.ravel()[order][np.searchsorted(share, share[-1] / 2.0)])

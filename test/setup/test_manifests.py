@@ -1,0 +1,80 @@
+"""The ROS manifests against what the code and the messages really use."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+MESSAGES = sorted((ROOT / "msg_schemas/msg").glob("*.msg"))
+
+ROSDEP_KEYS = {
+    "matplotlib": "python3-matplotlib",
+    "numpy": "python3-numpy",
+    "pinocchio": "pinocchio",
+    "rich": "python3-rich",
+    "yaml": "python3-yaml",
+}
+"""The keys that Jazzy's rosdep resolves to a version this code runs with."""
+
+PIP_ONLY = {"mcap", "pyarrow", "pydantic", "rosbags"}
+"""Not packaged for Ubuntu 24.04, or too old there; package.xml says so in a comment."""
+
+
+def dependencies(path: Path) -> set[str]:
+    """Return all packages that a manifest depends on in any way."""
+    root = ET.parse(path).getroot()
+    return {str(element.text) for element in root if element.tag.endswith("depend")}
+
+
+def imported_packages(folder: Path) -> set[str]:
+    names: set[str] = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                names.add(node.module.partition(".")[0])
+    return names
+
+
+def is_ros(name: str) -> bool:
+    return name.endswith(("_msgs", "_interfaces")) or name in {"rclpy", "std_srvs", "launch", "launch_ros"}
+
+
+def test_the_ros_packages_that_are_imported_are_named_and_no_others() -> None:
+    imported = imported_packages(ROOT / "scara_effmass") | imported_packages(ROOT / "launch")
+    named = dependencies(ROOT / "package.xml")
+    assert {name for name in imported if is_ros(name)} == {name for name in named if is_ros(name)}
+
+
+def test_the_libraries_that_are_imported_are_named_or_known_to_have_no_key() -> None:
+    imported = imported_packages(ROOT / "scara_effmass")
+    named = dependencies(ROOT / "package.xml")
+    assert {ROSDEP_KEYS[name] for name in imported & ROSDEP_KEYS.keys()} <= named
+    manifest = (ROOT / "package.xml").read_text(encoding="utf-8")
+    for name in imported & PIP_ONLY:
+        assert name in manifest
+        assert not any(name in key for key in named), f"{name} has no rosdep key that works on Jazzy"
+
+
+def test_the_message_package_names_the_packages_of_its_fields() -> None:
+    text = "".join(path.read_text(encoding="utf-8") for path in MESSAGES)
+    used = set(re.findall(r"^(\w+)/\w+ ", text, re.MULTILINE))
+    assert used == {name for name in dependencies(ROOT / "msg_schemas/package.xml") if name.endswith("_msgs")}
+
+
+@pytest.mark.parametrize("path", MESSAGES, ids=lambda path: path.stem)
+def test_every_message_is_built(path: Path) -> None:
+    assert f"msg/{path.name}\n" in (ROOT / "msg_schemas/CMakeLists.txt").read_text(encoding="utf-8")
+
+
+def test_every_executable_is_installed_where_ros_looks() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    executables = set(re.findall(r"^(\w+_node) = ", text, re.MULTILINE))
+    assert executables
+    assert executables == set(re.findall(r"/lib/scara_effmass/(\w+)\"", text))

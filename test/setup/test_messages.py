@@ -1,0 +1,66 @@
+"""The compiled messages are those of `msg_schemas/msg`, and what the contract promises."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import rclpy
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rclpy.node import Node
+
+SCHEMAS = Path(__file__).parents[2] / "msg_schemas/msg"
+
+CONTRACT = {
+    "ContactState": (
+        "header contact_point direction speed effective_mass lumped_mass full_mass iso_mass worst_direction_mass "
+        "obstacle_mass reduced_mass stiffness predicted_force allowable_speed margin body_region criterion verdict "
+        "reason input_age worst_direction_used mass_capped smallest_singular_value"
+    ),
+    "ForceBlock": ("header first_sample sample_rate force lost_samples saturated clock_residual filter_delay source"),
+    "Impact": "header peak_force duration impulse onset_sample clipped",
+    "ImpactValidation": (
+        "header predicted_force measured_force relative_error effective_mass reduced_mass speed stiffness conservative "
+        "count correlation fitted_stiffness bias rmse non_conservative accepted reason"
+    ),
+}
+
+
+def message(name: str) -> Any:
+    return getattr(importlib.import_module("scara_effmass_msgs.msg"), name)
+
+
+@pytest.mark.parametrize("name", CONTRACT)
+def test_fields_are_those_of_the_contract(name: str) -> None:
+    assert list(message(name).get_fields_and_field_types()) == CONTRACT[name].split()
+
+
+def test_every_message_is_in_the_contract() -> None:
+    assert {path.stem for path in SCHEMAS.glob("*.msg")} == set(CONTRACT)
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("type_hashes", context=context)
+    yield node
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+@pytest.mark.parametrize("name", CONTRACT)
+def test_the_schemas_hash_to_what_the_type_support_announces(node: Node, name: str) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for path in SCHEMAS.glob("*.msg"):
+        store.register(get_types_from_msg(path.read_text(encoding="utf-8"), f"scara_effmass_msgs/msg/{path.stem}"))
+    publisher = node.create_publisher(message(name), name, 1)
+    (endpoint,) = node.get_publishers_info_by_topic(publisher.topic_name)
+    announced = endpoint.topic_type_hash
+    assert store.hash_rihs01(f"scara_effmass_msgs/msg/{name}") == str(announced)

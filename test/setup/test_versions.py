@@ -1,0 +1,97 @@
+"""One version, one description, and a lock that fits what is asked for."""
+
+from __future__ import annotations
+
+import re
+import sys
+from importlib.metadata import metadata, version
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import pytest
+from packaging.requirements import Requirement
+
+import scara_effmass
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).parents[2]
+PYTHONS = ("3.10", "3.11", "3.12", "3.13")
+
+
+def manifest(path: str) -> ET.Element:
+    return ET.parse(ROOT / path).getroot()
+
+
+def project() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def direct_requirements(*extras: str) -> list[str]:
+    table = project()["project"]
+    return [*table["dependencies"], *(text for extra in extras for text in table["optional-dependencies"][extra])]
+
+
+def locked(python: str, name: str) -> dict[str, str]:
+    """Return the versions that lock file `name` installs on a Python, by package."""
+    lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
+    requirements = [Requirement(line) for line in lines if line and not line.startswith("#")]
+    environment = {"python_version": python, "python_full_version": f"{python}.0", "sys_platform": "linux"}
+    found: dict[str, str] = {}
+    for requirement in requirements:
+        if requirement.marker is None or requirement.marker.evaluate(environment):
+            assert requirement.name not in found, f"{requirement.name} twice on Python {python}"
+            found[requirement.name] = str(requirement.specifier).removeprefix("==")
+    return found
+
+
+def test_both_packages_have_the_installed_version() -> None:
+    assert manifest("package.xml").findtext("version") == version("scara_effmass") == scara_effmass.__version__
+    assert manifest("msg_schemas/package.xml").findtext("version") == version("scara_effmass")
+
+
+def test_description_comes_from_the_manifest() -> None:
+    assert metadata("scara_effmass")["Summary"] == manifest("package.xml").findtext("description")
+
+
+def test_changelog_has_the_version() -> None:
+    assert f"\n## {version('scara_effmass')}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.parametrize(
+    ("lock", "extras", "groups"),
+    [("requirements.lock", ["dev"], ["build"]), ("requirements-colcon.lock", [], ["build", "colcon"])],
+)
+def test_the_lock_holds_all_that_is_required(python: str, lock: str, extras: list[str], groups: list[str]) -> None:
+    versions = locked(python, lock)
+    table = project()
+    wanted = [*direct_requirements(*extras), *table["build-system"]["requires"]]
+    for text in wanted + [text for group in groups for text in table["dependency-groups"][group]]:
+        requirement = Requirement(text)
+        name = re.sub(r"[-_.]+", "-", requirement.name).lower()
+        assert requirement.specifier.contains(versions[name]), f"{lock}: {name} {versions[name]}, wanted {text}"
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+def test_the_two_locks_agree(python: str) -> None:
+    tests, colcon = locked(python, "requirements.lock"), locked(python, "requirements-colcon.lock")
+    assert {name: colcon[name] for name in tests.keys() & colcon} == {
+        name: tests[name] for name in tests.keys() & colcon
+    }
+
+
+def test_the_locks_name_no_host_and_no_path() -> None:
+    for path in ROOT.glob("requirements*.lock"):
+        text = path.read_text(encoding="utf-8")
+        assert not re.search(r"://|@ |^-|^/", text, re.MULTILINE), path.name
+
+
+@pytest.mark.parametrize("requirement", direct_requirements())
+def test_every_direct_dependency_has_its_reason(requirement: str) -> None:
+    name = Requirement(requirement).name
+    assert re.search(rf"\b{re.escape(name)}\b", (ROOT / "docs/decisions.md").read_text(encoding="utf-8"), re.IGNORECASE)
