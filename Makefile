@@ -35,7 +35,7 @@ lint: setup  ## ruff and mypy
 	$(BIN)/mypy
 
 bench: setup  ## time the core, the live monitor and the bag reader
-	$(BIN)/python bench/run.py
+	$(BIN)/python benchmarks/run.py
 
 colcon: .venv-colcon/.requirements  ## build the tree as a ROS workspace and check what it installs
 	scripts/check_colcon.sh .venv-colcon build/colcon
@@ -57,7 +57,7 @@ clean:  ## remove everything that was made
 	rm -rf $* && \
 	echo "making $* with $$($$python --version); this takes a minute or two" && \
 	$$python -m venv $* && \
-	$*/bin/python -m pip install --quiet --no-deps --no-compile --requirement $< && \
+	$*/bin/python -m pip install --quiet --no-deps --no-compile --use-pep517 --requirement $< && \
 	touch $@
 
 .venv/.installed: .venv/.requirements pyproject.toml package.xml $(shell find cmake msg_schemas scripts/ros_executable -type f)

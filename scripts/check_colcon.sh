@@ -31,20 +31,33 @@ check() (
     set +u  # the set-up files of a workspace read variables that may be unset
     . "$work/install/local_setup.sh"
     cd /
-    python - "$work" <<'PYTHON'
+    ROS_DOMAIN_ID=$((100 + $$ % 100)) python - "$prefix/lib/scara_effmass/monitor_node" <<'PYTHON'
+import signal
+import subprocess
 import sys
+import time
 
-import scara_effmass
+import rclpy
 from rclpy.serialization import deserialize_message, serialize_message
 from scara_effmass.share import share
 from scara_effmass_msgs.msg import ContactState
 
 state = deserialize_message(serialize_message(ContactState(speed=0.25)), ContactState)
 assert state.speed == 0.25, state
-for path in (ContactState.__module__, scara_effmass.__file__, str(share("config"))):
-    print(f"colcon: {path}")
+assert share("config", "omron_i4_550l.yaml").is_file()
+
+rclpy.init()
+node = rclpy.create_node("colcon_check")
+with subprocess.Popen([sys.argv[1]]) as monitor:
+    deadline = time.monotonic() + 30.0
+    while len(node.get_node_names()) < 2 and monitor.poll() is None and time.monotonic() < deadline:
+        rclpy.spin_once(node, timeout_sec=0.1)
+    names = node.get_node_names()
+    monitor.send_signal(signal.SIGINT)
+assert len(names) == 2, f"monitor_node did not appear, there are only {names}"
+assert monitor.returncode == 0, f"monitor_node ended with {monitor.returncode}"
+rclpy.shutdown()
 PYTHON
-    "$prefix/lib/scara_effmass/monitor_node" --help > /dev/null
 )
 
 mkdir -p "$(dirname "$work")"

@@ -18,13 +18,13 @@ python=
 seen=
 for candidate in ${wanted:-python3 python3.12 python3.11 python3.13 python3.10}; do
     found=$("$candidate" -c "$version" 2>/dev/null) || continue
-    seen="$seen $candidate is $found;"
+    seen="${seen:+$seen, }$candidate is $found"
     case $found in
         3.10 | 3.11 | 3.12 | 3.13) python=$candidate && break ;;
     esac
 done
 [ -n "$python" ] ||
-    refuse "Python 3.10 to 3.13 is needed (${seen:- no ${wanted:-python3} found;} choose one with 'make PYTHON=python3.12')"
+    refuse "Python 3.10 to 3.13 is needed (${seen:-no ${wanted:-python3} found}; choose one with 'make PYTHON=python3.12')"
 
 "$python" -c 'import ensurepip, venv' 2>/dev/null ||
     refuse "$python has no venv module: install it (Debian, Ubuntu: apt install python3-venv)"

@@ -11,7 +11,7 @@ from scara_effmass.errors import BagError, DecodeError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from scara_effmass.bag_io.bag import Bag
+    from scara_effmass.bag_io.bag import Bag, RawMessage
     from scara_effmass.safety import Monitor
     from scara_effmass.values import Decision, JointState
 
@@ -58,9 +58,12 @@ def cycles(bag: Bag, topic: str, monitor: Monitor) -> Iterator[Cycle]:
     check_joint_state(bag.types, str(bag.path))
     decoder = JointStateDecoder()
     for message in bag.messages([topic]):
-        try:
-            state = decoder.decode(message.data)
-        except DecodeError as error:
-            yield Cycle(message.log_time_ns, None, monitor.refuse(str(error)))
-        else:
-            yield Cycle(message.log_time_ns, state, monitor.assess(state, message.log_time_ns))
+        yield _cycle(message, decoder, monitor)
+
+
+def _cycle(message: RawMessage, decoder: JointStateDecoder, monitor: Monitor) -> Cycle:
+    try:
+        state = decoder.decode(message.data)
+    except DecodeError as error:
+        return Cycle(message.log_time_ns, None, monitor.refuse(str(error)))
+    return Cycle(message.log_time_ns, state, monitor.assess(state, message.log_time_ns))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
@@ -28,16 +28,21 @@ FORMATS = (".png", ".svg")
 LARGEST_LINEAR_RATIO = 12.0
 """Masses further apart than this are drawn on a logarithmic axis."""
 
-_COLOURS = {
+_LOOKS: dict[Verdict, dict[str, Any]] = {
     # Okabe and Ito's palette, which the usual kinds of colour blindness can tell apart.
-    Verdict.OK: "#009E73",
-    Verdict.WARN: "#F0E442",
-    Verdict.VIOLATION: "#D55E00",
-    Verdict.UNKNOWN: "#DDDDDD",
+    Verdict.OK: {"facecolor": "#009E73", "linewidth": 0.0},
+    Verdict.WARN: {"facecolor": "#F0E442", "linewidth": 0.0},
+    Verdict.VIOLATION: {"facecolor": "#D55E00", "linewidth": 0.0},
+    Verdict.UNKNOWN: {"facecolor": "#DDDDDD", "hatch": "////", "edgecolor": "#777777", "linewidth": 0.0},
 }
-_HATCHES = {Verdict.UNKNOWN: "////"}
-_DRAWN_LAST = (Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN)
-_STYLE = {"font.size": 10.0, "axes.grid": True, "grid.alpha": 0.3, "hatch.linewidth": 0.6, "svg.hashsalt": "scara_effmass"}
+_ORDER = (Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN)
+_STYLE: dict[Any, Any] = {
+    "font.size": 10.0,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "hatch.linewidth": 0.6,
+    "svg.hashsalt": "scara_effmass",
+}
 
 
 def draw_run(course: Course, *, title: str, subtitle: str, mass_model: str, timeout: float) -> Figure:
@@ -58,7 +63,9 @@ def draw_run(course: Course, *, title: str, subtitle: str, mass_model: str, time
         for axes in (speeds, masses):
             for start, stop, verdict in verdict_spans(course, timeout):
                 if verdict is Verdict.UNKNOWN:
-                    axes.axvspan(start, stop, facecolor="none", edgecolor="#BBBBBB", hatch="////", linewidth=0.0, zorder=0)
+                    axes.axvspan(
+                        start, stop, facecolor="none", edgecolor="#BBBBBB", hatch="////", linewidth=0.0, zorder=0
+                    )
         figure.suptitle(f"{title}\n", fontsize=13.0, fontweight="bold", x=0.01, ha="left")
         figure.text(0.01, 0.94, subtitle, fontsize=9.5, color="#444444", va="center")
         figure.align_ylabels()
@@ -81,32 +88,35 @@ def _with_gaps(course: Course, timeout: float) -> Course:
     if not len(gaps):
         return course
     nothing = np.full(len(gaps), np.nan)
-    columns = (course.speed, course.allowable_speed, course.effective_mass, course.lumped_mass, course.full_mass, course.iso_mass)
+    columns = (
+        course.speed,
+        course.allowable_speed,
+        course.effective_mass,
+        course.lumped_mass,
+        course.full_mass,
+        course.iso_mass,
+    )
     return Course(
         np.insert(course.time, gaps, course.time[gaps - 1] + timeout),
+        np.insert(course.verdict, gaps, Verdict.UNKNOWN),
         *(np.insert(column, gaps, nothing) for column in columns),
-        verdict=np.insert(course.verdict, gaps, Verdict.UNKNOWN),
     )
 
 
 def _draw_verdicts(axes: Axes, course: Course, timeout: float) -> None:
     spans = verdict_spans(course, timeout)
     shortest = float(course.time[-1]) / COLUMNS
-    for verdict in _DRAWN_LAST:
+    for verdict in _ORDER:
         # A verdict of a single cycle is thinner than a pixel and would not be seen.
         bars = [(start, max(stop - start, shortest)) for start, stop, each in spans if each is verdict]
-        axes.broken_barh(
-            bars, (0.0, 1.0), facecolors=_COLOURS[verdict], hatch=_HATCHES.get(verdict), edgecolor="#777777", linewidth=0.0
-        )
+        look = _LOOKS[verdict]
+        axes.broken_barh(bars, (0.0, 1.0), **look)
     axes.set_ylim(0.0, 1.0)
     axes.set_yticks([])
     axes.grid(visible=False)
     axes.set_ylabel("verdict", rotation=0, ha="right", va="center")
-    seen = [verdict for verdict in _DRAWN_LAST if any(each is verdict for _, _, each in spans)]
-    patches = [
-        Patch(facecolor=_COLOURS[verdict], hatch=_HATCHES.get(verdict), edgecolor="#777777", linewidth=0.0, label=verdict.name)
-        for verdict in seen
-    ]
+    seen = [verdict for verdict in _ORDER if any(each is verdict for _, _, each in spans)]
+    patches = [Patch(label=verdict.name, **_LOOKS[verdict]) for verdict in seen]
     axes.legend(handles=patches, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, ncols=2)
 
 
@@ -122,18 +132,37 @@ def _draw_speeds(axes: Axes, course: Course) -> None:
 
 
 def _draw_masses(axes: Axes, course: Course, mass_model: str) -> None:
-    _line(axes, course, course.effective_mass, color="#E69F00", linewidth=4.0, alpha=0.6, label=f"used by the verdict ({mass_model})")
-    for values, label, color, style in (
-        (course.lumped_mass, "lumped", "#0072B2", "-"),
-        (course.full_mass, "full", "#000000", "--"),
-        (course.iso_mass, "ISO, M/2 + m_L", "#CC79A7", "-."),
+    for model, values, label, color, style in (
+        ("lumped", course.lumped_mass, "lumped model", "#0072B2", ":"),
+        ("full", course.full_mass, "full model", "#000000", "--"),
+        ("iso", course.iso_mass, "ISO, M/2 + m_L", "#CC79A7", "-."),
     ):
         if np.isfinite(values).any():
-            _line(axes, course, values, color=color, linestyle=style, linewidth=1.3, label=label)
-    drawn = np.concatenate([line.get_ydata() for line in axes.get_lines()])
+            decides = model == mass_model
+            _line(
+                axes,
+                course,
+                values,
+                color=color,
+                linestyle="-" if decides else style,
+                linewidth=2.2 if decides else 1.3,
+                label=f"{label} (decides)" if decides else label,
+            )
+    if mass_model == "largest":
+        _line(
+            axes,
+            course,
+            course.effective_mass,
+            color="#E69F00",
+            linewidth=4.0,
+            alpha=0.5,
+            label="larger of both (decides)",
+        )
+    drawn = np.concatenate([line.get_ydata() for line in axes.get_lines()] or [np.empty(0)])
     drawn = drawn[np.isfinite(drawn)]
     if len(drawn) and drawn.max() > LARGEST_LINEAR_RATIO * drawn.min():
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
     else:
         axes.set_ylim(bottom=0.0)
     axes.set_ylabel("effective mass [kg]")

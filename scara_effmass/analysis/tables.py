@@ -156,7 +156,9 @@ class _BagSink:
             name = re.sub(r"\W", "_", Path(bag).stem)
             self._topics[bag] = "/contact_state" if self._single else f"/bag_{len(self._topics)}_{name}/contact_state"
         for contact in contacts:
-            self._writer.write(self._topics[bag], CONTACT_STATE, log_time_ns, contact_state_message(contact, self._frame))
+            self._writer.write(
+                self._topics[bag], CONTACT_STATE, log_time_ns, contact_state_message(contact, self._frame)
+            )
 
 
 @contextmanager

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scara_effmass.values import NAN, Verdict
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from scara_effmass.values import ContactAssessment, FloatArray
 
 
@@ -20,13 +21,13 @@ class Course:
     """What was decided, over time (m,) since the first cycle [s]; NaN where nothing is known [m/s, kg]."""
 
     time: FloatArray
+    verdict: NDArray[np.int64]
     speed: FloatArray
     allowable_speed: FloatArray
     effective_mass: FloatArray
     lumped_mass: FloatArray
     full_mass: FloatArray
     iso_mass: FloatArray
-    verdict: NDArray[np.int64]
 
 
 class Trace:
@@ -61,7 +62,7 @@ class Trace:
         order = np.argsort(at_ns, kind="stable")
         at_ns = at_ns[order]
         columns = np.array(self._values).reshape(-1, 6)[order].T
-        return Course((at_ns - at_ns[:1]) / 1e9, *columns, verdict=np.array(self._verdicts)[order])
+        return Course((at_ns - at_ns[:1]) / 1e9, np.array(self._verdicts)[order], *columns)
 
 
 def thinned(time: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:

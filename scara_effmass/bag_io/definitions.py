@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rosbags.interfaces import MessageDefinitionFormat
-from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from scara_effmass.errors import BagError
 from scara_effmass.share import share
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import MessageDefinition
     from rosbags.interfaces.typing import Typesdict
-    from rosbags.typesys.store import Typestore
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 OWN_PACKAGE = "scara_effmass_msgs"
@@ -52,14 +52,14 @@ def types_of(definitions: Mapping[str, MessageDefinition], *, ros1: bool = False
     A definition that cannot be understood is left out: it must not keep anyone from reading the other topics.
     With `ros1`, the header is that of ROS 2, into which ROS 1 messages are converted.
     """
-    embedded: Typesdict = {}
-    for name, definition in definitions.items():
-        with suppress(TypesysError):
-            embedded |= _parsed(name, definition)
-    if ros1:
-        embedded.pop(HEADER, None)
-    store = get_typestore(Stores.EMPTY)
-    store.register(embedded)
+    store = Typestore()
+    # the first definition of a type stays: let that be the one the joint states came with
+    for name in sorted(definitions, key=lambda name: name != JOINT_STATE):
+        with suppress(Exception):
+            embedded = _parsed(name, definitions[name])
+            if ros1:
+                embedded.pop(HEADER, None)
+            store.register(embedded)
     known = known_types()
     for name in known.fielddefs.keys() - store.fielddefs.keys():
         store.fielddefs[name] = known.fielddefs[name]

@@ -37,6 +37,10 @@ LARGEST_RUN = 1 << 20
 """Bytes of message records outside chunks that are read at once."""
 
 
+NO_TIMES = (LATEST_NS, 0)
+"""First and last log time of a chunk without messages, as writers leave them."""
+
+
 class McapFile:
     """One file: where its segments are, and what its channels are called."""
 
@@ -52,8 +56,9 @@ class McapFile:
         magic = file.read(len(MAGIC))
         if magic != MAGIC:
             raise BagError(f"{path}: is {'empty' if not magic else 'no MCAP file'}; a recording in MCAP would be right")
+        self._times_hold = True
         complete = self._find_segments(file.seek(0, 2))
-        if not (complete and self._read_summary()):
+        if not (complete and self._times_hold and self._read_summary()):
             self._read_everything()
 
     def topic_and_type(self, channel: Channel) -> tuple[str, str]:
@@ -94,35 +99,32 @@ class McapFile:
     def _find_segments(self, size: int) -> bool:
         """Find the segments; return whether the data of the file is complete."""
         run: list[Record] = []
-        record = None
         for record in records(self._file, size):
-            cut = record.present < record.size
-            if run and (record.opcode != Opcode.MESSAGE or cut or record.at - run[0].at > LARGEST_RUN):
-                self._add_run(run)
-                run = []
-            if record.opcode == Opcode.DATA_END and not cut:
+            whole = record.present == record.size
+            if record.opcode == Opcode.MESSAGE and whole:
+                run.append(record)
+                if record.at - run[0].at > LARGEST_RUN:
+                    self._add_run(run)
+                continue
+            self._add_run(run)
+            if record.opcode == Opcode.DATA_END and whole:
                 return True
+            if record.opcode == 0:
+                self._losses.add(f"{self.path}: byte {record.at} on is no MCAP any more; what came there is lost")
+                return False
             if record.opcode == Opcode.CHUNK:
                 self._add_chunk(record)
-            if cut:
-                break
-            if record.opcode == Opcode.MESSAGE:
-                run.append(record)
-            elif record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+            elif record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL} and whole:
                 self._file.seek(record.at)
                 self._define(record.opcode, self._file.read(record.size))
-            elif record.opcode == 0:
-                break
-        if run:
-            self._add_run(run)
-        what = "is no MCAP record any more" if record and not record.opcode else "ends"
-        self._losses.add(
-            f"{self.path}: cut off: {what} at byte {record.at if record and not record.opcode else size}; "
-            "read up to there, what came later is lost"
-        )
+        self._add_run(run)
+        self._losses.add(f"{self.path}: cut off at byte {size}, without its end; what came later is lost")
         return False
 
     def _add_run(self, run: list[Record]) -> None:
+        """Make a segment of messages that stand one behind the other, and empty the list of them."""
+        if not run:
+            return
         times = []
         for record in run:
             self._file.seek(record.at + 6)
@@ -130,6 +132,7 @@ class McapFile:
         first = run[0].at - HEAD.size
         size = run[-1].at + run[-1].size - first
         self.segments.append(Segment(first, size, min(times), max(times), "", size, 0, cut=False))
+        run.clear()
 
     def _add_chunk(self, record: Record) -> None:
         try:
@@ -144,6 +147,9 @@ class McapFile:
             raise BagError(f"{self.path}: compression {segment.compression!r} is unknown; {known} can be read")
         if segment.start_ns <= segment.end_ns:
             self.segments.append(segment)
+        elif (segment.start_ns, segment.end_ns) != NO_TIMES:
+            self.segments.append(segment)
+            self._times_hold = False
 
     def _define(self, opcode: int, content: bytes) -> None:
         try:

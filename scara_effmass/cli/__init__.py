@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parsed.ros_arguments = ros_arguments
     elif ros_arguments:
         parser.error(f"{ros_arguments[0]}: ROS arguments are for the nodes; this command takes none")
-    signal.signal(signal.SIGTERM, _terminate)
+    before = signal.signal(signal.SIGTERM, _terminate)
     try:
         code: int = parsed.run(parsed)
         sys.stdout.flush()
@@ -61,6 +61,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         # What is left in the buffer has no reader: without this the interpreter complains when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
+    finally:
+        signal.signal(signal.SIGTERM, before)
     return code
 
 

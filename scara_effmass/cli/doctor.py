@@ -6,6 +6,7 @@ import json
 import math
 import os
 import platform
+from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -75,7 +76,9 @@ def run(args: argparse.Namespace) -> int:
         console.print_json(json.dumps(result, allow_nan=False))
     else:
         _show(findings, joints)
-        console.print("healthy: a monitor can run with this robot" if healthy else "not healthy: see what is wrong above")
+        console.print(
+            "healthy: a monitor can run with this robot" if healthy else "not healthy: see what is wrong above"
+        )
     return 0 if healthy else 1
 
 
@@ -88,21 +91,23 @@ def _installation() -> Iterator[Finding]:
         "pinocchio": lambda: str(import_module("pinocchio").__version__),
     }
     for subject, check in checks.items():
-        try:
-            yield Finding("ok", subject, check())
-        except Exception as error:  # noqa: BLE001 - whatever a broken installation raises is the finding
-            reason = " ".join(str(error).split()) or type(error).__name__
-            yield Finding("wrong", subject, f"cannot be used: {reason}; install scara_effmass again, or source ROS 2 Jazzy")
+        yield _examined(subject, check)
+
+
+def _examined(subject: str, check: Callable[[], str]) -> Finding:
+    try:
+        return Finding("ok", subject, check())
+    except Exception as error:  # noqa: BLE001 - whatever a broken installation raises is the finding
+        reason = " ".join(str(error).split()) or type(error).__name__
+        return Finding("wrong", subject, f"cannot be used: {reason}; install scara_effmass again, or source ROS 2")
 
 
 def _version(module: str, wheel: str) -> str:
     """Return the version of `module`, which apt installs under its own name and pip under that of `wheel`."""
     location = import_module(module).__file__
     for name in (module, wheel):
-        try:
+        with suppress(PackageNotFoundError):
             return f"{version(name)} ({location})"
-        except PackageNotFoundError:
-            continue
     return f"version unknown ({location})"
 
 
@@ -167,7 +172,11 @@ def _robot(arm: Arm, settings: MonitorSettings) -> Iterator[Finding]:
 
 
 def _lumped(arm: Arm) -> str:
-    return "" if arm.lumped is None else f"masses {', '.join(f'{mass:.4g}' for mass in arm.lumped.aggregated)} kg, from base to tip"
+    return (
+        ""
+        if arm.lumped is None
+        else f"masses {', '.join(f'{mass:.4g}' for mass in arm.lumped.aggregated)} kg, from base to tip"
+    )
 
 
 def _verdict_mass(arm: Arm, settings: MonitorSettings) -> Iterator[Finding]:
@@ -184,7 +193,9 @@ def _verdict_mass(arm: Arm, settings: MonitorSettings) -> Iterator[Finding]:
         text = f"{chosen.value}: every verdict will be UNKNOWN ({reason}); give the robot file its masses"
     elif reason := needed[chosen]:
         others = " or ".join(model.value for model in possible)
-        text = f"{chosen.value}: every verdict will be UNKNOWN, that model does not exist for this robot; choose {others}"
+        text = (
+            f"{chosen.value}: every verdict will be UNKNOWN, that model does not exist for this robot; choose {others}"
+        )
     else:
         yield Finding("ok", "effective_mass_model", chosen.value)
         return

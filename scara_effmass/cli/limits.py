@@ -17,14 +17,13 @@ from scara_effmass.iso15066 import (
     EDITION,
     LIGHTEST_MASS,
     TABLE_HASH,
-    Ceiling,
     SpeedLimits,
     limits_for,
     transferred_energy,
 )
 
 if TYPE_CHECKING:
-    from scara_effmass.iso15066 import BodyPoint, BodyRegion, Limit
+    from scara_effmass.iso15066 import BodyPoint, BodyRegion, Ceiling, Limit
 
 EXAMPLES = """\
 Speeds are relative ones at nominal values: the monitor's uncertainty margins come on top.
@@ -138,7 +137,9 @@ def _speed(mass: float, limit: Limit) -> dict[str, Any]:
 
 
 def _points_table(points: list[BodyPoint]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, title="Body points: force [N] and pressure [N/cm²] that are borne", title_justify="left")
+    table = Table(
+        box=box.SIMPLE_HEAD, title="Body points: force [N] and pressure [N/cm²] that are borne", title_justify="left"
+    )
     for heading in ("row", "point", "region"):
         table.add_column(heading)
     for heading in ("clamped force", "clamped pressure", "transient force", "transient pressure"):

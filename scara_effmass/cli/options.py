@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,8 @@ from scara_effmass.settings import Contact, MassModel, MonitorSettings, checked,
 from scara_effmass.share import share
 
 if TYPE_CHECKING:
+    import argparse
+
     from scara_effmass.model.arm import Arm
 
 PIPE_WIDTH = 160

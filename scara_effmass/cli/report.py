@@ -36,20 +36,14 @@ def summary_lines(summary: Summary) -> Iterator[tuple[str, str]]:
 
 def _tightest(tightest: Tightest) -> Iterator[tuple[str, str]]:
     contact = tightest.contact
-    yield (
-        "tightest margin",
-        f"{contact.margin:+.3f} m/s ({contact.verdict.name}): {contact.speed:.3f} m/s where "
-        f"{contact.allowable_speed:.3f} m/s is allowable",
-    )
+    speeds = f"{contact.speed:.3f} m/s where {contact.allowable_speed:.3f} m/s is allowable"
+    yield "tightest margin", f"{contact.margin:+.3f} m/s ({contact.verdict.name}): {speeds}"
     where = f"{contact.contact_point} at stamp {contact.stamp_ns / 1e9:.3f} s"
     if tightest.source:
         where += f" in {tightest.source}"
     yield "  where", where
     if tightest.positions:
         yield "  pose", ", ".join(f"{name} {position:.3f}" for name, position in tightest.positions.items())
-    direction = ", ".join(f"{each:.2f}" for each in contact.direction)
+    direction = ", ".join(f"{round(each, 2) + 0.0:.2f}" for each in contact.direction)
     heading = "in its worst direction" if contact.worst_direction_used else f"along ({direction})"
-    yield (
-        "  why",
-        f"{contact.criterion} limit of {contact.body_region}; {contact.effective_mass:.3g} kg {heading}",
-    )
+    yield "  why", f"{contact.criterion} limit of {contact.body_region}; {contact.effective_mass:.3g} kg {heading}"

@@ -16,10 +16,11 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.lumping import LumpedModel, lump
+from scara_effmass.model.lumping import lump
 from scara_effmass.values import NAN
 
 if TYPE_CHECKING:
+    from scara_effmass.model.lumping import LumpedModel
     from scara_effmass.model.robot import Robot
     from scara_effmass.values import FloatArray, Vector3
 
@@ -130,7 +131,9 @@ class Arm:
         )
         reach = int(np.sum(values > max(REACHED * values.max(), STILL_M), axis=1).max())
         if reach == 0:
-            raise RobotError(f"{self.robot.origin}: contact point {name}: it lies on the axis of every joint that could move it")
+            raise RobotError(
+                f"{self.robot.origin}: contact point {name}: it lies on the axis of every joint that could move it"
+            )
         return reach
 
 
@@ -145,7 +148,7 @@ def smallest_eigenvalue(matrix: list[list[float]], rank: int) -> float:
     mean = (a + d + f) / 3.0
     if rank == 1:
         return 3.0 * mean
-    if rank == 2:  # noqa: PLR2004
+    if rank == 2:
         minors = a * d - b * b + a * f - c * c + d * f - e * e
         largest = 1.5 * mean + math.sqrt(max(2.25 * mean * mean - minors, 0.0))
         return minors / largest if largest > 0.0 else 0.0

@@ -25,13 +25,13 @@ def lumped_mass(q1: ArrayLike, q2: ArrayLike, phi: ArrayLike, m2: float, m3: flo
     elbow = np.sin(q2) ** 2
     numerator = m3 * (m2 + m3 * elbow)
     denominator = m2 * np.sin(np.add(q1, q2) - np.asarray(phi)) ** 2 + m3 * elbow
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         return np.asarray(numerator / denominator, dtype=np.float64)
 
 
 def largest_lumped_mass(q2: ArrayLike, m2: float, m3: float) -> FloatArray:
     """m_n where the second link lies along n, q2 = phi - q1, Eq. 30; infinite at q2 = 0."""
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         return np.asarray(m3 + m2 / np.sin(q2) ** 2, dtype=np.float64)
 
 
@@ -76,5 +76,5 @@ def full_mass(q1: ArrayLike, q2: ArrayLike, phi: ArrayLike, scara: ScaraInertia)
         + (m22 - s.i4) * s.l1**2 * s1**2
         + 2.0 * (m22 - m12) * s.l1 * s.l2 * s12 * s1
     )
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         return np.asarray(numerator / denominator, dtype=np.float64)

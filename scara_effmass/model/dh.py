@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -11,12 +12,14 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.robot import Robot, StatedLink, finished, principal_moments
+from scara_effmass.model.robot import finished
+from scara_effmass.model.stated import StatedLink, principal_moments
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from scara_effmass.model.robot import Robot
     from scara_effmass.values import FloatArray
 
 
@@ -129,7 +132,8 @@ def load_dh(path: Path, contact_points: Sequence[str] = ()) -> Robot:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise RobotError(f"{path}: {key or 'file'}: {' '.join(first['msg'].split())}") from None
+        value = f" = {reprlib.repr(first['input'])}" if key and not isinstance(first["input"], dict) else ""
+        raise RobotError(f"{path}: {key or 'file'}{value}: {first['msg'].removeprefix('Value error, ')}") from None
     unknown = [name for name in contact_points if name not in file.contact_points]
     if unknown:
         raise RobotError(f"{path}: no contact point {unknown[0]!r}: it has {', '.join(file.contact_points)}")

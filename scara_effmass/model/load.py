@@ -21,9 +21,11 @@ def load_robot(path: Path, settings: MonitorSettings) -> Robot:
     `settings` names contact points, locked joints and the payload of a URDF; a DH file states its own payload.
     Raises RobotError.
     """
-    if path.suffix in {".yaml", ".yml"}:
+    if path.suffix.lower() in {".yaml", ".yml"}:
         if settings.payload_mass > 0.0:
-            raise RobotError(f"payload_mass = {settings.payload_mass}: {path} states its payload itself; change it there")
+            raise RobotError(
+                f"payload_mass = {settings.payload_mass}: {path} states its payload itself; change it there"
+            )
         return load_dh(path, settings.contact_points)
     try:
         text = path.read_text(encoding="utf-8")

@@ -70,7 +70,9 @@ class LumpedModel:
             raise RobotError(f"{robot.origin}: {robot.name} is no SCARA: it has no equivalent planar masses")
         for link in self.links:
             if not link.on_axes:
-                raise RobotError(f"{robot.origin}: link behind {link.joint}: its centre of mass misses the plane of its two axes")
+                raise RobotError(
+                    f"{robot.origin}: link behind {link.joint}: its centre of mass misses the plane of its two axes"
+                )
         return self.aggregated[1], sum(self.aggregated[2:])
 
 
@@ -80,7 +82,8 @@ def is_scara(robot: Robot) -> bool:
         return False
     axes = [_distal_axis(robot, joint) for joint in range(1, 5)]
     parallel = all(
-        np.linalg.norm(np.cross(robot.axis_in_joint_frame(joint), axes[joint - 1][1])) < PARALLEL for joint in range(1, 5)
+        np.linalg.norm(np.cross(robot.axis_in_joint_frame(joint), axes[joint - 1][1])) < PARALLEL
+        for joint in range(1, 5)
     )
     point, axis = axes[2]
     return parallel and float(np.linalg.norm(point - (point @ axis) * axis)) < ON_AXIS_M
@@ -123,7 +126,9 @@ def _lumped_link(robot: Robot, joint: int) -> LumpedLink:
     axis = robot.axis_in_joint_frame(joint)
     point, distal = _distal_axis(robot, joint)
     if float(np.linalg.norm(np.cross(axis, distal))) > PARALLEL:
-        raise RobotError(f"link behind {name}: its axes are not parallel, a case the two-mass construction does not cover yet")
+        raise RobotError(
+            f"link behind {name}: its axes are not parallel, a case the two-mass construction does not cover yet"
+        )
     height = float(body.lever @ axis)
     across = body.lever - height * axis
     normal = point - (point @ axis) * axis
@@ -168,7 +173,9 @@ def _two_masses(link: LumpedLink) -> pin.Inertia:
     # Set piece by piece: the constructor refuses the negative moments that kappa < 0 gives.
     body.mass = link.mass
     body.lever = kappas @ points
-    body.inertia = sum(kappa * link.mass * _spread(point - body.lever) for kappa, point in zip(kappas, points, strict=True))
+    body.inertia = sum(
+        kappa * link.mass * _spread(point - body.lever) for kappa, point in zip(kappas, points, strict=True)
+    )
     return body
 
 
@@ -190,7 +197,9 @@ def _massless_joints(robot: Robot, model: pin.Model) -> tuple[int, ...]:
 
 def _require_positive_definite(robot: Robot, model: pin.Model, links: tuple[LumpedLink, ...]) -> None:
     outside = [link.joint for link in links if not 0.0 <= link.kappa2 <= 1.0]
-    because = f": the centre of mass lies outside the slab between the axes behind {', '.join(outside)}" if outside else ""
+    because = (
+        f": the centre of mass lies outside the slab between the axes behind {', '.join(outside)}" if outside else ""
+    )
     # A negative mass on an axis spoils M(q) near stretched poses at least, which the samples may miss.
     for axis, mass in enumerate(_masses_by_place(links)[1:], start=1):
         if mass < 0.0:
@@ -200,7 +209,9 @@ def _require_positive_definite(robot: Robot, model: pin.Model, links: tuple[Lump
         matrix = pin.crba(model, data, q)
         scale = np.sqrt(np.diag(matrix).clip(min=0.0))
         if np.any(scale == 0.0) or np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < 1e-9:
-            raise RobotError(f"the lumped mass matrix is not positive definite at q = {np.round(q, 3).tolist()}{because}")
+            raise RobotError(
+                f"the lumped mass matrix is not positive definite at q = {np.round(q, 3).tolist()}{because}"
+            )
 
 
 def _masses_by_place(links: tuple[LumpedLink, ...]) -> list[float]:

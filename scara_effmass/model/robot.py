@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
+from scara_effmass.model.stated import doubts_about
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from scara_effmass.model.stated import StatedLink
     from scara_effmass.values import FloatArray, Vector3
 
 SAMPLES = 64
@@ -86,69 +88,29 @@ class Robot:
         return np.asarray(lower + fractions * (upper - lower), dtype=np.float64)
 
 
-class StatedLink(NamedTuple):
-    """One moving link as its file states it, before fixed links and payload are added to it.
-
-    `com` (3,) [m] and `inertia` (3, 3) [kg m2], about the centre of mass, are in axes of the file's choice.
-    """
-
-    name: str
-    mass: float
-    com: FloatArray
-    inertia: FloatArray
-
-    @property
-    def placeholder(self) -> bool:
-        """Whether the inertia is the identity, or the mass times it: numbers that no link of a robot arm has."""
-        return any(np.allclose(self.inertia, scale * np.eye(3), rtol=1e-6, atol=0.0) for scale in (1.0, self.mass))
-
-
-def finished(model: pin.Model, origin: str, links: Sequence[StatedLink], notes: Sequence[str], **facts: object) -> Robot:
-    """Judge how far the data of a freshly read `model`, made of `links`, can be believed, and return the Robot.
+def finished(
+    model: pin.Model, origin: str, links: Sequence[StatedLink], notes: Sequence[str], **facts: object
+) -> Robot:
+    """Return the Robot of a freshly read `model`, made of `links`, with what is to be doubted about them.
 
     Raises RobotError where nothing could be said of any effective mass: no joint, or no mass.
     """
     if model.nv == 0:
         raise RobotError(f"{origin}: no joint moves, so there is nothing to watch")
-    heavy = [link for link in links if link.mass > 0.0]
-    if not heavy:
+    if not any(link.mass > 0.0 for link in links):
         raise RobotError(f"{origin}: the moving links have no mass: give each one its mass and centre of mass")
-    light = [name for name, body in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True) if body.mass == 0.0]
-    fake = [link.name for link in heavy if link.placeholder]
-    masses_reason = coms_reason = inertias_reason = ""
+    doubts = doubts_about(links)
+    bodies = zip(list(model.names)[1:], list(model.inertias)[1:], strict=True)
+    light = [joint for joint, body in bodies if body.mass == 0.0]
+    masses_reason = doubts.masses
     if light:
         masses_reason = f"no mass behind {', '.join(light)}: the robot is heavier than the file says"
-    elif len(heavy) > 1 and len(fake) == len(heavy) and all(link.mass == 1.0 for link in heavy):
-        masses_reason = "every link has mass 1 and identity inertia: placeholders, not data"
-    if len(heavy) > 1 and all(np.allclose(link.com, 0.0) for link in heavy):
-        coms_reason = "every centre of mass lies at its link's origin: placeholders, not data"
-    if all(np.allclose(link.inertia, 0.0, atol=1e-12) for link in heavy):
-        inertias_reason = "the file gives no inertia tensors"
-    elif len(heavy) > 1 and len(fake) == len(heavy):
-        inertias_reason = "every inertia tensor is the identity, or the mass times it: placeholders, not data"
-    elif fake:
-        notes = (*notes, f"placeholder inertia, taken as it stands, which errs to the heavy side: {', '.join(fake)}")
-    for link in heavy:
-        low, middle, high = principal_moments(link.inertia)
-        if not inertias_reason and high > (low + middle) * (1.0 + 1e-3) + 1e-12:
-            inertias_reason = (
-                f"the inertia of {link.name} cannot belong to a body: of its principal moments "
-                f"({low:.6g}, {middle:.6g}, {high:.6g}) kg m2 the largest exceeds the sum of the others"
-            )
     return Robot(
         model=model,
         origin=origin,
         masses_reason=masses_reason,
-        coms_reason=masses_reason or coms_reason,
-        inertias_reason=masses_reason or coms_reason or inertias_reason,
-        notes=tuple(notes),
+        coms_reason=masses_reason or doubts.coms,
+        inertias_reason=masses_reason or doubts.coms or doubts.inertias,
+        notes=(*notes, *doubts.notes),
         **facts,  # type: ignore[arg-type]
     )
-
-
-def principal_moments(inertia: FloatArray) -> tuple[float, float, float]:
-    """Return the principal moments of an inertia tensor (3, 3), ascending. Raises ValueError where one is negative."""
-    low, middle, high = np.linalg.eigvalsh(inertia).tolist()
-    if low < -1e-9 * high or high < 0.0:
-        raise ValueError(f"inertia has the principal moments ({low:.6g}, {middle:.6g}, {high:.6g}): none may be negative")
-    return low, middle, high

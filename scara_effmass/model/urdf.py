@@ -1,31 +1,22 @@
-"""Robots from URDF, through Pinocchio's parser.
-
-That parser only prints to stderr what it cannot read, and goes on without it: numbers are checked here first.
-"""
+"""Robots from URDF, through Pinocchio's parser."""
 
 from __future__ import annotations
 
-import math
 import xml.etree.ElementTree as ET
-from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.robot import StatedLink, finished, principal_moments
+from scara_effmass.model.robot import finished
+from scara_effmass.model.urdf_tree import read_urdf
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from scara_effmass.model.robot import Robot
-
-_MOVING = ("revolute", "continuous", "prismatic")
-_FULL_TURNS = 1e6
-"""Range [rad] of a continuous joint: Pinocchio then keeps one coordinate for it, as joint_states has."""
-_NO_AXIS = 1e-9
-"""Length below which an axis has no direction."""
+    from scara_effmass.model.urdf_tree import UrdfTree
 
 
 def parse_urdf(
@@ -42,36 +33,43 @@ def parse_urdf(
     `locked_joints`, are held fixed: their mass counts, their motion does not. `payload_mass` [kg] is a point mass
     at the first contact point behind the last joint, or at the tip. Raises RobotError in one line.
     """
-    root = _checked(text, origin)
-    tree = _Tree(root, origin, locked_joints)
+    tree = read_urdf(text, origin, locked_joints)
     notes = []
     if not contact_points:
         contact_points = (tree.tip(tree.base),)
-        notes.append(f"contact point {contact_points[0]}: the tip of the longest chain (set contact_points for another)")
+        notes.append(
+            f"contact point {contact_points[0]}: the tip of the longest chain (set contact_points for another)"
+        )
     for name in contact_points:
         if name not in tree.links:
-            raise RobotError(f"{origin}: contact point {name!r} is no link of it: it has {', '.join(sorted(tree.links))}")
+            raise RobotError(
+                f"{origin}: contact point {name!r} is no link of it: it has {', '.join(sorted(tree.links))}"
+            )
     tips = [tree.tip(name) for name in contact_points]
     needed = {joint for tip in tips for joint in tree.chain(tip)}
     for name in sorted(needed):
-        _require_movable(tree, name)
+        tree.require_movable(name)
     held = {name for name in tree.joints if tree.kind(name) != "fixed" and (name not in needed or name in tree.locked)}
     if held:
         notes.append(f"held fixed in the model: {', '.join(sorted(held))}")
-    model = _reduced(root, origin, held)
+    model = _reduced(tree, held)
     frames = {name: model.getBodyId(name) for name in contact_points}
     for name, frame in frames.items():
         if model.frames[frame].parentJoint == 0:
             raise RobotError(f"{origin}: contact point {name!r} is fixed to the base: name one that moves")
-    end = max((model.frames[model.getBodyId(name)] for name in (*contact_points, *tips)), key=lambda frame: frame.parentJoint)
+    end = max(
+        (model.frames[model.getBodyId(name)] for name in (*contact_points, *tips)), key=lambda frame: frame.parentJoint
+    )
     if payload_mass > 0.0:
-        model.appendBodyToJoint(end.parentJoint, pin.Inertia(payload_mass, np.zeros(3), np.zeros((3, 3))), end.placement)
+        model.appendBodyToJoint(
+            end.parentJoint, pin.Inertia(payload_mass, np.zeros(3), np.zeros((3, 3))), end.placement
+        )
     return finished(
         model,
         origin,
         [link for link in tree.stated if model.frames[model.getBodyId(link.name)].parentJoint > 0],
         notes,
-        name=root.get("name", ""),
+        name=tree.root.get("name", ""),
         base_frame=tree.base,
         contact_frames=frames,
         tool_point=tuple(end.placement.translation.tolist()),
@@ -79,156 +77,11 @@ def parse_urdf(
     )
 
 
-class _Tree:
-    """Links and joints of a URDF."""
-
-    def __init__(self, root: ET.Element, origin: str, locked_joints: Sequence[str]) -> None:
-        self.origin = origin
-        self.links = _by_name(root, "link", origin)
-        self.joints = _by_name(root, "joint", origin)
-        self.stated = [link for name, element in self.links.items() for link in _stated(name, element, origin)]
-        self.locked = {
-            name
-            for name in self.joints
-            if self.kind(name) != "fixed" and any(fnmatchcase(name.lower(), glob.lower()) for glob in locked_joints)
-        }
-        self._above: dict[str, tuple[str, str]] = {}
-        for name, joint in self.joints.items():
-            parent, child = (_end(joint, role, self.links, origin) for role in ("parent", "child"))
-            if child in self._above:
-                raise RobotError(f"{origin}: link {child}: held by the joints {self._above[child][1]} and {name}: one is right")
-            self._above[child] = (parent, name)
-        bases = sorted(self.links.keys() - self._above.keys())
-        if len(bases) != 1:
-            raise RobotError(f"{origin}: links without a joint to a parent: {', '.join(bases) or 'none'}: there must be one, the base")
-        self.base = bases[0]
-        for link in self.links:
-            if len(set(self._upwards(link))) != len(self._upwards(link)):
-                raise RobotError(f"{origin}: link {link}: the joints above it form a loop")
-
-    def kind(self, joint: str) -> str:
-        """Return the type of `joint`."""
-        return self.joints[joint].get("type", "")
-
-    def chain(self, link: str) -> list[str]:
-        """Return the joints from `link` up to the base."""
-        return [self._above[step][1] for step in self._upwards(link)[:-1]]
-
-    def tip(self, link: str) -> str:
-        """Return the leaf behind the most moving joints, then the most joints, beyond `link` and outside what is locked."""
-        ranked = [(0, 0, link)]
-        for leaf in self.links.keys() - {parent for parent, _ in self._above.values()}:
-            beyond = self.chain(leaf)[: len(self.chain(leaf)) - len(self.chain(link))]
-            if link in self._upwards(leaf) and self.locked.isdisjoint(beyond):
-                ranked.append((-sum(self.kind(joint) != "fixed" for joint in beyond), -len(beyond), leaf))
-        return min(ranked)[2]
-
-    def _upwards(self, link: str) -> list[str]:
-        """Return the links from `link` to the base, cut where they repeat."""
-        path = [link]
-        while path[-1] in self._above and path.count(path[-1]) == 1:
-            path.append(self._above[path[-1]][0])
-        return path
-
-
-def _checked(text: str, origin: str) -> ET.Element:
-    """Return the root of the URDF, its joint limits checked, continuous joints turned into revolute ones."""
-    try:
-        root = ET.fromstring(text)  # noqa: S314  a robot description is trusted input: the robot runs on it
-    except (ET.ParseError, ValueError) as error:
-        raise RobotError(f"{origin}: not XML: {error}") from None
-    if root.tag != "robot":
-        raise RobotError(f"{origin}: the root element is <{root.tag}>, a URDF has <robot>")
-    if any("xacro" in element.tag for element in root.iter()):
-        raise RobotError(f"{origin}: holds xacro macros: expand it first (xacro FILE > robot.urdf)")
-    for joint in root.findall("joint"):
-        where = f"{origin}: joint {joint.get('name')}"
-        if joint.get("type") not in _MOVING:
-            continue
-        axis = joint.find("axis")
-        if axis is not None and math.hypot(*_numbers(axis, "xyz", where, 3)) < _NO_AXIS:
-            raise RobotError(f"{where}: axis = {axis.get('xyz')!r} has no direction")
-        limit = joint.find("limit")
-        if joint.get("type") == "continuous":
-            joint.set("type", "revolute")
-            if limit is None:
-                limit = ET.SubElement(joint, "limit", effort="0", velocity="0")
-            limit.set("lower", str(-_FULL_TURNS))
-            limit.set("upper", str(_FULL_TURNS))
-        if limit is None:
-            raise RobotError(f"{where}: needs <limit> with lower below upper")
-        lower, upper = (_numbers(limit, key, where, 1, default="0")[0] for key in ("lower", "upper"))
-        if lower >= upper:
-            raise RobotError(f"{where}: limit lower = {lower:g} must lie below upper = {upper:g}")
-        if _numbers(limit, "velocity", where, 1)[0] < 0.0:
-            raise RobotError(f"{where}: limit velocity = {limit.get('velocity')!r} must not be negative")
-    return root
-
-
-def _require_movable(tree: _Tree, name: str) -> None:
-    kind = tree.kind(name)
-    if kind not in {*_MOVING, "fixed"}:
-        raise RobotError(f"{tree.origin}: joint {name}: type {kind!r} is not one of {', '.join(_MOVING)}, fixed")
-    if kind != "fixed" and name not in tree.locked and tree.joints[name].find("mimic") is not None:
-        raise RobotError(f"{tree.origin}: joint {name} mimics another: name it in locked_joints to hold it fixed")
-
-
-def _reduced(root: ET.Element, origin: str, held: set[str]) -> pin.Model:
+def _reduced(tree: UrdfTree, held: set[str]) -> pin.Model:
     """Return Pinocchio's model with the joints `held` at zero, or at the limit nearest to it."""
     try:
-        model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+        model = pin.buildModelFromXML(ET.tostring(tree.root, encoding="unicode"))
+        reference = np.clip(pin.neutral(model), model.lowerPositionLimit, model.upperPositionLimit)
+        return pin.buildReducedModel(model, [model.getJointId(name) for name in sorted(held)], reference)
     except (ValueError, RuntimeError) as error:
-        raise RobotError(f"{origin}: Pinocchio refuses it: {' '.join(str(error).split())}") from None
-    reference = np.clip(pin.neutral(model), model.lowerPositionLimit, model.upperPositionLimit)
-    return pin.buildReducedModel(model, [model.getJointId(name) for name in sorted(held)], reference)
-
-
-def _by_name(root: ET.Element, tag: str, origin: str) -> dict[str, ET.Element]:
-    found: dict[str, ET.Element] = {}
-    for element in root.findall(tag):
-        name = element.get("name", "")
-        if not name or name in found:
-            raise RobotError(f"{origin}: {tag} {name!r}: every {tag} needs a name of its own")
-        found[name] = element
-    return found
-
-
-def _end(joint: ET.Element, role: str, links: dict[str, ET.Element], origin: str) -> str:
-    element = joint.find(role)
-    name = "" if element is None else element.get("link", "")
-    if name not in links:
-        raise RobotError(f"{origin}: joint {joint.get('name')}: its {role} {name!r} is no link")
-    return name
-
-
-def _stated(name: str, link: ET.Element, origin: str) -> list[StatedLink]:
-    """Return the link's mass data, or nothing where it has none."""
-    inertial = link.find("inertial")
-    if inertial is None:
-        return []
-    where = f"{origin}: link {name}"
-    pose, mass, inertia = (inertial.find(tag) for tag in ("origin", "mass", "inertia"))
-    if mass is None or inertia is None:
-        raise RobotError(f"{where}: <inertial> needs <mass> and <inertia>")
-    com = (0.0, 0.0, 0.0) if pose is None else _numbers(pose, "xyz", where, 3, default="0 0 0")
-    (kilograms,) = _numbers(mass, "value", where, 1)
-    if kilograms < 0.0:
-        raise RobotError(f"{where}: mass = {kilograms:g} must not be negative")
-    xx, xy, xz, yy, yz, zz = (_numbers(inertia, key, where, 1)[0] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
-    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    try:
-        principal_moments(tensor)
-    except ValueError as error:
-        raise RobotError(f"{where}: {error}") from None
-    return [StatedLink(name, kilograms, np.array(com), tensor)]
-
-
-def _numbers(element: ET.Element, key: str, where: str, count: int, default: str = "") -> tuple[float, ...]:
-    text = element.get(key, default)
-    try:
-        values = tuple(float(word) for word in text.split())
-    except ValueError:
-        values = ()
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise RobotError(f"{where}: <{element.tag} {key}> = {text!r} must be {count} finite number{'s' * (count > 1)}")
-    return values
+        raise RobotError(f"{tree.origin}: Pinocchio refuses it: {' '.join(str(error).split())}") from None

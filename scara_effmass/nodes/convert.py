@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from scara_effmass_msgs.msg import ContactState
-
 if TYPE_CHECKING:
+    from scara_effmass_msgs.msg import ContactState
+
     from scara_effmass.values import ContactAssessment
 
 _LAST_SECOND = 2**31 - 1

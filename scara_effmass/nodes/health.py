@@ -40,9 +40,9 @@ class Health:
         """Note how long one joint state took, from the callback's start until all was published."""
         self._took_ns.append(took_ns)
 
-    def incompatible(self, policy: str) -> None:
-        """Note an endpoint that could not be connected for its QoS."""
-        self._unmatched.add(policy)
+    def incompatible(self, endpoint: str) -> None:
+        """Note an endpoint that could not be connected for its QoS: who it is, and which policy."""
+        self._unmatched.add(endpoint)
 
     @staticmethod
     def missing_models(arm: Arm) -> Iterator[str]:
@@ -75,7 +75,7 @@ class Health:
         elif self.lost:
             level, message = DiagnosticStatus.WARN, f"{self.lost} joint states lost"
         elif self._unmatched:
-            level, message = DiagnosticStatus.WARN, f"endpoints not connected: {', '.join(sorted(self._unmatched))}"
+            level, message = DiagnosticStatus.WARN, "; ".join(sorted(self._unmatched))
         return _status(
             f"{self._node}: input",
             level,
@@ -86,7 +86,7 @@ class Health:
                 "lost": self.lost,
                 "refused": monitor.refused if monitor else 0,
                 "of other devices": monitor.foreign if monitor else 0,
-                "incompatible QoS": ", ".join(sorted(self._unmatched)),
+                "incompatible QoS": "; ".join(sorted(self._unmatched)),
                 "processing p50 [us]": f"{np.percentile(took, 50):.0f}",
                 "processing p99 [us]": f"{np.percentile(took, 99):.0f}",
                 "processing max [us]": f"{took.max():.0f}",

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -21,7 +23,7 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
 from scara_effmass.bag_io.cdr import JointStateDecoder
-from scara_effmass.errors import DecodeError, EffmassError
+from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.model.arm import Arm
 from scara_effmass.model.load import load_robot, robot_from_urdf
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, QoSSubscriptionMatchedInfo
     from rclpy.lifecycle import State, TransitionCallbackReturn
     from rclpy.parameter import Parameter
+    from rclpy.timer import Timer
 
     from scara_effmass.model.robot import Robot
     from scara_effmass.values import Decision, Verdict
@@ -51,6 +54,7 @@ _INPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, history=Histo
 _VERDICT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=200)
 _DESCRIPTION_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _LOOKS_PER_TIMEOUT = 4
+_MOST_LOOKS_HZ = 1000.0
 _REPORT_S = 1.0
 _REPORTS_APART_NS = 100_000_000
 
@@ -58,7 +62,7 @@ _REPORTS_APART_NS = 100_000_000
 class NodeSettings(MonitorSettings):
     """The monitor's settings and the node's own."""
 
-    autostart: bool = Field(True, description="configure and activate at start", json_schema_extra=READ_ONLY)
+    autostart: bool = Field(default=True, description="configure and activate at start", json_schema_extra=READ_ONLY)
 
 
 class MonitorNode(SuiteNode):
@@ -78,32 +82,49 @@ class MonitorNode(SuiteNode):
         self._outputs: dict[str, Any] = {}
         self._number = Float64()
         self._monitor: Monitor | None = None
+        self._watchdog: Timer | None = None
         self._messages: list[ContactState] = []
-        self._decision: Decision | None = None
         self._last_heard_ns = 0
 
     def set_up(self) -> None:
         """Load the robot and create the endpoints. Raises EffmassError."""
         self._decoder = JointStateDecoder()
         self._health = Health(self.get_name())
+        self._decision: Decision | None = None
         self._shown: list[Verdict] = []
         self._reported_ns = 0
         self._waiting = ""
         if self._settings.await_robot_description:
+            if self._settings.robot:
+                robot = self._settings.robot
+                raise SettingsError(f"{self.get_name()}: robot = {robot!r}: must be empty with await_robot_description")
             self._waiting = "no robot_description yet"
             self._keep(
-                self.create_subscription(String, "robot_description", self._on_description, _DESCRIPTION_QOS),
+                self.create_subscription(
+                    String,
+                    "robot_description",
+                    self._on_description,
+                    _DESCRIPTION_QOS,
+                    event_callbacks=SubscriptionEventCallbacks(
+                        incompatible_qos=partial(self._on_incompatible, "a publisher of robot_description")
+                    ),
+                ),
                 self.destroy_subscription,
             )
         else:
             path = Path(self._settings.robot) if self._settings.robot else share("config", "omron_i4_550l.yaml")
             self._watch(load_robot(path, self._settings))
         overridable = QoSOverridingOptions.with_default_policies()
-        events = PublisherEventCallbacks(incompatible_qos=self._on_incompatible)
         for kind, topic in ((ContactState, "contact_state"), (Float64, "allowable_speed"), (Float64, "speed_scaling")):
             self._outputs[topic] = self._keep(
                 self.create_lifecycle_publisher(
-                    kind, topic, _VERDICT_QOS, event_callbacks=events, qos_overriding_options=overridable
+                    kind,
+                    topic,
+                    copy.copy(_VERDICT_QOS),  # rclpy writes the overrides into it
+                    event_callbacks=PublisherEventCallbacks(
+                        incompatible_qos=partial(self._on_incompatible, f"a subscriber of {topic}")
+                    ),
+                    qos_overriding_options=overridable,
                 ),
                 self.destroy_lifecycle_publisher,
             )
@@ -115,10 +136,12 @@ class MonitorNode(SuiteNode):
                 JointState,
                 "joint_states",
                 self._on_joint_state,
-                _INPUT_QOS,
+                copy.copy(_INPUT_QOS),
                 raw=True,
                 event_callbacks=SubscriptionEventCallbacks(
-                    incompatible_qos=self._on_incompatible, matched=self._on_matched, message_lost=self._on_lost
+                    incompatible_qos=partial(self._on_incompatible, "a publisher of joint_states"),
+                    matched=self._on_matched,
+                    message_lost=self._on_lost,
                 ),
                 qos_overriding_options=overridable,
             ),
@@ -127,8 +150,9 @@ class MonitorNode(SuiteNode):
         self._keep(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
         # Steady time: a paused or jumping /clock must not keep the watchdog from looking.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        period = self._settings.timeout / _LOOKS_PER_TIMEOUT
-        self._keep(self.create_timer(period, self._on_watchdog, clock=steady), self.destroy_timer)
+        self._watchdog = self._keep(
+            self.create_timer(self._watchdog_period_s(), self._on_watchdog, clock=steady), self.destroy_timer
+        )
         self._keep(self.create_timer(_REPORT_S, self._report, clock=steady), self.destroy_timer)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         jump = self.get_clock().create_jump_callback(backwards, post_callback=self._on_clock_jump)
@@ -136,9 +160,11 @@ class MonitorNode(SuiteNode):
 
     def tear_down(self) -> None:
         """Destroy the endpoints and forget the robot."""
+        self._active = False
         self._kept.close()
         self._outputs.clear()
-        self._monitor = None
+        self._monitor = self._watchdog = None
+        self._messages = []
 
     def on_activate(self, state: State) -> TransitionCallbackReturn:
         """Start to publish; silence counts from here."""
@@ -156,7 +182,7 @@ class MonitorNode(SuiteNode):
         return endpoint
 
     def _watch(self, robot: Robot) -> None:
-        """Take over `robot`. Raises EffmassError, and then goes on with what it had."""
+        """Take over `robot`. Raises EffmassError."""
         arm = Arm(robot)
         self._monitor = Monitor(arm, self._settings)
         self._messages = []
@@ -165,10 +191,9 @@ class MonitorNode(SuiteNode):
             message.header.frame_id = robot.base_frame
             self._messages.append(message)
         self._waiting = ""
-        log = self.get_logger()
-        log.info(f"watching {robot.name} ({robot.origin}) at {', '.join(arm.contact_points)}")
+        self.get_logger().info(f"watching {robot.name} ({robot.origin}) at {', '.join(arm.contact_points)}")
         for line in (*robot.notes, *(f"no {line}" for line in self._health.missing_models(arm))):
-            log.info(line)
+            self.get_logger().info(line)
 
     def _on_joint_state(self, data: bytes) -> None:
         if not self._active:
@@ -187,6 +212,9 @@ class MonitorNode(SuiteNode):
             self._last_heard_ns = started_ns
             self._publish(decision)
             self._health.answered(time.monotonic_ns() - started_ns)
+
+    def _watchdog_period_s(self) -> float:
+        return max(self._settings.timeout / _LOOKS_PER_TIMEOUT, 1.0 / _MOST_LOOKS_HZ)
 
     def _on_watchdog(self) -> None:
         silent_ns = time.monotonic_ns() - self._last_heard_ns
@@ -251,10 +279,10 @@ class MonitorNode(SuiteNode):
     def _on_lost(self, lost: QoSMessageLostInfo) -> None:
         self._health.lost = lost.total_count
 
-    def _on_incompatible(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        self._health.incompatible(policy)
-        self.get_logger().warning(f"an endpoint cannot be connected: its {policy} does not fit")
+    def _on_incompatible(self, endpoint: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        line = f"{endpoint} cannot be connected: its {qos_policy_name_from_kind(event.last_policy_kind)} does not fit"
+        self._health.incompatible(line)
+        self.get_logger().warning(line)
 
     def _judge_parameters(self, changes: list[Parameter]) -> SetParametersResult:
         try:
@@ -267,6 +295,8 @@ class MonitorNode(SuiteNode):
         self._settings = self._changed(changes)
         if self._monitor is not None:
             self._monitor.apply(self._settings)
+        if self._watchdog is not None:
+            self._watchdog.timer_period_ns = self._watchdog_period_s() * 1e9
 
     def _changed(self, changes: list[Parameter]) -> MonitorSettings:
         values = {p.name: parameters.from_ros(p) for p in changes if p.name in MonitorSettings.model_fields}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, get_origin
 
 import annotated_types
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.exceptions import InvalidParameterValueException
 from rclpy.parameter import Parameter
 
 from scara_effmass.errors import SettingsError
@@ -23,30 +23,15 @@ _OF_EVERY_NODE = ("use_sim_time", "start_type_description_service", "qos_overrid
 def declare(node: Node, settings: type[BaseModel]) -> dict[str, Any]:
     """Declare every field of `settings` on `node` and return the values given to it, defaults included.
 
-    `node` must have been made with automatically_declare_parameters_from_overrides, so that a parameter that was
-    given but does not exist is noticed. Raises SettingsError for that, and for a value of the wrong type or range.
+    Raises SettingsError for a parameter that was given but does not exist, and for a value of the wrong type or range.
     """
-    given = set(node.get_parameters_by_prefix(""))
-    unknown = [name for name in sorted(given) if name not in settings.model_fields and not name.startswith(_OF_EVERY_NODE)]
+    # Private, but the public way, automatically_declare_parameters_from_overrides, raises on an empty list.
+    given: dict[str, Parameter] = node._parameter_overrides  # noqa: SLF001
+    fields = settings.model_fields
+    unknown = [name for name in sorted(given) if name not in fields and not name.startswith(_OF_EVERY_NODE)]
     if unknown:
-        raise SettingsError(f"{node.get_name()}: no parameter {unknown[0]!r}: it has {', '.join(settings.model_fields)}")
-    values = {}
-    for name, field in settings.model_fields.items():
-        if name in given:
-            node.undeclare_parameter(name)
-        default = field.default
-        descriptor = _descriptor(name, field)
-        try:
-            if default == ():
-                # rclpy cannot tell the type of an empty list: the parameter starts out as not set.
-                node.declare_parameter(name, Parameter.Type.STRING_ARRAY, descriptor)
-                parameter = node.get_parameter_or(name, Parameter(name, Parameter.Type.STRING_ARRAY, []))
-            else:
-                parameter = node.declare_parameter(name, to_ros(default), descriptor)
-        except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-            raise SettingsError(f"{node.get_name()}: parameter {name}: {' '.join(str(error).split())}") from None
-        values[name] = from_ros(parameter)
-    return values
+        raise SettingsError(f"{node.get_name()}: no parameter {unknown[0]!r}: it has {', '.join(fields)}")
+    return {name: from_ros(_declared(node, name, field, given.get(name))) for name, field in fields.items()}
 
 
 def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401  what ROS holds, before the settings model checks it
@@ -55,17 +40,46 @@ def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401  what ROS holds, befo
     return tuple(value) if parameter.type_ is Parameter.Type.STRING_ARRAY else value
 
 
-def to_ros(value: Any) -> Any:  # noqa: ANN401
-    """Return a setting's value as a ROS parameter holds it."""
-    if isinstance(value, Enum):
-        return value.value
-    return list(value) if isinstance(value, tuple) else value
+def _declared(node: Node, name: str, field: FieldInfo, given: Parameter | None) -> Parameter:
+    """Declare one field with its default, or with what was `given` for it."""
+    default = _parameter(name, field.default)
+    if given is None:
+        given = default
+    elif given.type_ is Parameter.Type.NOT_SET and isinstance(field.default, tuple):
+        # What ROS makes of an empty list in a file or on a command line.
+        given = _parameter(name, ())
+    if given.type_ is not default.type_:
+        integer = given.type_ is Parameter.Type.INTEGER and default.type_ is Parameter.Type.DOUBLE
+        point = f": write {given.value}.0" if integer else ""
+        raise SettingsError(
+            f"{node.get_name()}: {name} = {given.value!r}: must be {default.type_.name}, is {given.type_.name}{point}"
+        )
+    descriptor = _descriptor(name, field)
+    try:
+        # Declared by its type, then set: of an empty list as a default, rclpy could not tell the type.
+        node.declare_parameter(name, default.type_, ignore_override=True)
+        node.set_parameters([given])
+        node.set_descriptor(name, descriptor)
+    except InvalidParameterValueException:
+        (bounds,) = descriptor.floating_point_range
+        raise SettingsError(
+            f"{node.get_name()}: {name} = {given.value!r}: must be {bounds.from_value:g} to {bounds.to_value:g}"
+        ) from None
+    return given
+
+
+def _parameter(name: str, value: Any) -> Parameter:  # noqa: ANN401
+    """Return a setting as a ROS parameter holds it."""
+    if isinstance(value, tuple):
+        return Parameter(name, Parameter.Type.STRING_ARRAY, list(value))
+    return Parameter(name, value=value.value if isinstance(value, Enum) else value)
 
 
 def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
     extra = field.json_schema_extra
     descriptor = ParameterDescriptor(
         name=name,
+        type=_parameter(name, field.default).type_.value,
         description=field.description or "",
         read_only=isinstance(extra, dict) and bool(extra.get("read_only")),
     )
@@ -73,18 +87,21 @@ def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
     if isinstance(annotation, type) and issubclass(annotation, Enum):
         descriptor.additional_constraints = "one of " + ", ".join(member.value for member in annotation)
     elif annotation is float:
-        descriptor.floating_point_range = [_range(field)]
+        _set_range(descriptor, field)
     elif get_origin(annotation) is tuple:
         descriptor.additional_constraints = "list of names"
     return descriptor
 
 
-def _range(field: FieldInfo) -> FloatingPointRange:
-    """Return the closed range; the settings model refuses an open end that ROS cannot express."""
+def _set_range(descriptor: ParameterDescriptor, field: FieldInfo) -> None:
+    """State the closed range; the settings model refuses the end of an open one, which ROS cannot express."""
     bounds = FloatingPointRange(from_value=0.0, to_value=1e6)
     for constraint in field.metadata:
         if isinstance(constraint, annotated_types.Ge):
             bounds.from_value = float(constraint.ge)  # type: ignore[arg-type]
+        elif isinstance(constraint, annotated_types.Gt):
+            bounds.from_value = float(constraint.gt)  # type: ignore[arg-type]
+            descriptor.additional_constraints = f"above {bounds.from_value:g}"
         elif isinstance(constraint, annotated_types.Le):
             bounds.to_value = float(constraint.le)  # type: ignore[arg-type]
-    return bounds
+    descriptor.floating_point_range = [bounds]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
@@ -19,13 +20,13 @@ from scara_effmass.bag_io.batches import LATEST_NS
 from scara_effmass.bag_io.files import open_bag
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.replay_answers import Answers
-from scara_effmass.nodes.replay_outlets import DEPTH, JOINT_STATES, clock_outlet, outlets_of
-from scara_effmass.nodes.replay_stage import Interruptible, Stage
+from scara_effmass.nodes.replay_outlets import JOINT_STATES, clock_outlet, outlets_of
+from scara_effmass.nodes.replay_stage import Interruption, Stage
 from scara_effmass.nodes.replay_stamps import StampCheck
 from scara_effmass.nodes.replay_timeline import timeline
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from scara_effmass.bag_io.bag import Bag, RawMessage
@@ -42,7 +43,7 @@ class ReplayOptions:
 
     bag: Path
     rate: float = 1.0
-    """Times the original speed; 0: as fast as the monitor answers."""
+    """Times the original speed, whether or not the nodes keep up; 0: as fast as the monitor answers."""
     start_s: float = 0.0
     """Where in the recording to begin."""
     duration_s: float = math.inf
@@ -130,14 +131,13 @@ def replay(options: ReplayOptions, progress: Callable[[ReplayProgress], None] | 
     SIGINT and SIGTERM end it early, with a report that says so. It runs in a ROS context of its own.
     Raises BagError for a recording that cannot be read, EffmassError when nobody listens or answers.
     """
-    with open_bag(options.bag) as bag, Interruptible() as signals, Stage() as stage:
+    with open_bag(options.bag) as bag, Interruption() as interruption, Stage() as stage:
         player = _Player(options, bag, stage, progress or (lambda _: None))
         try:
-            player.play()
+            with interruption.allowed():
+                player.play()
         except KeyboardInterrupt:
             player.interrupted = True
-        finally:
-            signals.ending()
         return player.report()
 
 
@@ -163,6 +163,11 @@ class _Player:
         self._outlets, self._skipped = outlets_of(bag, stage.node, options.topics, options.joint_states)
         self._clock = clock_outlet(stage.node)
         self._joint_states = next((o for o in self._outlets.values() if o.name == JOINT_STATES), None)
+        if options.rate == 0.0 and self._joint_states is None:
+            raise SettingsError(
+                f"{bag.path}: rate = 0: nothing is published as {JOINT_STATES}, whose answers set the pace; "
+                "name the topic that is to be, or a rate"
+            )
         self._answers = Answers(stage.node, options.answer_timeout_s) if options.rate == 0.0 else None
         self._stamps = StampCheck()
         self._unacknowledged: list[str] = []
@@ -185,14 +190,18 @@ class _Player:
                 self._outlets[message.topic].send(message.data)
         while not self._options.passes or self._passes < self._options.passes:
             self._passes += 1
+            # Whoever reads a recording first opens its files and unpacks a first part: not on the clock.
+            messages = self._bag.messages(self._outlets.keys(), self._start_ns, self._stop_ns)
+            messages = chain(list(islice(messages, 1)), messages)
+            self._now_ns = self._start_ns
             began_ns = time.monotonic_ns()
             try:
-                self._play_once(began_ns)
+                self._play_once(messages, began_ns)
             finally:
                 self._wall_ns += time.monotonic_ns() - began_ns
                 self._replayed_ns += self._now_ns - self._start_ns
-            self._unacknowledged = self._stage.wait_acknowledged(self._outlets.values())
         self._stage.settle()
+        self._unacknowledged = self._stage.wait_acknowledged(self._outlets.values())
 
     def report(self) -> ReplayReport:
         """Return what has been done so far."""
@@ -219,7 +228,7 @@ class _Player:
         seconds = self._options.subscriber_timeout_s
         deadline_ns = time.monotonic_ns() + round(seconds * _NS)
         wanted = [self._joint_states] if self._joint_states else list(self._outlets.values())
-        answers = self._answers if self._joint_states else None
+        answers = self._answers
 
         def listening() -> bool:
             return any(outlet.subscribers for outlet in wanted) and (answers is None or answers.publishers > 0)
@@ -234,9 +243,8 @@ class _Player:
             )
         self._stage.settle()
 
-    def _play_once(self, began_ns: int) -> None:
+    def _play_once(self, messages: Iterator[RawMessage], began_ns: int) -> None:
         rate = self._options.rate
-        messages = self._bag.messages(self._outlets.keys(), self._start_ns, self._stop_ns)
         clock_ns = -1
         for time_ns, message in timeline(messages, self._start_ns, self._end_ns):
             if rate:
@@ -264,9 +272,6 @@ class _Player:
                 self._answers.wait(names, self._stage.spin_until)
                 return
         outlet.send(message.data)
-        if self._answers and outlet.sent % (DEPTH // 2) == 0:
-            # Nobody answers these: what the reliable subscribers have received sets the pace.
-            self._stage.wait_acknowledged([outlet])
 
     def _show(self) -> None:
         now_ns = time.monotonic_ns()

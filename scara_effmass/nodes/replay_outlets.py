@@ -85,18 +85,15 @@ def outlets_of(
     published as /joint_states. Raises BagError when a topic asked for is not there, SettingsError when nothing is
     left to be replayed.
     """
-    known = [topic.name for topic in bag.topics]
-    for name in (*topics, *filter(None, (joint_states,))):
-        if name not in known:
-            raise BagError(f"{bag.path}: no topic {name}; there are {', '.join(known)}")
-    if joint_states and joint_states not in bag.joint_state_topics:
-        right = ", ".join(bag.joint_state_topics) or "none here"
-        raise BagError(f"{bag.path}: {joint_states} holds no joint states; those that do: {right}")
+    _check_asked_for(bag, topics, joint_states)
+    names = [topic.name for topic in bag.topics]
     outlets: dict[str, Outlet] = {}
     skipped: dict[str, str] = {}
     for topic in bag.topics:
         as_joint_states = topic.name == joint_states
         reason = "" if as_joint_states else _not_wanted(topic.name, topics, joint_states)
+        if not reason and names.count(topic.name) > 1:
+            reason = "it holds messages of more than one type"
         message_class = None if reason else _installed(topic.type)
         if not reason and message_class is None:
             reason = f"its type {topic.type or '(none)'} is not installed"
@@ -113,6 +110,16 @@ def outlets_of(
         reasons = "; ".join(f"{name}: {reason}" for name, reason in skipped.items())
         raise SettingsError(f"{bag.path}: nothing to replay: {reasons}")
     return outlets, skipped
+
+
+def _check_asked_for(bag: Bag, topics: Collection[str], joint_states: str) -> None:
+    known = [topic.name for topic in bag.topics]
+    for name in (*topics, *filter(None, (joint_states,))):
+        if name not in known:
+            raise BagError(f"{bag.path}: no topic {name}; there are {', '.join(known)}")
+    if joint_states and joint_states not in bag.joint_state_topics:
+        right = ", ".join(bag.joint_state_topics) or "none here"
+        raise BagError(f"{bag.path}: {joint_states} holds no joint states; those that do: {right}")
 
 
 def _not_wanted(name: str, topics: Collection[str], joint_states: str) -> str:
@@ -143,10 +150,11 @@ def _installed(kind: str) -> type | None:
 
 def _other_definition(bag: Bag, node: Node, outlet: Outlet, kind: str) -> str:
     """Return why bytes as recorded would be misread by the installed type, if they would."""
-    recorded = bag.types.hash_rihs01(kind)
-    own = next(
-        str(info.topic_type_hash)
-        for info in node.get_publishers_info_by_topic(outlet.name)
-        if info.node_name == node.get_name() and info.topic_type == kind
-    )
+    try:
+        recorded = bag.types.hash_rihs01(kind)
+    except (LookupError, TypeError):
+        return f"the recording does not define {kind}"
+    infos = node.get_publishers_info_by_topic(outlet.name)
+    mine = (info for info in infos if info.node_name == node.get_name() and info.topic_type == kind)
+    own = next((str(info.topic_type_hash) for info in mine), "")
     return "" if recorded == own else f"its definition of {kind} is not the installed one"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, final
 
 import rclpy
@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions, get_current_signal_handlers_options
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Iterator
     from types import FrameType, TracebackType
 
     from scara_effmass.nodes.replay_outlets import Outlet
@@ -59,7 +59,10 @@ class Stage:
         self.spin_until(time.monotonic_ns() + SETTLE_NS)
 
     def wait_acknowledged(self, outlets: Collection[Outlet]) -> list[str]:
-        """Wait until all reliable readers have everything; return the topics of which some have not after 10 s."""
+        """Wait until all reliable readers have everything; return the topics of which some have not after 10 s.
+
+        Fast DDS asks its readers every 3 s, so this may take that long.
+        """
         deadline_ns = time.monotonic_ns() + _ACKNOWLEDGED_NS
         waiting = list(outlets)
         while waiting and time.monotonic_ns() < deadline_ns:
@@ -77,29 +80,35 @@ class Stage:
 
 
 @final
-class Interruptible:
-    """Turns SIGTERM into the KeyboardInterrupt that SIGINT is, and lets neither break into the end of the `with`.
+class Interruption:
+    """SIGINT and SIGTERM, as a KeyboardInterrupt where that is convenient: once, and inside `allowed` only.
 
     It stays out of the way in other threads than the main one, and where rclpy handles the signals of the process.
     """
 
     def __init__(self) -> None:
-        """Note what handles the signals now."""
+        self._asked = False
+        self._allowed = False
         self._before: dict[signal.Signals, Any] = {}
-        if threading.current_thread() is not threading.main_thread():
-            return
-        if get_current_signal_handlers_options() == SignalHandlerOptions.NO:
+        in_main_thread = threading.current_thread() is threading.main_thread()
+        if in_main_thread and get_current_signal_handlers_options() == SignalHandlerOptions.NO:
             self._before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
-    def __enter__(self) -> Interruptible:
-        for number in self._before:
-            signal.signal(number, _interrupt)
-        return self
+    @contextmanager
+    def allowed(self) -> Iterator[None]:
+        """Let a signal, also one that came before, raise KeyboardInterrupt in this `with`."""
+        self._allowed = True
+        try:
+            if self._asked:
+                raise KeyboardInterrupt
+            yield
+        finally:
+            self._allowed = False
 
-    def ending(self) -> None:
-        """From now on ignore them: a launcher sends SIGINT twice."""
+    def __enter__(self) -> Interruption:
         for number in self._before:
-            signal.signal(number, signal.SIG_IGN)
+            signal.signal(number, self._on_signal)
+        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -107,6 +116,9 @@ class Interruptible:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self._asked = True
+        if self._allowed:
+            # A launcher sends SIGINT twice: the second one must not break into the clean-up.
+            self._allowed = False
+            raise KeyboardInterrupt

@@ -14,7 +14,6 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
-from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lifecycle_msgs.srv import ChangeState
+    from rclpy.executors import Executor
     from rclpy.lifecycle import State
 
 RCLError = rclpy_implementation.RCLError
@@ -37,7 +37,7 @@ class SuiteNode(LifecycleNode):
 
     def __init__(self, name: str) -> None:
         """Make the node; its parameters are declared by the subclass."""
-        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        super().__init__(name)
         self.autostart = True
         self._failure: Exception | None = None
         self._change_state = self._service_change_state.callback
@@ -48,9 +48,8 @@ class SuiteNode(LifecycleNode):
         self._failure = None
         try:
             self.set_up()
-        except Exception as error:
-            # Kept, because rclpy drops what a transition raises.
-            self._failure = _refusal(self.get_name(), error)
+        except Exception as error:  # noqa: BLE001 - rclpy would drop it
+            self._failure = _explained(self.get_name(), error)
             self.tear_down()
             return TransitionCallbackReturn.FAILURE
         return super().on_configure(state)
@@ -75,13 +74,11 @@ class SuiteNode(LifecycleNode):
 
     def bring_up(self) -> None:
         """Configure and activate. Raises what prevented it, such as an EffmassError."""
-        for trigger in (self.trigger_configure, self.trigger_activate):
-            if trigger() is not TransitionCallbackReturn.SUCCESS:
-                raise self._failure or SettingsError(f"{self.get_name()}: could not be brought up")
+        done = TransitionCallbackReturn.SUCCESS
+        if self.trigger_configure() is not done or self.trigger_activate() is not done:
+            raise self._failure or SettingsError(f"{self.get_name()}: could not be brought up")
 
-    def _on_change_state(
-        self, request: ChangeState.Request, response: ChangeState.Response
-    ) -> ChangeState.Response:
+    def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
         """Answer a request that comes at the wrong time with a refusal: rclpy raises, which would end the process."""
         try:
             response = self._change_state(request, response)
@@ -101,7 +98,7 @@ def run(make: Callable[[], SuiteNode], args: Sequence[str] | None) -> int:
     `args` are those of the process when None; they begin with the first argument otherwise.
     """
     node: SuiteNode | None = None
-    executor: EventsExecutor | None = None
+    executor: Executor | None = None
     # From here on a signal does what rclpy makes it do, which is to end the context, and never interrupts Python:
     # a launcher sends SIGINT twice, and the second one would break into the clean-up.
     ending = {signal.SIGINT, signal.SIGTERM}
@@ -154,8 +151,6 @@ def _init(args: Sequence[str] | None) -> None:
         raise SettingsError(f"{strays[0]!r}: not known; ROS arguments stand behind --ros-args")
 
 
-def _refusal(node: str, error: Exception) -> Exception:
-    """Return `error`, or what it says of a setting, as an EffmassError."""
-    if isinstance(error, InvalidQosOverridesError):
-        return SettingsError(f"{node}: qos_overrides: {error}")
-    return error
+def _explained(node: str, error: Exception) -> Exception:
+    """Return `error`, as a SettingsError where rclpy did not like a qos_overrides parameter."""
+    return SettingsError(f"{node}: qos_overrides: {error}") if "QoS override" in str(error) else error

@@ -62,7 +62,7 @@ class Intake:
         ]
         self._fastest = [speed * (1.0 + settings.joint_speed_tolerance) for speed in fastest]
         self.timeout_ns = round(settings.timeout * NANOSECONDS)
-        self._future_ns = round(settings.future_tolerance * NANOSECONDS)
+        self.future_ns = round(settings.future_tolerance * NANOSECONDS)
         self._differentiate = settings.differentiate_velocity
         self._still_travel = settings.still_tolerance
         self._still_speed = settings.still_speed
@@ -113,11 +113,11 @@ class Intake:
 
     def _wrong_stamp(self, stamp_ns: int, now_ns: int) -> str:
         last = self.last_stamp_ns
-        if last < stamp_ns <= now_ns + self._future_ns and now_ns - stamp_ns <= self.timeout_ns and stamp_ns > 0:
+        if last < stamp_ns <= now_ns + self.future_ns and now_ns - stamp_ns <= self.timeout_ns and stamp_ns > 0:
             return ""
         if stamp_ns <= 0:
             return "the header stamp is zero"
-        if stamp_ns > now_ns + self._future_ns:
+        if stamp_ns > now_ns + self.future_ns:
             return f"the header stamp is {(stamp_ns - now_ns) / 1e9:.3f} s in the future"
         if now_ns - stamp_ns > self.timeout_ns:
             return f"the joint state is {(now_ns - stamp_ns) / 1e9:.3f} s old"

@@ -81,6 +81,10 @@ class Monitor:
         """
         intake = self._intake
         previous_ns = intake.last_stamp_ns
+        if previous_ns > now_ns + intake.future_ns:
+            # It was no future when it came: the clock has been set back, which system time tells nobody.
+            self.clock_went_back()
+            previous_ns = 0
         motion = intake.check(state, now_ns)
         if isinstance(motion, Foreign):
             self.foreign += 1
@@ -172,7 +176,7 @@ class Monitor:
             min(p.lumped, cap),
             min(p.full, cap),
             self._iso_mass,
-            min(worst, cap),
+            min(cap, worst),  # in this order NaN becomes the cap: the safe end of what is not known
             obstacle_mass,
             mu,
             stiffness,
@@ -192,11 +196,12 @@ class Monitor:
     def _verdict(self, p: Presented, mass: float, ceiling: Ceiling, allowable: float) -> tuple[Verdict, str]:
         """Return the verdict on this joint state alone, and why it is not OK."""
         settings = self.settings
-        if p.speed + self._closing_speed > ceiling.allowable_speed:
+        if p.speed > ceiling.allowable_speed - self._closing_speed:
             return Verdict.VIOLATION, f"{p.speed:.3f} m/s is above {_allowed(ceiling, allowable)}"
         if p.speed > settings.warn_ratio * allowable:
             return Verdict.WARN, f"{p.speed:.3f} m/s nears {_allowed(ceiling, allowable)}"
         known, which = (p.lumped, "lumped") if math.isnan(p.full) else (p.full, "full")
+        known = min(known, settings.mass_cap)  # near a singular pose both are beyond it, and no number means much
         if mass < known * (1.0 - settings.model_margin):
             used = settings.effective_mass_model.value
             return Verdict.WARN, f"the {used} mass of {mass:.3g} kg is below the {which} model's {known:.3g} kg"

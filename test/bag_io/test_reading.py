@@ -340,7 +340,7 @@ class TestCutOff:
             assert read(bag) == MIXED[:300]
             assert bag.end_ns == MIXED[299].log_time_ns
             (line,) = bag.losses
-            assert f"cut off: ends at byte {path.stat().st_size}" in line
+            assert f"cut off at byte {path.stat().st_size}" in line
 
 
 def first_chunk(data: bytes) -> int:
@@ -375,6 +375,27 @@ def test_a_damaged_chunk_that_alone_described_the_channels_is_named(tmp_path: Pa
     damage_first_chunk(path)
     with pytest.raises(BagError, match=r"chunk at byte .* is lost: .*messages of channel 1, which the file"):
         open_bag(path)
+
+
+def test_chunks_whose_times_are_nonsense_are_read_all_the_same(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", MIXED)
+    data = bytearray(path.read_bytes())
+    at = first_chunk(bytes(data))
+    data[at : at + 16] = struct.pack("<QQ", 1 << 63, 5)
+    path.write_bytes(data)
+    with open_bag(path) as bag:
+        assert read(bag) == MIXED
+        assert (bag.start_ns, bag.end_ns) == (MIXED[0].log_time_ns, MIXED[-1].log_time_ns)
+
+
+def test_zeros_behind_a_cut_are_no_recording(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", MIXED, compression=CompressionType.NONE, chunked=False)
+    data = path.read_bytes()
+    cut = data.find(MIXED[100].data) - 31
+    path.write_bytes(data[:cut] + bytes(len(data) - cut))
+    messages, said = salvaged(path)
+    assert messages == MIXED[:100]
+    assert f"byte {cut + 9} on is no MCAP any more" in said
 
 
 def test_a_chunk_of_an_absurd_size_is_refused_without_reserving_it(tmp_path: Path) -> None:
@@ -475,7 +496,7 @@ class TestNoRecording:
         path.write_bytes(data)
         messages, said = salvaged(path)
         assert messages == []
-        assert said.startswith(f"{path}: cannot be read: Cannot open database")
+        assert said.startswith(f"{path}: cannot be read: ")
 
     def test_ros1_damaged_inside_is_read_up_to_there(self, tmp_path: Path) -> None:
         path = write_ros1(tmp_path / "a.bag", MIXED)
@@ -608,6 +629,24 @@ class TestDefinitions:
         with Ros2Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             writer.write(writer.add_connection("/joint_states", JOINTS, typestore=types), T0, joints(0).data)
         with open_bag(folder) as bag, pytest.raises(BagError, match="its own definition of sensor_msgs/msg/JointState"):
+            bag.joint_state_blocks()
+
+    @pytest.mark.parametrize("joint_states_first", [True, False])
+    def test_a_stamp_that_is_not_that_of_ros_is_refused(self, tmp_path: Path, *, joint_states_first: bool) -> None:
+        """Also where another topic's definition contradicts it."""
+        right, _ = known_types().generate_msgdef(JOINTS, ros_version=2)
+        wrong = right.replace("int32 sec", "int64 sec")
+        assert wrong != right
+        kinds = [(JOINTS, wrong), ("std_msgs/msg/Header", known_types().generate_msgdef("std_msgs/msg/Header")[0])]
+        path = tmp_path / "a.mcap"
+        with path.open("wb") as file:
+            writer = Writer(file)
+            writer.start("ros2")
+            for kind, definition in kinds if joint_states_first else reversed(kinds):
+                schema = writer.register_schema(kind, "ros2msg", definition.encode())
+                writer.add_message(writer.register_channel(f"/{kind}", "cdr", schema), T0, joints(0).data, T0)
+            writer.finish()  # type: ignore[no-untyped-call]
+        with open_bag(path) as bag, pytest.raises(BagError, match="its own definition of builtin_interfaces/msg/Time"):
             bag.joint_state_blocks()
 
     def test_an_old_sqlite_recording_without_definitions_is_read(self, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from scara_effmass.model.arm import Arm, Presented
+from scara_effmass.model.arm import Arm
 from scara_effmass.model.dh import load_dh
 from scara_effmass.model.urdf import parse_urdf
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
+    from scara_effmass.model.arm import Presented
     from scara_effmass.model.robot import Robot
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -74,7 +75,7 @@ def along() -> Callable[..., Presented]:
 def recorded() -> Callable[..., Robot]:
     """Load a recorded URDF with the monitor's default of locked joints, or skip."""
 
-    def load(name: str, **options: Any) -> Robot:
+    def load(name: str, **options: Any) -> Robot:  # noqa: ANN401  those of parse_urdf
         path = RECORDED_URDFS / name
         if not path.exists():
             pytest.skip(f"{path} is not here")

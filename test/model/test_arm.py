@@ -58,7 +58,9 @@ def test_impulse_changes_the_speed_as_on_a_free_mass(
             assert along(arm, q, n).full == pytest.approx(impulse / (n @ jacobian @ jump), rel=1e-6)
 
 
-def test_energy_of_the_lightest_motion_is_that_of_the_effective_mass(omron_arm: Arm, along: Callable[..., Presented]) -> None:
+def test_energy_of_the_lightest_motion_is_that_of_the_effective_mass(
+    omron_arm: Arm, along: Callable[..., Presented]
+) -> None:
     # Khatib's duality: of all joint motions that move the point at speed 1 along n, whatever it does across n,
     # the one with the least kinetic energy has the energy of m_n.
     rng = np.random.default_rng(RNG_SEED)
@@ -125,9 +127,7 @@ def test_no_threshold_and_no_motion_is_no_direction_but_no_error(omron_arm: Arm)
 
 
 @given(q2=st.floats(-1e-3, 1e-3), q1=st.floats(-2.0, 2.0))
-def test_stretched_scara_is_heavy_along_itself_and_finite_across(
-    omron_arm: Arm, q1: float, q2: float
-) -> None:
+def test_stretched_scara_is_heavy_along_itself_and_finite_across(omron_arm: Arm, q1: float, q2: float) -> None:
     across = np.array([1.0, 0.0, 0.0, 0.0])
     (presented,) = omron_arm.presented(np.array([q1, q2, 0.1, 0.0]), across, 0.0)
     assert presented.lumped == pytest.approx(0.97, rel=0.01)
@@ -176,12 +176,11 @@ class TestPlanarArm:
         assert arm.lumped is not None
         assert arm.lumped.massless == ()
         # The payload sits on the distal axis of link 2, the elbow's share on the other: M2 and M3 of Eq. 28.
-        m2, m3 = arm.lumped.aggregated[1:]
-        m3 += 0.0
+        _, m2, m3 = arm.lumped.aggregated
         phi = np.linspace(0.0, np.pi, 20001)
         for q in arm.robot.sample_configurations():
             (presented,) = arm.presented(q, np.zeros(2), 0.005)
-            assert presented.worst_lumped == pytest.approx(lumped_mass(*q, phi, m2, m3).max(), rel=1e-4)
+            assert presented.worst_lumped == pytest.approx(lumped_mass(q[0], q[1], phi, m2, m3).max(), rel=1e-4)
             assert math.isfinite(presented.worst_full)
 
     def test_stretched_arm_is_heavy(self, arm: Arm) -> None:
@@ -209,7 +208,9 @@ class TestOneJoint:
         assert presented.speed == pytest.approx(0.275)
         assert presented.smallest_singular_value == pytest.approx(0.275)
 
-    def test_contact_point_on_the_axis_is_refused(self, rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> None:
+    def test_contact_point_on_the_axis_is_refused(
+        self, rows: dict[str, Any], from_rows: Callable[[object], Robot]
+    ) -> None:
         rows["contact_points"] = {"flange": [-0.275, 0.0, 0.3]}
         robot = from_rows(rows)
         with pytest.raises(RobotError, match=r"robot\.yaml: contact point flange: .* axis"):
@@ -355,7 +356,9 @@ class TestSmallestEigenvalue:
 
     @given(small=st.floats(1e-7, 1.0), seed=st.integers(0, 2**32 - 1))
     def test_leaves_out_directions_out_of_reach(self, small: float, seed: int) -> None:
-        assert smallest_eigenvalue(rotated(np.array([0.0, small, 1.0]), seed).tolist(), 2) == pytest.approx(small, rel=1e-6)
+        assert smallest_eigenvalue(rotated(np.array([0.0, small, 1.0]), seed).tolist(), 2) == pytest.approx(
+            small, rel=1e-6
+        )
         assert smallest_eigenvalue(rotated(np.array([0.0, 0.0, small]), seed).tolist(), 1) == pytest.approx(small)
 
     @pytest.mark.parametrize("rank", [1, 2, 3])

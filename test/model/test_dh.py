@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import copy
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 import yaml
-from conftest_paths import OMRON
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -19,6 +19,227 @@ from scara_effmass.model.dh import load_dh
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from scara_effmass.model.robot import Robot
+
+OMRON = Path(__file__).resolve().parents[2] / "config" / "omron_i4_550l.yaml"
+
+
+def put(rows: dict[str, Any], key: str, value: object) -> None:
+    """Set the dotted `key` of nested rows; `...` deletes it."""
+    *path, last = [int(part) if part.isdigit() else part for part in key.split(".")]
+    place: Any = rows
+    for part in path:
+        place = place[part]
+    if value is ...:
+        del place[last]
+    else:
+        place[last] = value
+
+
+def test_shipped_file(omron: Robot) -> None:
+    assert omron.name == "omron_i4_550l"
+    assert omron.base_frame == "base_link"
+    assert omron.joint_names == ("joint1", "joint2", "joint3", "joint4")
+    assert omron.revolute == (True, True, False, True)
+    assert list(omron.contact_frames) == ["tool"]
+    assert (omron.masses_reason, omron.coms_reason, omron.inertias_reason) == ("", "", "")
+    np.testing.assert_allclose(np.degrees(omron.model.upperPositionLimit[:2]), [136.0, 148.0], atol=0.01)
+    assert omron.model.velocityLimit.tolist() == [12.6, 12.6, 3.0, 50.0]
+
+
+def test_samples_lie_within_the_limits_and_fill_them(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+) -> None:
+    for joint, (lower, upper) in enumerate(((4.0, 6.0), (-0.2, -0.1), (5.0, 5.3), (-100.0, 100.0))):
+        omron_rows["joints"][joint].update(lower=lower, upper=upper)
+    robot = from_rows(omron_rows)
+    samples = robot.sample_configurations()
+    assert np.all(samples >= robot.model.lowerPositionLimit)
+    assert np.all(samples <= robot.model.upperPositionLimit)
+    span = np.minimum(robot.model.upperPositionLimit - robot.model.lowerPositionLimit, 2.0 * np.pi)
+    assert np.all(np.ptp(samples, axis=0) > 0.8 * span)
+    assert np.array_equal(samples, robot.sample_configurations())
+
+
+def test_contact_points_can_be_picked(omron_rows: dict[str, Any], tmp_path: Path) -> None:
+    omron_rows["contact_points"] = {"tool": [0, 0, 0], "edge": [0.1, 0, 0], "corner": [0.1, 0.1, 0]}
+    path = tmp_path / "robot.yaml"
+    path.write_text(yaml.safe_dump(omron_rows))
+    assert list(load_dh(path, ("edge", "tool", "edge")).contact_frames) == ["edge", "tool"]
+    with pytest.raises(RobotError, match=r"robot\.yaml: no contact point 'elbow': it has"):
+        load_dh(path, ("elbow",))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "named"),
+    [
+        ("robot", ..., "robot: Field required"),
+        ("base_frame", "", "base_frame = .*: "),
+        ("joints.1.a", ..., "joints.1.a: Field required"),
+        ("joints.1.a", "long", "joints.1.a = .*: .* number"),
+        ("joints.1.a", True, "joints.1.a = .*: .* number"),
+        ("joints.1.a", float("nan"), "joints.1.a = .*: .* finite"),
+        ("joints.1.a", float("inf"), "joints.1.a = .*: .* finite"),
+        ("joints.1.a", 1e300, "joints.1.a = .*: "),
+        ("joints.1.a", [1.0], "joints.1.a = .*: "),
+        ("joints.2.type", "spherical", "joints.2.type = .*: .*'revolute' or 'prismatic'"),
+        ("joints.0.lower", 3.0, "joints.0: lower 3.0 must lie below upper 2.3736"),
+        ("joints.0.lower", 2.3736, "joints.0: lower 2.3736 must lie below"),
+        ("joints.0.max_speed", 0.0, "joints.0.max_speed = .*: .*greater than 0"),
+        ("joints.0.armature", -0.1, "joints.0.armature = .*: .*greater than or equal to 0"),
+        ("joints.0.armatur", 0.1, "joints.0.armatur = .*: Extra"),
+        ("joints.3.name", "joint1", "file: joint names .* must differ"),
+        ("joints.3", ..., "file: 4 links for 3 joints"),
+        ("joints", [], "joints = .*: "),
+        ("joints", {"name": "joint1"}, "joints: "),
+        ("links.0.mass", -2.74, "links.0.mass = .*: .*greater than or equal to 0"),
+        ("links.0.mass", float("nan"), "links.0.mass = .*: .* finite"),
+        ("links.0.mass", ..., "links.0.mass: Field required"),
+        ("links.0.com", [0.1, 0.0], "links.0.com"),
+        ("links.0.com", [0.1, 0.0, float("nan")], "links.0.com.2 = .*: .* finite"),
+        ("links.0.com", ..., "links.0.com: Field required"),
+        ("links.1.inertia", -0.02, "links.1.inertia = .*: .*none may be negative"),
+        ("links.1.inertia", [1.0, 1.0, 1.0, 2.0, 0.0, 0.0], "links.1.inertia = .*: .*none may be negative"),
+        ("links.1.inertia", [1.0, 1.0, 1.0], "links.1.inertia"),
+        ("links.1.inertia", ..., "links.link2: no inertia, while other links have one"),
+        ("payload.mass", ..., "payload.mass: Field required"),
+        ("payload.inertia", -1.0, "payload.inertia = .*: .*none may be negative"),
+        ("contact_points", {}, "contact_points: "),
+        ("contact_points.tool", [0.0, 0.0], "contact_points.tool"),
+        ("contact_points.tool", None, "contact_points.tool"),
+    ],
+)
+def test_wrong_value_is_named(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], key: str, value: object, named: str
+) -> None:
+    put(omron_rows, key, value)
+    with pytest.raises(RobotError, match=rf"robot\.yaml: {named}") as refusal:
+        from_rows(omron_rows)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"just words", b"- 1", b"a: [", b"\xff\xfe\x00", b"\x00", b"a: !!python/none x"]
+)
+def test_file_that_is_no_robot(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_bytes(content)
+    with pytest.raises(RobotError, match=r"robot\.yaml: ") as refusal:
+        load_dh(path)
+    assert "\n" not in str(refusal.value)
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.yaml", tmp_path):
+        with pytest.raises(RobotError, match="cannot be read"):
+            load_dh(path)
+
+
+def test_no_mass_at_all_is_refused(omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> None:
+    for body in (*omron_rows["links"], omron_rows["payload"]):
+        body["mass"] = 0.0
+    with pytest.raises(RobotError, match=r"robot\.yaml: the moving links have no mass"):
+        from_rows(omron_rows)
+
+
+def test_link_without_mass_leaves_no_model_believed(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+) -> None:
+    omron_rows["links"][1]["mass"] = 0.0
+    arm = Arm(from_rows(omron_rows))
+    for reason in (arm.robot.masses_reason, arm.lumped_reason, arm.full_reason):
+        assert reason.startswith("no mass behind joint2")
+
+
+def test_inertia_of_no_body_leaves_the_lumped_model(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+) -> None:
+    omron_rows["links"][1]["inertia"] = [0.001, 0.001, 0.0227, 0.0, 0.0, 0.0]
+    arm = Arm(from_rows(omron_rows))
+    assert "the inertia of link2 cannot belong to a body" in arm.full_reason
+    assert arm.lumped is not None
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e3])
+def test_single_number_is_a_moment_that_a_body_can_have(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], scale: float
+) -> None:
+    for link in omron_rows["links"]:
+        link["inertia"] *= scale
+    assert "cannot belong" not in from_rows(omron_rows).inertias_reason
+
+
+def test_payload_inertia_alone_is_no_full_model(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+) -> None:
+    for link in omron_rows["links"]:
+        del link["inertia"]
+    assert from_rows(omron_rows).inertias_reason == "the file gives no inertia tensors"
+
+
+def test_no_link_needs_an_inertia_if_the_massless_ones_have_none(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+) -> None:
+    for link in omron_rows["links"]:
+        del link["inertia"]
+    omron_rows["links"][3]["mass"] = 0.0
+    assert from_rows(omron_rows).masses_reason == ""
+
+
+def test_placeholders_are_recognised(omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> None:
+    for link in omron_rows["links"]:
+        link.update(mass=1.0, inertia=[1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    robot = from_rows(omron_rows)
+    assert "placeholders" in robot.masses_reason
+    assert robot.coms_reason
+    assert robot.inertias_reason
+    assert Arm(robot).lumped is None
+
+
+def test_centres_of_mass_at_the_origins_are_placeholders(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+) -> None:
+    for link in omron_rows["links"]:
+        link["com"] = [0.0, 0.0, 0.0]
+    arm = Arm(from_rows(omron_rows))
+    assert "placeholders" in arm.lumped_reason
+    assert "placeholders" in arm.full_reason
+    assert arm.robot.masses_reason == ""
+
+
+scalars = st.none() | st.booleans() | st.text(max_size=3) | st.integers(-5, 5) | st.floats()
+values = scalars | st.lists(scalars, max_size=6) | st.dictionaries(st.text(max_size=3), scalars, max_size=2)
+
+
+def leaves(node: object, path: str = "") -> list[str]:
+    """Dotted keys of everything in the rows, branches included."""
+    children = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    keys = [f"{path}{key}" for key, _ in children]
+    children = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    return keys + [key for name, child in children for key in leaves(child, f"{path}{name}.")]
+
+
+ROWS = yaml.safe_load(OMRON.read_text())
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(changes=st.lists(st.tuples(st.sampled_from(leaves(ROWS)), values | st.just(...)), min_size=1, max_size=2))
+def test_spoilt_file_is_refused_or_gives_finite_answers(
+    from_rows: Callable[[object], Robot], changes: list[tuple[str, object]]
+) -> None:
+    rows = copy.deepcopy(ROWS)
+    for key, value in changes:
+        with suppress(KeyError, IndexError, TypeError):  # the first change may take away where the second would go
+            put(rows, key, value)
+    try:
+        arm = Arm(from_rows(rows))
+    except RobotError as error:
+        message = str(error)
+        assert "\n" not in message
+        return
+    n = arm.robot.model.nv
+    for presented in arm.presented(arm.robot.sample_configurations()[0], np.ones(n), 0.005):
+        assert np.isfinite(presented.speed)
+        assert presented.full > 0.0 or arm.full_reason
+        assert presented.lumped > 0.0 or presented.lumped_reason

@@ -104,7 +104,9 @@ def test_full_mass_matrix_is_eq_9(
         np.testing.assert_allclose(pin.crba(robot.model, data, q), eq_9(rows, q), rtol=1e-9, atol=1e-12)
 
 
-def test_mass_matrix_is_twice_the_kinetic_energy(spatial_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> None:
+def test_mass_matrix_is_twice_the_kinetic_energy(
+    spatial_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+) -> None:
     robot = from_rows(spatial_rows)
     rng = np.random.default_rng(1)
     bodies = [(i, link) for i, link in enumerate(spatial_rows["links"])]
@@ -115,7 +117,9 @@ def test_mass_matrix_is_twice_the_kinetic_energy(spatial_rows: dict[str, Any], f
         held = (3, spatial_rows["payload"])
         for (i, body), end in [*((entry, False) for entry in bodies), (held, True)]:
             before, now, after = (
-                joint_poses(spatial_rows, q + k * STEP * qd)[-1] if end else link_pose(spatial_rows, q + k * STEP * qd, i)
+                joint_poses(spatial_rows, q + k * STEP * qd)[-1]
+                if end
+                else link_pose(spatial_rows, q + k * STEP * qd, i)
                 for k in (-1.0, 0.0, 1.0)
             )
             rate = (after - before) / (2.0 * STEP)
@@ -127,7 +131,9 @@ def test_mass_matrix_is_twice_the_kinetic_energy(spatial_rows: dict[str, Any], f
         assert 0.5 * qd @ matrix @ qd == pytest.approx(energy, rel=1e-7)
 
 
-def test_jacobian_is_the_derivative_of_the_position(spatial_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> None:
+def test_jacobian_is_the_derivative_of_the_position(
+    spatial_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+) -> None:
     robot = from_rows(spatial_rows)
     arm = Arm(robot)
     tool = np.array([*spatial_rows["contact_points"]["tool"], 1.0])
@@ -207,9 +213,8 @@ def test_only_the_moment_about_the_axes_counts_for_a_scara(
         body["inertia"] = [0.9 * izz, 0.8 * izz, izz, 0.1 * izz, 0.0, 0.0]
     other = Arm(from_rows(omron_rows))
     for q in other.robot.sample_configurations():
-        np.testing.assert_allclose(
-            *(pin.crba(arm.robot.model, arm.robot.model.createData(), q) for arm in (other, omron_arm)), atol=1e-12
-        )
+        here, there = (pin.crba(arm.robot.model, arm.robot.model.createData(), q) for arm in (omron_arm, other))
+        np.testing.assert_allclose(there, here, atol=1e-12)
 
 
 def test_inverse_that_the_live_path_uses_is_the_inverse_of_crba(omron_arm: Arm) -> None:

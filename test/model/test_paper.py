@@ -22,7 +22,18 @@ M2, M3, M_R = 2.38, 0.97, 2.77
 OBSTACLES = (0.50, 2.39, 3.72, 7.35)
 Q1_RANGE, Q2_RANGE = np.radians(136.0), np.radians(148.0)
 FITTED = ScaraInertia(
-    l1=0.275, l2=0.275, m1=2.74, m2=2.00, m3=0.20, m4=0.35, r1=0.08029, r2=0.05775, i1=0.02952, i2=0.02272, i3=1e-4, i4=4e-4
+    l1=0.275,
+    l2=0.275,
+    m1=2.74,
+    m2=2.00,
+    m3=0.20,
+    m4=0.35,
+    r1=0.08029,
+    r2=0.05775,
+    i1=0.02952,
+    i2=0.02272,
+    i3=1e-4,
+    i4=4e-4,
 )
 
 q1_values = st.floats(-Q1_RANGE, Q1_RANGE)
@@ -125,10 +136,10 @@ def test_stretched_arm_is_infinitely_heavy_along_itself() -> None:
 def test_turning_robot_and_direction_changes_nothing(q1: float, q2: float, phi: float, turn: float) -> None:
     assume(abs(np.sin(q2)) > 1e-2)
     for law, parameters in ((lumped_mass, (M2, M3)), (full_mass, (FITTED,))):
-        mass = float(law(q1, q2, phi, *parameters))  # type: ignore[operator]
-        assert law(q1 + turn, q2, phi + turn, *parameters) == pytest.approx(mass, rel=1e-6)  # type: ignore[operator]
-        assert law(-q1, -q2, -phi, *parameters) == pytest.approx(mass, rel=1e-9)  # type: ignore[operator]
-        assert law(q1, q2, phi + np.pi, *parameters) == pytest.approx(mass, rel=1e-6)  # type: ignore[operator]
+        mass = float(law(q1, q2, phi, *parameters))
+        assert law(q1 + turn, q2, phi + turn, *parameters) == pytest.approx(mass, rel=1e-6)
+        assert law(-q1, -q2, -phi, *parameters) == pytest.approx(mass, rel=1e-9)
+        assert law(q1, q2, phi + np.pi, *parameters) == pytest.approx(mass, rel=1e-6)
 
 
 def test_distribution_over_the_workspace_along_x() -> None:

@@ -32,7 +32,7 @@ CONTRACT = {
 }
 
 
-def message(name: str) -> Any:
+def message(name: str) -> Any:  # noqa: ANN401, generated classes have no types
     return getattr(importlib.import_module("scara_effmass_msgs.msg"), name)
 
 

@@ -1,0 +1,309 @@
+"""`scara-effmass demo`."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from scara_effmass.cli.live import Display
+from scara_effmass.cli.options import (
+    add_force,
+    add_json,
+    add_params,
+    add_robot,
+    add_topic,
+    arm_from,
+    printer,
+    robot_path,
+    settings_from,
+)
+from scara_effmass.cli.processes import keep_to_this_machine, started
+from scara_effmass.cli.report import summary_lines
+from scara_effmass.errors import EffmassError
+from scara_effmass.settings import MassModel
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    import argparse
+
+    from rich.console import Console
+
+    from scara_effmass.analysis.summary import Summary
+    from scara_effmass.analysis.trace import Trace
+    from scara_effmass.bag_io.bag import Bag
+    from scara_effmass.model.arm import Arm
+    from scara_effmass.nodes.watch import Watch
+    from scara_effmass.settings import MonitorSettings
+    from scara_effmass.values import ContactAssessment
+
+EXAMPLES = """\
+Starts the monitor node and the replay as processes of their own, in a ROS domain of their own on this machine,
+and watches what the monitor publishes.
+
+examples:
+  scara-effmass demo
+  scara-effmass demo --rate 2 --duration 10 --out out/short
+  scara-effmass demo --bag recording.bag --robot arm.urdf --topic /arm/joint_states --out out/arm
+"""
+
+START_WITHIN_S = 20.0
+STRAGGLERS_S = 2.0
+"""How long after the end of the replay the last answers may take."""
+SUMMARY = "summary.json"
+FIGURE = "run"
+
+
+class Recording(NamedTuple):
+    """What is replayed: its topic of joint states, the time that is replayed, and what it says of its making."""
+
+    path: Path
+    topic: str
+    span_s: float
+    made: str
+
+
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.epilog = EXAMPLES
+    parser.add_argument(
+        "--bag", type=Path, metavar="BAG", help="recording (default: the shipped tour of the workspace)"
+    )
+    add_topic(parser)
+    add_robot(parser)
+    add_params(parser)
+    parser.add_argument(
+        "--rate", type=float, default=1.0, help="times the original speed; 0: as fast as the monitor answers"
+    )
+    parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="how much to replay [s]")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="where figures and summary go"
+    )
+    add_force(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run it live, then summarise and draw."""
+    from scara_effmass.analysis.figure import FORMATS  # noqa: PLC0415 - not needed for --help
+    from scara_effmass.analysis.output import require_free  # noqa: PLC0415
+
+    for name in (SUMMARY, *(f"{FIGURE}{suffix}" for suffix in FORMATS)):
+        require_free(args.out / name, overwrite=args.force)
+    settings, arm, choice = _settled(args)
+    recording = _recording(args)
+    console = printer()
+    live = Live(arm, settings)
+    if not args.json:
+        for subject, text in _introduction(recording, arm, settings, choice, args.rate):
+            console.print(f"{subject:<16}{text}")
+    live.run(args, settings, recording, console)
+    if not live.cycles:
+        raise EffmassError(
+            f"{recording.path}: the monitor answered none of {live.sent} joint states; does {arm.robot.name} fit?"
+        )
+    _finish(args, live, recording, arm, settings, console)
+    return 0
+
+
+class Live:
+    """One run through the live monitor, and what came of it."""
+
+    def __init__(self, arm: Arm, settings: MonitorSettings) -> None:
+        """Prepare for the contact points of `arm`."""
+        from scara_effmass.analysis.summary import Summary  # noqa: PLC0415
+        from scara_effmass.analysis.trace import Trace  # noqa: PLC0415
+
+        self._joints = frozenset(arm.robot.joint_names)
+        self.summary: Summary = Summary(round(settings.timeout * 1e9))
+        self.traces: dict[str, Trace] = {name: Trace() for name in arm.contact_points}
+        self.sent = self.cycles = self.silences = self.foreign = 0
+        self.replayed: dict[str, Any] = {}
+        self._first_ns: int | None = None
+
+    @property
+    def lost(self) -> int:
+        """Joint states sent, of this robot's, that were not answered."""
+        return self.sent - self.foreign - self.cycles
+
+    def run(self, args: argparse.Namespace, settings: MonitorSettings, recording: Recording, console: Console) -> None:
+        """Start the monitor and the replay, and receive until the end. Raises EffmassError when either fails."""
+        keep_to_this_machine()
+        from scara_effmass.nodes.watch import Watch  # noqa: PLC0415 - reads the domain when it is made
+
+        points = tuple(self.traces)
+        monitor_words = [
+            "monitor",
+            "--robot",
+            str(robot_path(settings)),
+            "--model",
+            settings.effective_mass_model.value,
+        ]
+        if args.params:
+            monitor_words += ["--params", str(args.params)]
+        replay_words = [
+            "replay",
+            str(recording.path),
+            "--topic",
+            recording.topic,
+            "--topics",
+            recording.topic,
+            "--json",
+        ]
+        replay_words += ["--rate", str(args.rate), "--duration", str(args.duration)]
+        with started([*monitor_words, "--ros-args", "-p", "use_sim_time:=true"]) as monitor:
+            display = Display(console, recording.span_s)
+
+            def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
+                self._take(contacts, at_ns)
+                if not args.json:
+                    display.show(contacts, (at_ns - (self._first_ns or at_ns)) / 1e9, watch.speed_scaling)
+
+            with Watch(points, on_cycle) as watch:
+                if not watch.spin(START_WITHIN_S, lambda: watch.connected or monitor.ended):
+                    raise EffmassError(f"the monitor has not come up within {START_WITHIN_S:g} s")
+                if monitor.ended:
+                    monitor.fail()
+                with started(replay_words) as replay, display:
+                    watch.spin(math.inf, lambda: replay.ended or monitor.ended)
+                    if monitor.ended:
+                        monitor.fail()
+                    self.replayed = json.loads(replay.output())
+                    self.sent = sum(self.replayed["sent"].values())
+                    self._look_back(recording, args.duration)
+                    self._await_stragglers(watch)
+
+    def _look_back(self, recording: Recording, duration_s: float) -> None:
+        """Find in the recording what no message tells: joint states of other devices, and the tightest one's pose."""
+        from scara_effmass.bag_io.files import open_bag  # noqa: PLC0415
+
+        tightest = self.summary.tightest
+        with open_bag(recording.path) as bag:
+            stop_ns = bag.start_ns + round(duration_s * 1e9) if duration_s < math.inf else None
+            for block in bag.joint_state_blocks(recording.topic, None, stop_ns):
+                if block.names and self._joints.isdisjoint(block.names):
+                    self.foreign += len(block)
+                elif tightest and (block.stamp_ns == tightest.contact.stamp_ns).any():
+                    row = int((block.stamp_ns == tightest.contact.stamp_ns).argmax())
+                    positions = dict(zip(block.names, block.position[row].tolist(), strict=True))
+                    self.summary.tightest = tightest._replace(positions=positions)
+
+    def _await_stragglers(self, watch: Watch) -> None:
+        watch.spin(STRAGGLERS_S, lambda: watch.cycles >= self.sent - self.foreign)
+        self.cycles, self.silences = watch.cycles, watch.silences
+
+    def _take(self, contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
+        if self._first_ns is None:
+            self._first_ns = at_ns
+        self.summary.add(contacts, at_ns)
+        for contact in contacts:
+            self.traces[contact.contact_point].add(contact, at_ns)
+
+
+def _settled(args: argparse.Namespace) -> tuple[MonitorSettings, Arm, str]:
+    """Return settings, robot, and a line about a mass model that had to be chosen."""
+    settings = settings_from(args)
+    arm = arm_from(settings)
+    if args.effective_mass_model or settings.effective_mass_model is not MassModel.LUMPED or not arm.lumped_reason:
+        return settings, arm, ""
+    instead = MassModel.ISO if arm.full_reason else MassModel.FULL
+    return (
+        settings_from(args, effective_mass_model=instead),
+        arm,
+        f"no lumped mass ({arm.lumped_reason}): {instead.value} is used",
+    )
+
+
+def _recording(args: argparse.Namespace) -> Recording:
+    from scara_effmass.analysis.assessment import joint_state_topic  # noqa: PLC0415
+    from scara_effmass.bag_io.files import open_bag  # noqa: PLC0415
+
+    with open_bag(args.bag or share("bags", "tour")) as bag:
+        topic = joint_state_topic(bag, args.topic)
+        return Recording(bag.path, topic, min(bag.duration_ns / 1e9, args.duration), _making(bag))
+
+
+def _making(bag: Bag) -> str:
+    """Return what the recording says of how it was made, empty where it says nothing."""
+    from scara_effmass.analysis.tables import INFO_TOPIC  # noqa: PLC0415
+
+    if all(topic.name != INFO_TOPIC for topic in bag.topics):
+        return ""
+    message = next(bag.messages([INFO_TOPIC]))
+    try:
+        about = json.loads(bag.deserialize(message).data)
+        return f"generated, no real robot: {about['description']}" if about["generated"] else ""
+    except (ValueError, TypeError, LookupError):
+        return ""
+
+
+def _introduction(
+    recording: Recording, arm: Arm, settings: MonitorSettings, choice: str, rate: float
+) -> list[tuple[str, str]]:
+    speed = f"{rate:g} times the original speed" if rate else "as fast as the monitor answers"
+    lines = [
+        ("recording", f"{recording.path}, {recording.topic}, {recording.span_s:.1f} s, {speed}"),
+        ("its motion", recording.made or "as recorded; the recording does not say that it was generated"),
+        ("live", "the monitor node, its messages and verdicts: computed now, from that motion"),
+        ("not measured", "masses and forces: they come from the robot's model"),
+        ("robot", f"{arm.robot.name}, {robot_path(settings)}"),
+        ("mass model", choice or settings.effective_mass_model.value),
+    ]
+    return lines + [("robot file", note) for note in arm.robot.notes]
+
+
+def _finish(
+    args: argparse.Namespace,
+    live: Live,
+    recording: Recording,
+    arm: Arm,
+    settings: MonitorSettings,
+    console: Console,
+) -> None:
+    """Draw, write, print."""
+    from scara_effmass.analysis.figure import draw_run, save  # noqa: PLC0415
+    from scara_effmass.analysis.output import completed  # noqa: PLC0415
+
+    tightest = live.summary.tightest
+    point = tightest.contact.contact_point if tightest else next(iter(live.traces))
+    model = settings.effective_mass_model.value
+    figure = draw_run(
+        live.traces[point].course(),
+        title=f"{arm.robot.name}: {recording.path.name} through the live monitor, {model} mass",
+        subtitle=f"{'generated motion, no real robot' if recording.made else 'recorded motion, modelled masses'}"
+        f" · contact point {point} · below {settings.speed_threshold:g} m/s: worst direction"
+        " · allowable speed includes the uncertainty margins",
+        mass_model=model,
+        timeout=settings.timeout,
+    )
+    paths = save(figure, args.out, FIGURE, overwrite=args.force)
+    result = {
+        "bag": str(recording.path),
+        "topic": recording.topic,
+        "generated": bool(recording.made),
+        "robot": arm.robot.origin,
+        "effective_mass_model": model,
+        "sent": live.sent,
+        "foreign": live.foreign,
+        "received": live.cycles,
+        "lost": live.lost,
+        "watchdog_messages": live.silences,
+        **live.summary.as_dict(),
+        "warnings": live.replayed["warnings"],
+        "figures": [str(path) for path in paths],
+    }
+    with completed(args.out / SUMMARY, overwrite=args.force) as unfinished:
+        unfinished.write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    if args.json:
+        console.print_json(json.dumps(result, allow_nan=False))
+        return
+    ignored = f", {live.foreign} of other devices" if live.foreign else ""
+    console.print(f"{'cycles':<16}{live.sent} joint states sent{ignored}, {live.cycles} answered, {live.lost} lost")
+    for subject, text in summary_lines(live.summary):
+        console.print(f"{subject:<16}{text}")
+    for warning in live.replayed["warnings"]:
+        console.print(f"{'recording':<16}{warning}")
+    console.print(f"{'written':<16}{args.out / SUMMARY}")
+    console.print(f"{'open':<16}{paths[0]}")

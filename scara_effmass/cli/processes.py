@@ -1,0 +1,86 @@
+"""Commands of the suite as processes of their own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from scara_effmass.errors import EffmassError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+END_WITHIN_S = 5.0
+
+
+class Started:
+    """A running `scara-effmass` command, whose output is kept."""
+
+    def __init__(self, words: Sequence[str]) -> None:
+        """Start it, in a session of its own: an interrupt at the terminal reaches it only through its owner."""
+        self._name = words[0]
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115
+        self._process = subprocess.Popen(  # noqa: S603 - this very program
+            [sys.executable, "-m", "scara_effmass", *words],
+            stdin=subprocess.DEVNULL,
+            stdout=self._output,
+            stderr=self._errors,
+            start_new_session=True,
+        )
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has ended by itself."""
+        return self._process.poll() is not None
+
+    def output(self) -> str:
+        """Return what it printed. Raises EffmassError, with its own line, when it failed."""
+        if self._process.wait() != 0:
+            self.fail()
+        self._output.seek(0)
+        return self._output.read().decode()
+
+    def fail(self) -> None:
+        """Raise EffmassError for a command that ended when it should not."""
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors="replace").strip().splitlines()
+        reason = lines[-1] if lines else f"exit code {self._process.returncode}"
+        raise EffmassError(f"{self._name} has ended: {reason}")
+
+    def end(self) -> None:
+        """End it as Ctrl-C would, and by force if it does not listen."""
+        if not self.ended:
+            self._process.send_signal(signal.SIGINT)
+            try:
+                self._process.wait(END_WITHIN_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        self._output.close()
+        self._errors.close()
+
+
+@contextmanager
+def started(words: Sequence[str]) -> Iterator[Started]:
+    """Run a `scara-effmass` command beside a `with`, at whose end it is ended."""
+    process = Started(words)
+    try:
+        yield process
+    finally:
+        process.end()
+
+
+def keep_to_this_machine() -> None:
+    """Give this process and those it starts a ROS domain of their own, not found from elsewhere.
+
+    A recorded motion must never reach the nodes of a real cell.
+    """
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    # Up to 101 the ports of a domain lie below those that Linux hands out by itself.
+    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 101)

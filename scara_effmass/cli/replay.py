@@ -1,0 +1,103 @@
+"""`scara-effmass replay`."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from scara_effmass.cli.options import add_json, printer
+
+if TYPE_CHECKING:
+    import argparse
+
+    from scara_effmass.nodes.replay import ReplayProgress, ReplayReport
+
+EXAMPLES = """\
+The clock of the recording is published on /clock: run the monitor with use_sim_time, or it takes old joint states
+for what they are, old.
+
+examples:
+  scara-effmass monitor -- -p use_sim_time:=true
+  scara-effmass replay bags/tour
+  scara-effmass replay bags/tour --start 10 --duration 5 --rate 0.5 --loop
+  scara-effmass replay recording.bag --topic /wx200/joint_states --rate 0
+"""
+
+
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.epilog = EXAMPLES
+    parser.add_argument("bag", type=Path, metavar="BAG", help="recording")
+    parser.add_argument(
+        "--rate", type=float, default=1.0, help="times the original speed; 0: as fast as a monitor answers"
+    )
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="where to begin [s]")
+    parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="how much to replay [s]")
+    parser.add_argument("--loop", action="store_true", help="begin again at the end, until it is stopped")
+    parser.add_argument(
+        "--topic", help="topic that is published as /joint_states (default: every topic keeps its name)"
+    )
+    parser.add_argument(
+        "--topics", nargs="+", default=(), metavar="TOPIC", help="topics to replay (default: all that can be)"
+    )
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay, and print what was sent."""
+    from scara_effmass.nodes.replay import ReplayOptions, replay  # noqa: PLC0415 - rclpy, only when it runs
+
+    options = ReplayOptions(
+        bag=args.bag,
+        rate=args.rate,
+        start_s=args.start,
+        duration_s=args.duration,
+        passes=0 if args.loop else 1,
+        topics=tuple(args.topics),
+        joint_states=args.topic or "",
+    )
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:.1f} s"))
+    with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as progress:
+        task = progress.add_task("replay", total=None)
+
+        def show(now: ReplayProgress) -> None:
+            name = f"pass {now.pass_number}" if args.loop else args.bag.name
+            progress.update(task, description=name, completed=now.time_s, total=now.span_s)
+
+        report = replay(options, show)
+    if args.json:
+        printer().print_json(json.dumps({**asdict(report), "achieved_rate": report.achieved_rate}, allow_nan=False))
+    else:
+        _print(report)
+    return 130 if report.interrupted else 0
+
+
+def _print(report: ReplayReport) -> None:
+    console = printer()
+    for topic, count in report.sent.items():
+        heard = ", nobody listened" if topic in report.unheard else ""
+        console.print(f"{'sent':<16}{topic}: {count} messages{heard}")
+    for topic, reason in report.skipped.items():
+        console.print(f"{'not replayed':<16}{topic}: {reason}")
+    console.print(
+        f"{'played':<16}{report.replayed_s:.2f} s in {report.wall_s:.2f} s, {report.achieved_rate:.2f} times real time"
+    )
+    if report.answered or report.unanswered or report.not_awaited:
+        not_awaited = f", {report.not_awaited} not awaited" if report.not_awaited else ""
+        console.print(f"{'answered':<16}{report.answered} joint states, {report.unanswered} unanswered{not_awaited}")
+    if report.late:
+        console.print(
+            f"{'late':<16}{report.late} messages by more than 10 ms, at worst {1e3 * report.worst_lateness_s:.0f} ms"
+        )
+    for topic in report.unacknowledged:
+        console.print(f"{'not received':<16}{topic}: a subscriber has not confirmed everything")
+    for warning in report.warnings:
+        console.print(f"{'warning':<16}{warning}")

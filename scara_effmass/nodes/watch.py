@@ -1,0 +1,134 @@
+"""A subscriber to what the monitor publishes, in a ROS context of its own."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, final
+
+import rclpy
+from rclpy.context import Context
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from scara_effmass_msgs.msg import ContactState
+from std_msgs.msg import Float64
+
+from scara_effmass.values import ContactAssessment, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from types import TracebackType
+
+    from rclpy.event_handler import QoSSubscriptionMatchedInfo
+
+    OnCycle = Callable[[tuple[ContactAssessment, ...], int], None]
+
+_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=2000)
+_SLICE_S = 0.05
+"""Longest stay inside the executor, which does not notice signals; Python acts on them between two stays."""
+_TOPICS = 3
+_SILENCE = "no joint state "
+"""How the reason begins that the monitor's watchdog gives; it answers no joint state."""
+
+
+@final
+class Watch:
+    """Hands on the monitor's cycles, one per joint state; to be used in a `with`.
+
+    Counts `cycles`, `silences` (UNKNOWNs of the watchdog, which answer no joint state), and keeps the last
+    `allowable_speed` [m/s] and `speed_scaling` [0-1].
+    """
+
+    def __init__(self, contact_points: Sequence[str], on_cycle: OnCycle) -> None:
+        """Call `on_cycle(contacts, at_ns)` per joint state, `at_ns` being the node's clock when it was assessed."""
+        self.cycles = 0
+        self.silences = 0
+        self.allowable_speed = 0.0
+        self.speed_scaling = 0.0
+        self._last_point = contact_points[-1]
+        self._on_cycle = on_cycle
+        self._pending: list[ContactAssessment] = []
+        self._matched: set[str] = set()
+        self._kept = ExitStack()
+        context = Context()
+        # Python's own handlers stay: an interrupt shall end the whole command, not the context alone.
+        rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+        self._kept.callback(context.try_shutdown)
+        node = Node("watch", context=context, start_parameter_services=False, enable_rosout=False)
+        self._kept.callback(node.destroy_node)
+        for kind, topic, callback in (
+            (ContactState, "contact_state", self._on_contact_state),
+            (Float64, "allowable_speed", self._on_allowable_speed),
+            (Float64, "speed_scaling", self._on_speed_scaling),
+        ):
+            events = SubscriptionEventCallbacks(matched=self._on_matched(topic))
+            node.create_subscription(kind, topic, callback, _QOS, event_callbacks=events)
+        self._executor = EventsExecutor(context=context)
+        self._executor.add_node(node)
+        self._kept.callback(self._executor.shutdown)
+
+    @property
+    def connected(self) -> bool:
+        """Whether a monitor publishes on every topic."""
+        return len(self._matched) == _TOPICS
+
+    def spin(self, seconds: float, done: Callable[[], bool] = bool) -> bool:
+        """Receive for `seconds` or until `done`; return whether it is."""
+        deadline = time.monotonic() + seconds
+        while not (finished := done()) and (left := deadline - time.monotonic()) > 0.0:
+            self._executor.spin_until_future_complete(Future(), timeout_sec=min(left, _SLICE_S))
+        return finished
+
+    def __enter__(self) -> Watch:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._kept.close()
+
+    def _on_matched(self, topic: str) -> Callable[[QoSSubscriptionMatchedInfo], None]:
+        def note(info: QoSSubscriptionMatchedInfo) -> None:
+            (self._matched.add if info.current_count else self._matched.discard)(topic)
+
+        return note
+
+    def _on_contact_state(self, message: ContactState) -> None:
+        contact = contact_from(message)
+        if contact.verdict is Verdict.UNKNOWN and contact.reason.startswith(_SILENCE):
+            self.silences += contact.contact_point == self._last_point
+            return
+        pending = self._pending
+        if pending and pending[0].stamp_ns != contact.stamp_ns:
+            self._hand_on()
+        pending.append(contact)
+        if contact.contact_point == self._last_point:
+            self._hand_on()
+
+    def _hand_on(self) -> None:
+        contacts = tuple(self._pending)
+        self._pending.clear()
+        self.cycles += 1
+        self._on_cycle(contacts, contacts[0].stamp_ns + round(contacts[0].input_age * 1e9))
+
+    def _on_allowable_speed(self, message: Float64) -> None:
+        self.allowable_speed = message.data
+
+    def _on_speed_scaling(self, message: Float64) -> None:
+        self.speed_scaling = message.data
+
+
+def contact_from(message: ContactState) -> ContactAssessment:
+    """Return what `message` says, as `safety` says it."""
+    stamp, direction = message.header.stamp, message.direction
+    special = {
+        "stamp_ns": stamp.sec * 1_000_000_000 + stamp.nanosec,
+        "direction": (direction.x, direction.y, direction.z),
+        "verdict": Verdict(message.verdict),
+    }
+    fields = (special[name] if name in special else getattr(message, name) for name in ContactAssessment._fields)
+    return ContactAssessment._make(fields)

@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from scara_effmass.bag_io.files import open_bag
+from scara_effmass.bench.generate import CHECKSUMS, INFO_TOPIC, generate
+from scara_effmass.bench.recordings import EPOCH_NS, RECORDINGS, SEED
+from scara_effmass.errors import OutputError
+from scara_effmass.model.arm import Arm
+from scara_effmass.model.load import load_robot
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import Verdict
+
+if TYPE_CHECKING:
+    from scara_effmass.bench.recordings import Recording
+    from scara_effmass.values import ContactAssessment, JointState
+
+ROOT = Path(__file__).parents[2]
+BAGS = ROOT / "bags"
+NAMES = [recording.name for recording in RECORDINGS]
+ULPS = 1e-12
+"""What sine and arc cosine may differ by from one library or processor to another [rad]."""
+
+
+def states(bag: Path) -> list[JointState]:
+    with open_bag(bag) as opened:
+        assert opened.losses == ()
+        return [state for block in opened.joint_state_blocks() for state in block.states()]
+
+
+def assessed(name: str) -> list[ContactAssessment]:
+    settings = MonitorSettings()
+    monitor = Monitor(Arm(load_robot(ROOT / "config" / "omron_i4_550l.yaml", settings)), settings)
+    decisions = [monitor.assess(state, state.stamp_ns) for state in states(BAGS / name)]
+    return [decision.contacts[0] for decision in decisions if decision is not None]
+
+
+@pytest.fixture(scope="module")
+def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bags")
+    generate(folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_committed_recordings_are_what_the_generator_makes(fresh: Path, name: str) -> None:
+    with open_bag(BAGS / name) as committed, open_bag(fresh / name) as made:
+        assert committed.topics == made.topics
+        about = [message.data for message in committed.messages([INFO_TOPIC])]
+        assert about == [message.data for message in made.messages([INFO_TOPIC])]
+    for one, other in zip(states(BAGS / name), states(fresh / name), strict=True):
+        assert (one.stamp_ns, one.names) == (other.stamp_ns, other.names)
+        assert one.position == pytest.approx(other.position, abs=ULPS)
+        assert one.velocity == pytest.approx(other.velocity, abs=ULPS)
+
+
+def test_making_them_twice_gives_the_same_bytes(fresh: Path, tmp_path: Path) -> None:
+    generate(tmp_path)
+    assert (tmp_path / CHECKSUMS).read_text() == (fresh / CHECKSUMS).read_text()
+
+
+def test_the_committed_files_have_the_committed_checksums() -> None:
+    lines = (BAGS / CHECKSUMS).read_text(encoding="utf-8").splitlines()
+    sums = {path: checksum for checksum, path in (line.split("  ") for line in lines)}
+    found = {path.relative_to(BAGS).as_posix(): path for name in NAMES for path in (BAGS / name).iterdir()}
+    assert sums == {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in found.items()}
+    assert sum(path.stat().st_size for path in found.values()) < 3_000_000
+
+
+@pytest.mark.parametrize("recording", RECORDINGS, ids=NAMES)
+def test_a_recording_says_that_it_was_generated(recording: Recording) -> None:
+    with open_bag(BAGS / recording.name) as bag:
+        (message,) = bag.messages([INFO_TOPIC])
+        about = json.loads(bag.deserialize(message).data)
+        assert bag.start_ns == EPOCH_NS
+    assert about["generated"] is True
+    assert about["seed"] == SEED
+    assert about["generator"] == "python -m scara_effmass.bench"
+
+
+@pytest.mark.parametrize("recording", RECORDINGS, ids=NAMES)
+def test_stamps_are_regular_and_those_of_the_log(recording: Recording) -> None:
+    with open_bag(BAGS / recording.name) as bag:
+        for block in bag.joint_state_blocks():
+            assert np.array_equal(block.stamp_ns, block.log_time_ns)
+            assert set(np.diff(block.stamp_ns).tolist()) == {1_000_000_000 // recording.frequency}
+
+
+def test_the_tour_meets_every_verdict_and_passes_singular_poses() -> None:
+    contacts = assessed("tour")
+    shares = {verdict: count / len(contacts) for verdict, count in Counter(c.verdict for c in contacts).items()}
+    assert all(shares[verdict] > 0.05 for verdict in (Verdict.OK, Verdict.WARN, Verdict.VIOLATION))
+    # Unknown at the start only: velocities of exactly zero are believed once the position confirms them.
+    known = [c.verdict is not Verdict.UNKNOWN for c in contacts]
+    first = known.index(True)
+    assert all(known[first:])
+    assert contacts[first].stamp_ns - EPOCH_NS < 400_000_000
+    usable = contacts[first:]
+    assert min(c.smallest_singular_value for c in usable) < 1e-3
+    assert any(c.mass_capped for c in usable)
+
+
+def test_the_straight_line_is_slow_enough_and_light_at_the_point_of_impact() -> None:
+    contacts = assessed("straight_300_200")
+    known = [c for c in contacts if c.verdict is not Verdict.UNKNOWN]
+    assert {c.verdict for c in known} == {Verdict.OK}
+    assert len(contacts) - len(known) <= 300
+    impact = contacts[len(contacts) // 2]
+    assert impact.speed == pytest.approx(0.25, abs=1e-9)
+    assert impact.direction == pytest.approx((1.0, 0.0, 0.0), abs=1e-9)
+    # The effective mass of the paper's robot in this pose along x.
+    assert impact.lumped_mass == pytest.approx(0.981, abs=0.0005)
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "scara_effmass.bench", *arguments], capture_output=True, text=True, check=False
+    )
+
+
+def test_the_command_writes_and_replaces_only_when_told(tmp_path: Path) -> None:
+    first = run("-o", str(tmp_path / "bags"))
+    assert (first.returncode, first.stderr) == (0, "")
+    assert first.stdout.splitlines() == [str(tmp_path / "bags" / name) for name in (*NAMES, CHECKSUMS)]
+    again = run("-o", str(tmp_path / "bags"))
+    assert again.returncode == 2
+    assert again.stderr.count("\n") == 1
+    assert "exists already" in again.stderr
+    assert run("-o", str(tmp_path / "bags"), "--force").returncode == 0
+
+
+def test_a_folder_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(OutputError, match="file"):
+        generate(tmp_path / "file")

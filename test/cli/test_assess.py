@@ -1,0 +1,259 @@
+"""`assess`: every file holds exactly what the core decides, in bounded memory, never over something else."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import subprocess
+import sys
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from pyarrow import parquet
+
+from scara_effmass import __version__
+from scara_effmass.analysis.tables import SCHEMA
+from scara_effmass.bag_io.cdr import JointStateDecoder
+from scara_effmass.bag_io.files import open_bag
+from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.iso15066 import EDITION, TABLE_HASH
+from scara_effmass.model.arm import Arm
+from scara_effmass.model.load import load_robot
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.share import share
+from scara_effmass.values import Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from scara_effmass.values import ContactAssessment
+
+    Cli = Callable[..., subprocess.CompletedProcess[str]]
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+UNITS = ("", "_m_s", "_kg", "_n_m", "_n", "_s")
+
+
+def decided(path: Path, settings: MonitorSettings | None = None) -> list[ContactAssessment]:
+    """Return what the core decides for every joint state of a recording, straight from `safety.Monitor`."""
+    settings = settings or MonitorSettings()
+    monitor = Monitor(Arm(load_robot(share("config", "omron_i4_550l.yaml"), settings)), settings)
+    decoder = JointStateDecoder()
+    contacts: list[ContactAssessment] = []
+    with open_bag(path) as bag:
+        for message in bag.messages(["/joint_states"]):
+            decision = monitor.assess(decoder.decode(message.data), message.log_time_ns)
+            assert decision is not None
+            contacts += decision.contacts
+    return contacts
+
+
+def same(left: object, right: object) -> bool:
+    return left == right or (
+        isinstance(left, float) and isinstance(right, float) and math.isnan(left) and math.isnan(right)
+    )
+
+
+def column_of(field: str) -> str:
+    (name,) = (f"{field}{unit}" for unit in UNITS if f"{field}{unit}" in SCHEMA.names)
+    return name
+
+
+def assert_equal(rows: list[dict[str, Any]], contacts: list[ContactAssessment]) -> None:
+    assert len(rows) == len(contacts)
+    for row, contact in zip(rows, contacts, strict=True):
+        for field, value in contact._asdict().items():
+            if field == "direction":
+                assert tuple(row[f"direction_{axis}"] for axis in "xyz") == value
+            elif field == "verdict":
+                assert row["verdict"] == value.name
+            else:
+                assert same(row[column_of(field)], value), field
+
+
+def test_parquet_holds_what_the_core_decides(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
+    out = tmp_path / "new" / "swing.parquet"
+    done = here("assess", swing_bag, "-o", out)
+    assert (done.returncode, done.stderr) == (0, "")
+    rows = parquet.read_table(out).to_pylist()
+    assert_equal(rows, decided(swing_bag))
+    assert {row["bag"] for row in rows} == {str(swing_bag)}
+    assert all(row["log_time_ns"] == row["stamp_ns"] for row in rows)
+    said = {key.decode(): value.decode() for key, value in parquet.read_schema(out).metadata.items()}
+    assert said["scara_effmass_version"] == __version__
+    assert (said["limits_edition"], said["limits_hash"]) == (EDITION, TABLE_HASH)
+    assert MonitorSettings.model_validate_json(said["settings"]) == MonitorSettings()
+    assert said["robot"].endswith("omron_i4_550l.yaml")
+    assert json.loads(said["bags"]) == [str(swing_bag)]
+
+
+def test_csv_holds_the_same_to_the_last_bit(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
+    assert here("assess", swing_bag, "-o", tmp_path / "a.csv").returncode == 0
+    with (tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
+        rows: list[dict[str, Any]] = list(csv.DictReader(file))
+    kinds: dict[str, Callable[[str], Any]] = {"double": float, "int64": int, "bool": "true".__eq__, "string": str}
+    for row in rows:
+        row.update({name: kinds[str(SCHEMA.field(name).type)](value) for name, value in row.items()})
+    assert_equal(rows, decided(swing_bag))
+
+
+def test_mcap_holds_contact_states_at_the_recorded_times(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
+    assert here("assess", swing_bag, "-o", tmp_path / "a.mcap").returncode == 0
+    contacts = decided(swing_bag)
+    with open_bag(tmp_path / "a.mcap") as bag:
+        messages = list(bag.messages(["/contact_state"]))
+        assert len(messages) == len(contacts)
+        for message, contact in zip(messages, contacts, strict=True):
+            state = bag.deserialize(message)
+            assert message.log_time_ns == contact.stamp_ns
+            assert state.header.frame_id == "base_link"
+            assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == contact.stamp_ns
+            assert (state.direction.x, state.direction.y, state.direction.z) == contact.direction
+            for field in set(contact._fields) - {"stamp_ns", "direction"}:
+                assert same(getattr(state, field), getattr(contact, field)), field
+        (about,) = bag.messages(["/scara_effmass/recording_info"])
+        assert json.loads(bag.deserialize(about).data)["limits_hash"] == TABLE_HASH
+
+
+def test_options_reach_the_core(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
+    words = ("--region", "chest", "--region", "pelvis", "--contact", "quasi_static", "--model", "largest")
+    assert here("assess", swing_bag, "-o", tmp_path / "a.parquet", *words).returncode == 0
+    settings = MonitorSettings.model_validate(
+        {"body_regions": ("chest", "pelvis"), "contact": "quasi_static", "effective_mass_model": "largest"}
+    )
+    assert_equal(parquet.read_table(tmp_path / "a.parquet").to_pylist(), decided(swing_bag, settings))
+
+
+def test_the_summary_is_that_of_the_rows(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
+    result = json.loads(here("assess", swing_bag, "-o", tmp_path / "a.csv", "--json").stdout)
+    contacts = decided(swing_bag)
+    counts = Counter(contact.verdict for contact in contacts)
+    assert result["joint_states"] == result["cycles"] == len(contacts)
+    assert result["cycles_by_verdict"] == {verdict.name: counts[verdict] for verdict in Verdict}
+    assert counts[Verdict.OK]
+    assert counts[Verdict.VIOLATION]
+    tightest = min((c for c in contacts if c.verdict is not Verdict.UNKNOWN), key=lambda contact: contact.margin)
+    assert result["tightest"]["margin_m_s"] == tightest.margin
+    assert result["tightest"]["stamp_ns"] == tightest.stamp_ns
+    assert result["tightest"]["body_region"] == tightest.body_region
+    assert set(result["tightest"]["positions"]) == {"joint1", "joint2", "joint3", "joint4"}
+    assert sum(result["seconds_by_verdict"].values()) == pytest.approx(999 * 0.002)
+    assert sum(result["unknown_reasons"].values()) == counts[Verdict.UNKNOWN]
+    check = result["closed_form_check"]
+    assert check["rows"] == sum(not math.isnan(contact.lumped_mass) for contact in contacts)
+    assert check["worst_relative_difference"] < 1e-9
+
+
+def test_several_bags_share_a_table_each_with_a_monitor_of_its_own(
+    swing_bag: Path, long_bag: Path, here: Cli, tmp_path: Path
+) -> None:
+    done = here("assess", swing_bag, swing_bag, "-o", tmp_path / "a.parquet", "--json")
+    rows = parquet.read_table(tmp_path / "a.parquet").to_pylist()
+    assert_equal(rows, [*decided(swing_bag), *decided(swing_bag)])
+    assert json.loads(done.stdout)["gaps"] == 0
+    assert long_bag.name == "long.mcap"
+    assert here("assess", swing_bag, long_bag, "-o", tmp_path / "a.mcap").returncode == 0
+    with open_bag(tmp_path / "a.mcap") as bag:
+        counts = {topic.name: topic.count for topic in bag.topics}
+    assert counts == {
+        "/scara_effmass/recording_info": 1,
+        "/bag_0_swing/contact_state": 1000,
+        "/bag_1_long/contact_state": 30_000,
+    }
+
+
+def test_what_cannot_be_decoded_is_refused_and_the_run_goes_on(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
+    with open_bag(swing_bag) as bag, BagWriter(tmp_path / "torn.mcap") as torn:
+        for number, message in enumerate(bag.messages(["/joint_states"])):
+            data = message.data[:40] if number == 500 else message.data
+            torn.write("/joint_states", JOINT_STATE, message.log_time_ns, data)
+    done = here("assess", tmp_path / "torn.mcap", "-o", tmp_path / "a.parquet", "--json")
+    assert done.returncode == 0
+    result = json.loads(done.stdout)
+    assert result["joint_states"] == 1000
+    rows = parquet.read_table(tmp_path / "a.parquet").to_pylist()
+    assert rows[500]["verdict"] == "UNKNOWN"
+    assert rows[500]["stamp_ns"] == 0
+    assert rows[500]["reason"].startswith("JointState: ")
+    assert rows[501]["verdict"] == "UNKNOWN"
+    assert rows[501]["reason"] == f"held after: {rows[500]['reason']}"
+    assert rows[499]["verdict"] != "UNKNOWN" != rows[800]["verdict"]
+
+
+def test_gaps_and_joint_states_of_others_are_told(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
+    with open_bag(swing_bag) as bag, BagWriter(tmp_path / "mixed.mcap") as mixed:
+        for number, message in enumerate(bag.messages(["/joint_states"])):
+            if not 300 <= number < 600:
+                mixed.write("/joint_states", JOINT_STATE, message.log_time_ns, message.data)
+            elif number == 450:
+                other = message.data.replace(b"joint", b"wheel")
+                mixed.write("/joint_states", JOINT_STATE, message.log_time_ns, other)
+    result = json.loads(here("assess", tmp_path / "mixed.mcap", "-o", tmp_path / "a.csv", "--json").stdout)
+    assert (result["joint_states"], result["foreign"], result["cycles"]) == (701, 1, 700)
+    assert result["gaps"] == 1
+    assert result["longest_gap_s"] == pytest.approx(301 * 0.002)
+    assert result["seconds_by_verdict"]["UNKNOWN"] >= 301 * 0.002 - 0.2
+
+
+def test_several_topics_need_a_choice(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
+    with open_bag(swing_bag) as bag, BagWriter(tmp_path / "two.mcap") as two:
+        for message in bag.messages(["/joint_states"]):
+            two.write("/left/joint_states", JOINT_STATE, message.log_time_ns, message.data)
+            two.write("/right/joint_states", JOINT_STATE, message.log_time_ns, message.data)
+    done = here("assess", tmp_path / "two.mcap", "-o", tmp_path / "a.csv")
+    assert done.returncode == 2
+    assert (
+        "several topics hold joint states; give --topic one of /left/joint_states, /right/joint_states" in done.stderr
+    )
+    assert not (tmp_path / "a.csv").exists()
+    assert (
+        here("assess", tmp_path / "two.mcap", "-o", tmp_path / "a.csv", "--topic", "left/joint_states").returncode == 0
+    )
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv", ".mcap"])
+def test_existing_output_needs_force(suffix: str, swing_bag: Path, here: Cli, tmp_path: Path) -> None:
+    out = tmp_path / f"a{suffix}"
+    out.write_bytes(b"precious")
+    done = here("assess", swing_bag, "-o", out)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"{out}: exists already")
+    assert out.read_bytes() == b"precious"
+    assert here("assess", swing_bag, "-o", out, "--force").returncode == 0
+    assert out.read_bytes() != b"precious"
+    assert list(tmp_path.iterdir()) == [out]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_may_not_be_written_to(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
+    folder = tmp_path / "closed"
+    folder.mkdir(mode=0o500)
+    done = here("assess", swing_bag, "-o", folder / "a.csv")
+    assert done.returncode == 2
+    assert "cannot be written: Permission denied" in done.stderr
+
+
+MEMORY = """
+import resource, sys
+from scara_effmass.cli import main
+assert main(["assess", sys.argv[1], "-o", sys.argv[2]]) == 0
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv", ".mcap"])
+def test_memory_does_not_grow_with_the_recording(suffix: str, swing_bag: Path, long_bag: Path, tmp_path: Path) -> None:
+    peaks_mb = []
+    for name, bag in (("short", swing_bag), ("long", long_bag)):
+        words = [sys.executable, "-c", MEMORY, bag, tmp_path / f"{name}{suffix}"]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=50, check=True)
+        peaks_mb.append(float(done.stderr))
+    short, long = peaks_mb
+    assert long < 400.0
+    # 30 times as many rows: what grows is one row group, not the recording.
+    assert long - short < 80.0

@@ -1,0 +1,123 @@
+"""`doctor`: healthy with the shipped robot, and plain words for what a monitor cannot live with."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from scara_effmass.cli import main
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SHIPPED = share("config", "omron_i4_550l.yaml")
+
+ARM = """<robot name="arm">
+<link name="base"/>{links}
+<joint name="a" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="2" effort="1"/></joint>
+<joint name="b" type="{kind}"><parent link="l1"/><child link="l2"/><axis xyz="0 1 0"/><origin xyz="0.3 0 0"/>
+<limit lower="-1" upper="1" velocity="2" effort="1"/></joint>
+<joint name="c" type="fixed"><parent link="l2"/><child link="tip"/><origin xyz="0.3 0 0"/></joint>
+</robot>"""
+LINK = """<link name="{name}"><inertial><origin xyz="{x} 0.01 0"/><mass value="{mass}"/>
+<inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+
+
+def arm(path: Path, *, inertia: float = 0.01, mass: float = 1.5, x: float = 0.1, kind: str = "revolute") -> Path:
+    """Write a URDF of two skew joints."""
+    links = "".join(LINK.format(name=name, x=x, mass=mass, i=inertia) for name in ("l1", "l2"))
+    path.write_text(ARM.format(links=links + '<link name="tip"/>', kind=kind), encoding="utf-8")
+    return path
+
+
+def examined(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, Any]]:
+    code = main(["doctor", "--json", *words])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def texts(result: dict[str, Any], level: str) -> dict[str, str]:
+    return {each["subject"]: each["text"] for each in result["findings"] if each["level"] == level}
+
+
+def test_the_shipped_robot_is_healthy(capsys: pytest.CaptureFixture[str]) -> None:
+    code, result = examined(capsys)
+    assert code == 0
+    assert result["healthy"] is True
+    assert texts(result, "wrong") == {}
+    ok = texts(result, "ok")
+    assert re.match(r"\d+\.\d+\.\d+ ", ok["rclpy"])
+    assert ok["middleware"].startswith("rmw_")
+    assert "type support of ContactState loads" in ok["scara_effmass_msgs"]
+    assert "2.77 kg" in ok["ISO mass"]
+    assert "1.94, 2.38" in ok["lumped model"]
+    assert [joint["name"] for joint in result["joints"]] == ["joint1", "joint2", "joint3", "joint4"]
+    assert sum(joint["link_mass_kg"] for joint in result["joints"]) == pytest.approx(5.04 + 0.25)
+
+
+def test_a_robot_without_the_chosen_model_is_not_healthy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = str(arm(tmp_path / "arm.urdf"))
+    code, result = examined(capsys, "--robot", robot)
+    assert code == 1
+    assert result["healthy"] is False
+    (wrong,) = texts(result, "wrong").values()
+    assert "choose full or iso" in wrong
+    assert "is the tool" in texts(result, "note")["payload"]
+    code, result = examined(capsys, "--robot", robot, "--model", "full")
+    assert code == 0
+    assert texts(result, "wrong") == {}
+
+
+def test_placeholders_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = str(arm(tmp_path / "arm.urdf", inertia=1.0, mass=1.0))
+    code, result = examined(capsys, "--robot", robot, "--model", "iso")
+    assert code == 1
+    assert "placeholders" in texts(result, "note")["inertia tensors"]
+    assert "placeholders" in texts(result, "wrong")["effective_mass_model"]
+
+
+def test_a_file_that_is_no_robot_is_a_finding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = tmp_path / "arm.urdf"
+    robot.write_text("<robot", encoding="utf-8")
+    code, result = examined(capsys, "--robot", str(robot))
+    assert code == 1
+    assert str(robot) in texts(result, "wrong")["robot"]
+    assert result["joints"] == []
+
+
+def test_a_limit_that_does_not_exist_is_a_finding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "cell.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    body_regions: [face]\n", encoding="utf-8")
+    code, result = examined(capsys, "--params", str(file))
+    assert code == 1
+    assert "no transient limit" in texts(result, "wrong")["limits"]
+
+
+def test_a_joint_without_limits_is_shown_as_such(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = str(arm(tmp_path / "arm.urdf", kind="continuous"))
+    assert main(["doctor", "--robot", robot, "--model", "full"]) == 0
+    assert "continuous" not in capsys.readouterr().err
+    assert examined(capsys, "--robot", robot, "--model", "full")[0] == 0
+
+
+def test_the_network_is_said_to_be_reached(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    _, result = examined(capsys)
+    assert "LOCALHOST keeps to this machine" in texts(result, "note")["ROS_AUTOMATIC_DISCOVERY_RANGE"]
+    assert texts(result, "ok")["ROS_DOMAIN_ID"] == "7"
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    _, result = examined(capsys)
+    assert "ROS_AUTOMATIC_DISCOVERY_RANGE" in texts(result, "ok")
+
+
+def test_missing_type_support_is_a_finding(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setitem(sys.modules, "scara_effmass_msgs.msg", None)
+    code, result = examined(capsys)
+    assert code == 1
+    assert "install scara_effmass again" in texts(result, "wrong")["scara_effmass_msgs"]

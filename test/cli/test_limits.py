@@ -1,0 +1,73 @@
+"""`limits`: the standard's table and the speeds of `iso15066`, as printed."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from scara_effmass.cli import main
+from scara_effmass.iso15066 import BODY_POINTS, BODY_REGIONS, EDITION, TABLE_HASH, SpeedLimits, limits_for
+from scara_effmass.settings import Contact, MonitorSettings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def result(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
+    assert main(["limits", "--json", *words]) == 0
+    table: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return table
+
+
+def test_the_whole_table_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+    table = result(capsys)
+    assert (table["edition"], table["hash"]) == (EDITION, TABLE_HASH)
+    assert [point["clause"] for point in table["body_points"]] == [point.clause for point in BODY_POINTS]
+    assert [region["name"] for region in table["body_regions"]] == list(BODY_REGIONS)
+    for printed, point in zip(table["body_points"], BODY_POINTS, strict=True):
+        assert printed["quasi_static_force_n"] == point.quasi_static_force_n
+        assert printed["transient_pressure_n_cm2"] == point.transient_pressure_n_cm2
+    assert table["allowable_speeds"] == []
+
+
+@pytest.mark.parametrize("contact", Contact)
+def test_speeds_are_those_of_the_limits(contact: Contact, capsys: pytest.CaptureFixture[str]) -> None:
+    speeds = result(capsys, "--mass", "0.97", "--mass", "2.77", "--contact", contact.value)["allowable_speeds"]
+    limits = limits_for(MonitorSettings(contact=contact))
+    assert len(speeds) == 2 * len(limits)
+    for row in speeds:
+        (limit,) = (limit for limit in limits if limit.region == row["region"])
+        ceiling = SpeedLimits([limit]).ceiling(row["effective_mass_kg"])
+        assert row["allowable_speed_m_s"] == ceiling.allowable_speed
+        assert row["criterion"] == ceiling.criterion
+        assert row["clause"] == limit.clause
+
+
+def test_the_reference_speeds_of_a_hand_come_out(capsys: pytest.CaptureFixture[str]) -> None:
+    # ISO/TS 15066, worked by hand: 280 N / sqrt(mu * 75 N/mm), mu of 0.6 kg with 0.97 and 2.77 kg.
+    speeds = result(capsys, "--mass", "0.97", "--mass", "2.77", "--region", "hand_fingers")["allowable_speeds"]
+    assert [round(1e3 * row["allowable_speed_m_s"]) for row in speeds] == [1679, 1456]
+
+
+def test_the_text_holds_every_row_the_units_and_the_tightest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["limits", "--mass", "2.77"]) == 0
+    text = capsys.readouterr().out
+    for point in BODY_POINTS:
+        assert f"{point.clause} " in text
+        assert point.name in text
+    assert "stiffness [N/mm]" in text
+    assert "649 (lower_leg, force)" in text
+    assert TABLE_HASH in text
+    assert "…" not in text
+
+
+def test_an_own_limit_of_the_parameter_file_counts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "cell.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    max_force: 100.0\n", encoding="utf-8")
+    words = ("--mass", "2.77", "--region", "hand_fingers")
+    (standard,) = result(capsys, *words)["allowable_speeds"]
+    (own,) = result(capsys, *words, "--params", str(file))["allowable_speeds"]
+    assert own["allowable_speed_m_s"] == pytest.approx(standard["allowable_speed_m_s"] * 100.0 / 280.0)
+    assert "own limit" in own["clause"]

@@ -1,0 +1,314 @@
+"""URDF: what recorded files give, and whatever is wrong is named in one line."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scara_effmass.errors import RobotError
+from scara_effmass.model.arm import Arm
+from scara_effmass.model.closed_form import ScaraInertia, full_mass
+from scara_effmass.model.lumping import is_scara
+from scara_effmass.model.urdf import parse_urdf
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from scara_effmass.model.arm import Presented
+    from scara_effmass.model.robot import Robot
+
+
+def link(name: str, mass: float, com: str = "0.1 0 0", moments: str = "0.001 0.02 0.02") -> str:
+    ixx, iyy, izz = moments.split()
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{com}"/><mass value="{mass}"/>'
+        f'<inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute", origin: str = "0 0 0", inside: str = "") -> str:
+    limit = '<limit lower="-2" upper="2" effort="1" velocity="3"/>' if kind in {"revolute", "prismatic"} else ""
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{origin}"/><axis xyz="0 0 1"/>{inside or limit}</joint>'
+    )
+
+
+PARTS = (
+    '<link name="base"/>',
+    link("upper", 2.74, "0.08029 0 0", "0.02 0.02 0.02952"),
+    link("fore", 2.0, "0.05775 0 0", "0.02 0.02 0.02272"),
+    link("slide", 0.2, "0 0 0", "0.0001 0.0001 0.0001"),
+    link("tool", 0.1, "0 0 0", "0.0002 0.0002 0.0002"),
+    '<link name="tip"/>',
+    joint("j1", "base", "upper"),
+    joint("j2", "upper", "fore", origin="0.275 0 0"),
+    joint("j3", "fore", "slide", "prismatic", origin="0.275 0 0"),
+    joint("j4", "slide", "tool", "continuous"),
+    joint("weld", "tool", "tip", "fixed"),
+)
+SCARA = f'<robot name="scara">{"".join(PARTS)}</robot>'
+
+
+def with_more(*parts: str) -> str:
+    return SCARA.replace("</robot>", "".join(parts) + "</robot>")
+
+
+class TestRecordedRobots:
+    @pytest.mark.parametrize(
+        ("name", "joints", "moving_mass", "doubt"),
+        [
+            ("ur5_robot.urdf", 6, 16.9939, ""),
+            ("ur10_robot.urdf", 6, 28.7, ""),
+            ("panda.urdf", 7, 16.822132, ""),
+            ("wx200.urdf", 5, 1.834 - 0.540, ""),
+            ("tm5-700-nominal.urdf", 6, 18.674, "centre of mass"),
+            ("tm12-nominal.urdf", 6, 28.7836, "centre of mass"),
+            ("scara_denso_hsr065a1_n32.urdf", 4, 4.0, "mass 1 and identity inertia"),
+            ("scara_icube_tutorial.urdf.xacro", 3, 2.7, "inertia tensor"),
+        ],
+    )
+    def test_masses_and_what_is_believed(
+        self, recorded: Callable[..., Robot], name: str, joints: int, moving_mass: float, doubt: str
+    ) -> None:
+        robot = recorded(name)
+        assert len(robot.joint_names) == joints
+        assert robot.moving_mass == pytest.approx(moving_mass, abs=5e-4)
+        assert robot.iso_mass == pytest.approx(moving_mass / 2.0, abs=5e-4)
+        assert ("placeholders" in robot.inertias_reason) == bool(doubt)
+        assert doubt in robot.inertias_reason
+        arm = Arm(robot)
+        (presented,) = arm.presented(robot.sample_configurations()[5], np.ones(joints), 0.005)
+        assert np.isnan(presented.full) == bool(doubt)
+
+    def test_wx200_grippers_are_held_and_dummy_inertias_are_noted(self, recorded: Callable[..., Robot]) -> None:
+        robot = recorded("wx200.urdf")
+        assert robot.joint_names == ("waist", "shoulder", "elbow", "wrist_angle", "wrist_rotate")
+        assert "held fixed in the model: gripper, left_finger, right_finger" in robot.notes
+        assert any("placeholder inertia" in note and "ee_arm_link" in note for note in robot.notes)
+
+    def test_denso_stays_doubted_with_a_payload(self, recorded: Callable[..., Robot]) -> None:
+        robot = recorded("scara_denso_hsr065a1_n32.urdf", payload_mass=1.5)
+        assert robot.masses_reason
+        assert robot.iso_mass == pytest.approx(4.0 / 2.0 + 1.5)
+
+    def test_panda_finger_mimics_only_if_it_has_to_move(self, recorded: Callable[..., Robot]) -> None:
+        with pytest.raises(RobotError, match=r"joint panda_finger_joint2 mimics another: name it in locked_joints"):
+            recorded("panda.urdf", locked_joints=(), contact_points=("panda_rightfinger",))
+
+
+def test_urdf_agrees_with_eq_27(along: Callable[..., Presented]) -> None:
+    robot = parse_urdf(SCARA, "scara.urdf", payload_mass=0.25)
+    assert is_scara(robot)
+    arm = Arm(robot)
+    scara = ScaraInertia(0.275, 0.275, 2.74, 2.0, 0.2, 0.35, 0.08029, 0.05775, 0.02952, 0.02272, 1e-4, 2e-4)
+    for q in robot.sample_configurations():
+        n = [np.cos(0.7), np.sin(0.7), 0.0]
+        assert along(arm, q, n).full == pytest.approx(float(full_mass(q[0], q[1], 0.7, scara)), rel=1e-6)
+    assert arm.lumped is not None
+    assert arm.lumped.planar_masses(robot) == pytest.approx((2.38, 0.97), abs=1e-3)
+
+
+def test_standard_mass_with_a_payload() -> None:
+    robot = parse_urdf(SCARA, "scara.urdf", payload_mass=0.25)
+    assert robot.moving_mass == pytest.approx(5.04)
+    assert robot.iso_mass == pytest.approx(2.77)
+    assert parse_urdf(SCARA, "scara.urdf").iso_mass == pytest.approx(2.52)
+
+
+def test_default_contact_point_is_the_tip_and_said() -> None:
+    robot = parse_urdf(SCARA, "scara.urdf")
+    assert list(robot.contact_frames) == ["tip"]
+    assert any("contact point tip: the tip of the longest chain" in note for note in robot.notes)
+
+
+def test_continuous_joint_keeps_one_coordinate_without_bounds() -> None:
+    robot = parse_urdf(SCARA, "scara.urdf")
+    assert robot.model.nq == robot.model.nv == 4
+    assert robot.model.upperPositionLimit[3] > 1e5
+
+
+class TestLockedAndUnneededJoints:
+    GRIPPER = (
+        link("jaw", 0.3, "0.02 0 0", "0.0001 0.0001 0.0001"),
+        joint("gripper_slide", "tool", "jaw", "prismatic"),
+    )
+
+    def test_locked_joints_add_mass_but_no_motion(self) -> None:
+        robot = parse_urdf(with_more(*self.GRIPPER), "scara.urdf", locked_joints=("GRIPPER*",))
+        assert robot.joint_names == ("j1", "j2", "j3", "j4")
+        assert robot.moving_mass == pytest.approx(5.34)
+
+    @pytest.mark.parametrize("kind", ["revolute", "prismatic", "floating", "planar"])
+    def test_joints_beside_the_chain_are_held_whatever_their_type(self, kind: str) -> None:
+        robot = parse_urdf(with_more(link("flap", 0.3), joint("side", "fore", "flap", kind)), "scara.urdf")
+        assert robot.joint_names == ("j1", "j2", "j3", "j4")
+        assert robot.model.nq == 4
+        assert robot.moving_mass == pytest.approx(5.34)
+        assert "held fixed in the model: side" in robot.notes
+
+    def test_joints_beyond_a_contact_point_move(self) -> None:
+        # What the elbow presents depends on how the forearm lies, so q2 must stay in the model.
+        robot = parse_urdf(SCARA, "scara.urdf", contact_points=("fore",), payload_mass=0.25)
+        assert robot.joint_names == ("j1", "j2", "j3", "j4")
+        arm = Arm(robot)
+        stretched, folded = (
+            arm.presented(np.array([0.3, q2, 0.1, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]), 0.0)[0] for q2 in (0.0, 1.5)
+        )
+        assert stretched.full != pytest.approx(folded.full, rel=0.05)
+        assert arm.lumped is not None
+        assert arm.lumped.planar_masses(robot) == pytest.approx((2.38, 0.97), abs=1e-3)
+
+    def test_payload_hangs_at_the_end_whatever_is_watched_first(self) -> None:
+        masses = [
+            [body.mass for body in list(parse_urdf(SCARA, "scara.urdf", points, (), 0.25).model.inertias)[1:]]
+            for points in (("tip",), ("fore", "tip"), ("tip", "fore"), ("upper",))
+        ]
+        assert masses == [[2.74, 2.0, 0.2, pytest.approx(0.35)]] * 4
+
+    def test_contact_on_the_base_is_refused_wherever_it_stands(self) -> None:
+        for points in (("base",), ("tip", "base")):
+            with pytest.raises(RobotError, match=r"scara\.urdf: contact point 'base' is fixed to the base"):
+                parse_urdf(SCARA, "scara.urdf", points)
+
+    def test_everything_locked(self) -> None:
+        with pytest.raises(RobotError, match=r"scara\.urdf: contact point 'base' is fixed to the base"):
+            parse_urdf(SCARA, "scara.urdf", (), ("*",))
+
+    def test_held_joint_with_a_range_without_zero_stands_at_its_nearest_limit(self) -> None:
+        limit = '<limit lower="0.5" upper="0.9" effort="1" velocity="3"/>'
+        text = with_more(link("flap", 0.3, "0 0 0"), joint("side", "fore", "flap", "prismatic", inside=limit))
+        body = parse_urdf(text, "scara.urdf").model.inertias[2]
+        assert body.lever[2] == pytest.approx(0.3 * 0.5 / 2.3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("</robot>", "", "not XML"),
+        ("<robot", "\x00<robot", "not XML"),
+        ("robot", "sdf", "root element is <sdf>"),
+        ("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', None),
+        ("</robot>", '<x:macro xmlns:x="http://www.ros.org/wiki/xacro" name="m"/></robot>', "xacro"),
+        ('name="j2"', 'name="j1"', "joint 'j1': every joint needs a name of its own"),
+        ('<joint name="j2"', "<joint", "joint '': every joint needs a name"),
+        ('<link name="fore"', '<link name="upper"', "link 'upper': every link needs a name of its own"),
+        ('name="j2"', 'name="base"', "Several frames match"),
+        ('<child link="fore"/>', "", "joint j2: its child '' is no link"),
+        ('<child link="fore"/>', '<child link="for"/>', "joint j2: its child 'for' is no link"),
+        ('<parent link="upper"/>', '<parent link="tip"/>', "form a loop"),
+        ('<child link="upper"/>', '<child link="fore"/>', "link fore: held by joints j1 and j2"),
+        ('<parent link="base"/>', '<parent link="tip"/>', "link upper: the joints above it form a loop"),
+        (
+            '<link name="tip"/>',
+            '<link name="tip"/><link name="loose"/>',
+            "links without parent: base, loose",
+        ),
+        ('lower="-2"', 'lower="2"', "joint j1: limit lower = 2 must lie below upper = 2"),
+        ('lower="-2"', 'lower="2.0"', "joint j1: limit lower = 2 must lie below upper = 2"),
+        ('lower="-2"', 'lower="4"', "joint j1: limit lower = 4 must lie below upper = 2"),
+        ('lower="-2"', 'lower="nan"', "joint j1: <limit lower> = 'nan' must be 1 finite number"),
+        ('velocity="3"', 'velocity="-3"', "joint j1: limit velocity = '-3' must not be negative"),
+        ('velocity="3"', "", "joint j1: <limit velocity> = '' must be 1 finite number"),
+        ('<limit lower="-2" upper="2" effort="1" velocity="3"/>', "", "joint j1: needs <limit>"),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint j1: axis = '0 0 0' has no direction"),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="0 1"/>', "joint j1: <axis xyz> = '0 1' must be 3 finite numbers"),
+        ('type="revolute"', 'type="floating"', "joint j1: type 'floating' is not one of"),
+        ('type="revolute"', 'type="ball"', "joint j1: type 'ball' is not one of"),
+        ('<axis xyz="0 0 1"/>', '<mimic joint="j3"/>', "joint j1 mimics another"),
+        ('mass value="2.0"', 'mass value="-2.0"', "link fore: mass = -2 must not be negative"),
+        ('mass value="2.0"', 'mass value="nan"', "link fore: <mass value> = 'nan' must be 1 finite number"),
+        ('mass value="2.0"', 'mass value="heavy"', "link fore: <mass value> = 'heavy'"),
+        ('<mass value="2.0"/>', "", "link fore: <inertial> needs <mass> and <inertia>"),
+        ('izz="0.02272"', 'izz="inf"', "link fore: <inertia izz> = 'inf'"),
+        ('izz="0.02272"', 'izz="-0.02272"', "link fore: inertia: principal moments .*none may be negative"),
+        ('ixx="0.02"', "", "link upper: <inertia ixx> = '' must be 1 finite number"),
+        ('xyz="0.05775 0 0"', 'xyz="0.05775 0"', "link fore: <origin xyz> = '0.05775 0' must be 3 finite numbers"),
+        ('<origin xyz="0.275 0 0"/>', '<origin xyz="0.275 zero 0"/>', "joint j2: <origin xyz> = '0.275 zero 0'"),
+        ('<origin xyz="0.275 0 0"/>', '<origin xyz="0 0 0" rpy="nan 0 0"/>', "joint j2: <origin rpy> = 'nan 0 0'"),
+    ],
+)
+def test_wrong_value_is_named(old: str, new: str, named: str | None) -> None:
+    text = SCARA.replace(old, new) if old == "robot" else SCARA.replace(old, new, 1)
+    assert text != SCARA
+    if named is None:
+        assert parse_urdf(text, "scara.urdf").joint_names == ("j1", "j2", "j3", "j4")
+        return
+    with pytest.raises(RobotError, match=rf"scara\.urdf: .*{named}") as refusal:
+        parse_urdf(text, "scara.urdf")
+    assert "\n" not in str(refusal.value)
+
+
+def test_unknown_contact_point_names_the_links() -> None:
+    with pytest.raises(RobotError, match=r"scara\.urdf: contact point 'nose' is no link of it: it has base, fore, "):
+        parse_urdf(SCARA, "scara.urdf", ("nose",))
+
+
+def test_loop_beside_the_chain_is_refused() -> None:
+    loop = ('<link name="a"/><link name="b"/>', joint("ab", "a", "b", "fixed"), joint("ba", "b", "a", "fixed"))
+    with pytest.raises(RobotError, match="form a loop"):
+        parse_urdf(with_more(*loop), "scara.urdf")
+
+
+def test_no_masses_and_no_joints_are_refused() -> None:
+    bare = SCARA
+    for part in PARTS[1:5]:
+        bare = bare.replace(part, f'<link name="{ET.fromstring(part).get("name")}"/>')  # noqa: S314  written above
+    with pytest.raises(RobotError, match=r"scara\.urdf: the moving links have no mass"):
+        parse_urdf(bare, "scara.urdf")
+    with pytest.raises(RobotError, match=r"rock\.urdf: "):
+        parse_urdf('<robot name="rock"><link name="rock"/></robot>', "rock.urdf")
+
+
+def test_one_link_without_mass_leaves_no_model_believed() -> None:
+    robot = parse_urdf(SCARA.replace(PARTS[2], '<link name="fore"/>'), "scara.urdf")
+    assert robot.masses_reason.startswith("no mass behind j2")
+    assert robot.inertias_reason == robot.masses_reason
+
+
+def test_axis_of_any_length_is_a_direction() -> None:
+    text = SCARA.replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -2.5"/>', 1)
+    robot, plain = parse_urdf(text, "scara.urdf"), parse_urdf(SCARA, "scara.urdf")
+    np.testing.assert_allclose(robot.axis_in_joint_frame(1), [0.0, 0.0, -1.0], atol=1e-12)
+    q = np.array([0.3, 0.4, 0.1, 0.2])
+    (turned,) = Arm(robot).presented(q * [-1.0, 1.0, 1.0, 1.0], np.array([-1.0, 0.5, 0.0, 0.0]), 0.005)
+    (straight,) = Arm(plain).presented(q, np.array([1.0, 0.5, 0.0, 0.0]), 0.005)
+    assert turned.full == pytest.approx(straight.full)
+    assert turned.lumped == pytest.approx(straight.lumped)
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_spoilt_urdf_is_refused_or_gives_finite_answers(data: st.DataObject) -> None:
+    root = ET.fromstring(SCARA)  # noqa: S314  written above
+    for _ in range(data.draw(st.integers(1, 3))):
+        elements = [(parent, child) for parent in root.iter() for child in parent]
+        if not elements:
+            break
+        parent, child = data.draw(st.sampled_from(elements))
+        key = data.draw(st.sampled_from(["remove", "double", *child.attrib]))
+        if key == "remove":
+            parent.remove(child)
+        elif key == "double":
+            parent.append(child)
+        else:
+            words = st.sampled_from(
+                ["", "nan", "-1", "0", "1e-300", "1e300", "base", "tip", "fixed", "planar", "0 0 1", "ü"]
+            )
+            child.set(key, data.draw(words | st.text(st.characters(codec="utf-8", categories=["L", "N"]), max_size=4)))
+    try:
+        arm = Arm(parse_urdf(ET.tostring(root, encoding="unicode"), "spoilt.urdf"))
+    except RobotError as error:
+        message = str(error)
+        assert "\n" not in message
+        return
+    n = arm.robot.model.nv
+    for presented in arm.presented(arm.robot.sample_configurations()[0], np.ones(n), 0.005):
+        assert np.isfinite(presented.speed)
+        assert presented.full > 0.0 or arm.full_reason
+        assert presented.lumped > 0.0 or presented.lumped_reason

@@ -1,0 +1,62 @@
+"""Robots for the tests of the verdict: the shipped SCARA and relatives of it that lack something."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+
+from scara_effmass.model.arm import Arm
+from scara_effmass.model.load import load_robot
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+SHIPPED = share("config", "omron_i4_550l.yaml")
+
+
+def variant(directory: Path, change: Callable[[dict[str, Any]], object]) -> Arm:
+    """Return the shipped SCARA with its file changed by `change`."""
+    file = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
+    change(file)
+    path = directory / "robot.yaml"
+    path.write_text(yaml.safe_dump(file, sort_keys=False), encoding="utf-8")
+    return Arm(load_robot(path, MonitorSettings()))
+
+
+@pytest.fixture(scope="session")
+def scara() -> Arm:
+    """The shipped SCARA, one contact point on the tool axis."""
+    return Arm(load_robot(SHIPPED, MonitorSettings()))
+
+
+@pytest.fixture(scope="session")
+def offset_scara(tmp_path_factory: pytest.TempPathFactory) -> Arm:
+    """The SCARA with a second contact point beside the tool axis, which joint 4 moves."""
+    return variant(tmp_path_factory.mktemp("offset"), lambda file: file["contact_points"].update(rim=[0.05, 0.0, 0.0]))
+
+
+@pytest.fixture(scope="session")
+def bare_scara(tmp_path_factory: pytest.TempPathFactory) -> Arm:
+    """The SCARA of which no inertia is known: there is no full model of it."""
+
+    def strip(file: dict[str, Any]) -> None:
+        for body in (*file["links"], file["payload"]):
+            body.pop("inertia", None)
+
+    return variant(tmp_path_factory.mktemp("bare"), strip)
+
+
+@pytest.fixture(scope="session")
+def skew_arm(tmp_path_factory: pytest.TempPathFactory) -> Arm:
+    """An arm whose second axis is tilted out of the first link's plane of mass: it cannot be lumped."""
+
+    def tilt(file: dict[str, Any]) -> None:
+        file["joints"][0]["alpha"] = 1.1
+        file["links"][0]["com"] = [0.08, 0.05, 0.0]
+
+    return variant(tmp_path_factory.mktemp("skew"), tilt)

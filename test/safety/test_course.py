@@ -1,0 +1,204 @@
+"""What a monitor remembers: debounce over joint states, latch, first cause, silence, jumps of the clock."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from scara_effmass.safety import Monitor, without_robot
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import JointState, Verdict
+
+if TYPE_CHECKING:
+    from scara_effmass.model.arm import Arm
+    from scara_effmass.values import Decision
+
+JOINTS = ("joint1", "joint2", "joint3", "joint4")
+NOW = 1_700_000_000_000_000_000
+MS = 1_000_000
+SLOW, FAST = 0.05, 5.0
+"""Speeds of joint 1 [rad/s] that are OK and a VIOLATION here."""
+
+
+def monitor(arm: Arm, **settings: object) -> Monitor:
+    return Monitor(arm, MonitorSettings.model_validate({"release_time": 0.0, **settings}))
+
+
+def send(watched: Monitor, at_ms: float, speed: float = SLOW, names: tuple[str, ...] = JOINTS) -> Decision:
+    now = NOW + round(at_ms * MS)
+    decision = watched.assess(
+        JointState(now, names, np.array([0.3, 1.2, 0.1, 0.0]), np.array([speed, 0.01, 0.001, 0.01])), now
+    )
+    assert decision is not None
+    return decision
+
+
+def verdict(decision: Decision) -> Verdict:
+    return decision.contacts[0].verdict
+
+
+def reason(decision: Decision) -> str:
+    return decision.contacts[0].reason
+
+
+def test_release_takes_its_time_on_header_stamps(scara: Arm) -> None:
+    watched = monitor(scara, release_time=0.1)
+    assert verdict(send(watched, 0)) is Verdict.OK
+    assert verdict(send(watched, 10, FAST)) is Verdict.VIOLATION
+    held = send(watched, 109)
+    assert verdict(held) is Verdict.VIOLATION
+    assert reason(held).startswith("held after: ")
+    assert held.contacts[0].margin > 0.0
+    assert verdict(send(watched, 110)) is Verdict.OK
+
+
+def test_nothing_is_allowed_while_unknown_is_held(scara: Arm) -> None:
+    watched = monitor(scara, release_time=0.1)
+    send(watched, 0)
+    send(watched, 10, names=("joint1",) * 4)
+    for at in (20, 60, 119):
+        held = send(watched, at)
+        assert verdict(held) is Verdict.UNKNOWN
+        assert reason(held) == "held after: joint joint1 is named twice"
+        assert (held.allowable_speed, held.speed_scaling) == (0.0, 0.0)
+        assert held.contacts[0].allowable_speed == 0.0
+        assert held.contacts[0].margin == -held.contacts[0].speed
+    assert verdict(send(watched, 120)) is Verdict.OK
+
+
+def test_a_gap_in_the_stamps_is_a_lapse(scara: Arm) -> None:
+    watched = monitor(scara, release_time=0.1)
+    send(watched, 0)
+    after = send(watched, 201)
+    assert (verdict(after), reason(after)) == (Verdict.UNKNOWN, "held after: no joint state for 0.201 s")
+    assert verdict(send(watched, 301)) is Verdict.OK
+
+
+class TestFirstCause:
+    def test_is_the_first_and_stays(self, scara: Arm) -> None:
+        watched = monitor(scara)
+        causes = []
+        for at, speed, names in ((0, SLOW, JOINTS), (1, FAST, JOINTS), (2, SLOW, ("joint1",) * 4)):
+            send(watched, at, speed, names)
+            causes.append(watched.first_cause)
+        before, cause, later = causes
+        assert before is None
+        assert cause is not None
+        assert (cause.stamp_ns, cause.contact_point, cause.verdict) == (NOW + MS, "tool", Verdict.VIOLATION)
+        assert "is above the" in cause.reason
+        assert later is cause
+        watched.reset()
+        assert watched.first_cause is None
+
+    def test_may_be_the_very_first_joint_state(self, scara: Arm) -> None:
+        watched = monitor(scara)
+        send(watched, 0, FAST)
+        assert watched.first_cause is not None
+        assert watched.first_cause.stamp_ns == NOW
+
+    def test_does_not_count_what_was_unknown_before_anything_was_understood(self, scara: Arm) -> None:
+        watched = monitor(scara, latch=True)
+        watched.silence(10**9)
+        send(watched, 0, names=("joint1",) * 4)
+        assert watched.first_cause is None
+        assert verdict(send(watched, 1)) is Verdict.OK
+
+
+class TestLatch:
+    def test_holds_a_violation_until_reset(self, scara: Arm) -> None:
+        watched = monitor(scara, latch=True)
+        assert verdict(send(watched, 0)) is Verdict.OK
+        send(watched, 1, FAST)
+        for at in (2, 1000, 100_000):
+            latched = send(watched, at)
+            assert verdict(latched) is Verdict.VIOLATION
+            assert reason(latched).startswith("latched until reset: tool: 2.")
+            assert (latched.allowable_speed, latched.speed_scaling) == (0.0, 0.0)
+        watched.reset()
+        assert verdict(send(watched, 100_001)) is Verdict.OK
+
+    def test_holds_an_unknown_and_allows_nothing(self, scara: Arm) -> None:
+        watched = monitor(scara, latch=True)
+        send(watched, 0)
+        watched.silence(10**9)
+        latched = send(watched, 1)
+        assert verdict(latched) is Verdict.UNKNOWN
+        assert reason(latched) == "latched until reset: tool: no joint state for 1.00 s"
+        assert latched.contacts[0].allowable_speed == 0.0
+        assert latched.contacts[0].margin == -latched.contacts[0].speed
+
+    def test_never_hides_something_worse(self, scara: Arm) -> None:
+        watched = monitor(scara, latch=True)
+        send(watched, 0, FAST)
+        worse = send(watched, 1, names=("joint1",) * 4)
+        assert (verdict(worse), reason(worse)) == (Verdict.UNKNOWN, "joint joint1 is named twice")
+
+    def test_switched_on_later_holds_what_was_first(self, scara: Arm) -> None:
+        watched = monitor(scara)
+        send(watched, 0)
+        send(watched, 1, FAST)
+        assert verdict(send(watched, 2)) is Verdict.OK
+        watched.apply(MonitorSettings(release_time=0.0, latch=True))
+        assert verdict(send(watched, 3)) is Verdict.VIOLATION
+
+    def test_reset_clears_what_is_held_as_well(self, scara: Arm) -> None:
+        watched = monitor(scara, latch=True, release_time=10.0)
+        send(watched, 0)
+        send(watched, 1, FAST)
+        watched.reset()
+        assert verdict(send(watched, 2)) is Verdict.OK
+
+
+class TestSilence:
+    def test_is_unknown_and_allows_nothing(self, scara: Arm) -> None:
+        watched = monitor(scara)
+        for expected in ("no joint state yet", "no joint state for 0.25 s"):
+            silent = watched.silence(250 * MS)
+            (contact,) = silent.contacts
+            assert (contact.verdict, contact.reason, contact.input_age) == (Verdict.UNKNOWN, expected, 0.25)
+            assert (silent.allowable_speed, silent.speed_scaling) == (0.0, 0.0)
+            send(watched, 0)
+        assert silent.contacts[0].stamp_ns == NOW
+
+    def test_changes_no_later_verdict(self, scara: Arm) -> None:
+        undisturbed, watched = (monitor(scara, release_time=0.1) for _ in range(2))
+        for at in range(0, 2000, 150):
+            watched.silence(10**9)
+            assert repr(send(watched, at)) == repr(send(undisturbed, at))
+
+
+def test_after_a_jump_back_of_the_clock_old_stamps_are_new_again(scara: Arm) -> None:
+    watched = monitor(scara, release_time=0.1)
+    send(watched, 5000, FAST)
+    assert reason(send(watched, 4990)).startswith("the header stamp goes back")
+    watched.clock_went_back()
+    assert verdict(send(watched, 0)) is Verdict.OK
+
+
+def test_a_clock_that_was_set_back_unannounced_is_recovered_from(scara: Arm) -> None:
+    """System time has no jump callback: what was the future then must not block the stamps of now for ever."""
+    watched = monitor(scara)
+    send(watched, 3_600_000)
+    verdicts = [verdict(send(watched, at)) for at in range(10)]
+    assert verdicts[-1] is Verdict.OK
+
+
+def test_counts_every_verdict_it_gave(scara: Arm) -> None:
+    watched = monitor(scara)
+    for at, speed in enumerate((SLOW, FAST, SLOW, FAST, FAST)):
+        send(watched, at, speed)
+    send(watched, 9, names=("joint1",) * 4)
+    watched.silence(10**9)
+    counted = {verdict.name: count for verdict, count in watched.verdicts.items()}
+    assert counted == {"UNKNOWN": 2, "OK": 2, "WARN": 0, "VIOLATION": 3}
+    assert watched.refused == 1
+
+
+@pytest.mark.parametrize("text", ["no robot_description yet", "robot_description: not XML"])
+def test_without_a_robot_nothing_is_allowed(text: str) -> None:
+    decision = without_robot(text)
+    (contact,) = decision.contacts
+    assert (contact.verdict, contact.reason, contact.contact_point) == (Verdict.UNKNOWN, text, "")
+    assert (decision.allowable_speed, decision.speed_scaling) == (0.0, 0.0)

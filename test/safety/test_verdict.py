@@ -1,0 +1,326 @@
+"""The verdict against a recomputation from the masses, limit by limit, and its monotonies."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from scara_effmass.errors import LimitError
+from scara_effmass.iso15066 import BODY_REGIONS, limits_for
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import Contact, MassModel, MonitorSettings
+from scara_effmass.values import JointState, Verdict
+
+if TYPE_CHECKING:
+    from scara_effmass.model.arm import Arm
+    from scara_effmass.values import ContactAssessment
+
+JOINTS = ("joint1", "joint2", "joint3", "joint4")
+NOW = 1_700_000_000_000_000_000
+TRANSIENT = tuple(name for name in BODY_REGIONS if name not in {"skull_forehead", "face"})
+
+Vector = tuple[float, float, float, float]
+positions = st.tuples(st.floats(-2.3, 2.3), st.floats(-2.5, 2.5), st.floats(0.0, 0.4), st.floats(-3.0, 3.0))
+# Not zero: a velocity of exactly zero has to be confirmed first.
+_speeds = st.floats(1e-6, 1.0).flatmap(lambda speed: st.sampled_from([speed, -speed]))
+velocities = st.tuples(*[_speeds] * 4)
+fractions = st.floats(0.0, 1.0)
+
+
+def settings_of(**settings: object) -> MonitorSettings:
+    return MonitorSettings.model_validate({"release_time": 0.0, **settings})
+
+
+def judged(arm: Arm, q: Vector, qd: Vector, settings: MonitorSettings) -> list[ContactAssessment]:
+    """Return the assessments of the first joint state that a fresh monitor sees."""
+    decision = Monitor(arm, settings).assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
+    assert decision is not None
+    assert decision.allowable_speed == min(contact.allowable_speed for contact in decision.contacts)
+    return list(decision.contacts)
+
+
+def one(arm: Arm, q: Vector, qd: Vector, **settings: object) -> ContactAssessment:
+    (contact,) = judged(arm, q, qd, settings_of(**settings))
+    return contact
+
+
+def parallel(mass: float, other: float) -> float:
+    """Return the reduced mass, said another way than in the code under test."""
+    if math.isinf(mass) or math.isinf(other):
+        return min(mass, other)
+    return mass * other / (mass + other)
+
+
+any_settings = st.builds(
+    settings_of,
+    effective_mass_model=st.sampled_from(MassModel),
+    mass_uncertainty=fractions,
+    stiffness_uncertainty=fractions,
+    speed_uncertainty=st.floats(0.0, 0.1),
+    person_speed=st.floats(0.0, 0.3),
+    model_margin=fractions,
+    speed_threshold=st.floats(0.001, 0.3),
+    warn_ratio=st.floats(0.01, 1.0),
+    mass_cap=st.floats(100.0, 1000.0),
+    body_regions=st.lists(st.sampled_from(TRANSIENT), unique=True).map(tuple),
+    contact=st.sampled_from(Contact),
+    contact_area=st.floats(0.05, 10.0),
+)
+
+
+@given(positions, velocities, any_settings)
+def test_is_what_the_masses_and_limits_say(scara: Arm, q: Vector, qd: Vector, settings: MonitorSettings) -> None:
+    (contact,) = judged(scara, q, qd, settings)
+    (presented,) = scara.presented(np.array(q), np.array(qd), settings.speed_threshold)
+    masses = {
+        MassModel.LUMPED: presented.lumped,
+        MassModel.FULL: presented.full,
+        MassModel.ISO: scara.robot.iso_mass,
+        MassModel.LARGEST: max(presented.lumped, presented.full),
+    }
+    mass = masses[settings.effective_mass_model]
+    cautious = mass * (1.0 + settings.mass_uncertainty)
+    allowed = {
+        limit.region: limit.permissible_force_n
+        / math.sqrt(
+            parallel(cautious, limit.obstacle_mass_kg) * limit.stiffness_n_m * (1.0 + settings.stiffness_uncertainty)
+        )
+        for limit in limits_for(settings)
+    }
+    closing = settings.person_speed + settings.speed_uncertainty
+    expected = max(0.0, min(allowed.values()) - closing)
+    assert contact.allowable_speed == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    assert allowed[contact.body_region] == pytest.approx(min(allowed.values()), rel=1e-12)
+    assert contact.margin == contact.allowable_speed - contact.speed
+    assert contact.effective_mass == min(mass, settings.mass_cap)
+    assert contact.mass_capped == (mass > settings.mass_cap)
+    assert contact.worst_direction_used == (contact.speed < settings.speed_threshold)
+    limit = next(limit for limit in limits_for(settings) if limit.region == contact.body_region)
+    assert contact.criterion == limit.criterion
+    assert contact.stiffness == limit.stiffness_n_m
+    assert contact.obstacle_mass == (0.0 if math.isinf(limit.obstacle_mass_kg) else limit.obstacle_mass_kg)
+    mu = min(parallel(mass, limit.obstacle_mass_kg), settings.mass_cap)
+    assert contact.reduced_mass == pytest.approx(mu, rel=1e-12)
+    force = (contact.speed + settings.person_speed) * math.sqrt(mu * limit.stiffness_n_m)
+    assert contact.predicted_force == pytest.approx(force, rel=1e-12)
+
+    speed = contact.speed
+    if speed > expected * (1.0 + 1e-9) + 1e-12:
+        assert contact.verdict is Verdict.VIOLATION
+    elif speed < settings.warn_ratio * expected * (1.0 - 1e-9) - 1e-12:
+        lighter = mass < min(presented.full, settings.mass_cap) * (1.0 - settings.model_margin)
+        assert contact.verdict is (Verdict.WARN if lighter else Verdict.OK)
+    assert bool(contact.reason) == (contact.verdict is not Verdict.OK)
+
+
+@given(positions, velocities, any_settings)
+def test_the_sign_of_the_margin_is_the_verdict(scara: Arm, q: Vector, qd: Vector, settings: MonitorSettings) -> None:
+    (contact,) = judged(scara, q, qd, settings)
+    if contact.margin < 0.0:
+        assert contact.verdict is Verdict.VIOLATION
+    elif contact.allowable_speed > 0.0:
+        assert contact.verdict in {Verdict.OK, Verdict.WARN}
+
+
+@given(positions, velocities, any_settings)
+def test_nothing_but_missing_masses_is_not_finite(
+    offset_scara: Arm, q: Vector, qd: Vector, settings: MonitorSettings
+) -> None:
+    for contact in judged(offset_scara, q, qd, settings):
+        for name, value in contact._asdict().items():
+            if isinstance(value, float) and name not in {"lumped_mass", "full_mass"}:
+                assert math.isfinite(value), name
+        assert contact.reduced_mass <= contact.effective_mass
+        length = math.hypot(*contact.direction)
+        assert length == 0.0 if contact.worst_direction_used else length == pytest.approx(1.0)
+
+
+def test_a_direction_beside_the_one_without_mass_has_a_finite_worst(offset_scara: Arm) -> None:
+    """Straight down: joint 4, which carries no lumped inertia, moves the rim, but not along this direction."""
+    rim = judged(offset_scara, (0.3, 1.2, 0.1, 0.4), (1e-15, 1e-15, 0.1, 1e-15), settings_of())[1]
+    assert rim.lumped_mass == pytest.approx(0.55)
+    assert rim.worst_direction_mass >= rim.lumped_mass
+
+
+@given(positions, velocities, st.sampled_from(["mass_uncertainty", "stiffness_uncertainty"]), fractions, fractions)
+def test_more_uncertainty_never_allows_more(
+    scara: Arm, q: Vector, qd: Vector, name: str, less: float, more: float
+) -> None:
+    less, more = sorted((less, more))
+    assert one(scara, q, qd, **{name: more}).allowable_speed <= one(scara, q, qd, **{name: less}).allowable_speed
+
+
+@given(positions, velocities, st.sampled_from(["person_speed", "speed_uncertainty"]), st.floats(0.0, 2.0))
+def test_a_closing_speed_is_taken_off(scara: Arm, q: Vector, qd: Vector, name: str, closing: float) -> None:
+    alone, closer = one(scara, q, qd), one(scara, q, qd, **{name: closing})
+    assert closer.allowable_speed == max(0.0, alone.allowable_speed - closing)
+    assert closer.predicted_force >= alone.predicted_force
+    assert (closer.predicted_force > alone.predicted_force) == (name == "person_speed" and closing > 1e-12)
+
+
+def test_a_person_faster_than_every_limit_is_a_violation_at_rest(scara: Arm) -> None:
+    decision = Monitor(scara, settings_of(person_speed=5.0)).assess(
+        JointState(NOW, JOINTS, np.array([0.3, 1.2, 0.1, 0.0]), np.full(4, 1e-9)), NOW
+    )
+    assert decision is not None
+    assert decision.contacts[0].verdict is Verdict.VIOLATION
+    assert (decision.allowable_speed, decision.speed_scaling) == (0.0, 0.0)
+
+
+@given(positions, velocities)
+def test_the_verdict_gets_no_better_with_speed(scara: Arm, q: Vector, qd: Vector) -> None:
+    slower = one(scara, q, qd, speed_threshold=1e-9)
+    factor = 1.5 * slower.allowable_speed / slower.speed
+    assume(all(abs(factor * v) < limit for v, limit in zip(qd, (12.6, 12.6, 3.0, 50.0), strict=True)))
+    faster = one(scara, q, tuple(factor * v for v in qd), speed_threshold=1e-9)  # type: ignore[arg-type]
+    assert faster.verdict is Verdict.VIOLATION
+    assert faster.allowable_speed == pytest.approx(slower.allowable_speed, rel=1e-6)
+
+
+@given(positions, velocities)
+def test_the_largest_mass_allows_the_least(scara: Arm, q: Vector, qd: Vector) -> None:
+    lumped, full, largest = (
+        one(scara, q, qd, effective_mass_model=model) for model in (MassModel.LUMPED, MassModel.FULL, MassModel.LARGEST)
+    )
+    assert largest.effective_mass == max(lumped.effective_mass, full.effective_mass)
+    assert largest.allowable_speed == min(lumped.allowable_speed, full.allowable_speed)
+    assert largest.worst_direction_mass == max(lumped.worst_direction_mass, full.worst_direction_mass)
+    for contact in (lumped, full, largest):
+        assert (contact.lumped_mass, contact.full_mass) == (lumped.effective_mass, full.effective_mass)
+        assert contact.worst_direction_mass >= contact.effective_mass * (1.0 - 1e-6)
+
+
+@given(positions, velocities)
+def test_below_the_threshold_the_worst_direction_counts(scara: Arm, q: Vector, qd: Vector) -> None:
+    contact = one(scara, q, qd, speed_threshold=1.0)
+    assume(contact.speed < 1.0)
+    assert contact.worst_direction_used
+    assert contact.direction == (0.0, 0.0, 0.0)
+    assert contact.effective_mass == contact.worst_direction_mass
+    directed = one(scara, q, qd, speed_threshold=1e-9)
+    assert contact.allowable_speed <= directed.allowable_speed * (1.0 + 1e-6)
+
+
+@given(st.floats(-2.3, 2.3), velocities, st.sampled_from([0.0, 1e-12, -1e-9, 1e-7]), st.sampled_from(MassModel))
+def test_a_stretched_arm_is_capped_and_flagged(scara: Arm, q1: float, qd: Vector, q2: float, model: MassModel) -> None:
+    still: Vector = (1e-9, 1e-9, 1e-9, 1e-9)
+    for velocity in (still, qd):
+        contact = one(scara, (q1, q2, 0.1, 0.0), velocity, effective_mass_model=model)
+        if model is MassModel.ISO:
+            assert contact.effective_mass == scara.robot.iso_mass
+            continue
+        assert contact.smallest_singular_value < 1e-7
+        assert contact.worst_direction_mass == 1000.0
+        if velocity is still:
+            assert contact.mass_capped
+            assert contact.effective_mass == 1000.0
+            # mu -> m_H: an immovable robot, not an infinite force
+            assert contact.reduced_mass == pytest.approx(contact.obstacle_mass, rel=1e-6)
+            assert contact.verdict is Verdict.OK, contact.reason
+        assert contact.allowable_speed > 0.0
+
+
+def test_clamped_contact_has_no_obstacle_mass(scara: Arm) -> None:
+    contact = one(scara, (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1), contact="quasi_static")
+    assert contact.obstacle_mass == 0.0
+    assert contact.reduced_mass == contact.effective_mass
+
+
+def test_a_light_lumped_mass_is_a_warning(scara: Arm) -> None:
+    """The shipped lumped model is the heavier one; ISO's constant is not, in a fifth of the workspace."""
+    q, qd = (0.0, -1.2, 0.1, 0.0), (0.0005, 0.0005, 0.01, 0.001)
+    light = one(scara, q, qd, effective_mass_model="iso", speed_threshold=0.1)
+    assert light.full_mass > light.iso_mass * 1.2
+    assert light.verdict is Verdict.WARN
+    assert light.reason.startswith("the iso mass of 2.77 kg is below the full model's ")
+    tolerant = one(scara, q, qd, effective_mass_model="iso", speed_threshold=0.1, model_margin=1.0)
+    assert tolerant.verdict is Verdict.OK
+
+
+@pytest.mark.parametrize("model", MassModel)
+def test_a_model_that_does_not_exist_is_never_replaced(bare_scara: Arm, skew_arm: Arm, model: MassModel) -> None:
+    q, qd = (0.3, 1.2, 0.1, 0.0), (0.01, 0.01, 0.01, 0.01)
+    bare, skew = (one(arm, q, qd, effective_mass_model=model) for arm in (bare_scara, skew_arm))
+    assert math.isnan(bare.full_mass)
+    assert math.isnan(skew.lumped_mass)
+    if model in {MassModel.FULL, MassModel.LARGEST}:
+        assert bare.verdict is Verdict.UNKNOWN
+        assert bare.reason.startswith("no full mass (the file gives no inertia tensors)")
+        assert (bare.allowable_speed, bare.effective_mass, bare.stiffness) == (0.0, 0.0, 0.0)
+    else:
+        assert bare.verdict is Verdict.OK
+    if model in {MassModel.LUMPED, MassModel.LARGEST}:
+        assert skew.verdict is Verdict.UNKNOWN
+        assert skew.reason.startswith("no lumped mass (")
+        assert skew.reason.endswith("choose effective_mass_model full or iso")
+        assert skew.allowable_speed == 0.0
+    else:
+        assert skew.verdict in {Verdict.OK, Verdict.WARN}
+
+
+@given(positions, velocities)
+def test_the_tightest_of_several_contact_points_governs(offset_scara: Arm, q: Vector, qd: Vector) -> None:
+    settings = settings_of(effective_mass_model="full", reference_speed=1.0)
+    decision = Monitor(offset_scara, settings).assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
+    assert decision is not None
+    tool, rim = decision.contacts
+    assert (tool.contact_point, rim.contact_point) == ("tool", "rim")
+    assert decision.allowable_speed == min(tool.allowable_speed, rim.allowable_speed)
+    assert decision.speed_scaling == min(1.0, decision.allowable_speed)
+
+
+def test_one_unknown_contact_point_stops_the_robot(offset_scara: Arm) -> None:
+    settings = settings_of(effective_mass_model="lumped")
+    decision = Monitor(offset_scara, settings).assess(
+        JointState(NOW, JOINTS, np.array([0.3, 1.2, 0.1, 0.0]), np.array([0.1, 0.1, 0.01, 0.5])), NOW
+    )
+    assert decision is not None
+    assert [contact.verdict for contact in decision.contacts] == [Verdict.OK, Verdict.UNKNOWN]
+    assert "joint4" in decision.contacts[1].reason
+    assert (decision.allowable_speed, decision.speed_scaling) == (0.0, 0.0)
+
+
+@given(positions, velocities, st.floats(0.0, 5.0))
+def test_scaling_brings_the_reference_speed_to_the_allowable_one(
+    scara: Arm, q: Vector, qd: Vector, reference: float
+) -> None:
+    monitor = Monitor(scara, settings_of(reference_speed=reference))
+    decision = monitor.assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
+    assert decision is not None
+    wanted = reference or decision.contacts[0].speed
+    assert 0.0 <= decision.speed_scaling <= 1.0
+    assert decision.speed_scaling * wanted <= decision.allowable_speed * (1.0 + 1e-12)
+    if decision.speed_scaling < 1.0:
+        assert decision.speed_scaling * wanted == pytest.approx(decision.allowable_speed)
+
+
+def test_changed_settings_hold_from_the_next_joint_state_on(scara: Arm) -> None:
+    monitor = Monitor(scara, settings_of())
+    seen = []
+    for i, model in enumerate(("lumped", "full", "iso")):
+        monitor.apply(settings_of(effective_mass_model=model))
+        now = NOW + i
+        decision = monitor.assess(JointState(now, JOINTS, np.array([0.3, 1.2, 0.1, 0.0]), np.full(4, 0.1)), now)
+        assert decision is not None
+        contact = decision.contacts[0]
+        seen.append(contact.effective_mass)
+        assert contact.effective_mass == {"lumped": contact.lumped_mass, "full": contact.full_mass}.get(
+            model, contact.iso_mass
+        )
+    assert len(set(seen)) == 3
+
+
+def test_a_setting_that_loosens_a_limit_changes_nothing(scara: Arm) -> None:
+    monitor = Monitor(scara, settings_of(max_force=100.0))
+    before = monitor.settings
+    with pytest.raises(LimitError):
+        monitor.apply(settings_of(max_force=1e5, latch=True))
+    assert monitor.settings is before
+    decision = monitor.assess(JointState(NOW, JOINTS, np.array([0.3, 1.2, 0.1, 0.0]), np.full(4, 0.1)), NOW)
+    assert decision is not None
+    assert decision.contacts[0].verdict is Verdict.OK
