@@ -65,7 +65,7 @@ class McapSource:
     def batches(self, topics: Collection[int], start_ns: int, stop_ns: int) -> Iterator[MessageBatch]:
         """See `Source`."""
         wanted = [(s, f) for s, f in self._segments if s.end_ns >= start_ns and s.start_ns < stop_ns]
-        horizons = [segment.start_ns for segment, _ in wanted[1:]] + [stop_ns]
+        horizons = [*[segment.start_ns for segment, _ in wanted], stop_ns][1:]
         chosen = np.array(sorted(topics), np.int64)
 
         def read() -> Iterator[tuple[MessageBatch, int]]:

@@ -219,6 +219,11 @@ class TestEveryFormat:
             assert [Message(*m) for m in bag.messages(["/notes"], start, stop)] == notes
             assert sum(map(len, bag.joint_state_blocks(None, start, stop))) == 200
 
+    def test_gives_nothing_of_a_span_without_messages(self, mixed: Path) -> None:
+        with open_bag(mixed) as bag:
+            assert list(bag.messages(None, None, bag.start_ns)) == []
+            assert list(bag.messages(None, bag.end_ns + 1, None)) == []
+
     def test_gives_joint_states_as_the_live_decoder_does(self, mixed: Path) -> None:
         with open_bag(mixed) as bag:
             assert_states(bag, (message for message in MIXED if message.kind == JOINTS))

@@ -87,6 +87,12 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
     return run
 
 
+@pytest.fixture
+def domain() -> dict[str, str]:
+    """The environment of `cli`."""
+    return quiet_environment()
+
+
 def quiet_environment() -> dict[str, str]:
     """Return an environment that keeps ROS on this machine, in a domain of this test process."""
     own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(1 + os.getpid() % 101)}

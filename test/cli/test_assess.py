@@ -250,7 +250,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, file=sys.stderr
 def test_memory_does_not_grow_with_the_recording(suffix: str, swing_bag: Path, long_bag: Path, tmp_path: Path) -> None:
     peaks_mb = []
     for name, bag in (("short", swing_bag), ("long", long_bag)):
-        words = [sys.executable, "-c", MEMORY, bag, tmp_path / f"{name}{suffix}"]
+        words = [sys.executable, "-c", MEMORY, str(bag), str(tmp_path / f"{name}{suffix}")]
         done = subprocess.run(words, capture_output=True, text=True, timeout=50, check=True)
         peaks_mb.append(float(done.stderr))
     short, long = peaks_mb

@@ -141,7 +141,7 @@ def test_options_win_over_the_parameter_file(cli: Cli, tmp_path: Path) -> None:
 def test_an_interrupted_command_leaves_nothing_behind(
     number: signal.Signals, code: int, suffix: str, long_bag: Path, tmp_path: Path
 ) -> None:
-    words = [sys.executable, "-m", "scara_effmass", "assess", long_bag, "-o", tmp_path / f"a{suffix}"]
+    words = [sys.executable, "-m", "scara_effmass", "assess", str(long_bag), "-o", str(tmp_path / f"a{suffix}")]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         while process.poll() is None and not any(tmp_path.iterdir()):
             with suppress(subprocess.TimeoutExpired):
