@@ -297,6 +297,7 @@ class MonitorNode(SuiteNode):
             self._monitor.apply(self._settings)
         if self._watchdog is not None:
             self._watchdog.timer_period_ns = self._watchdog_period_s() * 1e9
+            self._watchdog.reset()  # it would wait for the end of the old period first
 
     def _changed(self, changes: list[Parameter]) -> MonitorSettings:
         values = {p.name: parameters.from_ros(p) for p in changes if p.name in MonitorSettings.model_fields}

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 import rclpy
 from rclpy.context import Context
@@ -21,7 +22,7 @@ from scara_effmass.values import ContactAssessment, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from types import TracebackType
+    from types import FrameType, TracebackType
 
     from rclpy.event_handler import QoSSubscriptionMatchedInfo
 
@@ -29,7 +30,8 @@ if TYPE_CHECKING:
 
 _QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=2000)
 _SLICE_S = 0.05
-"""Longest stay inside the executor, which does not notice signals; Python acts on them between two stays."""
+"""Longest stay inside the executor; signals are acted upon between two stays."""
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _TOPICS = 3
 _SILENCE = "no joint state "
 """How the reason begins that the monitor's watchdog gives; it answers no joint state."""
@@ -53,6 +55,8 @@ class Watch:
         self._on_cycle = on_cycle
         self._pending: list[ContactAssessment] = []
         self._matched: set[str] = set()
+        self._handlers: dict[int, Any] = {}
+        self._signalled: list[int] = []
         self._kept = ExitStack()
         context = Context()
         # Python's own handlers stay: an interrupt shall end the whole command, not the context alone.
@@ -77,19 +81,33 @@ class Watch:
         return len(self._matched) == _TOPICS
 
     def spin(self, seconds: float, done: Callable[[], bool] = bool) -> bool:
-        """Receive for `seconds` or until `done`; return whether it is."""
+        """Receive for `seconds` or until `done`; return whether it is. SIGINT and SIGTERM do here what they did before."""
         deadline = time.monotonic() + seconds
         while not (finished := done()) and (left := deadline - time.monotonic()) > 0.0:
             self._executor.spin_until_future_complete(Future(), timeout_sec=min(left, _SLICE_S))
+            self._act_on_signals()
         return finished
 
     def __enter__(self) -> Watch:
+        # An exception out of a callback is logged by the executor as a fault of the node: signals wait for its end.
+        self._handlers = {number: signal.signal(number, self._note_signal) for number in _SIGNALS}
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
         self._kept.close()
+        self._act_on_signals()
+
+    def _note_signal(self, number: int, _frame: FrameType | None) -> None:
+        self._signalled.append(number)
+
+    def _act_on_signals(self) -> None:
+        while self._signalled:
+            number = self._signalled.pop(0)
+            self._handlers[number](number, None)
 
     def _on_matched(self, topic: str) -> Callable[[QoSSubscriptionMatchedInfo], None]:
         def note(info: QoSSubscriptionMatchedInfo) -> None:

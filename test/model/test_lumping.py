@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from scara_effmass.model.lumping import LumpedModel
     from scara_effmass.model.robot import Robot
 
-one_file_many_robots = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+one_file_many_robots = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def centres_kept(lumped: LumpedModel, robot: Robot) -> bool:

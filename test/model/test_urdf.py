@@ -282,7 +282,7 @@ def test_axis_of_any_length_is_a_direction() -> None:
     assert turned.lumped == pytest.approx(straight.lumped)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_spoilt_urdf_is_refused_or_gives_finite_answers(data: st.DataObject) -> None:
     root = ET.fromstring(SCARA)  # noqa: S314  written above

@@ -105,12 +105,14 @@ class Cell:
     def _hear_number(heard: list[float], message: Float64) -> None:
         heard.append(message.data)
 
-    def until(self, condition: Callable[[], Any], again: Callable[[], object] | None = None) -> Any:  # noqa: ANN401
+    def until(
+        self, condition: Callable[[], Any], again: Callable[[], object] | None = None, patience_s: float = PATIENCE_S
+    ) -> Any:  # noqa: ANN401
         """Handle events until `condition` gives something true, and return that; do `again` now and ten times a second."""
         began = now = time.monotonic()
         due = began
         while not (result := condition()):
-            assert now < began + PATIENCE_S, f"nothing came of it in {PATIENCE_S} s"
+            assert now < began + patience_s, f"nothing came of it in {patience_s} s"
             assert self.process is None or self.process.poll() is None, "the node has ended"
             if again is not None and now >= due:
                 again()

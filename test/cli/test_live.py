@@ -1,0 +1,163 @@
+"""`monitor`, `replay` and `demo`: real nodes, real DDS, in a domain of their own."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from scara_effmass.bag_io.files import open_bag
+from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.cli import COMMANDS, main
+from scara_effmass.cli.monitor import node_arguments
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Cli = Callable[..., subprocess.CompletedProcess[str]]
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def given(**more: Any) -> argparse.Namespace:  # noqa: ANN401 - any option
+    options: dict[str, Any] = {"params": None, "robot": None, "effective_mass_model": None, "ros_arguments": []}
+    return argparse.Namespace(**{**options, **more})
+
+
+def test_options_of_the_monitor_become_ros_arguments(tmp_path: Path) -> None:
+    file = tmp_path / "cell.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    timeout: 0.1\n", encoding="utf-8")
+    own = ["--ros-args", "-p", "timeout:=0.3"]
+    words = node_arguments(given(params=file, robot="1e5", effective_mass_model="iso", ros_arguments=own))
+    options = ["-p", 'robot:="1e5"', "-p", 'effective_mass_model:="iso"', "--"]
+    assert words == ["--ros-args", "--params-file", str(file), *options, *own]
+
+
+@pytest.mark.parametrize("words", [["--", "-p", "timeout:=0.3"], ["--ros-args", "-p", "timeout:=0.3"]], ids=" ".join)
+def test_ros_arguments_reach_the_node(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[list[str]] = []
+
+    def node(words: list[str]) -> int:
+        seen.append(words)
+        return 7
+
+    monkeypatch.setattr("scara_effmass.nodes.monitor_node.main", node)
+    assert main(["monitor", *words]) == 7
+    assert seen == [["--ros-args", "--", "--ros-args", "-p", "timeout:=0.3"]]
+
+
+def test_a_node_that_cannot_start_says_why_in_one_line(cli: Cli) -> None:
+    done = cli("monitor", "--", "-p", "no_such_parameter:=1")
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("monitor: no parameter 'no_such_parameter'")
+    assert "Traceback" not in done.stderr
+
+
+def test_the_monitor_ends_with_status_0_on_ctrl_c(domain: dict[str, str]) -> None:
+    words = [sys.executable, "-m", "scara_effmass", "monitor"]
+    with subprocess.Popen(words, env=domain, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert "watching omron_i4_550l" in process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        _, rest = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert "Traceback" not in rest
+
+
+def test_replay_feeds_the_monitor_and_says_what_it_sent(swing_bag: Path, cli: Cli, domain: dict[str, str]) -> None:
+    words = [sys.executable, "-m", "scara_effmass", "monitor", "--", "-p", "use_sim_time:=true"]
+    with subprocess.Popen(words, env=domain, stderr=subprocess.PIPE) as monitor:
+        done = cli("replay", swing_bag, "--rate", "0", "--start", "0.5", "--duration", "1", "--json")
+        printed = cli("replay", swing_bag, "--duration", "0.1", "--topics", "/joint_states")
+        monitor.send_signal(signal.SIGINT)
+        monitor.communicate(timeout=30)
+    assert (done.returncode, done.stderr) == (0, "")
+    report = json.loads(done.stdout)
+    assert report["sent"] == {"/joint_states": 500}
+    assert (report["answered"], report["unanswered"]) == (500, 0)
+    assert "sent            /joint_states: 50 messages\n" in printed.stdout
+
+
+def demo_result(folder: Path) -> dict[str, Any]:
+    result: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    return result
+
+
+def test_demo_runs_the_live_monitor_and_says_the_same_as_assess(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+    # At rate 0 nothing depends on how busy the machine is: what is live equals what is computed offline.
+    done = cli("demo", "--bag", swing_bag, "--rate", "0", "--out", tmp_path / "out")
+    assert (done.returncode, done.stderr) == (0, "")
+    result = demo_result(tmp_path / "out")
+    assert (result["sent"], result["received"], result["lost"]) == (1000, 1000, 0)
+    offline = json.loads(cli("assess", swing_bag, "-o", tmp_path / "a.csv", "--json").stdout)
+    for key in ("cycles_by_verdict", "seconds_by_verdict", "unknown_reasons", "gaps"):
+        assert result[key] == offline[key], key
+    assert {**result["tightest"], "bag": ""} == {**offline["tightest"], "bag": ""}
+    assert "1000 joint states sent, 1000 answered, 0 lost" in done.stdout
+    assert "VIOLATION" in done.stdout
+    assert str(tmp_path / "out" / "run.png") in done.stdout
+    assert (tmp_path / "out" / "run.png").read_bytes().startswith(PNG)
+    assert ET.parse(tmp_path / "out" / "run.svg").getroot().tag.endswith("svg")  # noqa: S314 - our own file
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"run.png", "run.svg", "summary.json"}
+
+    again = cli("demo", "--bag", swing_bag, "--out", tmp_path / "out")
+    assert again.returncode == 2
+    assert again.stderr == f"{tmp_path / 'out' / 'summary.json'}: exists already; --force replaces it\n"
+
+
+def test_demo_of_the_shipped_recording_calls_it_generated(cli: Cli, tmp_path: Path) -> None:
+    done = cli("demo", "--duration", "1", "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    result = json.loads(done.stdout)
+    assert result == demo_result(tmp_path / "out" / "demo")
+    assert result["generated"] is True
+    assert result["lost"] == 0
+    assert result["received"] == result["sent"] == 250
+
+
+def test_demo_counts_other_devices_apart_and_keeps_its_own_topic_name(
+    swing_bag: Path, cli: Cli, tmp_path: Path
+) -> None:
+    with open_bag(swing_bag) as bag, BagWriter(tmp_path / "cell.mcap") as cell:
+        for number, message in enumerate(bag.messages(["/joint_states"])):
+            data = message.data.replace(b"joint", b"wheel") if number % 10 == 9 else message.data
+            cell.write("/cell/states", JOINT_STATE, message.log_time_ns, data)
+    words = ("--bag", tmp_path / "cell.mcap", "--topic", "cell/states", "--rate", "0", "--duration", "0.5", "--json")
+    done = cli("demo", *words)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert (result["sent"], result["foreign"], result["received"], result["lost"]) == (250, 25, 225, 0)
+    assert result["generated"] is False
+
+
+def test_demo_ends_what_it_started_when_it_is_interrupted(domain: dict[str, str], tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "scara_effmass", "demo", "--out", str(tmp_path)]
+    with subprocess.Popen(words, env=domain, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        line = next(line for line in process.stdout if " scaling " in line)
+        assert "tool: " in line
+        started = children_of(process.pid)
+        assert len(started) == 2
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    assert (process.returncode, errors) == (130, "")
+    assert not [pid for pid in started if Path(f"/proc/{pid}").exists()]
+    assert list(tmp_path.iterdir()) == []
+
+
+def children_of(pid: int) -> list[int]:
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return [int(child) for task in tasks for child in (task / "children").read_text(encoding="utf-8").split()]
+
+
+def test_no_command_is_declared_that_does_not_exist() -> None:
+    modules = {path.stem for path in (Path(__file__).parents[2] / "scara_effmass" / "cli").glob("*.py")}
+    assert set(COMMANDS) <= modules
