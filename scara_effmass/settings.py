@@ -80,6 +80,14 @@ class MonitorSettings(BaseModel):
         description="mass carried at the contact point beyond what the robot file states [kg]",
         json_schema_extra=READ_ONLY,
     )
+    armature: tuple[str, ...] = Field(
+        (),
+        description=(
+            'rotor and gear inertia reflected to the joints, "joint=value" each [kg m2, or kg for a sliding one]; '
+            "a DH file states its own"
+        ),
+        json_schema_extra=READ_ONLY,
+    )
     effective_mass_model: MassModel = Field(
         MassModel.LUMPED,
         description=("the mass behind the verdict: lumped, full, iso (M/2 + m_L), or largest of lumped and full"),

@@ -174,4 +174,5 @@ def _line(axes: Axes, course: Course, values: FloatArray, **style: object) -> No
 
 
 def _legend(axes: Axes) -> None:
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
+    if axes.get_lines():
+        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from scara_effmass.errors import RobotError
@@ -18,14 +19,13 @@ if TYPE_CHECKING:
 def load_robot(path: Path, settings: MonitorSettings) -> Robot:
     """Return the robot in `path`: DH rows in `.yaml`/`.yml`, else URDF.
 
-    `settings` names contact points, locked joints and the payload of a URDF; a DH file states its own payload.
+    `settings` names contact points, locked joints, payload and armature of a URDF; a DH file states its own.
     Raises RobotError.
     """
     if path.suffix.lower() in {".yaml", ".yml"}:
-        if settings.payload_mass > 0.0:
-            raise RobotError(
-                f"payload_mass = {settings.payload_mass}: {path} states its payload itself; change it there"
-            )
+        for key in ("payload_mass", "armature"):
+            if getattr(settings, key):
+                raise RobotError(f"{key} = {getattr(settings, key)!r}: {path} states its own; change it there")
         return load_dh(path, settings.contact_points)
     try:
         text = path.read_text(encoding="utf-8")
@@ -38,4 +38,21 @@ def load_robot(path: Path, settings: MonitorSettings) -> Robot:
 
 def robot_from_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
     """Return the robot of the URDF `text`, as on the `robot_description` topic. Raises RobotError."""
-    return parse_urdf(text, origin, settings.contact_points, settings.locked_joints, settings.payload_mass)
+    return parse_urdf(
+        text, origin, settings.contact_points, settings.locked_joints, settings.payload_mass, _armature(settings)
+    )
+
+
+def _armature(settings: MonitorSettings) -> dict[str, float]:
+    """Return the reflected rotor inertias by joint. Raises RobotError."""
+    armature: dict[str, float] = {}
+    for entry in settings.armature:
+        joint, _, text = entry.partition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not joint or joint in armature or not 0.0 <= value < math.inf:
+            raise RobotError(f"armature = {entry!r}: must be joint=value, each joint once, the value 0 or more")
+        armature[joint] = value
+    return armature

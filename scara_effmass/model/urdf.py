@@ -13,10 +13,11 @@ from scara_effmass.model.robot import finished
 from scara_effmass.model.urdf_tree import read_urdf
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from scara_effmass.model.robot import Robot
     from scara_effmass.model.urdf_tree import UrdfTree
+    from scara_effmass.values import FloatArray
 
 
 def parse_urdf(
@@ -25,13 +26,15 @@ def parse_urdf(
     contact_points: Sequence[str] = (),
     locked_joints: Sequence[str] = (),
     payload_mass: float = 0.0,
+    armature: Mapping[str, float] | None = None,
 ) -> Robot:
     """Return the robot of the URDF `text`; `origin` names it in errors.
 
     `contact_points` are link names (default: the tip of the longest chain). The model moves the joints from the
     base through every contact point to the tip beyond it. The others, and those matching a glob of
     `locked_joints`, are held fixed: their mass counts, their motion does not. `payload_mass` [kg] is a point mass
-    at the first contact point behind the last joint, or at the tip. Raises RobotError in one line.
+    at the first contact point behind the last joint, or at the tip. `armature` is the rotor inertia reflected to
+    joints, by name [kg m2, kg]: URDF has no place for it. Raises RobotError in one line.
     """
     tree = read_urdf(text, origin, locked_joints)
     notes = []
@@ -53,6 +56,7 @@ def parse_urdf(
     if held:
         notes.append(f"held fixed in the model: {', '.join(sorted(held))}")
     model = _reduced(tree, held)
+    model.armature = _armature(model, armature or {}, origin)
     frames = {name: model.getBodyId(name) for name in contact_points}
     for name, frame in frames.items():
         if model.frames[frame].parentJoint == 0:
@@ -75,6 +79,14 @@ def parse_urdf(
         tool_point=tuple(end.placement.translation.tolist()),
         payload_mass=payload_mass,
     )
+
+
+def _armature(model: pin.Model, given: Mapping[str, float], origin: str) -> FloatArray:
+    names = list(model.names)[1:]
+    for name, value in given.items():
+        if name not in names:
+            raise RobotError(f"{origin}: armature {name} = {value}: the model moves {', '.join(names)}")
+    return np.array([given.get(name, 0.0) for name in names])
 
 
 def _reduced(tree: UrdfTree, held: set[str]) -> pin.Model:

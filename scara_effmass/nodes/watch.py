@@ -39,7 +39,7 @@ _SILENCE = "no joint state "
 
 @final
 class Watch:
-    """Hands on the monitor's cycles, one per joint state; to be used in a `with`.
+    """Hands on the monitor's cycles, one per joint state; to be used in a `with`, in the main thread.
 
     Counts `cycles`, `silences` (UNKNOWNs of the watchdog, which answer no joint state), and keeps the last
     `allowable_speed` [m/s] and `speed_scaling` [0-1].
@@ -81,7 +81,10 @@ class Watch:
         return len(self._matched) == _TOPICS
 
     def spin(self, seconds: float, done: Callable[[], bool] = bool) -> bool:
-        """Receive for `seconds` or until `done`; return whether it is. SIGINT and SIGTERM do here what they did before."""
+        """Receive for `seconds` or until `done`; return whether it is.
+
+        SIGINT and SIGTERM take effect here, as they did before the `with`.
+        """
         deadline = time.monotonic() + seconds
         while not (finished := done()) and (left := deadline - time.monotonic()) > 0.0:
             self._executor.spin_until_future_complete(Future(), timeout_sec=min(left, _SLICE_S))
@@ -105,8 +108,9 @@ class Watch:
         self._signalled.append(number)
 
     def _act_on_signals(self) -> None:
-        while self._signalled:
-            number = self._signalled.pop(0)
+        if self._signalled:
+            number = self._signalled[0]
+            self._signalled.clear()
             self._handlers[number](number, None)
 
     def _on_matched(self, topic: str) -> Callable[[QoSSubscriptionMatchedInfo], None]:

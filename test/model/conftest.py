@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import yaml
-from hypothesis import settings
 
 from scara_effmass.model.arm import Arm
 from scara_effmass.model.dh import load_dh
@@ -23,12 +22,14 @@ if TYPE_CHECKING:
     from scara_effmass.model.arm import Presented
     from scara_effmass.model.robot import Robot
 
-settings.register_profile("without_deadline", deadline=None)  # a busy machine is no failure
-settings.load_profile("without_deadline")
-
 REPOSITORY = Path(__file__).resolve().parents[2]
 OMRON = REPOSITORY / "config" / "omron_i4_550l.yaml"
 RECORDED_URDFS = REPOSITORY.parent / "shared" / "recordings" / "urdf"
+
+
+@pytest.fixture(scope="session")
+def omron_file() -> Path:
+    return OMRON
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,8 +14,10 @@ from hypothesis import strategies as st
 from scara_effmass.errors import RobotError
 from scara_effmass.model.arm import Arm
 from scara_effmass.model.closed_form import ScaraInertia, full_mass
+from scara_effmass.model.load import robot_from_urdf
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.model.urdf import parse_urdf
+from scara_effmass.settings import MonitorSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -312,3 +315,22 @@ def test_spoilt_urdf_is_refused_or_gives_finite_answers(data: st.DataObject) -> 
         assert np.isfinite(presented.speed)
         assert presented.full > 0.0 or arm.full_reason
         assert presented.lumped > 0.0 or presented.lumped_reason
+
+
+def test_armature_of_a_urdf_adds_to_the_mass_matrix() -> None:
+    bare = robot_from_urdf(SCARA, "scara", MonitorSettings()).model
+    heavy = robot_from_urdf(SCARA, "scara", MonitorSettings(armature=("j1=0.5", "j3=2"))).model
+    q = np.array([0.3, 0.7, 0.1, -0.2])
+    difference = pin.crba(heavy, heavy.createData(), q) - pin.crba(bare, bare.createData(), q)
+    np.testing.assert_allclose(difference, np.diag([0.5, 0.0, 2.0, 0.0]), atol=1e-12)
+
+
+@pytest.mark.parametrize("entry", ["j1", "j1=", "=1", "j1=-1", "j1=nan", "j1=inf", "j1=heavy", "j9=1"])
+def test_an_armature_that_makes_no_sense_is_named(entry: str) -> None:
+    with pytest.raises(RobotError, match="armature"):
+        robot_from_urdf(SCARA, "scara", MonitorSettings(armature=(entry,)))
+
+
+def test_an_armature_given_twice_is_named() -> None:
+    with pytest.raises(RobotError, match="each joint once"):
+        robot_from_urdf(SCARA, "scara", MonitorSettings(armature=("j1=1", "j1=2")))

@@ -1,0 +1,102 @@
+"""The closed forms agree with the matrix path for every SCARA, and notice one that does not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import yaml
+
+from scara_effmass.analysis.closed_form_check import ClosedFormCheck
+from scara_effmass.errors import RobotError
+from scara_effmass.model.arm import Arm
+from scara_effmass.model.load import load_robot
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.share import share
+from scara_effmass.values import JointState
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from scara_effmass.values import ContactAssessment
+
+SETTINGS = MonitorSettings()
+SHIPPED = share("config", "omron_i4_550l.yaml")
+
+
+def random_contacts(arm: Arm, count: int = 400) -> Iterator[tuple[JointState, tuple[ContactAssessment, ...]]]:
+    """Yield joint states spread over the ranges, every tenth at rest, with what a monitor says of them."""
+    monitor = Monitor(arm, SETTINGS)
+    generator = np.random.default_rng(28)
+    lower, upper = arm.robot.model.lowerPositionLimit, arm.robot.model.upperPositionLimit
+    for number in range(1, count + 1):
+        q = generator.uniform(lower, upper)
+        qd = generator.uniform(-1.0, 1.0, len(q)) * (1e-4 if number % 10 == 0 else 1.0)
+        state = JointState(number * 10**7, arm.robot.joint_names, q, qd)
+        decision = monitor.assess(state, state.stamp_ns)
+        assert decision is not None
+        yield state, decision.contacts
+
+
+def variant(path: Path, **changes: float) -> Arm:
+    """Return the shipped robot with its first two joints turned and its elbow axis turned over."""
+    file = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
+    for key, value in changes.items():
+        name, _, joint = key.rpartition("_")
+        file["joints"][int(joint) - 1][name] = value
+    path.write_text(yaml.safe_dump(file, sort_keys=False), encoding="utf-8")
+    return Arm(load_robot(path, SETTINGS))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"theta_1": 0.4, "theta_2": -0.9},
+        {"alpha_1": np.pi, "alpha_2": 0.0},
+        {"alpha_1": np.pi, "theta_1": 1.0, "theta_2": 0.5, "d_1": 0.3},
+    ],
+    ids=["shipped", "joints turned", "elbow over", "all"],
+)
+def test_every_row_agrees(changes: dict[str, float], tmp_path: Path) -> None:
+    arm = variant(tmp_path / "robot.yaml", **changes)
+    check = ClosedFormCheck(arm, SETTINGS.mass_cap)
+    directed = at_rest = upright = 0
+    for state, contacts in random_contacts(arm):
+        check.add(state, contacts)
+        directed += contacts[0].direction != (0.0, 0.0, 0.0)
+        at_rest += contacts[0].worst_direction_used
+        upright += abs(contacts[0].direction[2]) > 0.5
+    rows, worst = check.result()
+    assert rows == directed + at_rest == 400
+    assert at_rest >= 30
+    assert upright >= 50
+    assert worst < 1e-9
+
+
+def test_a_wrong_mass_is_noticed() -> None:
+    arm = Arm(load_robot(SHIPPED, SETTINGS))
+    check = ClosedFormCheck(arm, SETTINGS.mass_cap)
+    for number, (state, contacts) in enumerate(random_contacts(arm, 50)):
+        wrong = contacts[0]._replace(lumped_mass=contacts[0].lumped_mass * (1.001 if number == 25 else 1.0))
+        check.add(state, (wrong,))
+    assert check.result()[1] == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_joints_are_found_by_name() -> None:
+    arm = Arm(load_robot(SHIPPED, SETTINGS))
+    check = ClosedFormCheck(arm, SETTINGS.mass_cap)
+    for state, contacts in random_contacts(arm, 50):
+        shuffled = state._replace(
+            names=("gripper", *reversed(state.names)), position=np.append(9.0, state.position[::-1])
+        )
+        check.add(shuffled, contacts)
+    assert check.result()[1] < 1e-9
+
+
+def test_a_robot_that_is_no_scara_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match="no SCARA"):
+        ClosedFormCheck(variant(tmp_path / "robot.yaml", a_3=0.05), SETTINGS.mass_cap)

@@ -1,0 +1,98 @@
+"""The figure of a run: it can be opened, says what it shows, and shows what there is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from scara_effmass.analysis.figure import draw_run, save
+from scara_effmass.analysis.trace import Course
+from scara_effmass.errors import OutputError
+from scara_effmass.values import Verdict
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
+
+
+def run(seconds: float = 10.0, *, largest: float = 3.0, full: bool = True, gap: bool = False) -> Course:
+    """Return a course at 1 kHz with a spike of a single cycle in speed and mass."""
+    t = np.arange(0.0, seconds, 1e-3)
+    speed = 0.5 + 0.3 * np.sin(t)
+    mass = 1.5 + 0.5 * np.cos(t)
+    speed[len(t) // 3], mass[len(t) // 3] = 2.0, largest
+    allowable = np.full(len(t), 1.0)
+    verdict = np.where(speed > allowable, Verdict.VIOLATION, Verdict.OK)
+    course = (t, verdict, speed, allowable, mass, mass, 0.9 * mass if full else mass * np.nan, np.full(len(t), 2.77))
+    keep = (t < 4.0) | (t > 6.0) if gap else t >= 0.0
+    time, decided, *values = (column[keep] for column in course)
+    return Course(time, decided.astype(np.int64), *values)
+
+
+def drawn(course: Course, model: str = "lumped") -> Figure:
+    return draw_run(course, title="a robot: a bag", subtitle="generated", mass_model=model, timeout=0.2)
+
+
+def lines(figure: Figure, panel: int) -> dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
+    return {str(line.get_label()): np.asarray(line.get_ydata()) for line in figure.axes[panel].get_lines()}
+
+
+def test_labels_have_units_and_every_line_a_name() -> None:
+    figure = drawn(run())
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        "verdict",
+        "speed of the contact point [m/s]",
+        "effective mass [kg]",
+    ]
+    assert figure.axes[-1].get_xlabel().endswith("[s]")
+    assert set(lines(figure, 1)) == {"allowable speed", "speed", "speed above the allowable"}
+    assert set(lines(figure, 2)) == {"lumped model (decides)", "full model", "ISO, M/2 + m_L"}
+    assert all(axes.get_legend() for axes in figure.axes)
+
+
+def test_a_spike_of_one_cycle_is_drawn() -> None:
+    figure = drawn(run(100.0))
+    assert np.nanmax(lines(figure, 1)["speed"]) == 2.0
+    assert np.nanmax(lines(figure, 2)["lumped model (decides)"]) == 3.0
+    assert len(lines(figure, 1)["speed"]) < 10_000
+
+
+def test_masses_far_apart_get_a_logarithmic_axis() -> None:
+    assert drawn(run()).axes[2].get_yscale() == "linear"
+    assert drawn(run(largest=900.0)).axes[2].get_yscale() == "log"
+
+
+def test_a_gap_breaks_the_lines() -> None:
+    assert not np.isnan(lines(drawn(run()), 1)["speed"]).any()
+    assert np.isnan(lines(drawn(run(gap=True)), 1)["speed"]).sum() == 1
+
+
+def test_a_model_that_does_not_exist_is_not_in_the_legend() -> None:
+    assert "full model" not in lines(drawn(run(full=False)), 2)
+    assert "full model (decides)" in lines(drawn(run(), "full"), 2)
+    assert "larger of both (decides)" in lines(drawn(run(), "largest"), 2)
+
+
+def test_a_single_cycle_and_nothing_known_can_be_drawn(tmp_path: Path) -> None:
+    nothing = np.array([np.nan])
+    course = Course(np.array([0.0]), np.array([Verdict.UNKNOWN]), *(nothing for _ in range(6)))
+    save(drawn(course), tmp_path, "run", overwrite=False)
+
+
+def test_both_files_are_written_and_neither_replaced(tmp_path: Path) -> None:
+    paths = save(drawn(run(1.0)), tmp_path / "out", "run", overwrite=False)
+    assert [path.name for path in paths] == ["run.png", "run.svg"]
+    height, width, _ = imread(paths[0]).shape
+    assert width > 1500
+    assert height > 900
+    assert "</svg>" in paths[1].read_text(encoding="utf-8")
+    before = paths[0].read_bytes()
+    paths[1].unlink()
+    with pytest.raises(OutputError):
+        save(drawn(run(2.0)), tmp_path / "out", "run", overwrite=False)
+    assert paths[0].read_bytes() == before
+    assert list((tmp_path / "out").iterdir()) == [paths[0]]

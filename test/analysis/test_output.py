@@ -1,0 +1,74 @@
+"""Files appear whole or not at all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from scara_effmass.analysis.output import completed, require_free
+from scara_effmass.errors import OutputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_a_complete_file_takes_its_name_and_makes_its_folders(tmp_path: Path) -> None:
+    path = tmp_path / "a" / "b" / "c.txt"
+    with completed(path, overwrite=False) as unfinished:
+        unfinished.write_text("whole")
+        assert not path.exists()
+        assert unfinished.suffix == ".txt"
+    assert path.read_text() == "whole"
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("error", [ValueError("odd"), KeyboardInterrupt(), SystemExit(143)])
+def test_an_unfinished_file_goes(error: BaseException, tmp_path: Path) -> None:
+    def write() -> None:
+        with completed(tmp_path / "c.txt", overwrite=False) as unfinished:
+            unfinished.write_text("half")
+            raise error
+
+    with pytest.raises(type(error)):
+        write()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
+    with (
+        pytest.raises(OutputError, match=r"c\.txt: cannot be written: No space left"),
+        completed(tmp_path / "c.txt", overwrite=True),
+    ):
+        raise OSError(28, "No space left on device")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_exists_stays_unless_it_may_be_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "c.txt"
+    path.write_text("precious")
+    with pytest.raises(OutputError, match="--force"), completed(path, overwrite=False):
+        pass
+    assert path.read_text() == "precious"
+    with completed(path, overwrite=True) as unfinished:
+        unfinished.write_text("new")
+    assert path.read_text() == "new"
+
+
+def test_what_appears_meanwhile_stays_too(tmp_path: Path) -> None:
+    path = tmp_path / "c.txt"
+
+    def write() -> None:
+        with completed(path, overwrite=False) as unfinished:
+            unfinished.write_text("mine")
+            path.write_text("another's")
+
+    with pytest.raises(OutputError):
+        write()
+    assert path.read_text() == "another's"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_is_no_file(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="is a folder"):
+        require_free(tmp_path, overwrite=True)

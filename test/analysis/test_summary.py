@@ -1,0 +1,94 @@
+"""What a run comes down to, counted by hand."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from scara_effmass.analysis.summary import MOST_REASONS, OTHER_REASONS, Summary
+from scara_effmass.safety.monitor import blank
+from scara_effmass.values import JointState, Verdict
+
+if TYPE_CHECKING:
+    from scara_effmass.values import ContactAssessment
+
+MS = 1_000_000
+TIMEOUT_NS = 200 * MS
+
+
+def contact(verdict: Verdict, margin: float = 0.5, reason: str = "", point: str = "tool") -> ContactAssessment:
+    return blank(point, reason, 1, 0.0)._replace(
+        verdict=verdict, margin=margin, speed=0.1, allowable_speed=0.1 + margin
+    )
+
+
+def test_a_verdict_lasts_until_the_next_and_no_longer_than_the_timeout() -> None:
+    summary = Summary(TIMEOUT_NS)
+    for at_ms, verdict in ((0, Verdict.OK), (100, Verdict.WARN), (150, Verdict.OK), (1150, Verdict.VIOLATION)):
+        summary.add([contact(verdict)], at_ms * MS)
+    assert summary.cycles == {Verdict.OK: 2, Verdict.WARN: 1, Verdict.VIOLATION: 1}
+    assert summary.time_ns[Verdict.OK] == 300 * MS
+    assert summary.time_ns[Verdict.WARN] == 50 * MS
+    assert summary.time_ns[Verdict.UNKNOWN] == 800 * MS
+    assert summary.time_ns[Verdict.VIOLATION] == 0
+    assert (summary.gaps, summary.longest_gap_ns) == (1, 1000 * MS)
+
+
+def test_time_that_goes_back_is_not_counted() -> None:
+    summary = Summary(TIMEOUT_NS)
+    summary.add([contact(Verdict.OK)], 100 * MS)
+    summary.add([contact(Verdict.OK)], 50 * MS)
+    assert sum(summary.time_ns.values()) == 0
+
+
+def test_recordings_do_not_follow_one_another() -> None:
+    summary = Summary(TIMEOUT_NS)
+    summary.add([contact(Verdict.OK)], 0)
+    summary.new_recording()
+    summary.add([contact(Verdict.OK)], 10_000 * MS)
+    assert (summary.gaps, sum(summary.time_ns.values())) == (0, 0)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_worst_contact_point_gives_the_cycle_its_verdict(order: int) -> None:
+    summary = Summary(TIMEOUT_NS)
+    points = [contact(Verdict.VIOLATION, -0.1), contact(Verdict.UNKNOWN, -9.0, "stale", "elbow")]
+    summary.add(points[::order], 0)
+    assert summary.cycles == {Verdict.UNKNOWN: 1}
+    assert summary.reasons == {"stale": 1}
+    assert summary.tightest is not None
+    assert summary.tightest.contact.margin == -0.1
+
+
+def test_the_tightest_margin_comes_with_pose_and_recording() -> None:
+    summary = Summary(TIMEOUT_NS)
+    for number, margin in enumerate((0.5, 0.2, 0.3)):
+        position = np.array([float(number)])
+        state = JointState(1, ("joint1",), position, position)
+        summary.add([contact(Verdict.OK, margin)], number, state, f"bag{number}")
+    tightest = summary.as_dict()["tightest"]
+    assert (tightest["margin_m_s"], tightest["bag"], tightest["positions"]) == (0.2, "bag1", {"joint1": 1.0})
+
+
+def test_reasons_that_differ_in_their_numbers_count_as_one() -> None:
+    summary = Summary(TIMEOUT_NS)
+    for reason in ("the joint state is 0.512 s old", "the joint state is -1e-05 s old", "joint1 at 2.5000 rad"):
+        summary.add([contact(Verdict.UNKNOWN, 0.0, reason)], 0)
+    assert summary.reasons == {"the joint state is … s old": 2, "joint1 at … rad": 1}
+
+
+def test_no_recording_fills_the_memory_with_reasons() -> None:
+    summary = Summary(TIMEOUT_NS)
+    for number in range(10 * MOST_REASONS):
+        summary.add([contact(Verdict.UNKNOWN, 0.0, f"name{number} is odd")], 0)
+    assert len(summary.reasons) == MOST_REASONS + 1
+    assert summary.reasons[OTHER_REASONS] == 9 * MOST_REASONS
+
+
+def test_nothing_is_json_too() -> None:
+    result = Summary(TIMEOUT_NS).as_dict()
+    assert result["tightest"] is None
+    json.dumps(result, allow_nan=False)
