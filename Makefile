@@ -37,6 +37,9 @@ lint: setup  ## ruff and mypy
 bench: setup  ## time the core, the live monitor and the bag reader
 	$(BIN)/python benchmarks/run.py
 
+bags: setup  ## make the shipped recordings again
+	$(BIN)/python -m scara_effmass.bench -o bags --force
+
 colcon: .venv-colcon/.requirements  ## build the tree as a ROS workspace and check what it installs
 	scripts/check_colcon.sh .venv-colcon build/colcon
 
@@ -47,7 +50,7 @@ lock: setup  ## renew the locked requirements
 clean:  ## remove everything that was made
 	rm -rf .venv .venv-colcon build out .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup demo test lint bench colcon lock clean
+.PHONY: help setup demo test lint bench bags colcon lock clean
 
 # The stamps are written last: an interrupted set-up starts over.
 .venv/.requirements: requirements.lock

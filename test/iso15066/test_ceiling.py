@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
@@ -13,7 +14,6 @@ from scara_effmass.errors import LimitError
 from scara_effmass.iso15066 import (
     BODY_REGIONS,
     LIGHTEST_MASS,
-    Limit,
     SpeedLimits,
     limits_for,
     peak_force,
@@ -21,6 +21,11 @@ from scara_effmass.iso15066 import (
     transferred_energy,
 )
 from scara_effmass.settings import Contact, MonitorSettings
+
+if TYPE_CHECKING:
+    from scara_effmass.iso15066 import (
+        Limit,
+    )
 
 masses = st.floats(1e-3, 1e3) | st.sampled_from([LIGHTEST_MASS, 1e6, math.inf])
 factors = st.floats(1.0, 3.0)

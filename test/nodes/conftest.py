@@ -133,7 +133,9 @@ class Cell:
     def set(self, **values: Any) -> str:  # noqa: ANN401
         """Set parameters one by one; return the reason of the first refusal, empty when all were taken."""
         parameters = [
-            Parameter(name, Parameter.Type.STRING_ARRAY, value) if isinstance(value, list) else Parameter(name, value=value)
+            Parameter(name, Parameter.Type.STRING_ARRAY, value)
+            if isinstance(value, list)
+            else Parameter(name, value=value)
             for name, value in values.items()
         ]
         request = SetParameters.Request(parameters=[parameter.to_parameter_msg() for parameter in parameters])

@@ -175,7 +175,9 @@ def test_another_device_on_the_topic_is_counted_and_left_alone(cell: Cell) -> No
 def test_second_publisher_of_either_reliability_is_heard_and_reported(
     cell: Cell, reliability: ReliabilityPolicy
 ) -> None:
-    second = cell.node.create_publisher(JointStateMessage, "joint_states", QoSProfile(depth=10, reliability=reliability))
+    second = cell.node.create_publisher(
+        JointStateMessage, "joint_states", QoSProfile(depth=10, reliability=reliability)
+    )
     sent = []
 
     def send() -> None:

@@ -302,7 +302,9 @@ class TestRobotDescription:
                 cell.send(message(names=("shoulder", "elbow"), velocity=(0.1, -0.2)))
 
             def found() -> ContactState | None:
-                return next((c for c in cell.contacts if c.reason.startswith(reason) and (reason or not c.reason)), None)
+                return next(
+                    (c for c in cell.contacts if c.reason.startswith(reason) and (reason or not c.reason)), None
+                )
 
             cell.contacts.clear()
             contact: ContactState = cell.until(found, again=send)

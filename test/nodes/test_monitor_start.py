@@ -5,55 +5,96 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+from scara_effmass.errors import EffmassError
+from scara_effmass.nodes.monitor_node import MonitorNode
+from scara_effmass.share import share
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from conftest import Cell
 
+EXECUTABLE = Path(sys.executable).with_name("monitor_node")
 PARAMS = "/**:\n  ros__parameters:\n    {}\n"
+
+
+@pytest.fixture
+def paths(tmp_path: Path) -> dict[str, Path]:
+    """Files that are missing, hold a misspelt parameter, and are no parameters at all."""
+    files = {name: tmp_path / f"{name}.yaml" for name in ("missing", "typo", "broken")}
+    files["typo"].write_text(PARAMS.format("time_out: 1.0"), encoding="utf-8")
+    files["broken"].write_text("/**: [1\n", encoding="utf-8")
+    return files
 
 
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ("-p nonsense:=1", "monitor: no parameter 'nonsense': it has robot, await_robot_description"),
-        ("--params-file {typo}", "monitor: no parameter 'time_out': it has robot,"),
-        ("-p timeout:=1", "monitor: timeout = 1: must be DOUBLE, is INTEGER: write 1.0"),
-        ("-p timeout:=.nan", "monitor: timeout = nan: must be 0 to 60"),
-        ("-p mass_cap:=0.0", "monitor: mass_cap = 0.0: Input should be greater than"),
-        ("-p contact_points:=tool", "monitor: contact_points = 'tool': must be STRING_ARRAY, is STRING"),
-        ("-p contact:=never", "monitor: contact = 'never': Input should be 'transient' or 'quasi_static'"),
-        ("-p body_regions:=[face]", "body_regions = 'face': the standard gives no transient limit"),
-        ("-p max_force:=1000.0", "max_force = 1000 N: looser than the standard's"),
-        ("-p robot:={missing}", "{missing}: cannot be read: No such file or directory"),
-        ("-p robot:={typo}", "{typo}: robot: Field required"),
-        ("-p contact_points:=[nose]", "no contact point 'nose': it has tool"),
-        ("-p await_robot_description:=true -p robot:=a.urdf", "monitor: robot = 'a.urdf': must be empty with await_robot"),
-        ("-p qos_overrides./joint_states.subscription.reliability:=often", "monitor: qos_overrides: "),
-        ("--params-file {missing}", "ROS arguments: "),
-        ("--params-file {broken}", "ROS arguments: "),
-        ("--no-such-option", "ROS arguments: ['--no-such-option']"),
-        ("-p timeout", "ROS arguments: "),
-        ("-- timeout:=0.1", "'timeout:=0.1': not known; ROS arguments stand behind --ros-args"),
+        ("--ros-args --params-file {typo}", "monitor: no parameter 'time_out': it has robot, await_robot_description,"),
+        ("--ros-args -p robot:={missing}", "{missing}: cannot be read: No such file or directory"),
+        ("--ros-args --params-file {missing}", "ROS arguments: "),
+        ("--ros-args --params-file {broken}", "ROS arguments: "),
+        ("--ros-args --no-such-option", "ROS arguments: ['--no-such-option']"),
+        ("timeout:=0.1", "'timeout:=0.1': not known; ROS arguments stand behind --ros-args"),
     ],
 )
 def test_what_it_cannot_use_is_one_line_and_2(
-    new_cell: Callable[..., Cell], tmp_path: Path, arguments: str, line: str
+    new_cell: Callable[..., Cell], paths: dict[str, Path], arguments: str, line: str
 ) -> None:
-    paths = {name: tmp_path / f"{name}.yaml" for name in ("missing", "typo", "broken")}
-    paths["typo"].write_text(PARAMS.format("time_out: 1.0"), encoding="utf-8")
-    paths["broken"].write_text("/**: [1\n", encoding="utf-8")
-    cell = new_cell("--ros-args", *arguments.format(**paths).split())
-    assert cell.process is not None
-    output, errors = cell.process.communicate(timeout=25)
-    (only,) = [text for text in (output + errors).splitlines() if not text.startswith("[INFO]")]
-    assert line.format(**paths) in only
-    assert cell.process.returncode == 2
+    process = new_cell(*arguments.format(**paths).split()).process
+    assert process is not None
+    output, errors = process.communicate(timeout=25)
+    assert process.returncode == 2
+    assert output == ""
+    (only,) = errors.splitlines()
+    assert only.startswith(line.format(**paths))
+
+
+@pytest.mark.parametrize(
+    ("argument", "line"),
+    [
+        ("nonsense:=1", "monitor: no parameter 'nonsense': it has robot,"),
+        ("timeout:=1", "monitor: timeout = 1: must be DOUBLE, is INTEGER: write 1.0"),
+        ("timeout:=.nan", "monitor: timeout = nan: must be 0 to 60"),
+        ("timeout:=61.0", "monitor: timeout = 61.0: must be 0 to 60"),
+        ("mass_cap:=0.0", "monitor: mass_cap = 0.0: Input should be greater than"),
+        ("latch:=1", "monitor: latch = 1: must be BOOL, is INTEGER"),
+        ("contact_points:=tool", "monitor: contact_points = 'tool': must be STRING_ARRAY, is STRING"),
+        ("contact:=never", "monitor: contact = 'never': Input should be 'transient' or 'quasi_static'"),
+        ("body_regions:=[face]", "body_regions = 'face': the standard gives no transient limit"),
+        ("max_force:=1000.0", "max_force = 1000 N: looser than the standard's"),
+        ("robot:={typo}", "{typo}: robot: Field required"),
+        ("contact_points:=[nose]", "{shipped}: no contact point 'nose': it has tool"),
+        (
+            "qos_overrides./joint_states.subscription.reliability:=often",
+            "monitor: qos_overrides: Unexpected QoS override",
+        ),
+    ],
+)
+def test_a_parameter_it_cannot_use_is_named(
+    local: None,  # noqa: ARG001 - keeps it on this machine
+    monkeypatch: pytest.MonkeyPatch,
+    paths: dict[str, Path],
+    argument: str,
+    line: str,
+) -> None:
+    paths["shipped"] = share("config", "omron_i4_550l.yaml")
+    monkeypatch.setenv("ROS_LOG_DIR", str(paths["missing"].parent))
+    rclpy.init(args=["--ros-args", "-p", argument.format(**paths)], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        with pytest.raises(EffmassError) as refusal:
+            MonitorNode().bring_up()
+    finally:
+        rclpy.try_shutdown()
+    assert str(refusal.value).startswith(line.format(**paths))
+    assert "\n" not in str(refusal.value)
 
 
 def test_help_needs_no_ros(new_cell: Callable[..., Cell]) -> None:
@@ -65,16 +106,20 @@ def test_help_needs_no_ros(new_cell: Callable[..., Cell]) -> None:
 
 
 @pytest.mark.parametrize(
-    "signals",
-    [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT, signal.SIGINT], [signal.SIGTERM, signal.SIGINT]],
-    ids=["SIGINT", "SIGTERM", "SIGINT twice", "SIGTERM, SIGINT"],
+    ("command", "signals"),
+    [
+        ([str(EXECUTABLE)], [signal.SIGINT, signal.SIGINT]),
+        ([str(EXECUTABLE)], [signal.SIGTERM]),
+        ([sys.executable, "-m", "scara_effmass", "monitor"], [signal.SIGINT]),
+        ([sys.executable, "-m", "scara_effmass", "monitor"], [signal.SIGTERM]),
+    ],
+    ids=["node, SIGINT twice", "node, SIGTERM", "command line, SIGINT", "command line, SIGTERM"],
 )
-@pytest.mark.parametrize("command", [None, "-m scara_effmass monitor"], ids=["node", "command line"])
 def test_ends_with_0_when_told_to(
-    new_cell: Callable[..., Cell], command: str | None, signals: list[signal.Signals]
+    new_cell: Callable[..., Cell], command: list[str], signals: list[signal.Signals]
 ) -> None:
     cell = new_cell()
-    process = cell.start(**{} if command is None else {"command": (sys.executable, *command.split())})
+    process = cell.start(command=command)
     cell.listen()
     cell.until(lambda: cell.contacts)  # the silence of the first fifth of a second
     for number in signals:

@@ -1,4 +1,4 @@
-"""Starts the monitor: `ros2 launch scara_effmass monitor.launch.py robot:=my_robot.urdf namespace:=cell`."""
+"""Starts the nodes of a cell: `ros2 launch scara_effmass cell.launch.py robot:=my_robot.urdf namespace:=cell`."""
 
 from __future__ import annotations
 
