@@ -40,10 +40,10 @@ class Trace:
         self._values = array("d")
 
     def add(self, contact: ContactAssessment, at_ns: int) -> None:
-        """Take in what was decided at `at_ns`."""
+        """Take in what was decided at `at_ns`; it is drawn at its own stamp, where that was fit to be used."""
         known = contact.effective_mass > 0.0
         allowed = contact.verdict is not Verdict.UNKNOWN
-        self._at_ns.append(at_ns)
+        self._at_ns.append(contact.stamp_ns if known else at_ns)
         self._verdicts.append(contact.verdict)
         self._values.extend(
             (

@@ -12,6 +12,7 @@ from rclpy.context import Context
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
@@ -62,7 +63,15 @@ class Watch:
         # Python's own handlers stay: an interrupt shall end the whole command, not the context alone.
         rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
         self._kept.callback(context.try_shutdown)
-        node = Node("watch", context=context, start_parameter_services=False, enable_rosout=False)
+        # On the time of the replay, as the monitor is.
+        node = Node(
+            "watch",
+            context=context,
+            start_parameter_services=False,
+            enable_rosout=False,
+            parameter_overrides=[Parameter("use_sim_time", value=True)],
+        )
+        self._clock = node.get_clock()
         self._kept.callback(node.destroy_node)
         for kind, topic, callback in (
             (ContactState, "contact_state", self._on_contact_state),
@@ -135,7 +144,10 @@ class Watch:
         contacts = tuple(self._pending)
         self._pending.clear()
         self.cycles += 1
-        self._on_cycle(contacts, contacts[0].stamp_ns + round(contacts[0].input_age * 1e9))
+        first = contacts[0]
+        # The age tells the monitor's clock exactly; a joint state without a stamp has none.
+        told_ns = first.stamp_ns + round(first.input_age * 1e9) if first.stamp_ns else self._clock.now().nanoseconds
+        self._on_cycle(contacts, told_ns)
 
     def _on_allowable_speed(self, message: Float64) -> None:
         self.allowable_speed = message.data

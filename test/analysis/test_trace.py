@@ -25,8 +25,8 @@ def course(times: list[float], verdicts: list[Verdict]) -> Course:
 
 def test_a_trace_keeps_what_was_decided_in_order_of_time() -> None:
     trace = Trace()
-    trace.add(known._replace(speed=0.5), 3_000_000_000)
-    trace.add(known, 1_000_000_000)
+    trace.add(known._replace(speed=0.5, stamp_ns=3_000_000_000), 3_004_000_000)
+    trace.add(known._replace(stamp_ns=1_000_000_000), 1_001_000_000)
     kept = trace.course()
     assert kept.time.tolist() == [0.0, 2.0]
     assert kept.speed.tolist() == [0.2, 0.5]
@@ -36,9 +36,11 @@ def test_a_trace_keeps_what_was_decided_in_order_of_time() -> None:
 
 def test_what_is_not_known_is_nan() -> None:
     trace = Trace()
-    trace.add(blank("tool", "stale", 1, 0.0), 1)
-    trace.add(known._replace(verdict=Verdict.UNKNOWN, reason="held after: stale", allowable_speed=0.0), 2)
+    trace.add(blank("tool", "the header stamp is zero", 0, 0.0), 1_000_000_000)
+    held = known._replace(verdict=Verdict.UNKNOWN, reason="held after: stale", allowable_speed=0.0)
+    trace.add(held._replace(stamp_ns=2_000_000_000), 2_001_000_000)
     kept = trace.course()
+    assert kept.time.tolist() == [0.0, 1.0]
     assert np.isnan(kept.speed[0])
     assert np.isnan(kept.effective_mass[0])
     assert kept.speed[1] == 0.2

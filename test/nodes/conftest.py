@@ -108,7 +108,7 @@ class Cell:
     def until(
         self, condition: Callable[[], Any], again: Callable[[], object] | None = None, patience_s: float = PATIENCE_S
     ) -> Any:  # noqa: ANN401
-        """Handle events until `condition` gives something true, and return that; do `again` now and ten times a second."""
+        """Handle events until `condition` gives something true; return that. Do `again` now and ten times a second."""
         began = now = time.monotonic()
         due = began
         while not (result := condition()):

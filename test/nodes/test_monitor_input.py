@@ -23,9 +23,8 @@ from scara_effmass.values import JointState
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from conftest import Cell
-
     from scara_effmass.values import ContactAssessment
+    from test.nodes.conftest import Cell
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 Q = (0.3, 1.2, 0.1, -0.4)

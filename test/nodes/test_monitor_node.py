@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from conftest import Cell
+    from test.nodes.conftest import Cell
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -45,6 +44,10 @@ def message(
     made = JointState(name=list(names), position=[0.3, 1.2, 0.1, -0.4][: len(names)], velocity=list(velocity))
     made.header.stamp.sec, made.header.stamp.nanosec = divmod(time.time_ns() if stamp_ns is None else stamp_ns, S)
     return made
+
+
+def stamp_of(contact: ContactState) -> int:
+    return int(contact.header.stamp.sec * S + contact.header.stamp.nanosec)
 
 
 def change(cell: Cell, transition: int) -> bool:
@@ -330,15 +333,12 @@ class TestRobotDescription:
 
 
 SENDER = """
-import sys, time
+import select, sys, time
 import rclpy
-from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
 rclpy.init()
 node = rclpy.create_node("sender")
 publisher = node.create_publisher(JointState, "joint_states", 5000)
-heard = []
-subscription = node.create_subscription(ContactState, "contact_state", heard.append, 10)
 message = JointState(name=["joint1", "joint2", "joint3", "joint4"], position=[0.3, 1.2, 0.1, -0.4])
 message.velocity = [0.1, -0.2, 0.05, 0.3]
 def send():
@@ -346,16 +346,18 @@ def send():
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
     publisher.publish(message)
     return now
-while not heard:
-    send()
-    rclpy.spin_once(node, timeout_sec=0.1)
-node.destroy_subscription(subscription)
+while not select.select([sys.stdin], [], [], 0.1)[0]:
+    send()  # until whoever listens has heard an answer
+sys.stdin.readline()
 due = time.monotonic()
+stamps = []
 for _ in range(int(sys.argv[1])):
     due += 1e-3
-    while time.monotonic() < due:
-        time.sleep(1e-4)
-    print(send())
+    time.sleep(max(0.0, due - time.monotonic()))
+    stamps.append(send())
+with open(sys.argv[2], "w") as file:
+    print(*stamps, "end", file=file)
+sys.stdin.read()  # what is sent last would be lost if it went now
 rclpy.shutdown()
 """
 
@@ -365,24 +367,24 @@ def test_a_thousand_a_second_from_another_process_are_all_answered(
 ) -> None:
     cell = new_cell("--ros-args", "-p", "timeout:=60.0")
     cell.node.create_subscription(ContactState, "contact_state", cell.contacts.append, QoSProfile(depth=20_000))
-    printed = tmp_path / "stamps"
-    with printed.open("w") as output:
-        sender = subprocess.Popen(
-            [sys.executable, "-c", SENDER, "5000"], stdout=output, env={**os.environ, "ROS_DOMAIN_ID": str(cell.domain)}
-        )
+    written = tmp_path / "stamps"
+    written.touch()
+    sender = subprocess.Popen(
+        [sys.executable, "-c", SENDER, "5000", str(written)],
+        stdin=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "ROS_DOMAIN_ID": str(cell.domain)},
+    )
+    assert sender.stdin is not None
     try:
-        cell.until(lambda: sender.poll() is not None)
+        cell.until(lambda: any(contact.verdict == ContactState.OK for contact in cell.contacts))
+        sender.stdin.write("go\n")
+        sender.stdin.flush()
+        cell.until(lambda: written.read_text().endswith("end\n"))
+        sent = [int(word) for word in written.read_text().split()[:-1]]
+        cell.until(lambda: stamp_of(cell.contacts[-1]) >= sent[-1])
     finally:
-        sender.kill()
-        sender.wait()
-    expected = [int(line) for line in printed.read_text().split()]
-    assert len(expected) == 5000
-
-    def stamps() -> list[int]:
-        found = (c.header.stamp.sec * S + c.header.stamp.nanosec for c in cell.contacts)
-        return [stamp for stamp in found if stamp >= expected[0]]
-
-    cell.until(lambda: len(stamps()) >= len(expected))
-    assert stamps() == expected
-    assert all(before < after for before, after in pairwise(expected))
+        sender.communicate(timeout=20)
+    assert len(sent) == 5000
+    assert [stamp for stamp in map(stamp_of, cell.contacts) if stamp >= sent[0]] == sent
     assert cell.contacts[-1].verdict == ContactState.OK

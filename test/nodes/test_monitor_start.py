@@ -19,7 +19,7 @@ from scara_effmass.share import share
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from conftest import Cell
+    from test.nodes.conftest import Cell
 
 EXECUTABLE = Path(sys.executable).with_name("monitor_node")
 PARAMS = "/**:\n  ros__parameters:\n    {}\n"

@@ -1,0 +1,391 @@
+"""The live monitor as a node: lifecycle, parameters, time, robot_description, names, load, and how it ends."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+from scara_effmass_msgs.msg import ContactState
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from scara_effmass.settings import READ_ONLY, MonitorSettings
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from test.nodes.conftest import Cell
+
+MS = 1_000_000
+S = 1_000_000_000
+JOINTS = ("joint1", "joint2", "joint3", "joint4")
+FAST = (8.0, 0.1, 0.1, 0.1)
+READ_ONLY_NAMES = {name for name, field in MonitorSettings.model_fields.items() if field.json_schema_extra == READ_ONLY}
+
+
+def message(
+    stamp_ns: int | None = None, names: tuple[str, ...] = JOINTS, velocity: tuple[float, ...] = (0.1, -0.2, 0.05, 0.3)
+) -> JointState:
+    made = JointState(name=list(names), position=[0.3, 1.2, 0.1, -0.4][: len(names)], velocity=list(velocity))
+    made.header.stamp.sec, made.header.stamp.nanosec = divmod(time.time_ns() if stamp_ns is None else stamp_ns, S)
+    return made
+
+
+def stamp_of(contact: ContactState) -> int:
+    return int(contact.header.stamp.sec * S + contact.header.stamp.nanosec)
+
+
+def change(cell: Cell, transition: int) -> bool:
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return bool(cell.call(ChangeState, "change_state", request).success)
+
+
+def label(cell: Cell) -> str:
+    return str(cell.call(GetState, "get_state", GetState.Request()).current_state.label)
+
+
+class TestLifecycle:
+    def test_goes_through_all_its_states(self, new_cell: Callable[..., Cell]) -> None:
+        cell = new_cell("--ros-args", "-p", "autostart:=false", "-p", "timeout:=60.0", "-p", "release_time:=0.0")
+        cell.listen()
+        assert label(cell) == "unconfigured"
+        assert change(cell, Transition.TRANSITION_CONFIGURE)
+        assert label(cell) == "inactive"
+        cell.send(message())
+        cell.until(lambda: cell.node.count_subscribers("joint_states") == 1)
+        cell.send(message())
+        assert change(cell, Transition.TRANSITION_ACTIVATE)
+        assert cell.contacts == []
+        cell.good()
+
+        # A shorter timeout counts at once, although the watchdog was set to look four times a minute.
+        assert cell.set(timeout=0.05) == ""
+        cell.until(lambda: cell.contacts[-1].reason.startswith("no joint state for "), patience_s=8.0)
+        assert cell.set(timeout=1.0) == ""
+
+        assert change(cell, Transition.TRANSITION_DEACTIVATE)
+        assert label(cell) == "inactive"
+        cell.settle()
+        cell.send(message())
+        assert label(cell) == "inactive"
+        assert cell.contacts == []
+        assert change(cell, Transition.TRANSITION_CLEANUP)
+        assert label(cell) == "unconfigured"
+        for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+            assert change(cell, transition)
+        cell.good()
+        assert change(cell, Transition.TRANSITION_ACTIVE_SHUTDOWN)
+        assert label(cell) == "finalized"
+        assert cell.node.count_publishers("contact_state") == 0
+
+    def test_refuses_a_transition_at_the_wrong_time_and_goes_on(self, cell: Cell) -> None:
+        for wrong in (Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_CONFIGURE, 99):
+            assert not change(cell, wrong)
+        assert label(cell) == "active"
+        cell.good()
+
+    def test_a_refused_configuration_can_be_tried_again(self, new_cell: Callable[..., Cell], tmp_path: Path) -> None:
+        robot = tmp_path / "robot.yaml"
+        cell = new_cell("--ros-args", "-p", "autostart:=false", "-p", f"robot:={robot}")
+        assert not change(cell, Transition.TRANSITION_CONFIGURE)
+        assert label(cell) == "unconfigured"
+        robot.write_bytes(share("config", "omron_i4_550l.yaml").read_bytes())
+        assert change(cell, Transition.TRANSITION_CONFIGURE)
+        assert cell.process is not None
+        cell.process.send_signal(signal.SIGINT)
+        output, errors = cell.process.communicate(timeout=20)
+        assert f"{robot}: cannot be read" in output + errors
+
+
+class TestParameters:
+    def test_all_are_described_and_bounded(self, shared: Cell) -> None:
+        fields = MonitorSettings.model_fields
+        names = [*fields, "autostart"]
+        descriptors = shared.call(
+            DescribeParameters, "describe_parameters", DescribeParameters.Request(names=names)
+        ).descriptors
+        assert [descriptor.name for descriptor in descriptors] == names
+        for descriptor in descriptors:
+            assert descriptor.description
+            assert descriptor.read_only == (descriptor.name in {*READ_ONLY_NAMES, "autostart"})
+            if descriptor.type == ParameterType.PARAMETER_DOUBLE:
+                (bounds,) = descriptor.floating_point_range
+                assert 0.0 <= bounds.from_value < bounds.to_value
+            elif descriptor.type != ParameterType.PARAMETER_BOOL and descriptor.name != "robot":
+                assert descriptor.additional_constraints
+
+    def test_all_are_listed_with_their_values(self, shared: Cell) -> None:
+        listed = shared.call(ListParameters, "list_parameters", ListParameters.Request()).result.names
+        assert set(MonitorSettings.model_fields) <= set(listed)
+        # `ros2 param dump` asks for all at once, and gets nothing if one of them has no value.
+        values = shared.call(GetParameters, "get_parameters", GetParameters.Request(names=listed)).values
+        assert len(values) == len(listed)
+        by_name = dict(zip(listed, values, strict=True))
+        assert by_name["contact_points"].type == ParameterType.PARAMETER_STRING_ARRAY
+        assert list(by_name["locked_joints"].string_array_value) == ["*gripper*", "*finger*"]
+
+    @pytest.mark.parametrize(
+        ("name", "value", "reason"),
+        [
+            ("robot", "other.urdf", "read-only"),
+            ("await_robot_description", True, "read-only"),
+            ("contact_points", ["tool"], "read-only"),
+            ("locked_joints", ["*"], "read-only"),
+            ("autostart", False, "read-only"),
+            ("body_regions", ["tail"], "body_regions = 'tail': no such region; there are skull_forehead"),
+            ("body_regions", ["face"], "the standard gives no transient limit"),
+            ("max_force", 1e5, "max_force = 100000 N: looser than the standard's"),
+            ("stiffness", 1.0, "stiffness = 1 N/mm: softer than the standard's"),
+            ("obstacle_mass", 0.01, "obstacle_mass = 0.01 kg: lighter than the standard's"),
+            ("effective_mass_model", "light", "Input should be 'lumped', 'full', 'iso' or 'largest'"),
+            ("timeout", -1.0, "out of range"),
+            ("timeout", math.nan, "out of range"),
+            ("mass_cap", 0.0, "mass_cap = 0.0: Input should be greater than"),
+            ("warn_ratio", "much", "Wrong parameter type"),
+            ("timeout", 1, "Wrong parameter type"),
+            ("nonsense", 1.0, "undeclared parameter"),
+        ],
+    )
+    def test_bad_ones_are_refused_with_the_reason(self, cell: Cell, name: str, value: Any, reason: str) -> None:  # noqa: ANN401
+        assert reason in cell.set(**{name: value})
+        assert cell.exchange(message()).verdict == ContactState.OK
+
+    def test_good_ones_hold_at_once(self, cell: Cell) -> None:
+        default = cell.exchange(message())
+        assert default.effective_mass == default.lumped_mass
+        try:
+            assert cell.set(effective_mass_model="full", body_regions=["chest", "neck"], person_speed=0.1) == ""
+            changed = cell.exchange(message())
+            assert changed.effective_mass == changed.full_mass
+            assert changed.body_region in {"chest", "neck"}
+        finally:
+            assert cell.set(effective_mass_model="lumped", body_regions=[], person_speed=0.0) == ""
+        again = cell.exchange(message())
+        assert (again.allowable_speed, again.body_region) == (default.allowable_speed, default.body_region)
+
+    def test_reset_releases_the_latch_and_tells_what_it_was(self, cell: Cell) -> None:
+        assert cell.call(Trigger, "reset", Trigger.Request()).success
+        try:
+            assert cell.set(latch=True) == ""
+            assert cell.exchange(message(velocity=FAST)).verdict == ContactState.VIOLATION
+            latched = cell.exchange(message())
+            assert latched.verdict == ContactState.VIOLATION
+            assert latched.reason.startswith("latched until reset: tool: ")
+            assert cell.numbers == {"allowable_speed": [0.0], "speed_scaling": [0.0]}
+            response = cell.call(Trigger, "reset", Trigger.Request())
+            assert response.success
+            assert response.message.startswith("cleared: VIOLATION: ")
+            assert cell.exchange(message()).verdict == ContactState.OK
+        finally:
+            assert cell.set(latch=False) == ""
+
+    def test_file_names_and_overrides_of_qos_are_taken(self, new_cell: Callable[..., Cell], tmp_path: Path) -> None:
+        """Everything at once, as a launch file does it: namespace, remapping, file, empty lists, QoS."""
+        params = tmp_path / "cell.yaml"
+        params.write_text(
+            "/**:\n  ros__parameters:\n"
+            "    release_time: 0.0\n    timeout: 1.0\n    contact_points: []\n    locked_joints: []\n"
+            "    body_regions: [chest]\n"
+            "    qos_overrides:\n"
+            "      /arm/joint_states:\n        subscription:\n          reliability: reliable\n          depth: 17\n"
+            "      /left/contact_state:\n        publisher:\n          reliability: best_effort\n",
+            encoding="utf-8",
+        )
+        cell = new_cell(namespace="/left", name="watch")
+        words = ("-r", "__ns:=/left", "-r", "__node:=watch", "-r", "joint_states:=/arm/joint_states")
+        cell.start("--ros-args", "--params-file", str(params), *words)
+        sender = cell.node.create_publisher(JointState, "/arm/joint_states", 10)
+        heard: list[ContactState] = []
+        best_effort = QoSProfile(depth=10, reliability=2)
+        cell.node.create_subscription(ContactState, "contact_state", heard.append, best_effort)
+        (found,) = cell.until(
+            lambda: [c for c in heard if c.verdict == ContactState.OK][:1], again=lambda: sender.publish(message())
+        )
+        assert (found.contact_point, found.body_region) == ("tool", "chest")
+        (listening,) = cell.node.get_subscriptions_info_by_topic("/arm/joint_states")
+        assert (listening.node_namespace, listening.node_name) == ("/left", "watch")
+        assert listening.qos_profile.reliability.name == "RELIABLE"
+        reliabilities = {
+            topic: cell.node.get_publishers_info_by_topic(f"/left/{topic}")[0].qos_profile.reliability.name
+            for topic in ("contact_state", "allowable_speed", "speed_scaling")
+        }
+        assert reliabilities == {
+            "contact_state": "BEST_EFFORT",
+            "allowable_speed": "RELIABLE",
+            "speed_scaling": "RELIABLE",
+        }
+
+
+class TestTime:
+    def test_pauses_and_jumps_back_of_the_clock(self, new_cell: Callable[..., Cell]) -> None:
+        cell = new_cell("--ros-args", "-p", "use_sim_time:=true", "-p", "release_time:=0.0", "-p", "timeout:=0.3")
+        cell.listen()
+        clock = cell.node.create_publisher(Clock, "/clock", 10)
+        now = 1000 * S
+
+        def tick() -> None:
+            nonlocal now
+            now += 10 * MS
+            sent = Clock()
+            sent.clock.sec, sent.clock.nanosec = divmod(now, S)
+            clock.publish(sent)
+            cell.send(message(now))
+
+        def verdicts() -> list[int]:
+            return [contact.verdict for contact in cell.contacts]
+
+        cell.until(lambda: ContactState.OK in verdicts(), again=tick)
+        # The clock stands: nothing comes, and steady time finds out.
+        cell.contacts.clear()
+        cell.until(lambda: any(c.reason.startswith("no joint state for") for c in cell.contacts))
+        assert ContactState.OK not in verdicts()
+        # A joint state that comes while it stands is repeated.
+        cell.contacts.clear()
+        cell.until(lambda: any("repeated" in c.reason for c in cell.contacts), again=lambda: cell.send(message(now)))
+        cell.contacts.clear()
+        cell.until(lambda: ContactState.OK in verdicts(), again=tick)
+        # Back by 400 s, as when a bag is looped.
+        now -= 400 * S
+        cell.contacts.clear()
+        cell.until(lambda: ContactState.OK in verdicts(), again=tick)
+        assert cell.contacts[-1].header.stamp.sec < 700
+
+    def test_without_a_clock_every_stamp_is_in_the_future(self, new_cell: Callable[..., Cell]) -> None:
+        cell = new_cell("--ros-args", "-p", "use_sim_time:=true")
+        cell.listen()
+        cell.until(lambda: any("in the future" in c.reason for c in cell.contacts), again=lambda: cell.send(message()))
+        assert {contact.verdict for contact in cell.contacts} == {ContactState.UNKNOWN}
+
+
+WX200 = """<robot name="two_link">
+  <link name="base"/>
+  <link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="2.0"/>
+    <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="fore"><inertial><origin xyz="0.15 0 0"/><mass value="1.0"/>
+    <inertia ixx="0.005" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="hand"><inertial><mass value="0.3"/>
+    <inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" velocity="3" effort="9"/></joint>
+  <joint name="elbow" type="revolute"><parent link="upper"/><child link="fore"/><origin xyz="0.4 0 0"/>
+    <axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="3" effort="9"/></joint>
+  <joint name="wrist" type="fixed"><parent link="fore"/><child link="hand"/><origin xyz="0.3 0 0"/></joint>
+</robot>"""
+
+
+class TestRobotDescription:
+    def test_is_awaited_and_may_be_wrong_and_come_again(self, new_cell: Callable[..., Cell]) -> None:
+        cell = new_cell(
+            "--ros-args",
+            *("-p", "await_robot_description:=true"),
+            *("-p", "effective_mass_model:=full"),
+            *("-p", "release_time:=0.0"),
+        )
+        cell.listen()
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        describing = cell.node.create_publisher(String, "robot_description", latched)
+
+        def contact_of(reason: str) -> ContactState:
+            def send() -> None:
+                cell.send(message(names=("shoulder", "elbow"), velocity=(0.1, -0.2)))
+
+            def found() -> ContactState | None:
+                return next(
+                    (c for c in cell.contacts if c.reason.startswith(reason) and (reason or not c.reason)), None
+                )
+
+            cell.contacts.clear()
+            contact: ContactState = cell.until(found, again=send)
+            return contact
+
+        assert contact_of("no robot_description yet").verdict == ContactState.UNKNOWN
+        describing.publish(String(data="<robot>"))
+        assert contact_of("robot_description: ").verdict == ContactState.UNKNOWN
+        describing.publish(String(data=WX200))
+        good = contact_of("")
+        assert (good.verdict, good.contact_point, good.header.frame_id) == (ContactState.OK, "hand", "base")
+        assert good.effective_mass == good.full_mass > 0.0
+        describing.publish(String(data=WX200.replace('mass value="2.0"', 'mass value="heavy"')))
+        bad = contact_of("robot_description: ")
+        assert (bad.verdict, bad.contact_point, bad.allowable_speed) == (ContactState.UNKNOWN, "", 0.0)
+        describing.publish(String(data=WX200))
+        assert contact_of("").verdict == ContactState.OK
+        # A publisher that keeps nothing cannot be heard by one who may come later.
+        cell.node.create_publisher(String, "robot_description", 1)
+        assert "a publisher of robot_description cannot be connected: its DURABILITY" in cell.report(
+            "input", "incompatible QoS", bool
+        )
+
+
+SENDER = """
+import select, sys, time
+import rclpy
+from sensor_msgs.msg import JointState
+rclpy.init()
+node = rclpy.create_node("sender")
+publisher = node.create_publisher(JointState, "joint_states", 5000)
+message = JointState(name=["joint1", "joint2", "joint3", "joint4"], position=[0.3, 1.2, 0.1, -0.4])
+message.velocity = [0.1, -0.2, 0.05, 0.3]
+def send():
+    now = time.time_ns()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
+    publisher.publish(message)
+    return now
+while not select.select([sys.stdin], [], [], 0.1)[0]:
+    send()  # until whoever listens has heard an answer
+sys.stdin.readline()
+due = time.monotonic()
+stamps = []
+for _ in range(int(sys.argv[1])):
+    due += 1e-3
+    time.sleep(max(0.0, due - time.monotonic()))
+    stamps.append(send())
+with open(sys.argv[2], "w") as file:
+    print(*stamps, "end", file=file)
+sys.stdin.read()  # what is sent last would be lost if it went now
+rclpy.shutdown()
+"""
+
+
+def test_a_thousand_a_second_from_another_process_are_all_answered(
+    new_cell: Callable[..., Cell], tmp_path: Path
+) -> None:
+    cell = new_cell("--ros-args", "-p", "timeout:=60.0")
+    cell.node.create_subscription(ContactState, "contact_state", cell.contacts.append, QoSProfile(depth=20_000))
+    written = tmp_path / "stamps"
+    written.touch()
+    sender = subprocess.Popen(
+        [sys.executable, "-c", SENDER, "5000", str(written)],
+        stdin=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "ROS_DOMAIN_ID": str(cell.domain)},
+    )
+    assert sender.stdin is not None
+    try:
+        cell.until(lambda: any(contact.verdict == ContactState.OK for contact in cell.contacts))
+        sender.stdin.write("go\n")
+        sender.stdin.flush()
+        cell.until(lambda: written.read_text().endswith("end\n"))
+        sent = [int(word) for word in written.read_text().split()[:-1]]
+        cell.until(lambda: stamp_of(cell.contacts[-1]) >= sent[-1])
+    finally:
+        sender.communicate(timeout=20)
+    assert len(sent) == 5000
+    print("AGES", sorted((c.input_age for c in cell.contacts if stamp_of(c) >= sent[0]))[-5:], "LOST", 5000 - sum(stamp_of(c) >= sent[0] for c in cell.contacts))
+    assert [stamp for stamp in map(stamp_of, cell.contacts) if stamp >= sent[0]] == sent
+    assert cell.contacts[-1].verdict == ContactState.OK
