@@ -49,9 +49,9 @@ if TYPE_CHECKING:
 
 Endpoint = TypeVar("Endpoint")
 
-_INPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=200)
-"""Sensor-data QoS, which matches every publisher, with room for a stall of 0.2 s at 1 kHz."""
-_VERDICT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=200)
+_INPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=1000)
+"""Sensor-data QoS, which matches every publisher, with room for a stall of 1 s at 1 kHz."""
+_VERDICT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
 _DESCRIPTION_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _LOOKS_PER_TIMEOUT = 4
 _MOST_LOOKS_HZ = 1000.0

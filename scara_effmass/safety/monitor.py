@@ -196,16 +196,18 @@ class Monitor:
     def _verdict(self, p: Presented, mass: float, ceiling: Ceiling, allowable: float) -> tuple[Verdict, str]:
         """Return the verdict on this joint state alone, and why it is not OK."""
         settings = self.settings
+        verdict, reason = Verdict.OK, ""
         if p.speed > ceiling.allowable_speed - self._closing_speed:
-            return Verdict.VIOLATION, f"{p.speed:.3f} m/s is above {_allowed(ceiling, allowable)}"
-        if p.speed > settings.warn_ratio * allowable:
-            return Verdict.WARN, f"{p.speed:.3f} m/s nears {_allowed(ceiling, allowable)}"
+            verdict, reason = Verdict.VIOLATION, f"{p.speed:.3f} m/s is above {_allowed(ceiling, allowable)}"
+        elif p.speed > settings.warn_ratio * allowable:
+            verdict, reason = Verdict.WARN, f"{p.speed:.3f} m/s nears {_allowed(ceiling, allowable)}"
         known, which = (p.lumped, "lumped") if math.isnan(p.full) else (p.full, "full")
         known = min(known, settings.mass_cap)  # near a singular pose both are beyond it, and no number means much
         if mass < known * (1.0 - settings.model_margin):
             used = settings.effective_mass_model.value
-            return Verdict.WARN, f"the {used} mass of {mass:.3g} kg is below the {which} model's {known:.3g} kg"
-        return Verdict.OK, ""
+            lighter = f"the {used} mass of {mass:.3g} kg is below the {which} model's {known:.3g} kg"
+            return max(verdict, Verdict.WARN), f"{reason}; {lighter}" if reason else lighter
+        return verdict, reason
 
     def _mass_of_verdict(self, p: Presented) -> tuple[float, float, str]:
         """Return the effective mass that counts, that of its worst direction, and why there is none."""

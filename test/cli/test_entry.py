@@ -148,8 +148,10 @@ def test_an_interrupted_command_leaves_nothing_behind(
                 process.wait(0.02)
         process.send_signal(number)
         output, errors = process.communicate(timeout=50)
-    assert process.returncode == code
     assert (output, errors) == (b"", b"")
+    # Where the signal meets exec(), as in the making of a dataclass, CPython ends by the signal itself; a shell says
+    # 130 to both.
+    assert process.returncode in {code, -number}
     assert list(tmp_path.iterdir()) == []
 
 

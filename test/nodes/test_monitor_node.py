@@ -272,7 +272,7 @@ class TestTime:
         assert {contact.verdict for contact in cell.contacts} == {ContactState.UNKNOWN}
 
 
-WX200 = """<robot name="two_link">
+TWO_LINKS = """<robot name="two_link">
   <link name="base"/>
   <link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="2.0"/>
     <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -316,14 +316,14 @@ class TestRobotDescription:
         assert contact_of("no robot_description yet").verdict == ContactState.UNKNOWN
         describing.publish(String(data="<robot>"))
         assert contact_of("robot_description: ").verdict == ContactState.UNKNOWN
-        describing.publish(String(data=WX200))
+        describing.publish(String(data=TWO_LINKS))
         good = contact_of("")
         assert (good.verdict, good.contact_point, good.header.frame_id) == (ContactState.OK, "hand", "base")
         assert good.effective_mass == good.full_mass > 0.0
-        describing.publish(String(data=WX200.replace('mass value="2.0"', 'mass value="heavy"')))
+        describing.publish(String(data=TWO_LINKS.replace('mass value="2.0"', 'mass value="heavy"')))
         bad = contact_of("robot_description: ")
         assert (bad.verdict, bad.contact_point, bad.allowable_speed) == (ContactState.UNKNOWN, "", 0.0)
-        describing.publish(String(data=WX200))
+        describing.publish(String(data=TWO_LINKS))
         assert contact_of("").verdict == ContactState.OK
         # A publisher that keeps nothing cannot be heard by one who may come later.
         cell.node.create_publisher(String, "robot_description", 1)
