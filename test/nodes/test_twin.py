@@ -1,0 +1,56 @@
+"""A recording through the live node over DDS, and the same recording offline: the same to the last bit."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rclpy.serialization import deserialize_message
+from scara_effmass_msgs.msg import ContactState
+
+from scara_effmass.bag_io.files import open_bag
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from test.nodes.conftest import Cell
+
+COMMAND = str(Path(sys.executable).with_name("scara-effmass"))
+JOINT_STATES = 1900
+
+
+def exact(contact: ContactState) -> str:
+    """Return all fields; Python writes floats so that they read back the same. The age depends on who is asked when."""
+    contact.input_age = 0.0
+    return repr(contact)
+
+
+def answers_of(cell: Cell) -> list[ContactState]:
+    """Return what was said of joint states, without what the watchdog says before the first."""
+    return [contact for contact in cell.contacts if contact.header.stamp.sec]
+
+
+def test_replay_and_assess_agree_on_every_joint_state(new_cell: Callable[[], Cell], tmp_path: Path) -> None:
+    recording = str(share("bags", "straight_300_200"))
+    cell = new_cell()
+    cell.start("--ros-args", "-p", "use_sim_time:=true")
+    cell.listen()
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(cell.domain)}
+    with subprocess.Popen([COMMAND, "replay", recording, "--rate", "0"], env=environment) as replay:
+        cell.until(lambda: replay.poll() is not None)
+    assert replay.returncode == 0
+    live = cell.until(
+        lambda: len(answers := [c for c in cell.contacts if c.header.stamp.sec]) >= JOINT_STATES and answers
+    )
+
+    assessed = tmp_path / "assessed.mcap"
+    subprocess.run([COMMAND, "assess", recording, "-o", str(assessed)], check=True, stdout=subprocess.DEVNULL)
+    with open_bag(assessed) as bag:
+        offline = [deserialize_message(message.data, ContactState) for message in bag.messages(["/contact_state"])]
+    assert len(answered) == len(offline) == JOINT_STATES
+    for ours, theirs in zip(answered, offline, strict=True):
+        assert exact(ours) == exact(theirs)
