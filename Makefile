@@ -24,7 +24,7 @@ help:  ## list the targets
 setup: .venv/.installed  ## make .venv: locked requirements, messages built, this tree installed editable
 
 demo: setup  ## replay the shipped recording through the live monitor
-	$(BIN)/scara-effmass demo
+	$(BIN)/scara-effmass demo --force
 
 test: lint  ## lint, then all tests
 	$(BIN)/pytest

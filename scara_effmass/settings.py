@@ -93,7 +93,10 @@ class MonitorSettings(BaseModel):
         description=("the mass behind the verdict: lumped, full, iso (M/2 + m_L), or largest of lumped and full"),
     )
     mass_cap: float = Field(
-        1000.0, ge=100.0, le=1e6, description="largest effective mass that is published, reached near singular poses [kg]"
+        1000.0,
+        ge=100.0,
+        le=1e6,
+        description="largest effective mass published, reached near singular poses [kg]",
     )
     mass_uncertainty: Fraction = Field(
         0.1, description="relative uncertainty of the effective mass, taken on the safe side"

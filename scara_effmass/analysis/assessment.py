@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from scara_effmass.bag_io.cdr import JointStateDecoder
-from scara_effmass.bag_io.definitions import check_joint_state
-from scara_effmass.errors import BagError, DecodeError
+from scara_effmass.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from scara_effmass.bag_io.bag import Bag, RawMessage
+    from scara_effmass.bag_io.bag import Bag
     from scara_effmass.safety import Monitor
     from scara_effmass.values import Decision, JointState
 
@@ -55,15 +53,8 @@ def cycles(bag: Bag, topic: str, monitor: Monitor) -> Iterator[Cycle]:
     Bytes that are no joint state are refused as there: the verdict is UNKNOWN, and what follows is held for a while.
     Raises BagError.
     """
-    check_joint_state(bag.types, str(bag.path))
-    decoder = JointStateDecoder()
-    for message in bag.messages([topic]):
-        yield _cycle(message, decoder, monitor)
-
-
-def _cycle(message: RawMessage, decoder: JointStateDecoder, monitor: Monitor) -> Cycle:
-    try:
-        state = decoder.decode(message.data)
-    except DecodeError as error:
-        return Cycle(message.log_time_ns, None, monitor.refuse(str(error)))
-    return Cycle(message.log_time_ns, state, monitor.assess(state, message.log_time_ns))
+    for block in bag.joint_state_blocks(topic):
+        for log_time_ns, reason in block.unreadable:
+            yield Cycle(log_time_ns, None, monitor.refuse(reason))
+        for log_time_ns, state in zip(block.log_time_ns.tolist(), block.states(), strict=True):
+            yield Cycle(log_time_ns, state, monitor.assess(state, log_time_ns))

@@ -13,6 +13,7 @@ from pyarrow import csv, parquet
 
 from scara_effmass import __version__
 from scara_effmass.analysis.output import completed
+from scara_effmass.bag_io.definitions import RECORDING_INFO
 from scara_effmass.bag_io.messages import CONTACT_STATE, contact_state_message, serialized
 from scara_effmass.bag_io.writer import BagWriter
 from scara_effmass.errors import OutputError
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 ROWS_AT_ONCE = 50_000
 """Rows of a Parquet row group; what is held in memory."""
 
-INFO_TOPIC = "/scara_effmass/recording_info"
 STRING = "std_msgs/msg/String"
 
 _UNITS = {
@@ -150,7 +150,7 @@ class _BagSink:
 
     def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
         if not self._topics:
-            self._writer.write(INFO_TOPIC, STRING, log_time_ns, serialized(STRING, {"data": self._about}))
+            self._writer.write(RECORDING_INFO, STRING, log_time_ns, serialized(STRING, {"data": self._about}))
         if bag not in self._topics:
             # One topic per recording: their times may overlap.
             name = re.sub(r"\W", "_", Path(bag).stem)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -26,12 +26,20 @@ FIRST_WINDOW = 64
 WINDOW_GROWTH = 4
 
 
+class Unreadable(NamedTuple):
+    """A message on a topic of joint states that is none, and why."""
+
+    log_time_ns: int
+    reason: str
+
+
 @dataclass(frozen=True, slots=True)
 class JointStateBlock:
     """Consecutive JointStates (m,) of one topic that carry the same names; arrays are read-only.
 
     `position` (m, n) and `velocity` (m, k) are in [rad] or [m] and per second, as received; n and k may be 0, and
     differ from the number of names. `log_time_ns` (m,) is when the recorder got them, `stamp_ns` (m,) what they say.
+    `unreadable` came between the block before and this one, which is empty where nothing readable followed.
     """
 
     log_time_ns: IntArray
@@ -39,6 +47,7 @@ class JointStateBlock:
     names: tuple[str, ...]
     position: FloatArray
     velocity: FloatArray
+    unreadable: tuple[Unreadable, ...] = ()
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -51,7 +60,7 @@ class JointStateBlock:
 
 
 class BlockDecoder:
-    """Decodes batches of JointState messages; what is no JointState is left out and goes into `losses`."""
+    """Decodes batches of JointState messages; what is no JointState also goes into `losses`."""
 
     def __init__(self, origin: str, losses: Losses) -> None:
         self._origin = origin
@@ -64,6 +73,7 @@ class BlockDecoder:
         """Yield the JointStates of `batch`, which must be of one topic, in order."""
         size = batch.stop - batch.start
         buffer = np.frombuffer(batch.data, np.uint8)
+        unreadable: list[Unreadable] = []
         first = 0
         while first < len(size):
             try:
@@ -72,6 +82,7 @@ class BlockDecoder:
                 line = f"{self._origin}: left out: {error}"
                 self._left_out[line] += 1
                 self._losses.add(line, self._left_out[line])
+                unreadable.append(Unreadable(int(batch.log_time_ns[first]), str(error)))
                 first += 1
                 continue
             # as many as are alike cannot be known beforehand: try more as long as it goes well
@@ -83,8 +94,13 @@ class BlockDecoder:
             self._window = self._window * WINDOW_GROWTH if alike == len(size[window]) else max(alike, 1)
             if layout.names != self._names:
                 self._names = layout.names
-            yield _block(rows[:alike], batch.log_time_ns[first : first + alike], layout, self._names)
+            block = _block(rows[:alike], batch.log_time_ns[first : first + alike], layout, self._names)
+            yield replace(block, unreadable=tuple(unreadable))
+            unreadable.clear()
             first += alike
+        if unreadable:
+            nothing = np.empty((0, 0))
+            yield JointStateBlock(batch.log_time_ns[:0], batch.log_time_ns[:0], (), nothing, nothing, tuple(unreadable))
 
 
 def _leading(flags: NDArray[np.bool_]) -> int:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
+RECORDING_INFO = "/scara_effmass/recording_info"
+"""Topic on which a recording says, in JSON, where it comes from."""
 OWN_PACKAGE = "scara_effmass_msgs"
 HEADER = "std_msgs/msg/Header"
 JOINT_STATE_PARTS = (JOINT_STATE, HEADER, "builtin_interfaces/msg/Time")

@@ -6,6 +6,7 @@ import hashlib
 import json
 from typing import TYPE_CHECKING
 
+from scara_effmass.bag_io.definitions import RECORDING_INFO
 from scara_effmass.bag_io.messages import serialized
 from scara_effmass.bag_io.writer import BagWriter
 from scara_effmass.bench.recordings import EPOCH_NS, RECORDINGS, REVISION, SEED
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 
     from scara_effmass.bench.recordings import Recording
 
-INFO_TOPIC = "/scara_effmass/recording_info"
 JOINT_STATES_TOPIC = "/joint_states"
 TEXT = "std_msgs/msg/String"
 CHECKSUMS = "SHA256SUMS"
@@ -55,6 +55,6 @@ def about(recording: Recording) -> str:
 def _write(folder: Path, recording: Recording, *, overwrite: bool) -> Path:
     path = folder / recording.name
     with BagWriter(path, overwrite=overwrite) as bag:
-        bag.write(INFO_TOPIC, TEXT, EPOCH_NS, serialized(TEXT, {"data": about(recording)}))
+        bag.write(RECORDING_INFO, TEXT, EPOCH_NS, serialized(TEXT, {"data": about(recording)}))
         bag.write_joint_states(JOINT_STATES_TOPIC, recording.states())
     return path

@@ -227,11 +227,11 @@ def _recording(args: argparse.Namespace) -> Recording:
 
 def _making(bag: Bag) -> str:
     """Return what the recording says of how it was made, empty where it says nothing."""
-    from scara_effmass.analysis.tables import INFO_TOPIC  # noqa: PLC0415
+    from scara_effmass.bag_io.definitions import RECORDING_INFO  # noqa: PLC0415
 
-    if all(topic.name != INFO_TOPIC for topic in bag.topics):
+    if all(topic.name != RECORDING_INFO for topic in bag.topics):
         return ""
-    message = next(bag.messages([INFO_TOPIC]))
+    message = next(bag.messages([RECORDING_INFO]))
     try:
         about = json.loads(bag.deserialize(message).data)
         return f"generated, no real robot: {about['description']}" if about["generated"] else ""

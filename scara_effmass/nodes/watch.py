@@ -19,6 +19,7 @@ from rclpy.task import Future
 from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import Float64
 
+from scara_effmass.safety import SILENCE
 from scara_effmass.values import ContactAssessment, Verdict
 
 if TYPE_CHECKING:
@@ -34,8 +35,6 @@ _SLICE_S = 0.05
 """Longest stay inside the executor; signals are acted upon between two stays."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _TOPICS = 3
-_SILENCE = "no joint state "
-"""How the reason begins that the monitor's watchdog gives; it answers no joint state."""
 
 
 @final
@@ -130,7 +129,7 @@ class Watch:
 
     def _on_contact_state(self, message: ContactState) -> None:
         contact = contact_from(message)
-        if contact.verdict is Verdict.UNKNOWN and contact.reason.startswith(_SILENCE):
+        if contact.verdict is Verdict.UNKNOWN and contact.reason.startswith(SILENCE):
             self.silences += contact.contact_point == self._last_point
             return
         pending = self._pending

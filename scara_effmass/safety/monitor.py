@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from scara_effmass.values import JointState
 
 NOWHERE = (0.0, 0.0, 0.0)
+SILENCE = "no joint state "
+"""How the reason begins of a decision that answers no joint state."""
 
 
 class Cause(NamedTuple):
@@ -115,7 +117,7 @@ class Monitor:
         It changes no verdict of later joint states: a gap in their own stamps does that.
         """
         seconds = elapsed_ns / 1e9
-        reason = f"no joint state for {seconds:.2f} s" if self._intake.last_stamp_ns else "no joint state yet"
+        reason = f"{SILENCE}for {seconds:.2f} s" if self._intake.last_stamp_ns else f"{SILENCE}yet"
         if self.foreign:
             reason += f" ({self.foreign} named none of the robot's joints)"
         contacts = tuple(self._unknown(name, reason, self._intake.last_stamp_ns, seconds) for name in self._holds)

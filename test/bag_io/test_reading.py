@@ -317,6 +317,18 @@ def test_what_is_no_joint_state_is_left_out_and_counted(tmp_path: Path) -> None:
         assert line.endswith("(2 times)")
 
 
+@pytest.mark.parametrize("where", [{0}, {5, 6}, {99}, {0, 50, 99}, set(range(100))])
+def test_what_is_no_joint_state_is_told_in_its_place(tmp_path: Path, where: set[int]) -> None:
+    messages = [joints(i) for i in range(100)]
+    bad = [m._replace(data=m.data[:30]) if i in where else m for i, m in enumerate(messages)]
+    told: list[tuple[int, bool]] = []
+    with open_bag(write_mcap(tmp_path / "a.mcap", bad)) as bag:
+        for block in bag.joint_state_blocks():
+            told += [(log_time_ns, False) for log_time_ns, _ in block.unreadable]
+            told += [(log_time_ns, True) for log_time_ns in block.log_time_ns.tolist()]
+    assert told == [(m.log_time_ns, i not in where) for i, m in enumerate(messages)]
+
+
 class TestCutOff:
     """An MCAP file cut at any byte gives all messages before the cut, and says that it was cut."""
 

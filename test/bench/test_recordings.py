@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from scara_effmass.bag_io.definitions import RECORDING_INFO
 from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bench.generate import CHECKSUMS, INFO_TOPIC, generate
+from scara_effmass.bench.generate import CHECKSUMS, generate
 from scara_effmass.bench.recordings import EPOCH_NS, RECORDINGS, SEED
 from scara_effmass.errors import OutputError
 from scara_effmass.model.arm import Arm
@@ -56,8 +57,8 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_committed_recordings_are_what_the_generator_makes(fresh: Path, name: str) -> None:
     with open_bag(BAGS / name) as committed, open_bag(fresh / name) as made:
         assert committed.topics == made.topics
-        about = [message.data for message in committed.messages([INFO_TOPIC])]
-        assert about == [message.data for message in made.messages([INFO_TOPIC])]
+        about = [message.data for message in committed.messages([RECORDING_INFO])]
+        assert about == [message.data for message in made.messages([RECORDING_INFO])]
     for one, other in zip(states(BAGS / name), states(fresh / name), strict=True):
         assert (one.stamp_ns, one.names) == (other.stamp_ns, other.names)
         assert one.position == pytest.approx(other.position, abs=ULPS)
@@ -80,7 +81,7 @@ def test_the_committed_files_have_the_committed_checksums() -> None:
 @pytest.mark.parametrize("recording", RECORDINGS, ids=NAMES)
 def test_a_recording_says_that_it_was_generated(recording: Recording) -> None:
     with open_bag(BAGS / recording.name) as bag:
-        (message,) = bag.messages([INFO_TOPIC])
+        (message,) = bag.messages([RECORDING_INFO])
         about = json.loads(bag.deserialize(message).data)
         assert bag.start_ns == EPOCH_NS
     assert about["generated"] is True
