@@ -14,7 +14,8 @@ from pyarrow import csv, parquet
 from scara_effmass import __version__
 from scara_effmass.analysis.output import completed
 from scara_effmass.bag_io.definitions import RECORDING_INFO
-from scara_effmass.bag_io.messages import CONTACT_STATE, contact_state_message, serialized
+from scara_effmass.bag_io.encode import CONTACT_STATE, ContactStateEncoder
+from scara_effmass.bag_io.messages import serialized
 from scara_effmass.bag_io.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
@@ -146,6 +147,7 @@ class _BagSink:
         self._frame = frame
         self._about = json.dumps(dict(provenance))
         self._topics: dict[str, str] = {}
+        self._encoders: dict[str, ContactStateEncoder] = {}
         self._single = len(json.loads(provenance["bags"])) == 1
 
     def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
@@ -156,9 +158,9 @@ class _BagSink:
             name = re.sub(r"\W", "_", Path(bag).stem)
             self._topics[bag] = "/contact_state" if self._single else f"/bag_{len(self._topics)}_{name}/contact_state"
         for contact in contacts:
-            self._writer.write(
-                self._topics[bag], CONTACT_STATE, log_time_ns, contact_state_message(contact, self._frame)
-            )
+            name = contact.contact_point
+            encoder = self._encoders.setdefault(name, ContactStateEncoder(name, self._frame))
+            self._writer.write(self._topics[bag], CONTACT_STATE, log_time_ns, encoder.encode(contact))
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""The suite's values as messages in CDR, for recordings."""
+"""Messages of any known type in CDR, for recordings."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scara_effmass.bag_io.cdr import NS
-from scara_effmass.bag_io.definitions import HEADER, JOINT_STATE, OWN_PACKAGE, known_types
+from scara_effmass.bag_io.definitions import HEADER, JOINT_STATE, known_types
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from scara_effmass.values import ContactAssessment, JointState
+    from scara_effmass.values import JointState
 
-CONTACT_STATE = f"{OWN_PACKAGE}/msg/ContactState"
-VECTOR3 = "geometry_msgs/msg/Vector3"
 TIME = "builtin_interfaces/msg/Time"
 
 
@@ -48,11 +46,3 @@ def joint_state_message(state: JointState, frame_id: str = "") -> bytes:
             "effort": np.empty(0),
         },
     )
-
-
-def contact_state_message(contact: ContactAssessment, frame_id: str) -> bytes:
-    """Return a scara_effmass_msgs/ContactState; `frame_id` is the frame of its direction."""
-    fields: dict[str, Any] = contact._asdict()
-    fields["header"] = header(fields.pop("stamp_ns"), frame_id)
-    fields["direction"] = message(VECTOR3, dict(zip("xyz", contact.direction, strict=True)))
-    return serialized(CONTACT_STATE, fields)

@@ -23,12 +23,12 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
 from scara_effmass.bag_io.cdr import JointStateDecoder
+from scara_effmass.bag_io.encode import ContactStateEncoder, float64_message
 from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.model.arm import Arm
 from scara_effmass.model.load import load_robot, robot_from_urdf
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.convert import fill_contact_state
 from scara_effmass.nodes.health import Health
 from scara_effmass.nodes.running import SuiteNode, run
 from scara_effmass.safety import Monitor, without_robot
@@ -53,6 +53,7 @@ _INPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, history=Histo
 """Sensor-data QoS, which matches every publisher, with room for a stall of 1 s at 1 kHz."""
 _VERDICT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
 _DESCRIPTION_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_NO_ROBOT = ContactStateEncoder("", "")
 _LOOKS_PER_TIMEOUT = 4
 _MOST_LOOKS_HZ = 1000.0
 _REPORT_S = 1.0
@@ -80,10 +81,9 @@ class MonitorNode(SuiteNode):
         self._active = False
         self._kept = ExitStack()
         self._outputs: dict[str, Any] = {}
-        self._number = Float64()
         self._monitor: Monitor | None = None
         self._watchdog: Timer | None = None
-        self._messages: list[ContactState] = []
+        self._encoders: list[ContactStateEncoder] = []
         self._last_heard_ns = 0
 
     def set_up(self) -> None:
@@ -164,7 +164,7 @@ class MonitorNode(SuiteNode):
         self._kept.close()
         self._outputs.clear()
         self._monitor = self._watchdog = None
-        self._messages = []
+        self._encoders = []
 
     def on_activate(self, state: State) -> TransitionCallbackReturn:
         """Start to publish; silence counts from here."""
@@ -185,11 +185,7 @@ class MonitorNode(SuiteNode):
         """Take over `robot`. Raises EffmassError."""
         arm = Arm(robot)
         self._monitor = Monitor(arm, self._settings)
-        self._messages = []
-        for name in arm.contact_points:
-            message = ContactState(contact_point=name)
-            message.header.frame_id = robot.base_frame
-            self._messages.append(message)
+        self._encoders = [ContactStateEncoder(name, robot.base_frame) for name in arm.contact_points]
         self._waiting = ""
         self.get_logger().info(f"watching {robot.name} ({robot.origin}) at {', '.join(arm.contact_points)}")
         for line in (*robot.notes, *(f"no {line}" for line in self._health.missing_models(arm))):
@@ -224,14 +220,10 @@ class MonitorNode(SuiteNode):
 
     def _publish(self, decision: Decision) -> None:
         contact_state = self._outputs["contact_state"]
-        for message, contact in zip(self._messages or [ContactState()], decision.contacts, strict=True):
-            fill_contact_state(message, contact)
-            contact_state.publish(message)
-        number = self._number
-        number.data = decision.allowable_speed
-        self._outputs["allowable_speed"].publish(number)
-        number.data = decision.speed_scaling
-        self._outputs["speed_scaling"].publish(number)
+        for encoder, contact in zip(self._encoders or [_NO_ROBOT], decision.contacts, strict=True):
+            contact_state.publish(encoder.encode(contact))
+        self._outputs["allowable_speed"].publish(float64_message(decision.allowable_speed))
+        self._outputs["speed_scaling"].publish(float64_message(decision.speed_scaling))
         self._decision = decision
         shown = [contact.verdict for contact in decision.contacts]
         if shown != self._shown and time.monotonic_ns() - self._reported_ns > _REPORTS_APART_NS:
@@ -250,7 +242,7 @@ class MonitorNode(SuiteNode):
             self._watch(robot_from_urdf(message.data, "robot_description", self._settings))
         except EffmassError as error:
             self._monitor = None
-            self._messages = []
+            self._encoders = []
             self._waiting = str(error)
             self.get_logger().error(self._waiting)
 

@@ -12,8 +12,9 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from scara_effmass.bag_io.definitions import JOINT_STATE, known_types, own_types
+from scara_effmass.bag_io.encode import CONTACT_STATE, ContactStateEncoder
 from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bag_io.messages import CONTACT_STATE, contact_state_message, joint_state_message
+from scara_effmass.bag_io.messages import joint_state_message
 from scara_effmass.bag_io.writer import BagWriter
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.values import ContactAssessment, JointState, Verdict
@@ -56,7 +57,7 @@ CONTACT = ContactAssessment(
 def write(path: Path) -> Path:
     with BagWriter(path) as writer:
         writer.write_joint_states("/joint_states", STATES, "base_link")
-        writer.write("/contact_state", CONTACT_STATE, T0 + 5, contact_state_message(CONTACT, "base_link"))
+        writer.write("/contact_state", CONTACT_STATE, T0 + 5, ContactStateEncoder("tool", "base_link").encode(CONTACT))
     return path
 
 

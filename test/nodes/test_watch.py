@@ -11,12 +11,13 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import Float64
 
-from scara_effmass.nodes.convert import fill_contact_state
+from scara_effmass.bag_io.encode import ContactStateEncoder
 from scara_effmass.nodes.watch import Watch, contact_from
 from scara_effmass.safety.monitor import blank
 from scara_effmass.values import ContactAssessment, Verdict
@@ -44,9 +45,7 @@ class FakeMonitor:
 
     def say(self, *contacts: ContactAssessment, numbers: tuple[float, float] = (0.5, 0.25)) -> None:
         for contact in contacts:
-            message = ContactState()
-            fill_contact_state(message, contact)
-            self._contact_state.publish(message)
+            self._contact_state.publish(ContactStateEncoder(contact.contact_point, "").encode(contact))
         for publisher, number in zip(self._numbers, numbers, strict=True):
             publisher.publish(Float64(data=number))
 
@@ -79,8 +78,7 @@ def monitor(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeMonitor]:
 
 def test_a_message_says_what_was_assessed() -> None:
     said = contact(1_767_225_600_123_456_789)
-    message = ContactState()
-    fill_contact_state(message, said)
+    message = deserialize_message(ContactStateEncoder("tool", "base_link").encode(said), ContactState)
     assert contact_from(message) == said
 
 
