@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from array import array
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +19,8 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
+
+from scara_effmass.safety import SILENCE
 
 PERIOD_S = 0.001
 WARM_UP_S = 2.0
@@ -57,7 +60,8 @@ class Sender(Node):
         super().__init__("sender")
         self._publisher = self.create_publisher(JointState, "joint_states", QoSProfile(depth=200))
         self._state = JointState(name=["joint1", "joint2", "joint3", "joint4"])
-        self._counts = False
+        self._motion = _motion()
+        self._step = 0
         self.sent = 0
         self.latencies_ns: list[int] = []
         self._first_ns = 0
@@ -79,9 +83,8 @@ class Sender(Node):
         self._timer.cancel()
 
     def _send(self) -> None:
-        t = time.time()
-        self._state.position = [np.sin(0.7 * t), 1.0 + 0.8 * np.sin(0.9 * t), 0.2, np.sin(t)]
-        self._state.velocity = [0.7 * np.cos(0.7 * t), 0.72 * np.cos(0.9 * t), 1e-6, np.cos(t)]
+        self._step = (self._step + 1) % len(self._motion)
+        self._state.position, self._state.velocity = self._motion[self._step]
         stamp_ns = time.time_ns()
         self._state.header.stamp.sec, self._state.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
         self._publisher.publish(self._state)
@@ -90,8 +93,18 @@ class Sender(Node):
     def _on_answer(self, answer: ContactState) -> None:
         now_ns = time.time_ns()
         stamp_ns = answer.header.stamp.sec * 1_000_000_000 + answer.header.stamp.nanosec
-        if stamp_ns >= self._first_ns:
+        # What the monitor's watchdog says during a stall answers no joint state.
+        if stamp_ns >= self._first_ns and not answer.reason.startswith(SILENCE):
             self.latencies_ns.append(now_ns - stamp_ns)
+
+
+def _motion() -> list[tuple[array[float], array[float]]]:
+    """Return positions and velocities of one period of a sweep at 1 kHz, ready to be sent."""
+    t = np.arange(0.0, 2.0 * np.pi, PERIOD_S)
+    still, slow = np.full_like(t, 0.2), np.full_like(t, 1e-6)
+    q = np.column_stack([np.sin(t), 1.0 + 0.8 * np.sin(t), still, np.sin(t)])
+    qd = np.column_stack([np.cos(t), 0.8 * np.cos(t), slow, np.cos(t)])
+    return [(array("d", a), array("d", b)) for a, b in zip(q, qd, strict=True)]
 
 
 def _run(command: list[str]) -> Run:
