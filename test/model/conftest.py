@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from scara_effmass.errors import RobotError
 from scara_effmass.model.arm import Arm
 from scara_effmass.model.dh import load_dh
 from scara_effmass.model.urdf import parse_urdf
@@ -88,3 +89,22 @@ def recorded() -> Callable[..., Robot]:
         return parse_urdf(path.read_text(encoding="utf-8"), name, **options)
 
     return load
+
+
+@pytest.fixture(scope="session")
+def refused_or_finite() -> Callable[[Callable[[], Robot]], None]:
+    """Require that a spoilt robot is refused in one line, or else gives masses or says why it has none."""
+
+    def require(load: Callable[[], Robot]) -> None:
+        try:
+            arm = Arm(load())
+        except RobotError as error:
+            message = str(error)
+            assert "\n" not in message
+            return
+        for presented in arm.presented(arm.robot.sample_configurations()[0], np.ones(arm.robot.model.nv), 0.005):
+            assert np.isfinite(presented.speed)
+            assert presented.full > 0.0 or arm.full_reason
+            assert presented.lumped > 0.0 or presented.lumped_reason
+
+    return require
