@@ -155,7 +155,7 @@ class TestParameters:
             ("effective_mass_model", "light", "Input should be 'lumped', 'full', 'iso' or 'largest'"),
             ("timeout", -1.0, "out of range"),
             ("timeout", math.nan, "out of range"),
-            ("mass_cap", 0.0, "mass_cap = 0.0: Input should be greater than"),
+            ("speed_threshold", 0.0, "speed_threshold = 0.0: Input should be greater than"),
             ("warn_ratio", "much", "Wrong parameter type"),
             ("timeout", 1, "Wrong parameter type"),
             ("nonsense", 1.0, "undeclared parameter"),

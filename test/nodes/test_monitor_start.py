@@ -64,7 +64,7 @@ def test_what_it_cannot_use_is_one_line_and_2(
         ("timeout:=1", "monitor: timeout = 1: must be DOUBLE, is INTEGER: write 1.0"),
         ("timeout:=.nan", "monitor: timeout = nan: must be 0 to 60"),
         ("timeout:=61.0", "monitor: timeout = 61.0: must be 0 to 60"),
-        ("mass_cap:=0.0", "monitor: mass_cap = 0.0: Input should be greater than"),
+        ("speed_threshold:=0.0", "monitor: speed_threshold = 0.0: Input should be greater than"),
         ("latch:=1", "monitor: latch = 1: must be BOOL, is INTEGER"),
         ("contact_points:=tool", "monitor: contact_points = 'tool': must be STRING_ARRAY, is STRING"),
         ("contact:=never", "monitor: contact = 'never': Input should be 'transient' or 'quasi_static'"),
