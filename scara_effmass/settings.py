@@ -165,6 +165,12 @@ class MonitorSettings(BaseModel):
     still_speed: float = Field(
         0.05, gt=0.0, le=1.0, description="joint speed that contradicts a velocity of exactly zero [rad/s or m/s]"
     )
+    travel_tolerance: float = Field(
+        0.5, ge=0.0, le=10.0, description="by which fraction a joint may travel further than its velocity accounts for"
+    )
+    travel_margin: float = Field(
+        0.05, gt=0.0, le=1.0, description="by how much it may do so besides: velocities lag and are rounded [rad or m]"
+    )
     differentiate_velocity: bool = Field(
         default=False, description="where the velocity is empty, take it from positions over header time"
     )

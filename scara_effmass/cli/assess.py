@@ -22,7 +22,7 @@ from scara_effmass.cli.options import (
     settings_from,
 )
 from scara_effmass.cli.report import summary_lines
-from scara_effmass.errors import RobotError
+from scara_effmass.errors import BagError, RobotError
 
 if TYPE_CHECKING:
     import argparse
@@ -74,8 +74,9 @@ class Run:
         monitor = Monitor(self.arm, self.settings)
         self.summary.new_recording()
         name = str(bag.path)
+        count = 0
         for at_ns, state, decision in cycles(bag, topic, monitor):
-            self.joint_states += 1
+            count += 1
             advance()
             if decision is None:
                 continue
@@ -83,6 +84,10 @@ class Run:
             self.summary.add(decision.contacts, at_ns, state, name)
             if self.check is not None and state is not None:
                 self.check.add(state, decision.contacts)
+        if monitor.foreign == count > 0:
+            names = ", ".join(self.arm.robot.joint_names)
+            raise BagError(f"{bag.path}: {topic}: none of its joint states names a joint of the robot ({names})")
+        self.joint_states += count
         self.foreign += monitor.foreign
         self.refused += monitor.refused
         self.losses += bag.losses

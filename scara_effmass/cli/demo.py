@@ -291,6 +291,8 @@ def _finish(
         "lost": live.lost,
         "watchdog_messages": live.silences,
         **live.summary.as_dict(),
+        "late": live.replayed["late"],
+        "worst_lateness_s": live.replayed["worst_lateness_s"],
         "warnings": live.replayed["warnings"],
         "figures": [str(path) for path in paths],
     }
@@ -303,6 +305,9 @@ def _finish(
     console.print(f"{'cycles':<16}{live.sent} joint states sent{ignored}, {live.cycles} answered, {live.lost} lost")
     for subject, text in summary_lines(live.summary):
         console.print(f"{subject:<16}{text}")
+    if live.replayed["late"]:
+        worst = f"at worst {live.replayed['worst_lateness_s']:.3f} s: this machine was too busy, not the recording"
+        console.print(f"{'late':<16}{live.replayed['late']} messages were sent late, {worst}")
     for warning in live.replayed["warnings"]:
         console.print(f"{'recording':<16}{warning}")
     console.print(f"{'written':<16}{args.out / SUMMARY}")

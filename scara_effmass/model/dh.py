@@ -12,7 +12,7 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.robot import finished
+from scara_effmass.model.robot import PARALLEL, finished
 from scara_effmass.model.stated import StatedLink, principal_moments
 
 if TYPE_CHECKING:
@@ -115,6 +115,15 @@ class DhFile(_Strict):
             raise ValueError(f"joint names {names} must differ")
         if len(self.links) != len(self.joints):
             raise ValueError(f"{len(self.links)} links for {len(self.joints)} joints: one link per joint is needed")
+        if any(abs(math.sin(joint.alpha)) > PARALLEL for joint in self.joints):
+            for name, inertia in (
+                *((link.name, link.inertia) for link in self.links),
+                ("payload", self.payload.inertia),
+            ):
+                if isinstance(inertia, float) and inertia > 0.0:
+                    raise ValueError(
+                        f"inertia of {name} = {inertia} is I_zz alone, but the axes are not parallel: give six"
+                    )
         return self
 
 
@@ -165,9 +174,6 @@ def _built(file: DhFile, origin: str, contact_points: Sequence[str]) -> Robot:
     for name in dict.fromkeys(contact_points):
         pose = placement * pin.SE3(np.eye(3), np.array(file.contact_points[name]))
         frames[name] = model.addFrame(pin.Frame(name, parent, 0, pose, pin.FrameType.OP_FRAME))
-    missing = [link.name for link in file.links if link.inertia is None and link.mass > 0.0]
-    if missing and any(link.inertia is not None for link in file.links):
-        raise RobotError(f"{origin}: links.{missing[0]}: no inertia, while other links have one: give all or none")
     return finished(
         model,
         origin,

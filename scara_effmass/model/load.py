@@ -23,9 +23,10 @@ def load_robot(path: Path, settings: MonitorSettings) -> Robot:
     Raises RobotError.
     """
     if path.suffix.lower() in {".yaml", ".yml"}:
-        for key in ("payload_mass", "armature"):
-            if getattr(settings, key):
-                raise RobotError(f"{key} = {getattr(settings, key)!r}: {path} states its own; change it there")
+        for key in ("payload_mass", "armature", "locked_joints"):
+            value = getattr(settings, key)
+            if value != type(settings).model_fields[key].default:
+                raise RobotError(f"{key} = {value!r}: for URDF files; {path} states its own, change it there")
         return load_dh(path, settings.contact_points)
     try:
         text = path.read_text(encoding="utf-8")

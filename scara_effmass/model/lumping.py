@@ -17,13 +17,12 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
+from scara_effmass.model.robot import PARALLEL
 
 if TYPE_CHECKING:
     from scara_effmass.model.robot import Robot
     from scara_effmass.values import FloatArray, Vector3
 
-PARALLEL = 2e-3
-"""Sine of the angle below which two axes count as parallel: files write pi as 3.14."""
 ON_AXIS_M = 1e-4
 """Distance [m] below which axes coincide, or a centre of mass lies where it must: finer than CAD data are."""
 

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from scara_effmass.model.stated import StatedLink
     from scara_effmass.values import FloatArray, Vector3
 
+PARALLEL = 2e-3
+"""Sine of the angle below which two axes count as parallel: files write pi as 3.14."""
 SAMPLES = 64
 """Configurations, spread over the joint ranges, at which structural properties are read off a model."""
 

@@ -52,8 +52,11 @@ def doubts_about(links: Sequence[StatedLink]) -> Doubts:
         masses = "every link has mass 1 and identity inertia: placeholders, not data"
     if len(heavy) > 1 and all(np.allclose(link.com, 0.0) for link in heavy):
         coms = "every centre of mass lies at its link's origin: placeholders, not data"
-    if all(np.allclose(link.inertia, 0.0, atol=1e-12) for link in heavy):
+    bare = [link.name for link in heavy if np.allclose(link.inertia, 0.0, atol=1e-12)]
+    if len(bare) == len(heavy):
         inertias = "the file gives no inertia tensors"
+    elif bare:
+        inertias = f"no inertia tensor for {', '.join(bare)}, while other links have one"
     elif all_fake:
         inertias = "every inertia tensor is the identity, or the mass times it: placeholders, not data"
     else:

@@ -60,7 +60,8 @@ def parse_urdf(
     frames = {name: model.getBodyId(name) for name in contact_points}
     for name, frame in frames.items():
         if model.frames[frame].parentJoint == 0:
-            raise RobotError(f"{origin}: contact point {name!r} is fixed to the base: name one that moves")
+            locked = f" (locked: {', '.join(sorted(tree.locked))})" if tree.locked else ""
+            raise RobotError(f"{origin}: contact point {name!r} is fixed to the base{locked}: name one that moves")
     end = max(
         (model.frames[model.getBodyId(name)] for name in (*contact_points, *tips)), key=lambda frame: frame.parentJoint
     )

@@ -80,12 +80,16 @@ class UrdfTree:
         return [self._above[step][1] for step in self._upwards(link)[:-1]]
 
     def tip(self, link: str) -> str:
-        """Return the leaf beyond `link`, outside what is locked, behind the most moving joints, then most joints."""
-        ranked = [(0, 0, link)]
-        for leaf in self.links.keys() - {parent for parent, _ in self._above.values()}:
-            beyond = self.chain(leaf)[: len(self.chain(leaf)) - len(self.chain(link))]
-            if link in self._upwards(leaf) and self.locked.isdisjoint(beyond):
-                ranked.append((-sum(self.kind(joint) != "fixed" for joint in beyond), -len(beyond), leaf))
+        """Return the link beyond `link` where the longest chain ends: behind the most moving joints, then most joints.
+
+        A chain ends at a locked joint: the gripper's fingers are no tip, the link that carries them is.
+        """
+        free = {name: parent for name, (parent, joint) in self._above.items() if joint not in self.locked}
+        ranked = []
+        for end in {link, *free} - set(free.values()) | {link}:
+            beyond = self.chain(end)[: len(self.chain(end)) - len(self.chain(link))]
+            if link in self._upwards(end) and self.locked.isdisjoint(beyond):
+                ranked.append((-sum(self.kind(joint) != "fixed" for joint in beyond), -len(beyond), end))
         return min(ranked)[2]
 
     def require_movable(self, joint: str) -> None:

@@ -74,7 +74,7 @@ class ReplayOptions:
             ("answer_timeout_s", self.answer_timeout_s, 0.0 < self.answer_timeout_s <= _DAY_S, "up to 86400"),
         ):
             if not good:
-                raise SettingsError(f"replay: {key} = {value}: {right} would be right")
+                raise SettingsError(f"replay: {key.removesuffix('_s')} = {value}: {right} would be right")
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ NANOSECONDS = 1_000_000_000
 CONFIRMATION_NS = NANOSECONDS // 10
 """How long a joint must be seen to stand still before a velocity of exactly zero is believed of it."""
 WINDOW_NS = NANOSECONDS // 2
-"""After this time the travel of a joint whose velocity reads zero is counted anew."""
+"""After this time the travel of a joint, and what its velocity accounts for, are counted anew."""
 FASTEST_JOINT = (60.0, 10.0)
 """Largest believable speed [rad/s, m/s] of a joint whose description gives none."""
 
@@ -33,6 +33,18 @@ class Motion(NamedTuple):
 
 class Foreign(NamedTuple):
     """A joint state that names none of the robot's joints: another device on the same topic."""
+
+
+class _Window:
+    """Since when and from where a joint's travel is counted, and how far its velocity accounts for."""
+
+    __slots__ = ("accounted", "first", "since_ns", "speed")
+
+    def __init__(self, since_ns: int, first: float, speed: float) -> None:
+        self.since_ns = since_ns
+        self.first = first
+        self.accounted = 0.0
+        self.speed = speed
 
 
 class Intake:
@@ -66,13 +78,15 @@ class Intake:
         self._differentiate = settings.differentiate_velocity
         self._still_travel = settings.still_tolerance
         self._still_speed = settings.still_speed
+        self._travel_margin = settings.travel_margin
+        self._travel_factor = 1.0 + settings.travel_tolerance
 
     def forget(self) -> None:
         """Drop all that was remembered of earlier joint states, as after a jump of the clock."""
         self.last_stamp_ns = 0
         self._last_q: FloatArray | None = None
         self._believed = [False] * len(self._joints)
-        self._rest: list[tuple[int, float] | None] = [None] * len(self._joints)
+        self._windows: list[_Window | None] = [None] * len(self._joints)
 
     def check(self, state: JointState, now_ns: int) -> Motion | Foreign | str:
         """Return the motion in `state`, or why it cannot be used; `now_ns` is the node's clock."""
@@ -144,7 +158,7 @@ class Intake:
             # Written so that NaN fails it.
             if not (lower <= x <= upper and -fastest <= v <= fastest):
                 return self._out_of_range(positions, velocities)
-        return self._contradicted_rest(positions, velocities, stamp_ns, elapsed_ns) or Motion(q, qd)
+        return self._contradiction(positions, velocities, stamp_ns, elapsed_ns) or Motion(q, qd)
 
     def _out_of_range(self, positions: list[float], velocities: list[float]) -> str:
         for i, (name, x, v, unit) in enumerate(zip(self._joints, positions, velocities, self._units, strict=True)):
@@ -158,32 +172,41 @@ class Intake:
                 return f"{name} at {v:.4f} {unit}/s is faster than it can be ({self._fastest[i]:.4f})"
         raise AssertionError("unreachable: one joint failed the same comparisons before")
 
-    def _contradicted_rest(
-        self, positions: list[float], velocities: list[float], stamp_ns: int, elapsed_ns: int
-    ) -> str:
-        """Return why a velocity of exactly zero is not believed: some senders never fill it in."""
+    def _contradiction(self, positions: list[float], velocities: list[float], stamp_ns: int, elapsed_ns: int) -> str:
+        """Return why the velocities are not believed: a joint moves further than its velocity accounts for.
+
+        Some senders never fill velocities in; two senders on one topic make the arm leap to and fro.
+        """
         reason = ""
-        rest, believed = self._rest, self._believed
-        if elapsed_ns > self.timeout_ns:
-            rest[:] = [None] * len(rest)
-        for i, v in enumerate(velocities):
-            if v != 0.0:
-                believed[i] = True
-                rest[i] = None
-                continue
-            x = positions[i]
-            since = rest[i]
-            if since is None:
-                since = rest[i] = (stamp_ns, x)
-            travel, time_ns = abs(x - since[1]), stamp_ns - since[0]
-            if travel > self._still_travel and travel > self._still_speed * time_ns / 1e9:
+        seconds = elapsed_ns / 1e9
+        believed = self._believed
+        windows = self._windows
+        gap = not 0 < elapsed_ns <= self.timeout_ns
+        for i, (x, v) in enumerate(zip(positions, velocities, strict=True)):
+            speed = abs(v)
+            window = windows[i]
+            if window is None or gap:
+                windows[i] = window = _Window(stamp_ns, x, speed)
+            else:
+                window.accounted += max(speed, window.speed) * seconds
+                window.speed = speed
+            accounted = window.accounted
+            travel, time_ns = abs(x - window.first), stamp_ns - window.since_ns
+            margin = self._travel_margin if accounted else max(self._still_travel, self._still_speed * time_ns / 1e9)
+            if travel > accounted * self._travel_factor + margin:
                 believed[i] = False
-                rest[i] = (stamp_ns, x)
-                reason = f"{self._joints[i]} moved {travel:.4f} {self._units[i]} while its velocity read zero"
+                windows[i] = _Window(stamp_ns, x, speed)
+                how = (
+                    f"where its velocity accounts for {accounted:.4f}" if accounted else "while its velocity read zero"
+                )
+                reason = f"{self._joints[i]} moved {travel:.4f} {self._units[i]} {how}"
+                continue
+            if speed > 0.0:
+                believed[i] = True
             elif not believed[i]:
                 believed[i] = time_ns >= CONFIRMATION_NS
                 if not believed[i] and not reason:
                     reason = f"the velocity of {self._joints[i]} reads zero, not yet confirmed by its position"
-            elif time_ns > WINDOW_NS:
-                rest[i] = (stamp_ns, x)
+            if believed[i] and time_ns > WINDOW_NS:
+                windows[i] = _Window(stamp_ns, x, speed)
         return reason

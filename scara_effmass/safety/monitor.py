@@ -276,9 +276,9 @@ def _allowed(ceiling: Ceiling, allowable: float) -> str:
 
 
 def _latched(contact: ContactAssessment, cause: Cause) -> ContactAssessment:
-    """Return `contact` under the latched `cause`, unless it is worse by itself."""
-    if severity(contact.verdict) >= severity(cause.verdict):
+    """Return `contact` under the latched `cause`: nothing is allowed, and the worse verdict of the two holds."""
+    if severity(contact.verdict) > severity(cause.verdict):
         return contact
     at = f"{cause.contact_point}: " if cause.contact_point else ""
-    latched = contact._replace(verdict=cause.verdict, reason=f"latched until reset: {at}{cause.reason}")
-    return latched._replace(allowable_speed=0.0, margin=-contact.speed) if cause.verdict is Verdict.UNKNOWN else latched
+    reason = f"latched until reset: {at}{cause.reason}"
+    return contact._replace(verdict=cause.verdict, reason=reason, allowable_speed=0.0, margin=-contact.speed)

@@ -102,7 +102,7 @@ def test_contact_points_can_be_picked(omron_rows: dict[str, Any], tmp_path: Path
         ("links.1.inertia", -0.02, "links.1.inertia = .*: .*none may be negative"),
         ("links.1.inertia", [1.0, 1.0, 1.0, 2.0, 0.0, 0.0], "links.1.inertia = .*: .*none may be negative"),
         ("links.1.inertia", [1.0, 1.0, 1.0], "links.1.inertia"),
-        ("links.1.inertia", ..., "links.link2: no inertia, while other links have one"),
+        ("joints.0.alpha", 1.5, "file: inertia of link1 = 0.02952 is I_zz alone, but the axes are not parallel"),
         ("payload.mass", ..., "payload.mass: Field required"),
         ("payload.inertia", -1.0, "payload.inertia = .*: .*none may be negative"),
         ("contact_points", {}, "contact_points: "),
@@ -235,3 +235,12 @@ def test_spoilt_file_is_refused_or_gives_finite_answers(
         with suppress(KeyError, IndexError, TypeError):  # the first change may take away where the second would go
             put(rows, key, value)
     refused_or_finite(lambda: from_rows(rows))
+
+
+def test_tensors_of_some_links_only_are_no_full_model(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+) -> None:
+    del omron_rows["links"][1]["inertia"]
+    arm = Arm(from_rows(omron_rows))
+    assert arm.full_reason == "no inertia tensor for link2, while other links have one"
+    assert not arm.lumped_reason

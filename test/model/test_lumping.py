@@ -151,6 +151,8 @@ def test_axes_that_are_not_parallel_are_refused(
     omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], alpha: float
 ) -> None:
     omron_rows["joints"][0]["alpha"] = alpha
+    for body in (*omron_rows["links"], omron_rows["payload"]):
+        body["inertia"] = [body["inertia"]] * 3 + [0.0] * 3
     robot = from_rows(omron_rows)
     with pytest.raises(RobotError, match="behind joint1: its axes are not parallel"):
         lump(robot)

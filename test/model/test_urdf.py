@@ -326,3 +326,33 @@ def test_an_armature_that_makes_no_sense_is_named(entry: str) -> None:
 def test_an_armature_given_twice_is_named() -> None:
     with pytest.raises(RobotError, match="each joint once"):
         robot_from_urdf(SCARA, "scara", MonitorSettings(armature=("j1=1", "j1=2")))
+
+
+def test_the_link_before_a_locked_joint_is_a_tip() -> None:
+    """The fingers of a gripper end no arm: a camera on the first link must not take their place."""
+    text = with_more(
+        '<link name="camera"/>',
+        joint("bracket", "upper", "camera", "fixed"),
+        link("finger", 0.01),
+        joint("finger_joint", "tip", "finger"),
+    )
+    robot = parse_urdf(text, "scara", locked_joints=("*finger*",))
+    assert list(robot.contact_frames) == ["tip"]
+    assert robot.joint_names == ("j1", "j2", "j3", "j4")
+
+
+def test_an_arm_that_ends_in_locked_joints_is_watched_where_they_begin() -> None:
+    robot = parse_urdf(SCARA, "scara", locked_joints=("j3", "j4"))
+    assert list(robot.contact_frames) == ["fore"]
+    assert robot.joint_names == ("j1", "j2")
+
+
+def test_an_arm_that_is_locked_throughout_says_so() -> None:
+    with pytest.raises(RobotError, match=r"fixed to the base \(locked: j1, j2, j3, j4\)"):
+        parse_urdf(SCARA, "scara", locked_joints=("j*",))
+
+
+def test_tensors_of_some_links_only_are_no_full_model() -> None:
+    text = SCARA.replace('izz="0.02272"', 'izz="0"').replace('ixx="0.02" iyy="0.02" izz="0"', 'ixx="0" iyy="0" izz="0"')
+    assert text != SCARA
+    assert Arm(parse_urdf(text, "scara")).full_reason == "no inertia tensor for fore, while other links have one"

@@ -58,5 +58,7 @@ def skew_arm(tmp_path_factory: pytest.TempPathFactory) -> Arm:
     def tilt(file: dict[str, Any]) -> None:
         file["joints"][0]["alpha"] = 1.1
         file["links"][0]["com"] = [0.08, 0.05, 0.0]
+        for body in (*file["links"], file["payload"]):
+            body["inertia"] = [body["inertia"]] * 3 + [0.0] * 3
 
     return variant(tmp_path_factory.mktemp("skew"), tilt)

@@ -222,6 +222,46 @@ class TestVelocityOfZero:
             assert feed(state(position=q, velocity=(0.0,) * 4))[0] is Verdict.OK
 
 
+class TestTravelBeyondTheVelocity:
+    def test_a_leap_is_never_ok(self, scara: Arm) -> None:
+        """Two senders at different poses on one topic, or an encoder that leaps: faster than any joint."""
+        feed = Feed(monitor(scara))
+        feed()
+        for i in range(1, 100):
+            verdict, reason = feed(state(position=(0.3 + 1.2 * (i % 2), *Q[1:])))
+            assert verdict is Verdict.UNKNOWN
+            assert "where its velocity accounts for" in reason
+        assert feed(state(position=(1.5, *Q[1:])))[0] is Verdict.OK
+
+    def test_a_velocity_that_is_far_too_small_is_found_out(self, scara: Arm) -> None:
+        feed = Feed(monitor(scara, release_time=0.2))
+        seen = [feed(state(position=(0.002 * i, *Q[1:]), velocity=(0.001, *QD[1:])))[0] for i in range(500)]
+        assert set(seen[30:]) == {Verdict.UNKNOWN}
+
+    def test_standing_still_at_a_velocity_is_believed_because_it_errs_to_the_safe_side(self, scara: Arm) -> None:
+        feed = Feed(monitor(scara))
+        assert {feed()[0] for _ in range(2000)} == {Verdict.OK}
+
+    @given(
+        amplitude=st.floats(0.0, 1.0),
+        rate=st.floats(0.1, 5.0),
+        step_ms=st.integers(1, 150),
+        noise=st.floats(0.0, 0.002),
+    )
+    def test_honest_motion_is_believed(
+        self, scara: Arm, amplitude: float, rate: float, step_ms: int, noise: float
+    ) -> None:
+        """Sampled a little late, and with the steps of a coarse encoder."""
+        feed = Feed(monitor(scara))
+        for i in range(100):
+            t = i * step_ms / 1e3
+            q = amplitude * math.sin(rate * t) + noise * (-1) ** i
+            qd = amplitude * rate * math.cos(rate * (t - 0.005)) + 1e-6
+            verdict, reason = feed(state(position=(q, *Q[1:]), velocity=(qd, *QD[1:])), step_ms * MS)
+            assert "accounts for" not in reason
+            assert verdict is not Verdict.UNKNOWN
+
+
 class TestDifferentiation:
     """Where the velocity may be taken from positions, it is taken over header time."""
 
