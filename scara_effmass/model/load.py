@@ -25,7 +25,7 @@ def load_robot(path: Path, settings: MonitorSettings) -> Robot:
     if path.suffix.lower() in {".yaml", ".yml"}:
         for key in ("payload_mass", "armature", "locked_joints"):
             value = getattr(settings, key)
-            if value != type(settings).model_fields[key].default:
+            if value and value != type(settings).model_fields[key].default:
                 raise RobotError(f"{key} = {value!r}: for URDF files; {path} states its own, change it there")
         return load_dh(path, settings.contact_points)
     try:

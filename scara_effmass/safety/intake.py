@@ -189,7 +189,8 @@ class Intake:
                 windows[i] = window = _Window(stamp_ns, x, speed)
             else:
                 window.accounted += max(speed, window.speed) * seconds
-                window.speed = speed
+            started_or_stopped = (speed > 0.0) is not (window.speed > 0.0)
+            window.speed = speed
             accounted = window.accounted
             travel, time_ns = abs(x - window.first), stamp_ns - window.since_ns
             margin = self._travel_margin if accounted else max(self._still_travel, self._still_speed * time_ns / 1e9)
@@ -207,6 +208,6 @@ class Intake:
                 believed[i] = time_ns >= CONFIRMATION_NS
                 if not believed[i] and not reason:
                     reason = f"the velocity of {self._joints[i]} reads zero, not yet confirmed by its position"
-            if believed[i] and time_ns > WINDOW_NS:
+            if started_or_stopped or (believed[i] and time_ns > WINDOW_NS):
                 windows[i] = _Window(stamp_ns, x, speed)
         return reason

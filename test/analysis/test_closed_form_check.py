@@ -28,14 +28,17 @@ SHIPPED = share("config", "omron_i4_550l.yaml")
 
 
 def random_contacts(arm: Arm, count: int = 400) -> Iterator[tuple[JointState, tuple[ContactAssessment, ...]]]:
-    """Yield joint states spread over the ranges, every tenth at rest, with what a monitor says of them."""
+    """Yield joint states spread over the ranges, every tenth at rest, with what a monitor says of them.
+
+    They are a second apart, so that they are not taken for one motion.
+    """
     monitor = Monitor(arm, SETTINGS)
     generator = np.random.default_rng(28)
     lower, upper = arm.robot.model.lowerPositionLimit, arm.robot.model.upperPositionLimit
     for number in range(1, count + 1):
         q = generator.uniform(lower, upper)
         qd = generator.uniform(-1.0, 1.0, len(q)) * (1e-4 if number % 10 == 0 else 1.0)
-        state = JointState(number * 10**7, arm.robot.joint_names, q, qd)
+        state = JointState(number * 10**9, arm.robot.joint_names, q, qd)
         decision = monitor.assess(state, state.stamp_ns)
         assert decision is not None
         yield state, decision.contacts

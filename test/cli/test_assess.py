@@ -185,6 +185,17 @@ def test_what_cannot_be_decoded_is_refused_and_the_run_goes_on(swing_bag: Path, 
     assert rows[499]["verdict"] != "UNKNOWN" != rows[800]["verdict"]
 
 
+def test_the_wrong_robot_is_refused_and_writes_nothing(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
+    robot = tmp_path / "other.yaml"
+    text = share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8")
+    robot.write_text(text.replace("name: joint", "name: axis"), encoding="utf-8")
+    out = tmp_path / "a.csv"
+    done = here("assess", swing_bag, "-o", out, "--robot", robot)
+    assert done.returncode == 2
+    assert "none of its joint states names a joint of the robot (axis1, axis2, axis3, axis4)" in done.stderr
+    assert not out.exists()
+
+
 def test_gaps_and_joint_states_of_others_are_told(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
     with open_bag(swing_bag) as bag, BagWriter(tmp_path / "mixed.mcap") as mixed:
         for number, message in enumerate(bag.messages(["/joint_states"])):

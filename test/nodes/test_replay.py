@@ -424,7 +424,7 @@ def test_topics_that_are_not_there_are_refused(bag: Path, options: dict[str, Any
 )
 def test_options_that_mean_nothing_are_refused(tmp_path: Path, key: str, value: float) -> None:
     options: dict[str, Any] = {key: value}
-    with pytest.raises(SettingsError, match=f"replay: {key} = {value}: .* would be right"):
+    with pytest.raises(SettingsError, match=f"replay: {key.removesuffix('_s')} = {value}: .* would be right"):
         ReplayOptions(tmp_path, **options)
 
 
