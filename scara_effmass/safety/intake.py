@@ -183,12 +183,20 @@ class Intake:
         windows = self._windows
         gap = not 0 < elapsed_ns <= self.timeout_ns
         for i, (x, v) in enumerate(zip(positions, velocities, strict=True)):
-            speed = abs(v)
+            speed = v if v >= 0.0 else -v
             window = windows[i]
             if window is None or gap:
                 windows[i] = window = _Window(stamp_ns, x, speed)
             else:
-                window.accounted += max(speed, window.speed) * seconds
+                before = window.speed
+                window.accounted += (max(before, speed)) * seconds
+                if speed > 0.0 and before > 0.0:
+                    # The usual case first: it moves, as it did before, and no further than it should.
+                    limit = window.accounted * self._travel_factor + self._travel_margin
+                    if -limit <= x - window.first <= limit and stamp_ns - window.since_ns <= WINDOW_NS:
+                        window.speed = speed
+                        believed[i] = True
+                        continue
             started_or_stopped = (speed > 0.0) is not (window.speed > 0.0)
             window.speed = speed
             accounted = window.accounted
