@@ -13,8 +13,8 @@ from pyarrow import csv, parquet
 
 from scara_effmass import __version__
 from scara_effmass.analysis.output import completed
-from scara_effmass.bag_io.definitions import RECORDING_INFO
-from scara_effmass.bag_io.encode import CONTACT_STATE, ContactStateEncoder
+from scara_effmass.bag_io.definitions import CONTACT_STATE, RECORDING_INFO
+from scara_effmass.bag_io.encode import ContactStateEncoder
 from scara_effmass.bag_io.messages import serialized
 from scara_effmass.bag_io.writer import BagWriter
 from scara_effmass.errors import OutputError

@@ -25,6 +25,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 RECORDING_INFO = "/scara_effmass/recording_info"
 """Topic on which a recording says, in JSON, where it comes from."""
 OWN_PACKAGE = "scara_effmass_msgs"
+CONTACT_STATE = f"{OWN_PACKAGE}/msg/ContactState"
 HEADER = "std_msgs/msg/Header"
 JOINT_STATE_PARTS = (JOINT_STATE, HEADER, "builtin_interfaces/msg/Time")
 IDL_MARK = "=" * 80 + "\n"

@@ -10,12 +10,9 @@ import struct
 from typing import TYPE_CHECKING
 
 from scara_effmass.bag_io.cdr import NS
-from scara_effmass.bag_io.definitions import OWN_PACKAGE
 
 if TYPE_CHECKING:
     from scara_effmass.values import ContactAssessment
-
-CONTACT_STATE = f"{OWN_PACKAGE}/msg/ContactState"
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _LAST_SECOND = 2**31 - 1

@@ -115,7 +115,7 @@ class Health:
                 "limits": EDITION,
                 "limits hash": TABLE_HASH,
                 "first cause": f"{cause.verdict.name} at {cause.stamp_ns / 1e9:.6f} s: {cause.reason}" if cause else "",
-                **{f"decisions {verdict.name}": monitor.verdicts[verdict] for verdict in Verdict},
+                **{f"decisions {verdict.name}": count for verdict, count in monitor.verdicts.items()},
             },
         )
 

@@ -189,7 +189,7 @@ class Intake:
                 windows[i] = window = _Window(stamp_ns, x, speed)
             else:
                 before = window.speed
-                window.accounted += (max(before, speed)) * seconds
+                window.accounted += max(before, speed) * seconds
                 if speed > 0.0 and before > 0.0:
                     # The usual case first: it moves, as it did before, and no further than it should.
                     limit = window.accounted * self._travel_factor + self._travel_margin

@@ -10,8 +10,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import Float64
 
-from scara_effmass.bag_io.definitions import known_types
-from scara_effmass.bag_io.encode import CONTACT_STATE, ContactStateEncoder, float64_message
+from scara_effmass.bag_io.definitions import CONTACT_STATE, known_types
+from scara_effmass.bag_io.encode import ContactStateEncoder, float64_message
 from scara_effmass.values import ContactAssessment, Verdict
 
 NUMBER = st.floats(allow_nan=True, allow_infinity=True)

@@ -11,8 +11,8 @@ import yaml
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from scara_effmass.bag_io.definitions import JOINT_STATE, known_types, own_types
-from scara_effmass.bag_io.encode import CONTACT_STATE, ContactStateEncoder
+from scara_effmass.bag_io.definitions import CONTACT_STATE, JOINT_STATE, known_types, own_types
+from scara_effmass.bag_io.encode import ContactStateEncoder
 from scara_effmass.bag_io.files import open_bag
 from scara_effmass.bag_io.messages import joint_state_message
 from scara_effmass.bag_io.writer import BagWriter
