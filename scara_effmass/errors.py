@@ -32,3 +32,27 @@ class DecodeError(EffmassError, ValueError):
 
 class OutputError(EffmassError, OSError):
     """A file that cannot be written, or that exists already."""
+
+
+class DaqError(EffmassError, OSError):
+    """Force cannot be measured; each leaf says what to do about it."""
+
+
+class DriverMissingError(DaqError):
+    """The driver of the converter is not installed."""
+
+
+class DeviceMissingError(DaqError):
+    """No such device or channel, or one that cannot do what is asked."""
+
+
+class DeviceReservedError(DaqError):
+    """Another program holds the device."""
+
+
+class DeviceLostError(DaqError):
+    """The device was there and has gone; it may come back."""
+
+
+class OverrunError(DaqError):
+    """Samples were overwritten before they were read: the acquisition has to begin again, with a gap."""

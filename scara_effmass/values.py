@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 Vector3 = tuple[float, float, float]
 
 NAN = float("nan")
@@ -81,3 +82,45 @@ class Decision(NamedTuple):
     contacts: tuple[ContactAssessment, ...]
     allowable_speed: float
     speed_scaling: float
+
+
+class ForceBlock(NamedTuple):
+    """Consecutive samples of one force channel: `ForceBlock.msg`, field by field.
+
+    `force` (n,) is read-only, in [N], compression positive, tare subtracted; `saturated_samples` are the indices
+    into it of the samples at the end of the measuring range.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    first_sample: int
+    sample_rate: float
+    force: FloatArray
+    lost_samples: int
+    saturated_samples: NDArray[np.uint32]
+    clock_residual: float
+    filter_delay: float
+    source: str
+    simulated: bool
+    tare: float
+    tare_stamp_ns: int
+    relative_uncertainty: float
+
+
+class Impact(NamedTuple):
+    """One impact found in the force signal: `Impact.msg`, field by field."""
+
+    stamp_ns: int
+    frame_id: str
+    peak_force: float
+    duration: float
+    impulse: float
+    onset_sample: float
+    clipped: bool
+    incomplete: bool
+    rebound: int
+    baseline: float
+    noise: float
+    clock_residual: float
+    source: str
+    simulated: bool

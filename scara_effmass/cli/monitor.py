@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 from scara_effmass.cli.options import add_params, add_robot
-from scara_effmass.settings import load_settings
+from scara_effmass.settings import MonitorSettings, load_settings
 
 if TYPE_CHECKING:
     import argparse
@@ -40,7 +40,7 @@ def node_arguments(args: argparse.Namespace) -> list[str]:
     """Return everything as ROS arguments: the file first, then the options, then the user's own; the last one wins."""
     words = ["--ros-args"]
     if args.params:
-        load_settings(args.params)  # says in one line what ROS would say in ten
+        load_settings(MonitorSettings, args.params, "monitor")  # says in one line what ROS would say in ten
         words += ["--params-file", str(args.params)]
     for name in ("robot", "effective_mass_model"):
         if value := getattr(args, name):

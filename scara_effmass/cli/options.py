@@ -67,10 +67,10 @@ def add_force(parser: argparse.ArgumentParser) -> None:
 
 def settings_from(args: argparse.Namespace, **more: Any) -> MonitorSettings:  # noqa: ANN401 - any setting
     """Return the settings of --params with the other options over them. Raises SettingsError."""
-    settings = load_settings(args.params) if args.params else MonitorSettings()
+    settings = load_settings(MonitorSettings, args.params, "monitor") if args.params else MonitorSettings()
     given = {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | more
     changes = {name: value for name, value in given.items() if value is not None}
-    return checked({**settings.model_dump(), **changes}, "options")
+    return checked(MonitorSettings, {**settings.model_dump(), **changes}, "options")
 
 
 def robot_path(settings: MonitorSettings) -> Path:

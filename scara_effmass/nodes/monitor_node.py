@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import time
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,8 +13,8 @@ from pydantic import Field
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
@@ -30,17 +29,16 @@ from scara_effmass.model.arm import Arm
 from scara_effmass.model.load import load_robot, robot_from_urdf
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.health import Health
-from scara_effmass.nodes.running import SuiteNode, run
+from scara_effmass.nodes.running import SuiteNode, incompatible, run
 from scara_effmass.safety import Monitor, without_robot
 from scara_effmass.settings import READ_ONLY, MonitorSettings, checked
 from scara_effmass.share import share
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from rclpy.clock import TimeJump
-    from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, QoSSubscriptionMatchedInfo
-    from rclpy.lifecycle import State, TransitionCallbackReturn
+    from rclpy.event_handler import QoSMessageLostInfo, QoSSubscriptionMatchedInfo
     from rclpy.parameter import Parameter
     from rclpy.timer import Timer
 
@@ -74,12 +72,10 @@ class MonitorNode(SuiteNode):
         super().__init__("monitor")
         values = parameters.declare(self, NodeSettings)
         self.autostart = bool(values.pop("autostart"))
-        self._settings = checked(values, self.get_name())
+        self._settings = checked(MonitorSettings, values, self.get_name())
         limits_for(self._settings)
         self.add_on_set_parameters_callback(self._judge_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
-        self._active = False
-        self._kept = ExitStack()
         self._outputs: dict[str, Any] = {}
         self._monitor: Monitor | None = None
         self._watchdog: Timer | None = None
@@ -88,6 +84,7 @@ class MonitorNode(SuiteNode):
 
     def set_up(self) -> None:
         """Load the robot and create the endpoints. Raises EffmassError."""
+        self._kept.callback(self._forget)
         self._decoder = JointStateDecoder()
         self._health = Health(self.get_name())
         self._decision: Decision | None = None
@@ -99,14 +96,16 @@ class MonitorNode(SuiteNode):
                 robot = self._settings.robot
                 raise SettingsError(f"{self.get_name()}: robot = {robot!r}: must be empty with await_robot_description")
             self._waiting = "no robot_description yet"
-            self._keep(
+            self.keep(
                 self.create_subscription(
                     String,
                     "robot_description",
                     self._on_description,
                     _DESCRIPTION_QOS,
                     event_callbacks=SubscriptionEventCallbacks(
-                        incompatible_qos=partial(self._on_incompatible, "a publisher of robot_description")
+                        incompatible_qos=partial(
+                            incompatible, "a publisher of robot_description", self._on_incompatible
+                        )
                     ),
                 ),
                 self.destroy_subscription,
@@ -114,24 +113,12 @@ class MonitorNode(SuiteNode):
         else:
             path = Path(self._settings.robot) if self._settings.robot else share("config", "omron_i4_550l.yaml")
             self._watch(load_robot(path, self._settings))
-        overridable = QoSOverridingOptions.with_default_policies()
         for kind, topic in ((ContactState, "contact_state"), (Float64, "allowable_speed"), (Float64, "speed_scaling")):
-            self._outputs[topic] = self._keep(
-                self.create_lifecycle_publisher(
-                    kind,
-                    topic,
-                    copy.copy(_VERDICT_QOS),  # rclpy writes the overrides into it
-                    event_callbacks=PublisherEventCallbacks(
-                        incompatible_qos=partial(self._on_incompatible, f"a subscriber of {topic}")
-                    ),
-                    qos_overriding_options=overridable,
-                ),
-                self.destroy_lifecycle_publisher,
-            )
-        self._diagnostics = self._keep(
+            self._outputs[topic] = self.publisher(kind, topic, _VERDICT_QOS, self._on_incompatible)
+        self._diagnostics = self.keep(
             self.create_lifecycle_publisher(DiagnosticArray, "/diagnostics", 10), self.destroy_lifecycle_publisher
         )
-        self._joint_states = self._keep(
+        self._joint_states = self.keep(
             self.create_subscription(
                 JointState,
                 "joint_states",
@@ -139,47 +126,34 @@ class MonitorNode(SuiteNode):
                 copy.copy(_INPUT_QOS),
                 raw=True,
                 event_callbacks=SubscriptionEventCallbacks(
-                    incompatible_qos=partial(self._on_incompatible, "a publisher of joint_states"),
+                    incompatible_qos=partial(incompatible, "a publisher of joint_states", self._on_incompatible),
                     matched=self._on_matched,
                     message_lost=self._on_lost,
                 ),
-                qos_overriding_options=overridable,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             ),
             self.destroy_subscription,
         )
-        self._keep(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
+        self.keep(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
         # Steady time: a paused or jumping /clock must not keep the watchdog from looking.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._watchdog = self._keep(
+        self._watchdog = self.keep(
             self.create_timer(self._watchdog_period_s(), self._on_watchdog, clock=steady), self.destroy_timer
         )
-        self._keep(self.create_timer(_REPORT_S, self._report, clock=steady), self.destroy_timer)
+        self.keep(self.create_timer(_REPORT_S, self._report, clock=steady), self.destroy_timer)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         jump = self.get_clock().create_jump_callback(backwards, post_callback=self._on_clock_jump)
         self._kept.callback(jump.unregister)
 
-    def tear_down(self) -> None:
-        """Destroy the endpoints and forget the robot."""
-        self._active = False
-        self._kept.close()
+    def start(self) -> None:
+        """Start to publish; silence counts from here."""
+        self._last_heard_ns = time.monotonic_ns()
+
+    def _forget(self) -> None:
+        """Forget the robot, and the endpoints, which are destroyed."""
         self._outputs.clear()
         self._monitor = self._watchdog = None
         self._encoders = []
-
-    def on_activate(self, state: State) -> TransitionCallbackReturn:
-        """Start to publish; silence counts from here."""
-        self._last_heard_ns = time.monotonic_ns()
-        self._active = True
-        return super().on_activate(state)
-
-    def on_deactivate(self, state: State) -> TransitionCallbackReturn:
-        """Fall silent."""
-        self._active = False
-        return super().on_deactivate(state)
-
-    def _keep(self, endpoint: Endpoint, destroy: Callable[[Endpoint], object]) -> Endpoint:
-        self._kept.callback(destroy, endpoint)
-        return endpoint
 
     def _watch(self, robot: Robot) -> None:
         """Take over `robot`. Raises EffmassError."""
@@ -192,7 +166,7 @@ class MonitorNode(SuiteNode):
             self.get_logger().info(line)
 
     def _on_joint_state(self, data: bytes) -> None:
-        if not self._active:
+        if not self.active:
             return
         started_ns = time.monotonic_ns()
         self._health.received += 1
@@ -214,7 +188,7 @@ class MonitorNode(SuiteNode):
 
     def _on_watchdog(self) -> None:
         silent_ns = time.monotonic_ns() - self._last_heard_ns
-        if not self._active or silent_ns <= self._settings.timeout * 1e9:
+        if not self.active or silent_ns <= self._settings.timeout * 1e9:
             return
         self._publish(self._monitor.silence(silent_ns) if self._monitor else without_robot(self._waiting))
 
@@ -271,8 +245,7 @@ class MonitorNode(SuiteNode):
     def _on_lost(self, lost: QoSMessageLostInfo) -> None:
         self._health.lost = lost.total_count
 
-    def _on_incompatible(self, endpoint: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        line = f"{endpoint} cannot be connected: its {qos_policy_name_from_kind(event.last_policy_kind)} does not fit"
+    def _on_incompatible(self, line: str) -> None:
         self._health.incompatible(line)
         self.get_logger().warning(line)
 
@@ -293,7 +266,7 @@ class MonitorNode(SuiteNode):
 
     def _changed(self, changes: list[Parameter]) -> MonitorSettings:
         values = {p.name: parameters.from_ros(p) for p in changes if p.name in MonitorSettings.model_fields}
-        return checked({**self._settings.model_dump(), **values}, self.get_name())
+        return checked(MonitorSettings, {**self._settings.model_dump(), **values}, self.get_name())
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import copy
 import gc
 import signal
 import sys
-from typing import TYPE_CHECKING
+from contextlib import ExitStack
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
 
 import rclpy
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.qos import qos_policy_name_from_kind
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
@@ -23,8 +29,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lifecycle_msgs.srv import ChangeState
+    from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo
     from rclpy.executors import Executor
-    from rclpy.lifecycle import State
+    from rclpy.lifecycle import LifecyclePublisher, State
+    from rclpy.qos import QoSProfile
+
+Endpoint = TypeVar("Endpoint")
 
 RCLError = rclpy_implementation.RCLError
 
@@ -33,50 +43,112 @@ _ONE_SPIN_S = 1e6
 
 
 class SuiteNode(LifecycleNode):
-    """A lifecycle node that tells why a transition failed, and can bring itself up."""
+    """A lifecycle node that tells why a transition failed, can bring itself up, and can end the process.
+
+    A subclass says what to do in `set_up`, `start` and `stop`; what it hands to `keep` is destroyed by itself.
+    """
 
     def __init__(self, name: str) -> None:
         """Make the node; its parameters are declared by the subclass."""
         super().__init__(name)
         self.autostart = True
+        self.active = False
+        self._fatal: EffmassError | None = None
+        self._kept = ExitStack()
         self._failure: Exception | None = None
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
 
     def on_configure(self, state: State) -> TransitionCallbackReturn:
         """Set up; a refusal leaves the node unconfigured, with its reason in the log."""
-        self._failure = None
-        try:
-            self.set_up()
-        except Exception as error:  # noqa: BLE001 - rclpy would drop it
-            self._failure = _explained(self.get_name(), error)
-            self.tear_down()
-            return TransitionCallbackReturn.FAILURE
-        return super().on_configure(state)
+        return self._tried(self.set_up, self._clean_up) or super().on_configure(state)
+
+    def on_activate(self, state: State) -> TransitionCallbackReturn:
+        """Start; a refusal leaves the node inactive, with its reason in the log."""
+        refused = self._tried(self.start, self.stop)
+        self.active = refused is None
+        return refused or super().on_activate(state)
+
+    def on_deactivate(self, state: State) -> TransitionCallbackReturn:
+        """Fall silent."""
+        self.active = False
+        self.stop()
+        return super().on_deactivate(state)
 
     def on_cleanup(self, state: State) -> TransitionCallbackReturn:
         """Give back what `set_up` took."""
-        self.tear_down()
+        self._clean_up()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: State) -> TransitionCallbackReturn:
-        """Give back what `set_up` took."""
-        self.tear_down()
+        """Give back what `start` and `set_up` took."""
+        self._clean_up()
         return super().on_shutdown(state)
 
     def set_up(self) -> None:
         """Load what the parameters name and create the endpoints. Raises EffmassError."""
         raise NotImplementedError
 
-    def tear_down(self) -> None:
-        """Destroy what `set_up` made, as far as it came."""
-        raise NotImplementedError
+    def start(self) -> None:
+        """Begin to work; what is published from here on is heard. Raises EffmassError."""
+
+    def stop(self) -> None:
+        """Undo `start`, as far as it came; may be called again."""
+
+    def keep(self, endpoint: Endpoint, destroy: Callable[[Endpoint], object]) -> Endpoint:
+        """Return `endpoint`, to be destroyed when the node is cleaned up or ends."""
+        self._kept.callback(destroy, endpoint)
+        return endpoint
+
+    def publisher(
+        self, kind: type, topic: str, qos: QoSProfile, on_incompatible: Callable[[str], None]
+    ) -> LifecyclePublisher:
+        """Return a publisher, kept, whose QoS parameters may override; `on_incompatible` gets a line about a misfit."""
+        misfit = partial(incompatible, f"a subscriber of {topic}", on_incompatible)
+        publisher: LifecyclePublisher = self.create_lifecycle_publisher(
+            kind,
+            topic,
+            copy.copy(qos),  # rclpy writes the overrides into it
+            event_callbacks=PublisherEventCallbacks(incompatible_qos=misfit),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        return self.keep(publisher, self.destroy_lifecycle_publisher)
+
+    def fail(self, error: EffmassError) -> None:
+        """End the process with `error` as its line: it cannot do what it is there for."""
+        self._fatal = error
+        rclpy.try_shutdown()
+
+    def raise_fatal(self) -> None:
+        """Raise what `fail` was given, if it was."""
+        if self._fatal is not None:
+            raise self._fatal
+
+    def destroy_node(self) -> None:
+        """End; nothing that was kept stays behind."""
+        self._clean_up()
+        super().destroy_node()  # type: ignore[no-untyped-call]
 
     def bring_up(self) -> None:
         """Configure and activate. Raises what prevented it, such as an EffmassError."""
         done = TransitionCallbackReturn.SUCCESS
         if self.trigger_configure() is not done or self.trigger_activate() is not done:
             raise self._failure or SettingsError(f"{self.get_name()}: could not be brought up")
+
+    def _tried(self, step: Callable[[], None], undo: Callable[[], None]) -> TransitionCallbackReturn | None:
+        self._failure = None
+        try:
+            step()
+        except Exception as error:  # noqa: BLE001 - rclpy would drop it
+            self._failure = _explained(self.get_name(), error)
+            undo()
+            return TransitionCallbackReturn.FAILURE
+        return None
+
+    def _clean_up(self) -> None:
+        self.active = False
+        self.stop()
+        self._kept.close()
 
     def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
         """Answer a request that comes at the wrong time with a refusal: rclpy raises, which would end the process."""
@@ -90,6 +162,11 @@ class SuiteNode(LifecycleNode):
             self.get_logger().error(str(self._failure))
             self._failure = None
         return response
+
+
+def incompatible(endpoint: str, tell: Callable[[str], None], event: QoSRequestedIncompatibleQoSInfo) -> None:
+    """Tell, in one line, that `endpoint` is not connected, and for which policy."""
+    tell(f"{endpoint} cannot be connected: its {qos_policy_name_from_kind(event.last_policy_kind)} does not fit")
 
 
 def run(make: Callable[[], SuiteNode], args: Sequence[str] | None) -> int:
@@ -118,6 +195,7 @@ def run(make: Callable[[], SuiteNode], args: Sequence[str] | None) -> int:
         gc.freeze()
         while rclpy.ok():
             executor.spin_until_future_complete(Future(), timeout_sec=_ONE_SPIN_S)
+        node.raise_fatal()
     except (ExternalShutdownException, ROSInterruptException):
         pass
     except EffmassError as error:

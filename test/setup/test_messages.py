@@ -23,8 +23,14 @@ CONTRACT = {
         "obstacle_mass reduced_mass stiffness predicted_force allowable_speed margin body_region criterion verdict "
         "reason input_age worst_direction_used mass_capped smallest_singular_value"
     ),
-    "ForceBlock": ("header first_sample sample_rate force lost_samples saturated clock_residual filter_delay source"),
-    "Impact": "header peak_force duration impulse onset_sample clipped",
+    "ForceBlock": (
+        "header first_sample sample_rate force lost_samples saturated saturated_samples clock_residual filter_delay "
+        "source simulated tare tare_stamp relative_uncertainty"
+    ),
+    "Impact": (
+        "header peak_force duration impulse onset_sample clipped incomplete rebound baseline noise clock_residual "
+        "source simulated"
+    ),
     "ImpactValidation": (
         "header predicted_force measured_force relative_error effective_mass reduced_mass speed stiffness conservative "
         "count correlation fitted_stiffness bias rmse non_conservative accepted reason"

@@ -14,7 +14,8 @@ FLOORS = (
     {"model", "iso15066"},
     {"safety", "impacts"},
     {"bag_io"},
-    {"daq", "bench"},
+    {"bench"},
+    {"daq"},
     {"nodes", "analysis"},
     {"cli"},
     {"__main__"},
@@ -31,7 +32,9 @@ ONLY = {
     "nidaqmx": {"daq"},
     "mujoco": {"bench"},
     "matplotlib": {"analysis"},
+    "nptdms": {"daq"},
     "pyarrow": {"analysis", "bag_io"},
+    "scipy": {"daq", "analysis", "impacts"},
 }
 """Who alone may import a library; the `cli` only starts what knows rclpy, it does not talk to it."""
 

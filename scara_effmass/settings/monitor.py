@@ -1,18 +1,13 @@
-"""Settings of the monitor: one description from which the ROS parameters, the YAML files and --help are made."""
+"""Settings of the monitor."""
 
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from scara_effmass.errors import SettingsError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
+from scara_effmass.settings.loading import READ_ONLY
 
 
 class MassModel(str, Enum):
@@ -33,14 +28,11 @@ class Contact(str, Enum):
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
-READ_ONLY: dict[str, Any] = {"read_only": True}
-"""Marks a setting that a running node does not take over: the robot, and what is built from it."""
-
 
 class MonitorSettings(BaseModel):
     """Everything that can be set on `monitor_node`, on `assess` and on `replay`, with safe defaults.
 
-    Raises pydantic's ValidationError; `load_settings` and `checked` turn it into one SettingsError line.
+    Raises pydantic's ValidationError, which `checked` turns into one SettingsError line.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -174,39 +166,3 @@ class MonitorSettings(BaseModel):
     differentiate_velocity: bool = Field(
         default=False, description="where the velocity is empty, take it from positions over header time"
     )
-
-
-def checked(values: Mapping[str, Any], origin: str) -> MonitorSettings:
-    """Return the settings in `values`; `origin` names the file or node in the SettingsError of a bad one."""
-    try:
-        return MonitorSettings.model_validate(dict(values))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "settings"
-        value = "" if first["type"] in {"missing", "extra_forbidden"} else f" = {first['input']!r}"
-        raise SettingsError(f"{origin}: {key}{value}: {first['msg']}") from None
-
-
-def load_settings(path: Path) -> MonitorSettings:
-    """Return the settings in the YAML file at `path`, written as ROS writes parameters.
-
-    The file holds `/**` or a node name over `ros__parameters`, as `ros2 param dump` and launch files have it.
-    Raises SettingsError.
-    """
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(document, dict) or len(document) != 1:
-        raise SettingsError(f"{path}: must hold one node name (or /**) over ros__parameters")
-    (node,) = document.values()
-    if not isinstance(node, dict) or not isinstance(node.get("ros__parameters"), dict):
-        raise SettingsError(f"{path}: ros__parameters is missing under {next(iter(document))}")
-    parameters = {k: v for k, v in node["ros__parameters"].items() if k not in NODE_ONLY}
-    return checked(parameters, str(path))
-
-
-NODE_ONLY = frozenset({"autostart", "use_sim_time"})
-"""Parameters of the node itself, which a shared file may hold and offline commands have no use for."""

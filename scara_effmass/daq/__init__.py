@@ -1,0 +1,1 @@
+"""Where measured force comes from, and what is done with the signal until it is newtons with a time."""

@@ -1,0 +1,1 @@
+"""Impacts: found in the force signal. Pure: the same live and offline."""

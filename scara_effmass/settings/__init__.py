@@ -1,0 +1,40 @@
+"""What can be set: one description from which the ROS parameters, the YAML files and --help are made."""
+
+from scara_effmass.settings.daq import (
+    BagSettings,
+    BenchSettings,
+    Coupling,
+    DaqSettings,
+    DetectionSettings,
+    FilterKind,
+    FilterSettings,
+    ForceSourceKind,
+    Ni9230Settings,
+    SensorSettings,
+    Stamps,
+    TareSettings,
+)
+from scara_effmass.settings.loading import NODE_ONLY, READ_ONLY, checked, load_settings
+from scara_effmass.settings.monitor import Contact, MassModel, MonitorSettings
+
+__all__ = [
+    "NODE_ONLY",
+    "READ_ONLY",
+    "BagSettings",
+    "BenchSettings",
+    "Contact",
+    "Coupling",
+    "DaqSettings",
+    "DetectionSettings",
+    "FilterKind",
+    "FilterSettings",
+    "ForceSourceKind",
+    "MassModel",
+    "MonitorSettings",
+    "Ni9230Settings",
+    "SensorSettings",
+    "Stamps",
+    "TareSettings",
+    "checked",
+    "load_settings",
+]
