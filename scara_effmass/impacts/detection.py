@@ -1,0 +1,239 @@
+"""Impacts in a stream of force blocks; the same from a live stream as from a recording.
+
+The samples are cut into frames of a fixed number, counted from the first one, so that how they came in blocks makes no
+difference. Frames in which nothing happens give baseline and noise. From the first other frame on samples are kept,
+until a quiet frame follows: that stretch is then judged as a whole.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scara_effmass.impacts.background import FRAMES, Background, Frame, median
+from scara_effmass.impacts.faults import has_flat_run
+from scara_effmass.impacts.series import Series
+from scara_effmass.impacts.stream import Stream, finite_parts
+from scara_effmass.impacts.stretch import judge
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from scara_effmass.impacts.contact import Contact
+    from scara_effmass.impacts.stretch import Stretch
+    from scara_effmass.settings import DetectionSettings
+    from scara_effmass.values import FloatArray, ForceBlock, Impact
+
+FRAME_TIME = 0.05
+"""Length of a frame [s]: long for an impact of robots, short for the start of a recording."""
+FRAME_SAMPLES = 8
+"""And the least number of samples in one."""
+GAP_TIME = 0.3e-3
+"""So long without force [s], and GAP_SAMPLES, are two contacts, not one."""
+GAP_SAMPLES = 2
+SAME_RATE = 0.01
+"""The clock fit may change the sample rate by this share; beyond it is another recording."""
+MOST_FRAMES = 0.6
+"""Of what was recorded before the end came, so much has to be quiet."""
+
+
+class Detector:
+    """Finds impacts; counts what it does not take for one. Any rate, any length of blocks, one channel.
+
+    An impact is returned once a quiet frame (FRAME_TIME, or FRAME_SAMPLES) has followed it, which for a train of
+    contacts may take `settings.longest`. `dropouts` and `glitches` (single samples) are counted from the beginning on.
+    """
+
+    def __init__(self, settings: DetectionSettings) -> None:
+        self._settings = settings
+        self._series = Series(settings)
+        self.dropouts = self.glitches = 0
+        self._forget()
+
+    @property
+    def pushes(self) -> int:
+        """How many contacts were longer than `settings.longest`."""
+        return self._series.pushes
+
+    @property
+    def settled(self) -> bool:
+        """Whether the baseline is known; while it is not, impacts are not found."""
+        return self._settled
+
+    def feed(self, block: ForceBlock) -> list[Impact]:
+        """Return the impacts that are over by the end of `block`, in their order.
+
+        Samples that are not finite count as lost. Lost samples end a contact; a sample number that goes back, or
+        another sample rate, begins a new recording.
+        """
+        found: list[Impact] = []
+        for part in finite_parts(block):
+            found += self._join(part)
+            self._stream.append(part)
+            found += self._advance()
+        return found
+
+    def finish(self) -> list[Impact]:
+        """Return the impacts that were still waiting for what follows, and begin anew."""
+        found = self._close()
+        self._forget()
+        return found
+
+    def _forget(self) -> None:
+        self._background = Background(self._settings)
+        self._settled = False
+        self._series.restart()
+        self._rate = math.nan
+        self._frame = self._gap = self._longest = 0
+        self._begin(0)
+
+    def _begin(self, first_sample: int) -> None:
+        """Wait for samples that do not join the ones before."""
+        self._stream = Stream(first_sample)
+        self._done = self._counted = first_sample
+        self._stretch: int | None = None
+        self._quiet_frames = self._frames_below = 0
+        self._last_quiet: Frame | None = None
+        self._unsettled: deque[Frame] = deque(maxlen=FRAMES)
+        self._held = first_sample
+        self._fresh = True
+
+    def _join(self, block: ForceBlock) -> list[Impact]:
+        """Return what the gap before `block`, if there is one, has ended."""
+        if math.isnan(self._rate):
+            found = []
+        else:
+            missing = block.first_sample - self._stream.end
+            same = abs(block.sample_rate - self._rate) <= SAME_RATE * self._rate
+            if same and not missing and not block.lost_samples:
+                return []
+            found = self._close()
+            if not same or not 0 <= missing <= self._longest:
+                self._forget()
+        self._begin(block.first_sample)
+        self._rate = block.sample_rate
+        self._frame = max(round(FRAME_TIME * self._rate), FRAME_SAMPLES)
+        self._gap = max(round(GAP_TIME * self._rate), GAP_SAMPLES)
+        self._longest = round(self._settings.longest * self._rate)
+        return found
+
+    def _advance(self) -> list[Impact]:
+        found: list[Impact] = []
+        while self._stream.end - self._done >= self._frame:
+            samples = self._stream.samples(self._done, self._done + self._frame)
+            self._done += self._frame
+            if self._settled:
+                found += self._watch(samples)
+            else:
+                self._settle(Frame.of(samples))
+        needed = self._done - self._frame if self._settled else self._held - self._frame
+        self._stream.forget_before(needed if self._stretch is None else min(needed, self._stretch))
+        return found
+
+    def _settle(self, frame: Frame) -> None:
+        """Look for a baseline; once there is one, what was held goes through again."""
+        self._unsettled.append(frame)
+        hold = max(self._longest, 2 * FRAMES * self._frame) if self._fresh else FRAMES * self._frame
+        if len(self._unsettled) == FRAMES and self._background.steady(self._unsettled):
+            self._adopt(self._unsettled)
+        if not self._settled and self._done - self._held >= hold:
+            self._held += self._frame
+
+    def _adopt(self, frames: Iterable[Frame]) -> None:
+        """Take `frames` for the background, unless the signal is stuck: it was livelier before."""
+        background = Background(self._settings)
+        background.admit(frames)
+        if background.noise > 0.0 or self._background.flat_run > FRAMES * self._frame:
+            self._background = background
+            self._settled = True
+            self._done = self._held
+            if not self._fresh:
+                self._counted = self._held + 1  # what goes on there has been counted when it began
+
+    def _give_up(self, start: int) -> list[Impact]:
+        """Report what is in the stretch from `start`, and look for another baseline from here on."""
+        found = self._report(self._judge(start, self._done).contacts, start)
+        self._settled = self._fresh = False
+        self._unsettled.clear()
+        self._held = self._done
+        self._stretch = None
+        return found
+
+    def _watch(self, samples: FloatArray) -> list[Impact]:
+        """Go on by one frame, of which `samples` are the last ones."""
+        quiet = self._is_quiet(samples)
+        if quiet and self._stretch is None:
+            self._learn(Frame.of(samples))
+            return []
+        self._quiet_frames = 0
+        if self._stretch is None:
+            self._stretch = max(self._done - 2 * self._frame, self._stream.first)
+            self._frames_below = 0
+        if quiet:
+            found = self._report(self._judge(self._stretch, self._done).contacts, self._stretch)
+            self._stretch = None
+            return found
+        below = median(samples.copy()) < self._background.baseline - self._background.level
+        self._frames_below = self._frames_below + 1 if below else 0
+        if self._frames_below == FRAMES:
+            return self._give_up(self._stretch)
+        if self._done - self._stretch > self._longest + 2 * self._frame:
+            return self._divide(self._stretch)
+        return []
+
+    def _is_quiet(self, samples: FloatArray) -> bool:
+        background = self._background
+        return bool(
+            samples.min() >= background.baseline - background.level
+            and samples.max() <= background.baseline + background.level
+            and not has_flat_run(samples, background.flat_run)
+        )
+
+    def _learn(self, frame: Frame) -> None:
+        """Admit the quiet frame before `frame` if those on both sides of it were quiet as well."""
+        self._quiet_frames += 1
+        if self._quiet_frames >= 3 and self._last_quiet is not None:
+            self._background.admit([self._last_quiet])
+        self._last_quiet = frame
+
+    def _divide(self, start: int) -> list[Impact]:
+        """Report what is over in a stretch that has become too long, and go on with the contact that is not."""
+        contacts = self._judge(start, self._done).contacts
+        going_on = contacts[-1] if contacts and start + contacts[-1].last >= self._done - self._frame else None
+        if going_on is None or going_on.last - going_on.first >= self._longest:
+            return self._give_up(start)
+        over = contacts[:-1]
+        self._stretch = start + max(going_on.first - self._frame, over[-1].last + 1 if over else 0)
+        return self._report(over, start)
+
+    def _close(self) -> list[Impact]:
+        """Return what is found when nothing more joins."""
+        stream = self._stream
+        found: list[Impact] = []
+        rest = stream.samples(self._done, stream.end)
+        if not self._settled:
+            frames = [*self._unsettled, *([Frame.of(rest)] if rest.size >= FRAME_SAMPLES else [])]
+            if frames and self._background.steady(frames, MOST_FRAMES if self._fresh else 1.0):
+                self._adopt(frames)
+                found += self._advance()
+                rest = stream.samples(self._done, stream.end)
+        if self._settled and (self._stretch is not None or (rest.size and not self._is_quiet(rest))):
+            start = max(self._done - self._frame, stream.first) if self._stretch is None else self._stretch
+            found += self._report(self._judge(start, stream.end).contacts, start)
+        return found
+
+    def _judge(self, start: int, stop: int) -> Stretch:
+        """Judge the samples from `start` up to `stop`, and count what is new in it."""
+        stream = self._stream
+        samples, saturated = stream.samples(start, stop), stream.saturated(start, stop)
+        stretch = judge(samples, saturated, self._background, self._gap, self._frame)
+        self.dropouts += int(np.count_nonzero(stretch.dropouts + start >= self._counted))
+        self.glitches += int(np.count_nonzero(stretch.glitches + start >= self._counted))
+        self._counted = stop
+        return stretch
+
+    def _report(self, contacts: Iterable[Contact], start: int) -> list[Impact]:
+        return self._series.report(contacts, start, self._stream, self._background)

@@ -1,0 +1,74 @@
+"""The last samples of a stream of force blocks, by sample number."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scara_effmass.impacts.faults import runs
+
+if TYPE_CHECKING:
+    from scara_effmass.values import BoolArray, FloatArray, ForceBlock
+
+
+class Stream:
+    """Samples without a gap, as the sensor read them: the tare is added again, so that a new one is no step."""
+
+    def __init__(self, first_sample: int) -> None:
+        self.first = self.end = first_sample
+        self._samples = np.empty(0)
+        self._blocks: deque[ForceBlock] = deque()
+
+    def append(self, block: ForceBlock) -> None:
+        """Add the samples of the next block."""
+        samples = block.force + block.tare if block.tare else block.force
+        self._samples = np.concatenate((self._samples, samples))
+        self._blocks.append(block)
+        self.end += samples.size
+
+    def forget_before(self, index: int) -> None:
+        """Drop what is older than sample `index`."""
+        if index > self.first:
+            self._samples = self._samples[index - self.first :]
+            self.first = index
+        while self._blocks and self._blocks[0].first_sample + self._blocks[0].force.size <= index:
+            self._blocks.popleft()
+
+    def samples(self, start: int, stop: int) -> FloatArray:
+        """Return the samples from `start` up to `stop` [N]; a view."""
+        return self._samples[start - self.first : stop - self.first]
+
+    def saturated(self, start: int, stop: int) -> BoolArray:
+        """Return which samples from `start` up to `stop` are at the end of the measuring range."""
+        mask = np.zeros(stop - start, dtype=np.bool_)
+        for block in self._blocks:
+            if block.saturated_samples.size:
+                index = block.saturated_samples.astype(np.int64) + (block.first_sample - start)
+                mask[index[(index >= 0) & (index < mask.size)]] = True
+        return mask
+
+    def block_of(self, index: int) -> ForceBlock:
+        """Return the block that holds sample `index`, or the oldest one there is."""
+        for block in reversed(self._blocks):
+            if block.first_sample <= index:
+                return block
+        return self._blocks[0]
+
+
+def finite_parts(block: ForceBlock) -> list[ForceBlock]:
+    """Return `block` without the samples that are not finite, in as many parts as that leaves."""
+    finite = np.isfinite(block.force)
+    if finite.all():
+        return [block] if block.force.size else []
+    saturated = block.saturated_samples
+    return [
+        block._replace(
+            stamp_ns=block.stamp_ns + round(int(start) / block.sample_rate * 1e9),
+            first_sample=block.first_sample + int(start),
+            force=block.force[start:stop],
+            saturated_samples=saturated[(saturated >= start) & (saturated < stop)] - np.uint32(start),
+        )
+        for start, stop in zip(*runs(finite), strict=True)
+    ]

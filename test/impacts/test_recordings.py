@@ -1,0 +1,95 @@
+"""Real impacts: a cart against a force sensor behind a pad. Impulse over change of velocity is the mass of the cart."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pytest
+
+from scara_effmass.settings import DetectionSettings
+
+if TYPE_CHECKING:
+    from scara_effmass.values import FloatArray, Impact
+    from test.impacts.conftest import Detect
+
+FOLDER = Path(__file__).parents[1] / "recordings" / "cart_impacts"
+AROUND = 0.25
+"""So long before and after the contact [s] the velocity is looked at."""
+
+
+class Run(NamedTuple):
+    name: str
+    rate: float
+    start: float
+    force: FloatArray
+    motion_time: FloatArray
+    velocity: FloatArray
+
+
+def runs_of(path: Path) -> list[Run]:
+    """Read all runs of a file: their columns are side by side in any order, and motion has blanks."""
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
+    runs = []
+    for name in sorted({key.partition(":")[0] for key in columns}):
+        time, force, velocity = (
+            np.array([float(cell or "nan") for cell in columns[f"{name}: {quantity}"]])
+            for quantity in ("Time (s)", "Force (N)", "Velocity (m/s)")
+        )
+        moved = np.isfinite(velocity)
+        rate = float((time.size - 1) / (time[-1] - time[0]))
+        runs.append(Run(f"{path.stem} {name}", rate, float(time[0]), -force, time[moved], velocity[moved]))
+    return runs
+
+
+RUNS = [run for path in sorted(FOLDER.glob("*.csv")) for run in runs_of(path)]
+
+
+def found_in(run: Run, detect: Detect) -> Impact:
+    (impact,), detector = detect(run.force, run.rate, settings=DetectionSettings(threshold=0.5))
+    assert (detector.dropouts, detector.glitches, detector.pushes) == (0, 0, 0)
+    return impact
+
+
+def velocities(run: Run, impact: Impact) -> tuple[float, float]:
+    """Return the velocity before and after `impact` [m/s]: medians, since the motion sensor errs at times."""
+    onset = run.start + impact.onset_sample / run.rate
+    end = onset + impact.duration
+    before = (run.motion_time > onset - AROUND) & (run.motion_time <= onset)
+    after = (run.motion_time >= end) & (run.motion_time < end + AROUND)
+    return float(np.median(run.velocity[before])), float(np.median(run.velocity[after]))
+
+
+def test_there_are_fifteen() -> None:
+    assert len(RUNS) == 15
+
+
+@pytest.mark.parametrize("run", RUNS, ids=lambda run: run.name)
+def test_one_whole_impact_in_each(run: Run, detect: Detect) -> None:
+    impact = found_in(run, detect)
+    assert not impact.incomplete
+    assert not impact.clipped
+    assert impact.rebound == 0
+    assert 4.5 < impact.peak_force < 5.6
+    assert 0.25 < impact.duration < 0.3
+    assert impact.baseline == pytest.approx(np.median(run.force[: run.force.size // 2]), abs=0.3)
+    # Nothing is cut off: what the whole second around it holds above the baseline is hardly more.
+    time = np.arange(run.force.size) - impact.onset_sample
+    near = (time > -0.1 * run.rate) & (time < (impact.duration + 0.1) * run.rate)
+    assert impact.impulse == pytest.approx((run.force[near] - impact.baseline).sum() / run.rate, rel=0.03)
+
+
+def test_the_mass_of_the_cart(detect: Detect) -> None:
+    masses = []
+    for run in RUNS:
+        impact = found_in(run, detect)
+        before, after = velocities(run, impact)
+        assert 0.8 < before < 0.95
+        assert -0.75 < after < -0.55
+        masses.append(impact.impulse / (before - after))
+    assert all(0.51 < mass < 0.61 for mass in masses)
+    assert np.std(masses) < 0.05 * np.mean(masses)
