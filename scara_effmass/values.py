@@ -1,10 +1,11 @@
 """The values that cross rooms: immutable, SI units, float64, time in integer nanoseconds.
 
-Named tuples, not dataclasses, because one of each is made per cycle and they cost a third.
+Most are named tuples, not dataclasses, because one of each is made per cycle and they cost a third.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -124,3 +125,72 @@ class Impact(NamedTuple):
     clock_residual: float
     source: str
     simulated: bool
+
+
+class Prediction(NamedTuple):
+    """What one model of the effective mass says of one impact.
+
+    `model` is "lumped", "full", "iso" or "largest". `mass_spread` [kg] is how much the mass varies within the clock
+    uncertainty. `predicted_force` = v sqrt(mu k) [N] with mu = `reduced_mass` [kg] and k = `stiffness` [N/m];
+    `relative_error` = (predicted - measured) / measured, and `conservative` means not below the measured force.
+    """
+
+    model: str
+    effective_mass: float
+    mass_spread: float
+    reduced_mass: float
+    stiffness: float
+    predicted_force: float
+    relative_error: float
+    conservative: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ValidatedImpact:
+    """One impact against its prediction: `ImpactValidation.msg`, field by field, and what stands behind it.
+
+    From `count` on the fields say how the judged model stands in its series. Then: `predictions` of every model that
+    has a mass at the onset; `obstacle_mass` m_H [kg] and `configuration` of that run; `speed_spread` [m/s], how much
+    the speed varies within the clock uncertainty; `from_trend`, the state was continued from before the impact,
+    because the contact had slowed the next one down.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    predicted_force: float
+    measured_force: float
+    relative_error: float
+    effective_mass: float
+    reduced_mass: float
+    speed: float
+    stiffness: float
+    conservative: bool
+    count: int
+    correlation: float
+    fitted_stiffness: float
+    bias: float
+    rmse: float
+    non_conservative: int
+    accepted: bool
+    reason: str
+    predictions: tuple[Prediction, ...]
+    contact_point: str
+    direction: Vector3
+    obstacle_mass: float
+    configuration: str
+    speed_spread: float
+    from_trend: bool
+    simulated: bool
+
+
+class RefusedImpact(NamedTuple):
+    """One impact that is not in the series: `excluded` for what it is itself, or else without a robot state.
+
+    `reason` is one of few, to be counted; `detail` says what it was in this case, or is empty.
+    """
+
+    stamp_ns: int
+    peak_force: float
+    excluded: bool
+    reason: str
+    detail: str

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 from scara_effmass.bag_io.batches import LATEST_NS
 from scara_effmass.bag_io.blocks import BlockDecoder
-from scara_effmass.bag_io.definitions import JOINT_STATE, check_joint_state
+from scara_effmass.bag_io.definitions import FORCE_BLOCK, JOINT_STATE, check_definition
+from scara_effmass.bag_io.force import decode_force_block
 from scara_effmass.errors import BagError, DecodeError
 
 if TYPE_CHECKING:
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 
     from scara_effmass.bag_io.batches import Losses, Source, Topic
     from scara_effmass.bag_io.blocks import JointStateBlock
+    from scara_effmass.values import ForceBlock
 
 
 class RawMessage(NamedTuple):
@@ -92,9 +95,17 @@ class Bag:
                 f"one of {', '.join(candidates)} would be right" if candidates else "it holds no joint states at all"
             )
             raise BagError(f"{self.path}: {asked}; {right}")
-        check_joint_state(self.types, str(self.path))
+        check_definition(self.types, JOINT_STATE, str(self.path))
         chosen = {n for n, each in enumerate(self.topics) if (each.name, each.type) == (name, JOINT_STATE)}
         return self._blocks(name, chosen, *_span(start_ns, stop_ns))
+
+    def force_blocks(self, topic: str) -> Iterator[ForceBlock]:
+        """Yield the force blocks of `topic`; what is no ForceBlock is left out and said in `losses`.
+
+        Raises BagError when the topic is not there, or the recording has another definition of the type.
+        """
+        check_definition(self.types, FORCE_BLOCK, str(self.path))
+        return self._force_blocks(self.messages([topic]))
 
     def deserialize(self, message: RawMessage) -> Any:  # noqa: ANN401 - of a class that the recording defines
         """Return a message as an object with the fields of its type.
@@ -125,6 +136,18 @@ class Bag:
             for number, log_time_ns, start, stop in zip(*columns, strict=True):
                 topic = self.topics[number]
                 yield RawMessage(topic.name, topic.type, log_time_ns, batch.data[start:stop])
+
+    def _force_blocks(self, messages: Iterator[RawMessage]) -> Iterator[ForceBlock]:
+        left_out: Counter[str] = Counter()
+        for message in messages:
+            if message.type != FORCE_BLOCK:
+                continue
+            try:
+                yield decode_force_block(message.data)
+            except DecodeError as error:
+                line = f"{self.path}: {message.topic}: left out: {error}"
+                left_out[line] += 1
+                self._losses.add(line, left_out[line])
 
     def _blocks(self, name: str, chosen: set[int], start_ns: int, stop_ns: int) -> Iterator[JointStateBlock]:
         decoder = BlockDecoder(f"{self.path}: {name}", self._losses)

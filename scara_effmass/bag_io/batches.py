@@ -21,12 +21,16 @@ LATEST_NS = 2**63 - 1
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic of a recording. `type_hash` is the REP 2011 hash or the ROS 1 MD5 sum, empty where none is stored."""
+    """A topic of a recording. `type_hash` is the REP 2011 hash or the ROS 1 MD5 sum, empty where none is stored.
+
+    `offered_qos` is what its publishers offered, in rosbag2's YAML, known to whoever writes a recording.
+    """
 
     name: str
     type: str
     count: int
     type_hash: str = ""
+    offered_qos: str = ""
 
 
 class Source(Protocol):

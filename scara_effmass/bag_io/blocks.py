@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from scara_effmass.bag_io.cdr import NS, STAMP_AT, joint_state_layout
+from scara_effmass.bag_io.cdr import joint_state_layout
+from scara_effmass.bag_io.primitives import NS, STAMP_AT
 from scara_effmass.errors import DecodeError
 from scara_effmass.values import JointState
 

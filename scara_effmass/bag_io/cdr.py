@@ -1,9 +1,4 @@
-"""`sensor_msgs/JointState` out of CDR bytes, as they come from a subscription or from a recording.
-
-CDR (OMG DDSI-RTPS 10, XCDR version 1): two bytes of byte order and two of options; then every number stands at a
-multiple of its size, counted from byte 4; strings and sequences begin with their length as uint32. Senders leave
-anything at all in the gaps between.
-"""
+"""`sensor_msgs/JointState` out of CDR bytes, as they come from a subscription or from a recording."""
 
 from __future__ import annotations
 
@@ -12,21 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scara_effmass.errors import DecodeError
+from scara_effmass.bag_io.primitives import FRAME_AT, NS, Cursor
 from scara_effmass.values import JointState
-
-ORIGIN = 4
-"""Where alignment counts from: the byte behind the encapsulation header."""
-
-STAMP_AT = 4
-FRAME_AT = 12
-
-LARGEST_TAIL = 15
-"""Bytes that may follow the last field: rclpy's serialize_message adds 4 for each empty sequence, others round up."""
-
-BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
-
-NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +38,7 @@ def joint_state_layout(data: bytes) -> JointStateLayout:
 
     Raises DecodeError.
     """
-    cursor = _Cursor(data)
+    cursor = Cursor(data, "JointState")
     cursor.skip_text("header.frame_id")
     names = tuple(cursor.text(f"name[{index}]") for index in range(cursor.count("name", 4)))
     position_count_at = cursor.aligned(4)
@@ -65,9 +47,7 @@ def joint_state_layout(data: bytes) -> JointStateLayout:
     velocity_at, velocity_count = cursor.numbers("velocity")
     effort_count_at = cursor.at
     cursor.numbers("effort")
-    tail = len(data) - cursor.at
-    if tail > LARGEST_TAIL:
-        raise DecodeError(f"JointState: {tail} bytes behind effort, where at most {LARGEST_TAIL} may follow")
+    cursor.end("effort")
     return JointStateLayout(
         byte_order=cursor.byte_order,
         size=len(data),
@@ -162,60 +142,3 @@ class JointStateDecoder:
         self._velocity_first = (layout.velocity_at - self._first) // 8 if layout.velocity_count else 0
         self._velocity_last = self._velocity_first + layout.velocity_count
         self._size = layout.size
-
-
-class _Cursor:
-    """Reads CDR from the front and notes in `fixed` the bytes that decide the layout."""
-
-    def __init__(self, data: bytes) -> None:
-        if data[:2] not in BYTE_ORDERS:
-            raise DecodeError(f"JointState: CDR begins with {data[:2].hex() or 'nothing'}; 0000 or 0001 would be right")
-        self.byte_order = BYTE_ORDERS[data[:2]]
-        self.at = FRAME_AT
-        self.fixed: list[tuple[int, int]] = []
-        self._data = data
-        self._length = struct.Struct(f"{self.byte_order}I")
-
-    def aligned(self, size: int) -> int:
-        """Return the next offset at which a number of `size` bytes can stand."""
-        return self.at + (ORIGIN - self.at) % size
-
-    def count(self, field: str, size: int) -> int:
-        """Read the length of `field`, whose items take at least `size` bytes each."""
-        start = self.aligned(4)
-        self.at = start + 4
-        left = len(self._data) - self.at
-        if left < 0:
-            raise DecodeError(f"JointState: the message ends at byte {len(self._data)}, before {field}")
-        (count,) = self._length.unpack_from(self._data, start)
-        if count * size > left:
-            raise DecodeError(f"JointState: {field} has length {count}, but only {left} bytes follow")
-        self.fixed.append((start, self.at))
-        return int(count)
-
-    def numbers(self, field: str) -> tuple[int, int]:
-        """Step over a float64[]; return where it begins and how many there are."""
-        count = self.count(field, 8)
-        start = self.aligned(8) if count else self.at
-        self.at = start + 8 * count
-        if self.at > len(self._data):
-            raise DecodeError(f"JointState: the message ends at byte {len(self._data)}, inside {field}")
-        return start, count
-
-    def skip_text(self, field: str) -> None:
-        """Step over a string whose content does not matter."""
-        size = self.count(field, 1)
-        self.at += size
-
-    def text(self, field: str) -> str:
-        """Read a string."""
-        size = self.count(field, 1)
-        start, self.at = self.at, self.at + size
-        self.fixed.append((start, self.at))
-        try:
-            text = self._data[start : self.at].decode()
-        except UnicodeDecodeError:
-            raise DecodeError(f"JointState: {field} is not UTF-8") from None
-        if text and not text.endswith("\0"):
-            raise DecodeError(f"JointState: {field} does not end in a zero byte")
-        return text[:-1]

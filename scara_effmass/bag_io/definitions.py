@@ -26,8 +26,13 @@ RECORDING_INFO = "/scara_effmass/recording_info"
 """Topic on which a recording says, in JSON, where it comes from."""
 OWN_PACKAGE = "scara_effmass_msgs"
 CONTACT_STATE = f"{OWN_PACKAGE}/msg/ContactState"
+FLOAT64 = "std_msgs/msg/Float64"
+FORCE_BLOCK = f"{OWN_PACKAGE}/msg/ForceBlock"
+IMPACT = f"{OWN_PACKAGE}/msg/Impact"
 HEADER = "std_msgs/msg/Header"
-JOINT_STATE_PARTS = (JOINT_STATE, HEADER, "builtin_interfaces/msg/Time")
+WRENCH = "geometry_msgs/msg/Wrench"
+WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
+TIME = "builtin_interfaces/msg/Time"
 IDL_MARK = "=" * 80 + "\n"
 
 
@@ -70,13 +75,14 @@ def types_of(definitions: Mapping[str, MessageDefinition], *, ros1: bool = False
     return store
 
 
-def check_joint_state(types: Typestore, origin: str) -> None:
-    """Refuse a recording whose own JointState is not the one of ROS; raises BagError."""
+def check_definition(types: Typestore, kind: str, origin: str) -> None:
+    """Refuse a recording whose own definition of `kind`, which has a Header, is not the known one; raises BagError."""
     known = known_types()
-    for name in JOINT_STATE_PARTS:
+    for name in (kind, HEADER, TIME):
         fields, right = ([(field, kind) for field, kind in store.fielddefs[name][1]] for store in (types, known))
         if fields != right:
-            raise BagError(f"{origin}: its own definition of {name} is not that of ROS; joint states cannot be read")
+            whose = "this version's" if name.startswith(OWN_PACKAGE) else "that of ROS"
+            raise BagError(f"{origin}: its own definition of {name} is not {whose}; {kind} cannot be read")
 
 
 def _message_folder() -> Path:

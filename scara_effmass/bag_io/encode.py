@@ -9,13 +9,11 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from scara_effmass.bag_io.cdr import NS
+from scara_effmass.bag_io.primitives import LITTLE_ENDIAN, padded, sec_and_nanosec, with_text
 
 if TYPE_CHECKING:
     from scara_effmass.values import ContactAssessment
 
-_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_LAST_SECOND = 2**31 - 1
 _DOUBLES = 15
 """From direction.x to margin."""
 _FLOAT64 = struct.Struct("<4sd")
@@ -25,7 +23,7 @@ _END = struct.Struct("<d??6xd")
 
 def float64_message(value: float) -> bytes:
     """Return a std_msgs/Float64."""
-    return _FLOAT64.pack(_LITTLE_ENDIAN, value)
+    return _FLOAT64.pack(LITTLE_ENDIAN, value)
 
 
 class ContactStateEncoder:
@@ -36,7 +34,7 @@ class ContactStateEncoder:
     def __init__(self, contact_point: str, frame_id: str) -> None:
         """Encode for `contact_point`; `frame_id` is the frame of its direction."""
         # Numbers stand at multiples of 8 bytes counted from behind the first 4; the stamp before it is 8 long.
-        self._head = _padded(_text(_text(b"", frame_id), contact_point))
+        self._head = padded(with_text(with_text(b"", frame_id), contact_point))
         self._start = struct.Struct(f"<4siI{len(self._head)}s{_DOUBLES}d")
         self._texts_of: tuple[object, ...] = ()
         self._texts = b""
@@ -57,24 +55,13 @@ class ContactStateEncoder:
             mass_capped,
             smallest_singular_value,
         ) = contact
-        sec, nanosec = divmod(stamp_ns, NS)
         texts_of = (body_region, criterion, verdict, reason)
         if texts_of != self._texts_of:
-            texts = _text(_text(b"", body_region), criterion) + bytes((verdict,))
-            self._texts = _padded(_text(texts, reason))
+            texts = with_text(with_text(b"", body_region), criterion) + bytes((verdict,))
+            self._texts = padded(with_text(texts, reason))
             self._texts_of = texts_of
         return (
-            self._start.pack(_LITTLE_ENDIAN, min(sec, _LAST_SECOND), nanosec, self._head, *direction, *numbers)
+            self._start.pack(LITTLE_ENDIAN, *sec_and_nanosec(stamp_ns), self._head, *direction, *numbers)
             + self._texts
             + _END.pack(input_age, worst_direction_used, mass_capped, smallest_singular_value)
         )
-
-
-def _text(before: bytes, text: str) -> bytes:
-    """Return `before` and a CDR string: its length, at a multiple of 4, and its bytes with a zero behind."""
-    data = text.encode() + b"\x00"
-    return before + b"\x00" * (-len(before) % 4) + struct.pack("<I", len(data)) + data
-
-
-def _padded(data: bytes) -> bytes:
-    return data + b"\x00" * (-len(data) % 8)

@@ -6,15 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scara_effmass.bag_io.cdr import NS
-from scara_effmass.bag_io.definitions import HEADER, JOINT_STATE, known_types
+from scara_effmass.bag_io.definitions import HEADER, JOINT_STATE, TIME, known_types
+from scara_effmass.bag_io.primitives import NS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from scara_effmass.values import JointState
-
-TIME = "builtin_interfaces/msg/Time"
 
 
 def serialized(kind: str, fields: Mapping[str, Any]) -> bytes:

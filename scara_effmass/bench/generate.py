@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import hashlib
+import heapq
 import json
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
-from scara_effmass.bag_io.definitions import RECORDING_INFO
-from scara_effmass.bag_io.messages import serialized
+from scara_effmass.bag_io.definitions import FORCE_BLOCK, JOINT_STATE, RECORDING_INFO
+from scara_effmass.bag_io.force import force_block_message
+from scara_effmass.bag_io.messages import joint_state_message, serialized
 from scara_effmass.bag_io.writer import BagWriter
 from scara_effmass.bench.recordings import EPOCH_NS, RECORDINGS, REVISION, SEED
+from scara_effmass.bench.struck import BLOCK_NS
 from scara_effmass.errors import OutputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from scara_effmass.bench.recordings import Recording
 
 JOINT_STATES_TOPIC = "/joint_states"
+FORCE_TOPIC = "/force"
 TEXT = "std_msgs/msg/String"
 CHECKSUMS = "SHA256SUMS"
 
@@ -42,13 +48,24 @@ def generate(folder: Path, *, overwrite: bool = False) -> tuple[Path, ...]:
 
 def about(recording: Recording) -> str:
     """Return what a recording says of itself, as JSON."""
-    facts = {
+    facts: dict[str, object] = {
         "generated": True,
         "description": recording.description,
         "generator": "python -m scara_effmass.bench",
         "revision": REVISION,
         "seed": SEED,
     }
+    if recording.hits:
+        facts["impacts"] = [
+            {
+                "seconds": hit.seconds,
+                "peak_force_n": hit.peak_force,
+                "duration_s": hit.duration,
+                "impulse_n_s": hit.impact.impulse,
+                "rebound": hit.rebound,
+            }
+            for hit in recording.hits
+        ]
     return json.dumps(facts)
 
 
@@ -56,5 +73,15 @@ def _write(folder: Path, recording: Recording, *, overwrite: bool) -> Path:
     path = folder / recording.name
     with BagWriter(path, overwrite=overwrite) as bag:
         bag.write(RECORDING_INFO, TEXT, EPOCH_NS, serialized(TEXT, {"data": about(recording)}))
-        bag.write_joint_states(JOINT_STATES_TOPIC, recording.states())
+        for log_time_ns, topic, kind, data in _messages(recording):
+            bag.write(topic, kind, log_time_ns, data)
     return path
+
+
+def _messages(recording: Recording) -> Iterator[tuple[int, str, str, bytes]]:
+    """Yield all messages as they would have come: a block of force is there when its last sample is."""
+    states = ((s.stamp_ns, JOINT_STATES_TOPIC, JOINT_STATE, joint_state_message(s)) for s in recording.states())
+    blocks = (
+        (b.stamp_ns + BLOCK_NS, FORCE_TOPIC, FORCE_BLOCK, force_block_message(b)) for b in recording.force_blocks()
+    )
+    return heapq.merge(states, blocks, key=itemgetter(0))

@@ -1,4 +1,4 @@
-"""The reference recordings: what the joints do in each, as joint states."""
+"""The reference recordings: what the joints do in each, as joint states, and what force there is."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ import numpy as np
 
 from scara_effmass.bench.motion import JointMove, LineMove, Quintic, Trapezoid, pose_at, sampled
 from scara_effmass.bench.scara import Arm
+from scara_effmass.bench.struck import Hit, force_blocks
 from scara_effmass.values import JointState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from scara_effmass.bench.motion import Move
-    from scara_effmass.values import FloatArray
+    from scara_effmass.values import FloatArray, ForceBlock
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 EPOCH_NS = 1_767_225_600_000_000_000
 """2026-01-01 00:00:00 UTC: a fictitious start, so that a recording does not depend on when it was made."""
 SEED = 550
-REVISION = 1
+REVISION = 2
 """To be raised when a recording changes."""
 
 POSITION_STEP = np.array([2.0 * math.pi / 2**20, 2.0 * math.pi / 2**20, 1e-6, 2.0 * math.pi / 2**20])
@@ -35,18 +36,29 @@ VELOCITY_STEP = np.array([1e-4, 1e-4, 1e-5, 1e-4])
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A recording to be made: its name, what it shows, and the motion (m, 4) at `frequency` [Hz]."""
+    """A recording to be made: its name, what it shows, and the motion (m, 4) at `frequency` [Hz].
+
+    With `hits`, it also has force, which knows nothing of the motion.
+    """
 
     name: str
     description: str
     frequency: int
     motion: Callable[[], tuple[FloatArray, FloatArray]]
+    hits: tuple[Hit, ...] = ()
 
     def states(self) -> Iterator[JointState]:
         """Yield the joint states, at regular stamps from `EPOCH_NS` on."""
         period_ns = 1_000_000_000 // self.frequency
         for number, (q, qd) in enumerate(zip(*self.motion(), strict=True)):
             yield JointState(EPOCH_NS + number * period_ns, JOINTS, q, qd)
+
+    def force_blocks(self) -> Iterator[ForceBlock]:
+        """Yield the force, as long as the motion; none without hits."""
+        if not self.hits:
+            return iter(())
+        q, _ = self.motion()
+        return force_blocks(self.hits, len(q) / self.frequency, EPOCH_NS, SEED)
 
 
 def straight() -> tuple[FloatArray, FloatArray]:
@@ -118,6 +130,17 @@ TOUR = (
     Stop(0.5, 0.30, 0.20),
 )
 
+TOUR_HITS = (
+    Hit(1.75003, 120.0, 2.5e-3),
+    Hit(4.45001, 310.0, 1.8e-3),
+    Hit(9.80005, 85.0, 3.9e-3),
+    Hit(13.10002, 220.0, 2.2e-3),
+    Hit(16.30004, 540.0, 1.1e-3),
+    Hit(16.32506, 210.0, 1.1e-3, rebound=1),
+    Hit(20.30002, 700.0, 0.8e-3),
+)
+"""Chosen, at times when the tool moves; which force such an impact would really have, they do not say."""
+
 
 def tour_moves() -> tuple[Move, ...]:
     """Return the moves from stop to stop of the tour."""
@@ -153,8 +176,10 @@ RECORDINGS = (
     ),
     Recording(
         "tour",
-        "tour of the workspace with both arms, slow and too fast, past stretched and folded poses; encoder noise",
+        "tour of the workspace with both arms, slow and too fast, past stretched and folded poses; encoder noise; "
+        "force: half-sine impacts at chosen times, not computed from the motion",
         250,
         tour,
+        TOUR_HITS,
     ),
 )

@@ -28,7 +28,8 @@ class Reading(NamedTuple):
     `first_sample` counts from the source's `start`, lost samples included; `lost` are missing right before it.
     `read_ns` is the host's ROS time at which the last sample was known to exist. A recording knows when the first
     sample was taken: `stamp_ns`, good to `clock_residual` [s]; of a device it is None, to be found by a `ClockFit`.
-    `saturated` (channels, n) marks samples at the end of the measuring range, None where there is none.
+    `saturated` (channels, n) marks samples at the end of the measuring range, None where there is none. `run` grows
+    when the source had to be started again: numbers go on, what was learnt about its clock does not.
     """
 
     first_sample: int
@@ -39,6 +40,7 @@ class Reading(NamedTuple):
     stamp_ns: int | None = None
     clock_residual: float = 0.0
     saturated: BoolArray | None = None
+    run: int = 0
 
 
 class ForceSource(Protocol):

@@ -16,6 +16,7 @@ from scara_effmass.settings.daq import (
 )
 from scara_effmass.settings.loading import NODE_ONLY, READ_ONLY, checked, load_settings
 from scara_effmass.settings.monitor import Contact, MassModel, MonitorSettings
+from scara_effmass.settings.validator import CriterionSettings, ValidatorSettings
 
 __all__ = [
     "NODE_ONLY",
@@ -24,6 +25,7 @@ __all__ = [
     "BenchSettings",
     "Contact",
     "Coupling",
+    "CriterionSettings",
     "DaqSettings",
     "DetectionSettings",
     "FilterKind",
@@ -35,6 +37,7 @@ __all__ = [
     "SensorSettings",
     "Stamps",
     "TareSettings",
+    "ValidatorSettings",
     "checked",
     "load_settings",
 ]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from enum import Enum
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic_core import PydanticCustomError
 
 from scara_effmass.settings.loading import READ_ONLY
 
@@ -24,7 +26,7 @@ class FilterKind(str, Enum):
     CAUSAL = "causal"
     """Butterworth, second order: short delay, which depends on the frequency."""
     ZERO_PHASE = "zero_phase"
-    """Linear-phase FIR: its delay is the same for all frequencies, so nothing is shifted in phase."""
+    """Gaussian FIR: one delay for all frequencies, so nothing is shifted in phase, and no overshoot."""
 
 
 class Coupling(str, Enum):
@@ -78,9 +80,16 @@ class TareSettings(_Group):
     """What is taken for zero force."""
 
     at_start: bool = Field(
-        default=True, description="take the mean of the first tare.time as zero", json_schema_extra=READ_ONLY
+        default=True, description="take the force during the first tare.time for zero", json_schema_extra=READ_ONLY
     )
     time: float = Field(0.5, gt=0.0, le=60.0, description="how long a tare averages [s]", json_schema_extra=READ_ONLY)
+    tolerance: float = Field(
+        1.0,
+        gt=0.0,
+        le=1e6,
+        description="a tare is refused when the force moves by more than this meanwhile [N]",
+        json_schema_extra=READ_ONLY,
+    )
 
 
 class FilterSettings(_Group):
@@ -112,13 +121,13 @@ class DetectionSettings(_Group):
         8.0,
         ge=1.0,
         le=100.0,
-        description="least number of standard deviations of the noise that is an impact",
+        description="least force above the baseline that is an impact, in standard deviations of the noise",
         json_schema_extra=READ_ONLY,
     )
     longest: float = Field(
         1.0,
         gt=0.0,
-        le=60.0,
+        le=10.0,
         description="a force that lasts longer is a push, not an impact [s]",
         json_schema_extra=READ_ONLY,
     )
@@ -169,6 +178,15 @@ class Ni9230Settings(_Group):
         json_schema_extra=READ_ONLY,
     )
 
+    @field_validator("channels")
+    @classmethod
+    def _single_channels(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        if not names or not all(re.fullmatch(r"[^\s/,:]+/[^\s/,:]+", name) for name in names):
+            raise PydanticCustomError("channels", "single channels, as cDAQ1Mod1/ai0 and cDAQ1Mod1/ai1, would be right")
+        if len({name.lower() for name in names}) < len(names):
+            raise PydanticCustomError("channels", "each channel only once would be right")
+        return names
+
 
 class BagSettings(_Group):
     """A recording as the source."""
@@ -215,7 +233,7 @@ class BenchSettings(_Group):
     )
     seed: int = Field(0, ge=0, description="of noise and impacts", json_schema_extra=READ_ONLY)
     impact_period: float = Field(
-        2.0, gt=0.0, le=3600.0, description="mean time from impact to impact [s]", json_schema_extra=READ_ONLY
+        2.0, ge=0.1, le=3600.0, description="mean time from impact to impact [s]", json_schema_extra=READ_ONLY
     )
     noise: float = Field(
         0.1, ge=0.0, le=100.0, description="standard deviation of the noise [N]", json_schema_extra=READ_ONLY

@@ -5,16 +5,19 @@ import json
 import subprocess
 import sys
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
 
 from scara_effmass.bag_io.definitions import RECORDING_INFO
 from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bench.generate import CHECKSUMS, generate
-from scara_effmass.bench.recordings import EPOCH_NS, RECORDINGS, SEED
+from scara_effmass.bench.generate import CHECKSUMS, FORCE_TOPIC, generate
+from scara_effmass.bench.recordings import EPOCH_NS, RECORDINGS, SEED, TOUR_HITS
 from scara_effmass.errors import OutputError
 from scara_effmass.model.arm import Arm
 from scara_effmass.model.load import load_robot
@@ -24,7 +27,7 @@ from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:
     from scara_effmass.bench.recordings import Recording
-    from scara_effmass.values import ContactAssessment, JointState
+    from scara_effmass.values import ContactAssessment, ForceBlock, JointState
 
 ROOT = Path(__file__).parents[2]
 BAGS = ROOT / "bags"
@@ -37,6 +40,17 @@ def states(bag: Path) -> list[JointState]:
     with open_bag(bag) as opened:
         assert opened.losses == ()
         return [state for block in opened.joint_state_blocks() for state in block.states()]
+
+
+def force(bag: Path) -> list[ForceBlock]:
+    with open_bag(bag) as opened:
+        if FORCE_TOPIC not in {topic.name for topic in opened.topics}:
+            return []
+        return list(opened.force_blocks(FORCE_TOPIC))
+
+
+def but_samples(block: ForceBlock) -> dict[str, object]:
+    return {name: value for name, value in block._asdict().items() if not isinstance(value, np.ndarray)}
 
 
 def assessed(name: str) -> list[ContactAssessment]:
@@ -63,6 +77,10 @@ def test_the_committed_recordings_are_what_the_generator_makes(fresh: Path, name
         assert (one.stamp_ns, one.names) == (other.stamp_ns, other.names)
         assert one.position == pytest.approx(other.position, abs=ULPS)
         assert one.velocity == pytest.approx(other.velocity, abs=ULPS)
+    for block, made_again in zip(force(BAGS / name), force(fresh / name), strict=True):
+        assert np.abs(block.force - made_again.force).max() < ULPS
+        assert len(block.saturated_samples) == len(made_again.saturated_samples) == 0
+        assert but_samples(block) == but_samples(made_again)
 
 
 def test_making_them_twice_gives_the_same_bytes(fresh: Path, tmp_path: Path) -> None:
@@ -95,6 +113,49 @@ def test_stamps_are_regular_and_those_of_the_log(recording: Recording) -> None:
         for block in bag.joint_state_blocks():
             assert np.array_equal(block.stamp_ns, block.log_time_ns)
             assert set(np.diff(block.stamp_ns).tolist()) == {1_000_000_000 // recording.frequency}
+
+
+def test_messages_come_in_the_order_of_their_times() -> None:
+    with open_bag(BAGS / "tour") as bag:
+        (mcap,) = bag.path.glob("*.mcap")
+    with mcap.open("rb") as file:
+        times = [record.log_time for record in StreamReader(file).records if isinstance(record, Message)]
+    assert len(times) > 7000
+    assert times == sorted(times)
+
+
+def test_the_force_of_the_tour_is_there_without_a_gap_and_says_that_it_is_simulated() -> None:
+    blocks = force(BAGS / "tour")
+    (recording,) = (recording for recording in RECORDINGS if recording.name == "tour")
+    assert len(blocks) == 305
+    assert blocks[0].stamp_ns == EPOCH_NS
+    assert {after.stamp_ns - before.stamp_ns for before, after in pairwise(blocks)} == {100_000_000}
+    assert [block.first_sample for block in blocks] == [number * 1280 for number in range(len(blocks))]
+    assert all(block.simulated and "simulated" in block.source for block in blocks)
+    assert all("not computed from the motion" in text for text in (blocks[0].source, recording.description))
+    with open_bag(BAGS / "tour") as bag:
+        logged = [message.log_time_ns for message in bag.messages([FORCE_TOPIC])]
+    assert logged == [block.stamp_ns + 100_000_000 for block in blocks]
+
+
+def test_the_impacts_of_the_tour_are_where_it_says() -> None:
+    samples = np.concatenate([block.force for block in force(BAGS / "tour")])
+    with open_bag(BAGS / "tour") as bag:
+        about = json.loads(bag.deserialize(next(bag.messages([RECORDING_INFO]))).data)
+    quiet = np.ones(len(samples), dtype=bool)
+    assert len(about["impacts"]) == len(TOUR_HITS)
+    for impact in about["impacts"]:
+        first, last = (round(t * 12_800) for t in (impact["seconds"], impact["seconds"] + impact["duration_s"]))
+        contact = slice(first - 1, last + 2)
+        quiet[contact] = False
+        # Half a sample beside the peak of the shortest one, the cosine is 0.99.
+        assert samples[contact].max() == pytest.approx(impact["peak_force_n"], rel=0.01)
+        assert samples[contact].sum() / 12_800 == pytest.approx(impact["impulse_n_s"], rel=0.02)
+    assert np.abs(samples[quiet]).max() < 0.5
+
+
+def test_the_straight_line_has_no_force() -> None:
+    assert force(BAGS / "straight_300_200") == []
 
 
 def test_the_tour_meets_every_verdict_and_passes_singular_poses() -> None:

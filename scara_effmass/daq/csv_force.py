@@ -1,0 +1,154 @@
+"""Force from a CSV file, as programs for load cells export it: a header row, a column of times, one of force."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from scara_effmass.daq.even_time import EvenBlocks
+from scara_effmass.daq.recording import NS, UNITS, Recording, declared_unit
+from scara_effmass.errors import BagError, SettingsError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from scara_effmass.settings import BagSettings
+
+DELIMITERS = ",;\t"
+TIME_UNITS = {"s": NS, "sec": NS, "ms": 1_000_000, "us": 1000, "µs": 1000, "ns": 1}
+"""In [ns]."""
+
+BRACKETED = re.compile(r".*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*")
+SUFFIXED = re.compile(r".*_([A-Za-z]+)\s*")
+LOWER_CASE = {unit.lower(): unit for unit in (*UNITS, *TIME_UNITS)}
+
+
+class _Rows(NamedTuple):
+    """The rows of a file below its header, each with the number of its line."""
+
+    header: list[str]
+    rows: list[tuple[int, list[str]]]
+
+
+def open_csv_force(settings: BagSettings, block_time: float) -> Recording:
+    """Read a CSV file: the column `settings.topic` at the times in `settings.time_column`, cut to `block_time` [s].
+
+    Fields are separated by comma, semicolon or tab; units stand in the header, as in "Force (N)" or "force_n", times
+    without one are in seconds. Rows in which either field is blank are skipped. Raises BagError or SettingsError.
+    """
+    path = Path(settings.path)
+    header, rows = _read(path)
+    time = _column(header, settings.time_column or header[0], "bag.time_column", path)
+    force = _column(header, settings.topic or _only_force(header, time, path), "bag.topic", path)
+    if time == force:
+        raise SettingsError(f"{path}: bag.topic and bag.time_column are both {header[time]!r}; two columns are needed")
+    origin = f"{path}: {header[force]}"
+    unit, scale = declared_unit(settings.unit, _unit(header[force]), origin)
+    written = _unit(header[time])
+    if written and written not in TIME_UNITS:
+        raise BagError(
+            f"{path}: {header[time]} is in {written}; times in one of {', '.join(TIME_UNITS)} would be right"
+        )
+    samples = list(_samples(path, header, rows, time, force, TIME_UNITS[written or "s"]))
+    try:
+        even = EvenBlocks(samples, block_time, scale)
+    except ValueError as error:
+        raise BagError(f"{origin}: {error}") from None
+    return Recording(
+        description=f"{path.name}, {header[force]}",
+        channel=header[force],
+        unit=unit,
+        sample_rate=even.sample_rate,
+        start_ns=even.start_ns,
+        end_ns=samples[-1][0],
+        blocks=iter(even),
+    )
+
+
+def _read(path: Path) -> _Rows:
+    try:
+        # the names of other columns may be in any encoding
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
+    except OSError as error:
+        raise BagError(f"{path}: cannot be read: {error.strerror}") from None
+    if "\0" in text:
+        raise BagError(f"{path}: is no text in UTF-8; a CSV file in that encoding would be right")
+    lines = text.split("\n")
+    start = next((number for number, line in enumerate(lines) if line.strip() and not line.startswith("#")), None)
+    if start is None:
+        raise BagError(f"{path}: is empty; a header row and rows of numbers would be right")
+    counts = {each: len(next(csv.reader([lines[start]], delimiter=each))) for each in DELIMITERS}
+    delimiter = max(counts, key=lambda each: counts[each])
+    reader = csv.reader(lines[start:], delimiter=delimiter)
+    try:
+        rows = [(start + reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
+    except csv.Error as error:
+        raise BagError(f"{path}: line {start + reader.line_num}: is no CSV: {error}") from None
+    _, header = rows[0]
+    if len(header) < 2:
+        raise BagError(f"{path}: line {start + 1}: has one column; times and force, separated by , ; or tab are needed")
+    if all(_is_number(name) for name in header if name):
+        raise BagError(
+            f"{path}: line {start + 1}: holds numbers; a header with the names of the columns would be right"
+        )
+    return _Rows(header, rows[1:])
+
+
+def _column(header: Sequence[str], name: str, key: str, path: Path) -> int:
+    found = [number for number, each in enumerate(header) if each == name.strip()]
+    if len(found) == 1:
+        return found[0]
+    what = "several columns have this name" if found else "there is no such column"
+    raise SettingsError(f"{path}: {key} = {name}: {what}; one of {', '.join(header)} would be right")
+
+
+def _only_force(header: Sequence[str], time: int, path: Path) -> str:
+    others = [name for number, name in enumerate(header) if number != time]
+    candidates = [name for name in others if _unit(name) in UNITS] or others
+    if len(candidates) == 1:
+        return candidates[0]
+    raise SettingsError(f"{path}: bag.topic is empty; one of {', '.join(candidates)} would be right")
+
+
+def _unit(name: str) -> str:
+    """Return the unit that the name of a column ends in, empty where there is none."""
+    if found := BRACKETED.fullmatch(name):
+        return found[1]
+    found = SUFFIXED.fullmatch(name)
+    return LOWER_CASE.get(found[1].lower(), "") if found else ""
+
+
+def _samples(
+    path: Path, header: Sequence[str], rows: Sequence[tuple[int, list[str]]], time: int, force: int, unit_ns: int
+) -> Iterator[tuple[int, float]]:
+    last = -math.inf
+    for line, row in rows:
+        if len(row) <= max(time, force) or not row[time] or not row[force]:
+            continue
+        origin = f"{path}: line {line}"
+        value = _number(row[force], f"{origin}: {header[force]}")
+        # a float has not enough digits for the date in nanoseconds
+        when = int(row[time]) if row[time].isdecimal() else _number(row[time], f"{origin}: {header[time]}")
+        if not last <= when < math.inf:
+            goes = f"{header[time]} = {row[time]} comes after {last:.15g}"
+            raise BagError(f"{origin}: {goes}; times that rise would be right")
+        last = when
+        yield round(when * unit_ns), value
+
+
+def _number(text: str, origin: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise BagError(f"{origin} = {text!r} is no number; digits with a decimal point would be right") from None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

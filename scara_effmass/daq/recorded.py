@@ -1,0 +1,185 @@
+"""Force from a recording, at its own pace."""
+
+from __future__ import annotations
+
+import threading
+import time
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from scara_effmass.daq.recording import NS
+from scara_effmass.daq.source import Reading, Unit
+from scara_effmass.errors import SettingsError
+from scara_effmass.settings import Stamps
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from scara_effmass.daq.recording import RecordedBlock, Recording
+    from scara_effmass.settings import DaqSettings
+
+CSV = "scara_effmass.daq.csv_force:open_csv_force"
+FORMATS = {
+    ".csv": CSV,
+    ".tsv": CSV,
+    ".txt": CSV,
+    ".tdms": "scara_effmass.daq.tdms_force:open_tdms_force",
+}
+"""What opens files with these suffixes; anything else is a bag."""
+BAG = "scara_effmass.daq.bag_force:open_bag_force"
+
+POLL_S = 0.005
+"""How often the clock is looked at: it may be a simulated one, which nobody can wait for."""
+
+EARLY_NS = 10 * NS
+"""A clock this little before a recording is on its way into it."""
+
+RELATIVE_NS = 10**8 * NS
+"""Times before this, in 1973, count from a start of their own."""
+
+
+@final
+class RecordedForce:
+    """A recording as the source of force.
+
+    A block comes when the clock reaches the time of its last sample. If at the start the clock stands in the span of
+    the recording or up to 10 s before, the recording is being replayed on that very clock: its stamps are the clock's
+    times, and a source that comes late first catches up. Otherwise, and whenever stamps are `now`, the first sample
+    is taken at the start, and the others follow at `bag.rate` times the original speed. A clock that stands at 0 has
+    not begun, and is waited for. With a rate of 0 every block comes at once.
+
+    With stamps `now`, and where the recording has no absolute time, stamps are moved so that the first one is that of
+    the start. Samples that are no numbers come as NaN.
+    """
+
+    requested_rate: float
+    filter_delay = 0.0
+    """The stamps of a recording are those of the force."""
+    limit = float("inf")
+
+    def __init__(self, settings: DaqSettings, now_ns: Callable[[], int]) -> None:
+        """Take the settings, and the clock by which to play."""
+        self.unit = Unit.NEWTON
+        self.simulated = False
+        self.channels: tuple[str, ...] = ("",)
+        self.description = f"recorded: {settings.bag.path}"
+        self.sample_rate = self.requested_rate = 0.0
+        self._settings = settings
+        self._now_ns = now_ns
+        self._reading = threading.Lock()
+        self._closing = threading.Event()
+        self._recording: Recording | None = None
+        self._block: RecordedBlock | None = None
+        """The next one."""
+        self._begin_ns: int | None = None
+        """The time on the clock at which the first sample is played; None while the clock has not begun."""
+        self._shift_ns = 0
+        self._next = 0
+        self._ended = False
+
+    @property
+    def ended(self) -> bool:
+        """Whether the recording is over."""
+        return self._ended
+
+    def start(self) -> None:
+        """Open the recording; raises BagError or SettingsError."""
+        bag = self._settings.bag
+        if not bag.path:
+            raise SettingsError("bag.path: is empty; the recording to take force from would be right")
+        self.close()
+        self._closing.clear()
+        try:
+            with self._reading:
+                self._open()
+                self._find_begin(self._now_ns())
+        except BaseException:
+            self.close()
+            raise
+
+    def read(self, timeout_s: float) -> Reading | None:
+        """Return the next block when it is due; None when that is not within `timeout_s`, or there is no more.
+
+        Raises BagError where the recording turns out to be damaged.
+        """
+        until = time.monotonic() + timeout_s
+        with self._reading:
+            if self._recording is None:
+                return None
+            self._block = self._block or next(self._recording.blocks, None)
+            self._ended = self._block is None
+            while self._block is not None and not self._closing.is_set():
+                now_ns = self._now_ns()
+                self._find_begin(now_ns)
+                if self._is_due(self._block, now_ns):
+                    return self._taken(self._block, now_ns)
+                left = until - time.monotonic()
+                if left <= 0.0:
+                    break
+                self._closing.wait(min(POLL_S, left))
+        return None
+
+    def close(self) -> None:
+        """End a read that is waiting, and close the recording."""
+        self._closing.set()
+        with self._reading:
+            self._block = None
+            if self._recording is not None:
+                self._recording.close()
+                self._recording = None
+
+    def _open(self) -> None:
+        bag = self._settings.bag
+        module, _, name = FORMATS.get(Path(bag.path).suffix.lower(), BAG).partition(":")
+        recording: Recording = getattr(import_module(module), name)(bag, self._settings.block_time)
+        self._recording = recording
+        block = self._block = next(recording.blocks)
+        self._moved = bag.stamps is Stamps.NOW or block.stamp_ns < RELATIVE_NS
+        self._first_ns = block.stamp_ns
+        self._begin_ns, self._shift_ns = None, 0
+        self._next, self._ended = 0, False
+        self.unit, self.channels = recording.unit, (recording.channel,)
+        self.sample_rate = self.requested_rate = recording.sample_rate
+        self.simulated = block.simulated
+        self.description = f"recorded{', simulated' if self.simulated else ''}: {recording.description}"
+
+    def _find_begin(self, now_ns: int) -> None:
+        """Find out from the clock, once it has begun, when to play the first sample."""
+        bag, recording = self._settings.bag, self._recording
+        if self._begin_ns is not None or recording is None:
+            return
+        if now_ns == 0 and (self._moved or bag.rate > 0.0):
+            return
+        self._begin_ns = now_ns
+        if self._moved:
+            self._shift_ns = now_ns - self._first_ns
+        elif recording.start_ns - EARLY_NS <= now_ns <= recording.end_ns:
+            if bag.rate not in {0.0, 1.0}:
+                reason = "the clock stands in the span of the recording, which is replayed at a speed of its own"
+                raise SettingsError(f"{bag.path}: bag.rate = {bag.rate:g}: {reason}; 1 would be right")
+            self._begin_ns = self._first_ns
+
+    def _is_due(self, block: RecordedBlock, now_ns: int) -> bool:
+        if self._begin_ns is None:
+            return False
+        rate = self._settings.bag.rate
+        if rate == 0.0:
+            return True
+        last_ns = block.stamp_ns + round((len(block.samples) - 1) / self.sample_rate * NS)
+        return now_ns >= self._begin_ns + round((last_ns - self._first_ns) / rate)
+
+    def _taken(self, block: RecordedBlock, now_ns: int) -> Reading:
+        samples = np.where(np.isfinite(block.samples), block.samples, np.nan)[np.newaxis]
+        saturated = None if block.saturated is None else block.saturated[np.newaxis]
+        for array in (samples, saturated):
+            if array is not None:
+                array.flags.writeable = False
+        self.simulated = self.simulated or block.simulated
+        first = self._next + block.lost
+        self._next = first + len(block.samples)
+        self._block = None
+        stamp_ns = block.stamp_ns + self._shift_ns
+        return Reading(first, samples, block.lost, now_ns, stamp_ns, block.clock_residual, saturated)

@@ -1,0 +1,287 @@
+"""The fit of sample numbers to ROS time: against clocks whose true relation is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scara_effmass.daq.clock import JUMP_S, SETTLED_READS, ClockFit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from scara_effmass.values import FloatArray
+
+START_NS = 1_700_000_000_123_456_789
+MS = 1_000_000
+FLOOR_S = 0.2e-3
+
+
+@dataclass
+class Device:
+    """A converter whose clock and ROS time each run wrong by some parts per million of true time."""
+
+    device_ppm: float = 0.0
+    ros_ppm: float = 0.0
+    rate: float = 12_800.0
+    jumps: dict[float, float] = field(default_factory=dict)
+    """True time [s] to how far ROS time jumps then [s]"""
+
+    def taken_s(self, sample: int) -> float:
+        return sample / (self.rate * (1.0 + self.device_ppm * 1e-6))
+
+    def ros_ns(self, true_s: float) -> int:
+        jumped = sum(jump for at, jump in self.jumps.items() if true_s >= at)
+        return START_NS + round((true_s * (1.0 + self.ros_ppm * 1e-6) + jumped) * 1e9)
+
+    def error_s(self, fit: ClockFit, sample: int) -> float:
+        return (fit.stamp_ns(sample) - self.ros_ns(self.taken_s(sample))) / 1e9
+
+    def follow(self, fit: ClockFit, delays: Sequence[float] | FloatArray, block: int = 1280) -> list[Read]:
+        """Read blocks with these delays [s]; no read comes before an earlier one has."""
+        reads, now_s = [], 0.0
+        for i, delay in enumerate(delays):
+            first, count = i * block, (i + 1) * block
+            now_s = max(now_s, self.taken_s(count - 1) + delay)
+            before = fit.restarts
+            fit.update(count, self.ros_ns(now_s))
+            errors = (self.error_s(fit, first), self.error_s(fit, count - 1))
+            stamps = (fit.stamp_ns(first), fit.stamp_ns(count - 1))
+            reads.append(Read(*stamps, max(errors, key=abs), fit.residual, fit.restarts > before))
+        return reads
+
+
+@dataclass
+class Read:
+    """What the fit said after a read of its first and last sample."""
+
+    first_ns: int
+    last_ns: int
+    error: float
+    residual: float
+    restarted: bool
+
+
+def usual_delays(n: int, seed: int) -> FloatArray:
+    """0.2 ms at least, 1 ms more on average, and one read in a hundred is held up for 50 to 200 ms."""
+    rng = np.random.default_rng(seed)
+    delays = FLOOR_S + rng.exponential(1e-3, n)
+    held_up = rng.random(n) < 0.01
+    delays[held_up] += rng.uniform(0.05, 0.2, int(held_up.sum()))
+    return delays
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("device_ppm", "ros_ppm"), [(50.0, 0.0), (0.0, 50.0), (50.0, -50.0), (-50.0, 50.0)])
+def test_stamps_stay_within_a_millisecond_of_drifting_clocks(device_ppm: float, ros_ppm: float, seed: int) -> None:
+    device = Device(device_ppm, ros_ppm)
+    fit = ClockFit(12_800.0)
+    reads = device.follow(fit, usual_delays(4000, seed))
+    errors = np.abs([read.error for read in reads])
+    assert errors[SETTLED_READS - 1 :].max() < 1e-3
+    assert np.median(errors) == pytest.approx(FLOOR_S, abs=0.1e-3)  # the smallest delay, which nobody can see
+    assert fit.restarts == 0
+    true_rate = 12_800.0 * (1.0 + device_ppm * 1e-6) / (1.0 + ros_ppm * 1e-6)
+    assert fit.sample_rate == pytest.approx(true_rate, rel=10e-6)
+
+
+@pytest.mark.parametrize("ppm", [50.0, -50.0])
+def test_what_nominal_periods_from_the_first_read_on_would_give(ppm: float) -> None:
+    device = Device(ppm, -ppm)
+    fit = ClockFit(12_800.0)
+    fit.update(1, device.ros_ns(0.0))
+    last = 400 * 12_800
+    assert abs(device.error_s(fit, last)) == pytest.approx(40e-3, rel=1e-3)
+
+
+def test_start_up_is_as_late_as_the_earliest_read_so_far() -> None:
+    late = 0
+    for seed in range(300):
+        delays = usual_delays(SETTLED_READS, seed)
+        device = Device(50.0, -50.0)
+        reads = device.follow(ClockFit(12_800.0), delays)
+        taken = np.array([device.taken_s((i + 1) * 1280 - 1) for i in range(SETTLED_READS)])
+        earliest = np.minimum.accumulate(np.maximum.accumulate(taken + delays) - taken)
+        # Within 1 s, the clocks have come apart by 0.1 ms.
+        assert all(abs(read.error) <= bound + 0.1e-3 for read, bound in zip(reads, earliest, strict=True))
+        late += abs(reads[0].error) > 1e-3
+        assert abs(reads[-1].error) < 1e-3
+    assert late > 50  # one read alone is not enough
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_residual_tells_what_stamps_are_off(seed: int) -> None:
+    reads = Device(50.0, -50.0).follow(ClockFit(12_800.0), usual_delays(2000, seed))
+    covered = [abs(read.error - FLOOR_S) <= read.residual for read in reads]
+    assert np.mean(covered) > 0.95
+    settled = [read.residual for read in reads[100:]]
+    assert 0.02e-3 < np.median(settled) < 0.5e-3
+    assert reads[0].residual == pytest.approx(10e-3)
+
+
+@given(
+    rate=st.floats(1.0, 1e6),
+    ppm=st.floats(-100.0, 100.0),
+    block_s=st.floats(0.05, 2.0),
+)
+def test_prompt_reads_give_the_truth_at_any_rate(rate: float, ppm: float, block_s: float) -> None:
+    device = Device(device_ppm=ppm, rate=rate)
+    fit = ClockFit(rate)
+    block = max(1, round(rate * block_s))
+    # Until the rate is known, the offset may be as old as five bins, each longer than 1 s by up to a block.
+    oldest_s = 5.0 * (1.0 + block / rate) + block / rate
+    # What it is off by then is made up for by no more than a sample per read.
+    made_up = round(abs(ppm) * 1e-6 * oldest_s * rate)
+    reads = device.follow(fit, [0.0] * (max(10, round(15.0 * rate / block)) + made_up), block)
+    assert max(abs(read.error) for read in reads) <= abs(ppm) * 1e-6 * oldest_s + 1e-8
+    assert abs(reads[-1].error) < 1e-7
+    assert fit.sample_rate == pytest.approx(rate * (1.0 + ppm * 1e-6), rel=1e-7)
+    assert fit.restarts == 0
+
+
+@given(
+    delays=st.lists(st.floats(0.0, 0.3), min_size=1, max_size=100),
+    samples=st.integers(0, 10**15),
+    nanoseconds=st.integers(0, 4 * 10**18),
+)
+def test_neither_sample_numbers_nor_the_epoch_matter(delays: list[float], samples: int, nanoseconds: int) -> None:
+    plain, moved = ClockFit(12_800.0), ClockFit(12_800.0)
+    for i, delay in enumerate(delays):
+        count, host_ns = (i + 1) * 1280, round(((i + 1) * 0.1 + delay) * 1e9)
+        plain.update(count, host_ns)
+        moved.update(count + samples, host_ns + nanoseconds)
+        for sample in (i * 1280, count - 1):
+            assert moved.stamp_ns(sample + samples) == plain.stamp_ns(sample) + nanoseconds
+    assert (plain.sample_rate, plain.residual, plain.restarts) == (moved.sample_rate, moved.residual, moved.restarts)
+
+
+@given(
+    delays=st.lists(st.floats(0.0, 0.02), min_size=60, max_size=200), rate=st.sampled_from([1.0, 100.0, 12_800.0, 1e6])
+)
+def test_no_sample_comes_before_the_previous_one(delays: list[float], rate: float) -> None:
+    reads = Device(rate=rate).follow(ClockFit(rate), delays, max(1, round(rate * 0.1)))
+    for before, read in list(pairwise(reads))[SETTLED_READS:]:
+        assert read.first_ns >= before.last_ns - 1 or read.restarted  # 1 ns of rounding
+
+
+def test_a_late_start_is_made_up_for_one_sample_per_read_and_told_of_meanwhile() -> None:
+    late_s, reads_late = 0.5e-3, 15
+    fit = ClockFit(1e6)
+    reads = Device(rate=1e6).follow(fit, [late_s] * reads_late + [0.0] * 600, 100_000)
+    for i, (before, read) in enumerate(pairwise(reads[reads_late - 1 :]), start=1):
+        assert read.error == pytest.approx(max(0.0, late_s - i * 1e-6), abs=0.05e-6)
+        assert read.first_ns >= before.last_ns - 1
+        assert read.residual >= read.error
+    assert reads[reads_late + 10].residual > 0.9 * late_s
+    assert reads[-1].residual < 0.1e-3
+
+
+@pytest.mark.parametrize(("ppm", "bound"), [(100.0, 1e-3), (-100.0, 1e-3), (500.0, 4e-3), (-500.0, 4e-3)])
+def test_a_clock_that_is_slewed_is_followed(ppm: float, bound: float) -> None:
+    # As NTP does it, 500 ppm at most: ROS time runs faster or slower from the 60th second on.
+    fit = ClockFit(12_800.0)
+    errors = []
+    for i, delay in enumerate(usual_delays(2000, 4)):
+        taken, read = ((t + max(0.0, t - 60.0) * ppm * 1e-6) * 1e9 for t in ((i + 1) * 0.1, (i + 1) * 0.1 + delay))
+        fit.update((i + 1) * 1280, START_NS + round(read))
+        errors.append(abs(fit.stamp_ns((i + 1) * 1280 - 1) - START_NS - taken) / 1e9)
+    assert max(errors[SETTLED_READS:]) < bound
+    assert max(errors[1200:]) < 1e-3
+    assert fit.restarts == 0
+
+
+@given(st.lists(st.floats(0.0, 0.1), min_size=4, max_size=4), st.floats(-100.0, 100.0))
+def test_late_reads_do_not_matter_while_some_are_prompt(lateness: list[float], ppm: float) -> None:
+    device = Device(device_ppm=ppm)
+    fit = ClockFit(12_800.0)
+    delays = [0.0, *lateness] * 80
+    errors = [abs(read.error) for read in device.follow(fit, delays)]
+    assert max(errors) < 1e-3
+    assert max(errors[-20:]) < 0.02e-3
+    assert fit.restarts == 0
+
+
+def test_a_year_at_a_million_samples_per_second() -> None:
+    fit = ClockFit(1e6)
+    year = 365 * 86_400 * 10**6
+    for sample in [*range(0, 40_000_000, 100_000), *range(year, year + 40_000_000, 100_000)]:
+        fit.update(sample + 1, START_NS + sample * 1000)
+        assert abs(fit.stamp_ns(sample) - (START_NS + sample * 1000)) < 100
+    assert fit.restarts == 0
+
+
+@pytest.mark.parametrize("jump", [-3600.0, -1.0, -0.02, 0.02, 1.0, 3600.0])
+def test_a_jump_of_ros_time_is_noticed_and_recovered_from(jump: float) -> None:
+    device = Device(50.0, -50.0, jumps={30.0: jump})
+    fit = ClockFit(12_800.0)
+    reads = device.follow(fit, usual_delays(1000, 7))
+    restart = next(i for i, read in enumerate(reads) if read.restarted)
+    assert 30.0 <= (restart + 1) * 0.1 <= (30.2 if jump < 0.0 else 32.5)
+    assert fit.restarts == 1
+    assert max(abs(read.error) for read in reads[restart + SETTLED_READS :]) < 1e-3
+
+
+def test_a_jump_too_small_to_be_noticed_is_grown_into() -> None:
+    for jump in (-JUMP_S / 2, JUMP_S / 2):
+        fit = ClockFit(12_800.0)
+        reads = Device(jumps={30.0: jump}).follow(fit, usual_delays(1000, 3))
+        assert max(abs(read.error) for read in reads[300:]) < JUMP_S
+        assert max(abs(read.error) for read in reads[700:]) < 1e-3
+
+
+def test_a_stall_longer_than_the_patience_with_late_reads_is_no_jump() -> None:
+    delays = usual_delays(600, 5)
+    delays[300] += 10.0  # the hundred reads behind it come all at once
+    fit = ClockFit(12_800.0)
+    reads = Device(50.0, -50.0).follow(fit, delays)
+    assert fit.restarts == 0
+    assert max(abs(read.error) for read in reads[SETTLED_READS:]) < 1e-3
+
+
+def test_a_bad_first_read_is_forgotten_at_the_second() -> None:
+    fit = ClockFit(12_800.0)
+    reads = Device().follow(fit, [0.25, 0.0, 0.0, 0.0, 0.0])
+    assert reads[0].error == pytest.approx(0.25)
+    assert max(abs(read.error) for read in reads[3:]) < 1e-6
+    assert fit.restarts == 0
+
+
+def test_numbers_that_begin_anew_begin_a_new_fit() -> None:
+    fit = ClockFit(12_800.0)
+    Device().follow(fit, [0.0] * 50)
+    fit.update(1280, START_NS + 3600 * 10**9)
+    assert fit.stamp_ns(1279) == START_NS + 3600 * 10**9
+    assert fit.restarts == 1
+    assert not fit.settled
+
+
+def test_after_a_reset_the_next_read_is_a_first_one() -> None:
+    fit, fresh = ClockFit(12_800.0), ClockFit(12_800.0)
+    Device(device_ppm=80.0).follow(fit, [0.0] * 100)
+    fit.reset()
+    assert (fit.sample_rate, fit.residual, fit.restarts, fit.settled) == (12_800.0, 10e-3, 0, False)
+    slower = Device(device_ppm=-80.0)
+    assert slower.follow(fit, usual_delays(100, 1)) == slower.follow(fresh, usual_delays(100, 1))
+
+
+def test_before_the_first_read_nothing_is_known_and_after_it_the_nominal_rate() -> None:
+    fit = ClockFit(1000.0)
+    with pytest.raises(RuntimeError, match="before the first read"):
+        fit.stamp_ns(0)
+    fit.update(100, START_NS)
+    assert fit.stamp_ns(99) == START_NS
+    assert fit.stamp_ns(0) == START_NS - 99 * MS
+    assert fit.sample_rate == 1000.0
+
+
+def test_memory_does_not_grow() -> None:
+    fit = ClockFit(10.0)
+    for i in range(20_000):
+        fit.update(i + 1, START_NS + i * 100 * MS)
+    assert len(fit._bins) <= 30

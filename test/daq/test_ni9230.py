@@ -1,0 +1,529 @@
+"""The source on NI's own client, with a device of the tests' own behind it: every fault, and what is said of it."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+import threading
+from ctypes.util import find_library
+from typing import TYPE_CHECKING, Any
+
+import hypothesis
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given
+from nidaqmx.constants import (
+    Coupling,
+    DigitalWidthUnits,
+    ExcitationSource,
+    ForceIEPESensorSensitivityUnits,
+    ForceUnits,
+)
+from nidaqmx.errors import DaqFunctionNotSupportedError, DaqNotSupportedError
+
+from scara_effmass.daq.ni9230 import Ni9230
+from scara_effmass.daq.ni_driver import devices, driver_version
+from scara_effmass.daq.source import Unit, make_source
+from scara_effmass.errors import (
+    DaqError,
+    DeviceLostError,
+    DeviceMissingError,
+    DeviceReservedError,
+    DriverMissingError,
+    OverrunError,
+    SettingsError,
+)
+from scara_effmass.settings import DaqSettings, checked
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from scara_effmass.daq.source import ForceSource, Reading
+    from scara_effmass.values import FloatArray
+    from test.daq.conftest import NiDevice
+
+    Open = Callable[..., Ni9230]
+
+BLOCK = 1280
+
+
+def settings(**values: object) -> DaqSettings:
+    """Return settings; "__" in a name stands for the dot."""
+    return checked(DaqSettings, {name.replace("__", "."): value for name, value in values.items()}, "test")
+
+
+@pytest.fixture
+def make(ni_device: NiDevice) -> Iterator[Open]:
+    """Make a source, which is closed at the end."""
+    made = []
+
+    def source(**values: object) -> Ni9230:
+        made.append(Ni9230(settings(**values), ni_device.clock))
+        return made[-1]
+
+    yield source
+    for each in made:
+        each.close()
+
+
+@pytest.fixture
+def started(make: Open) -> Open:
+    def source(**values: object) -> Ni9230:
+        made = make(**values)
+        made.start()
+        return made
+
+    return source
+
+
+def got(reading: Reading | None) -> Reading:
+    assert reading is not None
+    return reading
+
+
+def test_it_is_the_default_source(ni_device: NiDevice) -> None:
+    source: ForceSource = make_source(DaqSettings(), ni_device.clock)
+    assert isinstance(source, Ni9230)
+    assert not ni_device.created
+
+
+def test_the_channel_is_set_up_for_the_sensor(ni_device: NiDevice, started: Open) -> None:
+    started(sensor__sensitivity=2.31, sensor__range=2000.0)
+    (channel,) = ni_device.task.channels
+    assert channel == {
+        "name": "cDAQ1Mod1/ai0",
+        "min_val": -2000.0,
+        "max_val": 2000.0,
+        "units": ForceUnits.NEWTONS.value,
+        "sensitivity": 2.31,
+        "sensitivity_units": ForceIEPESensorSensitivityUnits.MILLIVOLTS_PER_NEWTON.value,
+        "source": ExcitationSource.INTERNAL.value,
+        "current": 0.004,
+        "coupling": Coupling.AC.value,
+        "terminal": channel["terminal"],
+        "scale": "",
+    }
+    assert not ni_device.task.finite
+    assert ni_device.task.samples >= 128_000
+
+
+def test_excitation_can_be_off_and_coupling_direct(ni_device: NiDevice, started: Open) -> None:
+    started(ni9230__current=0.0, ni9230__coupling="DC")
+    (channel,) = ni_device.task.channels
+    assert channel["source"] == ExcitationSource.NONE.value
+    assert channel["coupling"] == Coupling.DC.value
+
+
+def test_what_is_known_once_it_has_started(started: Open) -> None:
+    source = started()
+    assert source.unit is Unit.NEWTON
+    assert source.channels == ("ai0",)
+    assert source.simulated is False
+    assert source.limit == pytest.approx(30.0 / 2.248e-3)
+    assert source.description == "NI 9230 cDAQ1Mod1/ai0, IEPE 4 mA, AC coupling, 2.248 mV/N"
+
+
+def test_a_device_simulated_by_its_driver_is_called_so(ni_device: NiDevice, started: Open) -> None:
+    ni_device.simulated = True
+    source = started()
+    assert source.simulated is True
+    assert "simulated by its driver" in source.description
+
+
+def test_blocks_follow_each_other(ni_device: NiDevice, started: Open) -> None:
+    source = started()
+    begin_ns = ni_device.now_ns
+    for number in range(5):
+        reading = got(source.read(1.0))
+        assert reading.first_sample == number * BLOCK
+        np.testing.assert_array_equal(reading.samples[0], np.arange(BLOCK) + number * BLOCK)
+        assert reading.lost == 0
+        assert reading.stamp_ns is None
+        assert reading.saturated is None
+        assert reading.read_ns == ni_device.now_ns == begin_ns + (number + 1) * 100_000_000
+    assert not source.ended
+
+
+def test_a_reading_belongs_to_whoever_got_it(started: Open) -> None:
+    source = started()
+    first = got(source.read(1.0)).samples
+    before = first.copy()
+    source.read(1.0)
+    np.testing.assert_array_equal(first, before)
+    with pytest.raises(ValueError, match="read-only"):
+        first[0, 0] = 1.0
+
+
+def test_several_channels_in_one_task(ni_device: NiDevice, started: Open) -> None:
+    source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai2"))
+    assert source.channels == ("ai0", "ai2")
+    assert len(ni_device.created) == 1
+    samples = got(source.read(1.0)).samples
+    assert samples.shape == (2, BLOCK)
+    np.testing.assert_array_equal(samples, np.arange(BLOCK) + 1e6 * np.arange(2)[:, np.newaxis])
+
+
+def test_channels_of_one_name_are_told_apart_by_their_device(make: Open) -> None:
+    source = make(ni9230__channels=("cDAQ9185-1Mod1/ai0", "cDAQ9185-1Mod2/ai0"))
+    assert source.channels == ("cDAQ9185_1Mod1_ai0", "cDAQ9185_1Mod2_ai0")
+
+
+@pytest.mark.parametrize(
+    "names", [(), ("ai0",), ("cDAQ1Mod1/ai0:2",), ("cDAQ1Mod1/ai0, cDAQ1Mod1/ai1",), ("a/ai0", "A/ai0")]
+)
+def test_channels_that_cannot_be_meant_are_refused(names: tuple[str, ...]) -> None:
+    with pytest.raises(SettingsError, match=r"^test: ni9230\.channels = .* would be right$"):
+        settings(ni9230__channels=names)
+
+
+@pytest.mark.parametrize(("asked", "real"), [(12_800.0, 12_800.0), (5_000.0, 6_400.0), (10_000.0, 12_800.0)])
+def test_the_rate_of_the_device_counts(asked: float, real: float, started: Open, ni_device: NiDevice) -> None:
+    source = started(ni9230__sample_rate=asked)
+    assert source.requested_rate == asked
+    assert source.sample_rate == real
+    assert source.filter_delay == pytest.approx(38.0 / real)
+    begin_ns = ni_device.now_ns
+    assert got(source.read(1.0)).samples.shape == (1, round(0.1 * real))
+    assert ni_device.now_ns - begin_ns == pytest.approx(1e8)
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        ((2.9e-3, DigitalWidthUnits.SECONDS), 2.9e-3),
+        ((39.5, DigitalWidthUnits.SAMPLE_CLOCK_PERIODS), 39.5 / 12_800.0),
+        ((5000.0, DigitalWidthUnits.TICKS), 34.0 / 12_800.0),
+        ((0.0, DigitalWidthUnits.SECONDS), 34.0 / 12_800.0),
+        ((math.nan, DigitalWidthUnits.SECONDS), 34.0 / 12_800.0),
+        (None, 34.0 / 12_800.0),
+    ],
+)
+def test_the_filter_delay_is_asked_for(
+    told: tuple[float, Any] | None, expected: float, ni_device: NiDevice, started: Open
+) -> None:
+    ni_device.filter_delay = told
+    assert started(ni9230__filter_delay_samples=34.0).filter_delay == pytest.approx(expected)
+
+
+def test_a_limit_that_is_not_told_is_unknown(ni_device: NiDevice, started: Open) -> None:
+    ni_device.limit_told = False
+    assert started().limit == math.inf
+
+
+def test_a_finite_acquisition_ends(ni_device: NiDevice, started: Open) -> None:
+    source = started(ni9230__samples=10_000, ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1"))
+    assert ni_device.task.finite
+    begin_ns = ni_device.now_ns
+    parts: list[FloatArray] = []
+    while not source.ended:
+        parts.append(got(source.read(1.0)).samples)
+    assert [part.shape[1] for part in parts] == [BLOCK] * 7 + [1040]
+    np.testing.assert_array_equal(np.concatenate(parts, axis=1)[1], 1e6 + np.arange(10_000))
+    assert ni_device.now_ns - begin_ns == 781_250_000
+    assert source.read(1.0) is None
+    source.start()
+    again = got(source.read(1.0))
+    assert (again.first_sample, source.ended) == (0, False)
+
+
+def test_what_came_before_a_timeout_is_kept(ni_device: NiDevice, started: Open) -> None:
+    source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1", "cDAQ1Mod1/ai2"))
+    parts: list[FloatArray] = []
+    begin_ns = ni_device.now_ns
+    for timeout_s in (0.03, 0.07, 1.0, 0.0, 0.05, 0.2):
+        reading = source.read(timeout_s)
+        if reading is not None:
+            assert reading.first_sample == sum(part.shape[1] for part in parts)
+            parts.append(reading.samples)
+    assert [part.shape[1] for part in parts] == [384, 896, BLOCK, 640, BLOCK]
+    together = np.concatenate(parts, axis=1)
+    np.testing.assert_array_equal(together, np.arange(together.shape[1]) + 1e6 * np.arange(3)[:, np.newaxis])
+    assert ni_device.now_ns - begin_ns == together.shape[1] / 12_800.0 * 1e9
+
+
+@given(
+    channels=st.integers(1, 3),
+    finite=st.sampled_from((0, 2, 3333)),
+    calls=st.lists(st.tuples(st.floats(0.0, 0.3), st.floats(0.0, 0.4)), max_size=20),
+)
+@hypothesis.settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+def test_whatever_the_timeouts_each_sample_comes_once_and_in_order(
+    channels: int, finite: int, calls: list[tuple[float, float]], ni_device: NiDevice, make: Open
+) -> None:
+    names = tuple(f"cDAQ1Mod1/ai{number}" for number in range(channels))
+    source = make(ni9230__channels=names, ni9230__samples=finite)
+    source.start()
+    end = 0
+    for pause_s, timeout_s in calls:
+        ni_device.advance(pause_s)
+        reading = source.read(timeout_s)
+        if reading is not None:
+            assert reading.first_sample == end
+            end += reading.samples.shape[1]
+            numbers = np.arange(reading.first_sample, end)
+            np.testing.assert_array_equal(reading.samples, numbers + 1e6 * np.arange(channels)[:, np.newaxis])
+        assert source.ended == (0 < finite <= end)
+    source.close()
+
+
+def test_nothing_within_the_timeout_is_no_reading(started: Open) -> None:
+    assert started().read(0.0) is None
+
+
+def test_reading_late_loses_nothing_while_the_buffer_lasts(ni_device: NiDevice, started: Open) -> None:
+    source = started()
+    ni_device.advance(9.9)
+    assert got(source.read(0.0)).first_sample == 0
+    assert got(source.read(0.0)).first_sample == BLOCK
+
+
+def test_reading_too_late_is_an_overrun_with_its_count(ni_device: NiDevice, started: Open) -> None:
+    source = started()
+    source.read(1.0)
+    ni_device.advance(20.0)
+    with pytest.raises(OverrunError, match=r"256000 samples were acquired and not read \(NI-DAQmx -200279: The"):
+        source.read(1.0)
+    source.close()
+    source.start()
+    np.testing.assert_array_equal(got(source.read(1.0)).samples[0], np.arange(BLOCK))
+
+
+@pytest.mark.parametrize("code", [-200279, -200010, -200361, -200222])
+def test_samples_that_come_with_an_error_are_handed_on_before_it(code: int, ni_device: NiDevice, started: Open) -> None:
+    source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1"))
+    ni_device.advance(1.0)
+    ni_device.fail("read_analog_f64", code, samples=100)
+    np.testing.assert_array_equal(got(source.read(1.0)).samples, [np.arange(100), 1e6 + np.arange(100)])
+    for _ in range(2):
+        with pytest.raises(OverrunError, match=f"NI-DAQmx {code}:"):
+            source.read(1.0)
+
+
+def test_an_unplugged_device_is_lost_and_comes_back(ni_device: NiDevice, started: Open) -> None:
+    source = started()
+    source.read(1.0)
+    ni_device.unplug()
+    with pytest.raises(DeviceLostError, match="is it plugged in") as lost:
+        source.read(1.0)
+    assert str(lost.value).startswith("ni9230.channels = cDAQ1Mod1/ai0: ")
+    source.close()
+    for _ in range(3):
+        with pytest.raises(DeviceLostError):
+            source.start()
+        assert source.read(0.1) is None
+    ni_device.plug()
+    source.start()
+    assert got(source.read(1.0)).first_sample == 0
+
+
+def test_a_device_that_the_driver_forgot_is_lost_too(ni_device: NiDevice, started: Open) -> None:
+    source = started()
+    ni_device.unplug(forget=True)
+    with pytest.raises(DeviceLostError):
+        source.read(1.0)
+    with pytest.raises(DeviceLostError):
+        source.start()
+    ni_device.plug()
+    source.start()
+
+
+def test_a_device_that_never_was_there_is_missing(ni_device: NiDevice, make: Open) -> None:
+    ni_device.unplug()
+    with pytest.raises(DeviceMissingError, match="plug it in"):
+        make().start()
+
+
+@pytest.mark.parametrize("code", [-88709, -88710, -200088, -50405])
+def test_a_reset_device_is_lost(code: int, ni_device: NiDevice, started: Open) -> None:
+    source = started()
+    ni_device.fail("read_analog_f64", code)
+    with pytest.raises(DeviceLostError, match="was reset"):
+        source.read(1.0)
+    source.start()
+    assert got(source.read(1.0)).first_sample == 0
+
+
+def test_a_reset_by_another_program_is_survived(ni_device: NiDevice, started: Open) -> None:
+    source = started()
+    ni_device.reset()
+    with pytest.raises(DeviceLostError, match="was reset"):
+        source.read(1.0)
+    source.start()
+    assert got(source.read(1.0)).first_sample == 0
+
+
+def test_a_reserved_device(ni_device: NiDevice, make: Open) -> None:
+    ni_device.reserved = True
+    source = make()
+    with pytest.raises(DeviceReservedError, match="another program holds the device"):
+        source.start()
+    ni_device.reserved = False
+    source.start()
+
+
+@pytest.mark.parametrize(
+    ("values", "advice"),
+    [
+        ({"ni9230__channels": ("Dev7/ai0",)}, "cDAQ1Mod1/ai0, cDAQ1Mod1/ai1, cDAQ1Mod1/ai2 (NI-DAQmx -200220"),
+        ({"ni9230__channels": ("cDAQ1Mod1/ai7",)}, "cDAQ1Mod1/ai0, cDAQ1Mod1/ai1, cDAQ1Mod1/ai2 (NI-DAQmx -200170"),
+        ({"ni9230__channels": ("cDAQ1Mod2/ai0",)}, "cannot supply an IEPE force sensor"),
+        ({"ni9230__sample_rate": 20_000.0}, "correct ni9230.sample_rate (NI-DAQmx -200077: Requested"),
+        ({"ni9230__sample_rate": 20_000.0}, "Requested Value:  20.0e3; Maximum Value:  12.8e3)"),
+    ],
+)
+def test_what_the_device_cannot_do_is_named(values: dict[str, object], advice: str, make: Open) -> None:
+    with pytest.raises(DeviceMissingError, match=re.escape(advice)):
+        make(**values).start()
+
+
+@pytest.mark.parametrize(
+    ("code", "kind"),
+    [
+        (-200430, DeviceMissingError),
+        (-200489, DeviceMissingError),
+        (-201172, DeviceMissingError),
+        (-200332, DeviceMissingError),
+        (-201003, DeviceMissingError),
+        (-50103, DeviceReservedError),
+        (-201420, DeviceReservedError),
+        (-209999, DaqError),
+    ],
+)
+@pytest.mark.parametrize("call", ["create_ai_force_iepe_chan", "start_task"])
+def test_every_error_at_the_start_is_one_line(
+    call: str, code: int, kind: type[DaqError], ni_device: NiDevice, make: Open
+) -> None:
+    ni_device.fail(call, code)
+    source = make()
+    with pytest.raises(kind) as raised:
+        source.start()
+    assert type(raised.value) is kind
+    assert re.fullmatch(rf"ni9230\.channels = cDAQ1Mod1/ai0: .+ \(NI-DAQmx {code}: .+\)", str(raised.value))
+    assert not ni_device.tasks
+    source.start()
+
+
+def test_an_error_that_nobody_knows_says_what_the_driver_says(ni_device: NiDevice, started: Open) -> None:
+    source = started()
+    ni_device.fail("read_analog_f64", -209999)
+    with pytest.raises(DaqError, match=r"look this code up .* \(NI-DAQmx -209999: Something that nobody has heard of"):
+        source.read(1.0)
+
+
+def test_overload_marks_the_samples_at_the_limit(ni_device: NiDevice, started: Open) -> None:
+    source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1"))
+    ni_device.signal = lambda channel, numbers: np.where(numbers % 7 == channel, 2e4, 1.0)
+    ni_device.overloaded = {"cDAQ1Mod1/ai1"}
+    marks = got(source.read(1.0)).saturated
+    assert marks is not None
+    assert not marks[0].any()
+    np.testing.assert_array_equal(np.flatnonzero(marks[1]), np.arange(1, BLOCK, 7))
+    assert not marks.flags.writeable
+    assert got(source.read(1.0)).saturated is None
+
+
+def test_overload_marks_all_when_it_is_not_told_when(ni_device: NiDevice, started: Open) -> None:
+    source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1"))
+    ni_device.signal = lambda _, numbers: np.zeros(len(numbers))
+    ni_device.overloaded = {"cDAQ1Mod1/ai0"}
+    marks = got(source.read(1.0)).saturated
+    assert marks is not None
+    np.testing.assert_array_equal(marks.sum(axis=1), [BLOCK, 0])
+
+
+def test_a_module_that_cannot_tell_of_overload_still_reads(ni_device: NiDevice, started: Open) -> None:
+    ni_device.tells_overload = False
+    source = started()
+    for number in range(3):
+        reading = got(source.read(1.0))
+        assert reading.first_sample == number * BLOCK
+        assert reading.saturated is None
+    assert ni_device.overload_questions == 1
+
+
+def test_close_ends_a_read_that_waits(ni_device: NiDevice, started: Open) -> None:
+    source = started()
+    ni_device.blocking = True
+    answers: list[Reading | None] = []
+    reader = threading.Thread(target=lambda: answers.append(source.read(60.0)))
+    reader.start()
+    assert ni_device.waiting.wait(20.0)
+    source.close()
+    reader.join(20.0)
+    assert answers == [None]
+    assert not ni_device.tasks
+    assert not source.ended
+
+
+def test_close_may_come_at_any_time_and_again(ni_device: NiDevice, make: Open) -> None:
+    source = make()
+    source.close()
+    assert source.read(1.0) is None
+    source.start()
+    source.close()
+    source.close()
+    assert source.read(1.0) is None
+    source.start()
+    ni_device.fail("clear_task", -201003)
+    source.close()
+    assert not ni_device.tasks
+
+
+def test_starting_twice_keeps_one_task(ni_device: NiDevice, started: Open) -> None:
+    source = started()
+    source.read(1.0)
+    source.start()
+    assert len(ni_device.tasks) == 1
+    assert got(source.read(1.0)).first_sample == 0
+
+
+def test_devices_are_found(ni_device: NiDevice) -> None:
+    assert driver_version() == "24.5.1"
+    found = {device.name: device for device in devices()}
+    assert list(found) == ["cDAQ1", "cDAQ1Mod1", "cDAQ1Mod2"]
+    assert found["cDAQ1"].product == "cDAQ-9174"
+    assert found["cDAQ1Mod1"].channels == ("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1", "cDAQ1Mod1/ai2")
+    assert found["cDAQ1Mod2"].channels == ()
+    ni_device.unplug()
+    assert all("does not answer" in device.trouble for device in devices())
+    ni_device.unplug(forget=True)
+    assert devices() == ()
+
+
+@pytest.mark.skipif(find_library("nidaqmx") is not None, reason="NI-DAQmx is installed here")
+@pytest.mark.parametrize("ask", [driver_version, devices, lambda: Ni9230(DaqSettings(), lambda: 0).start()])
+def test_without_the_driver_there_is_one_clear_line(ask: Callable[[], object]) -> None:
+    with pytest.raises(DriverMissingError) as missing:
+        ask()
+    assert str(missing.value) == (
+        "the driver NI-DAQmx is not installed: install it from ni.com/downloads, or set source to bag or bench"
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError("libnidaqmx.so.1: wrong ELF class"), "cannot be used, install it again: libnidaqmx.so.1: wrong"),
+        (DaqFunctionNotSupportedError("no such function in\nthis version"), "no such function in this version"),
+        (DaqNotSupportedError("darwin"), "does not exist for this system: install"),
+    ],
+)
+def test_a_driver_that_cannot_be_used_is_missing(error: Exception, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("nidaqmx.utils._select_interpreter", broken)
+    for ask in (driver_version, devices, Ni9230(DaqSettings(), lambda: 0).start):
+        with pytest.raises(DriverMissingError, match=words):
+            ask()
+
+
+@pytest.mark.parametrize("module", ["nidaqmx", "nidaqmx.stream_readers"])
+def test_without_the_client_the_source_says_so_when_it_is_chosen(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    for ours in ("ni9230", "ni_driver"):
+        monkeypatch.delitem(sys.modules, f"scara_effmass.daq.{ours}")
+    with pytest.raises(DriverMissingError, match="pip install nidaqmx"):
+        make_source(DaqSettings(), lambda: 0)

@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from scara_effmass.bench.force import RandomImpacts, SimulatedSignal
+from scara_effmass.daq.simulated import SimulatedForce
+from scara_effmass.daq.source import Unit, make_source
+from scara_effmass.settings import BenchSettings, DaqSettings, ForceSourceKind, SensorSettings
+
+if TYPE_CHECKING:
+    from scara_effmass.daq.source import Reading
+
+NS = 1_000_000_000
+NOW_NS = 1_767_225_600 * NS
+SETTINGS = DaqSettings(
+    source=ForceSourceKind.BENCH, bench=BenchSettings(channels=2, seed=5, impact_period=0.2, clock_error=0.0)
+)
+BLOCK = 1280
+
+
+class Clock:
+    """A steady clock that stands still unless it is moved."""
+
+    def __init__(self) -> None:
+        self.ns = 77_000_000_000_000
+        self.asked = threading.Event()
+
+    def __call__(self) -> int:
+        self.asked.set()
+        return self.ns
+
+
+def started(settings: DaqSettings = SETTINGS) -> tuple[SimulatedForce, Clock]:
+    clock = Clock()
+    source = SimulatedForce(settings, lambda: NOW_NS, clock)
+    source.start()
+    return source, clock
+
+
+def block(source: SimulatedForce, timeout_s: float = 0.0) -> Reading:
+    reading = source.read(timeout_s)
+    assert reading is not None
+    return reading
+
+
+def test_it_is_the_source_of_the_bench_and_says_that_it_is_simulated() -> None:
+    source = make_source(SETTINGS, lambda: 0)
+    assert isinstance(source, SimulatedForce)
+    assert source.simulated
+    assert "simulated" in source.description
+    assert source.unit is Unit.NEWTON
+    assert source.channels == ("bench0", "bench1")
+    assert source.sample_rate == source.requested_rate == 12_800.0
+    assert source.filter_delay == 0.0
+
+
+def test_its_samples_are_those_of_the_simulated_signal() -> None:
+    source, clock = started()
+    clock.ns += NS
+    signal = SimulatedSignal(
+        channels=2,
+        sample_rate=12_800.0,
+        noise=SETTINGS.bench.noise,
+        seed=5,
+        sensitivity=SETTINGS.sensor.sensitivity,
+        impacts=RandomImpacts(5, 12_800.0, 0.2),
+    )
+    readings = [block(source) for _ in range(10)]
+    assert [reading.first_sample for reading in readings] == [number * BLOCK for number in range(10)]
+    assert {reading.lost for reading in readings} == {0}
+    samples = np.concatenate([reading.samples for reading in readings], axis=1)
+    assert np.array_equal(samples, signal.samples(0, 10 * BLOCK))
+    assert samples.max() > 15.0
+    assert source.limit == signal.limit
+
+
+def test_a_block_comes_when_its_last_sample_has_been_taken() -> None:
+    source, clock = started()
+    assert source.read(0.0) is None
+    clock.ns += 99_999_999
+    assert source.read(0.0) is None
+    clock.ns += 1
+    assert block(source).first_sample == 0
+    assert source.read(0.0) is None
+
+
+def test_who_comes_late_gets_block_after_block_and_nothing_is_lost() -> None:
+    source, clock = started()
+    clock.ns += 550_000_000
+    assert [block(source).first_sample for _ in range(5)] == [0, 1280, 2560, 3840, 5120]
+    assert source.read(0.0) is None
+
+
+@pytest.mark.parametrize("error", [-1e-3, 50e-6])
+def test_the_simulated_clock_is_off_the_hosts(error: float) -> None:
+    source, clock = started(
+        DaqSettings(source=ForceSourceKind.BENCH, bench=BenchSettings(sample_rate=1000.0, clock_error=error))
+    )
+    start_ns = clock.ns
+    for number in range(1, 401):
+        clock.ns = start_ns + round(number * 0.1 * NS / (1.0 + error)) - 1
+        assert source.read(0.0) is None
+        clock.ns += 1
+        assert block(source).samples.shape == (1, 100)
+    assert source.sample_rate == 1000.0  # it does not know
+
+
+def test_the_time_of_reading_is_ros_time() -> None:
+    source, clock = started()
+    clock.ns += NS
+    assert block(source).read_ns == NOW_NS
+
+
+def test_it_waits_for_the_block_in_real_time() -> None:
+    source = SimulatedForce(
+        DaqSettings(source=ForceSourceKind.BENCH, block_time=0.01, bench=BenchSettings(clock_error=0.0)), lambda: NOW_NS
+    )
+    before = time.monotonic()
+    source.start()
+    for _ in range(5):
+        block(source, timeout_s=10.0)
+    assert 0.05 <= time.monotonic() - before < 5.0
+
+
+def test_closing_ends_a_read_that_waits() -> None:
+    source, clock = started()
+    clock.asked.clear()
+    answers: list[Reading | None] = []
+    reader = threading.Thread(target=lambda: answers.append(source.read(30.0)))
+    reader.start()
+    assert clock.asked.wait(10.0)
+    source.close()
+    reader.join(timeout=10.0)
+    assert not reader.is_alive()
+    assert answers == [None]
+
+
+def test_started_again_it_begins_anew() -> None:
+    source, clock = started()
+    clock.ns += NS
+    first = block(source)
+    source.close()
+    source.start()
+    assert source.read(0.0) is None
+    clock.ns += NS
+    again = block(source)
+    assert again.first_sample == 0
+    assert np.array_equal(again.samples, first.samples)
+
+
+def test_a_sensor_that_reads_compression_as_negative_is_simulated_as_such() -> None:
+    source, clock = started(SETTINGS.model_copy(update={"sensor": SensorSettings(invert=True)}))
+    plain, plain_clock = started()
+    clock.ns += NS
+    plain_clock.ns += NS
+    inverted = block(source).samples
+    assert np.array_equal(inverted, -block(plain).samples)
+    assert not inverted.flags.writeable
+
+
+def test_samples_at_the_end_of_the_range_are_marked() -> None:
+    # At 1 V/N the converter ends at 30 N, and most impacts are stronger than that.
+    source, clock = started(SETTINGS.model_copy(update={"sensor": SensorSettings(sensitivity=1000.0)}))
+    clock.ns += 100 * NS
+    readings = [block(source) for _ in range(20)]
+    marked = [reading for reading in readings if reading.saturated is not None]
+    assert source.limit == pytest.approx(30.0)
+    assert 0 < len(marked) < len(readings)
+    for reading in readings:
+        at_end = np.abs(reading.samples) >= source.limit
+        assert at_end.any() == (reading.saturated is not None)
+        if reading.saturated is not None:
+            assert np.array_equal(reading.saturated, at_end)
+            assert not reading.saturated.flags.writeable
