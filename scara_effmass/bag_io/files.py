@@ -80,13 +80,14 @@ def _is_recording(folder: Path) -> bool:
         return False
     if (folder / METADATA).is_file():
         return True
-    parts = [PART.fullmatch(path.name) for path in _data_files(folder)]
+    parts = [PART.fullmatch(path.name) for path in data_files(folder)]
     names = {(part["name"], part["suffix"]) for part in parts if part}
     numbers = sorted(int(part["number"]) for part in parts if part)
     return len(names) == 1 and numbers == list(range(len(parts)))
 
 
-def _data_files(folder: Path) -> list[Path]:
+def data_files(folder: Path) -> list[Path]:
+    """Return the files in `folder` that may hold messages, parts of one recording in their order. Raises OSError."""
     files = (path for path in folder.iterdir() if path.suffix in SUFFIXES and path.is_file())
 
     def order(path: Path) -> tuple[int, Path]:
@@ -114,7 +115,7 @@ def _opened_files(paths: Sequence[Path], losses: Losses) -> Source:
 
 def _opened_folder(folder: Path, losses: Losses) -> Source:
     metadata = _metadata(folder, losses)
-    present = _data_files(folder)
+    present = data_files(folder)
     if metadata.get("compression_mode"):
         return RosbagsSource([folder], losses, Ros2Reader)
     # older recorders wrote the paths with the folder in front
@@ -125,8 +126,14 @@ def _opened_folder(folder: Path, losses: Losses) -> Source:
     paths = [path for path in named if path in present]
     if not paths:
         paths = present
-    elif unnamed := [path.name for path in present if path not in paths]:
-        losses.add(f"{folder / METADATA}: does not name {', '.join(unnamed)}, not read")
+    else:
+        # a recorder that was killed has described the files before its last one
+        late = [path for path in present if path not in named and _continues(path, named)]
+        for path in late:
+            losses.add(f"{folder / METADATA}: does not name {path.name}, which continues it; read as well")
+        paths += late
+        if unnamed := [path.name for path in present if path not in paths]:
+            losses.add(f"{folder / METADATA}: does not name {', '.join(unnamed)}, not read")
     if not paths:
         raise BagError("; ".join([f"{folder}: holds no .mcap or .db3 file", *losses]))
     source = _opened_files(paths, losses)
@@ -134,6 +141,18 @@ def _opened_folder(folder: Path, losses: Losses) -> Source:
     if metadata.get("message_count", count) != count:
         losses.add(f"{folder / METADATA}: says {metadata['message_count']} messages, the files hold {count}")
     return source
+
+
+def _continues(path: Path, named: Sequence[Path]) -> bool:
+    """Whether a file is a later one of the recording whose files are `named`."""
+    part = PART.fullmatch(path.name)
+    before = [PART.fullmatch(each.name) for each in named]
+    return part is not None and all(
+        each is not None
+        and (each["name"], each["suffix"]) == (part["name"], part["suffix"])
+        and int(each["number"]) < int(part["number"])
+        for each in before
+    )
 
 
 def _metadata(folder: Path, losses: Losses) -> dict[str, Any]:

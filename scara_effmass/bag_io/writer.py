@@ -1,22 +1,18 @@
-"""New recordings: MCAP, either a rosbag2 folder with its metadata or a single file."""
+"""New recordings, whole or not at all: MCAP, either a rosbag2 folder with its metadata or a single file."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, final
 
-import yaml
-from mcap.writer import Writer
-from rosbags.typesys import TypesysError
-
-from scara_effmass.bag_io.batches import LATEST_NS
+from scara_effmass.bag_io.batches import Topic
 from scara_effmass.bag_io.definitions import JOINT_STATE, known_types
-from scara_effmass.bag_io.files import METADATA
 from scara_effmass.bag_io.messages import joint_state_message
-from scara_effmass.errors import BagError, OutputError
+from scara_effmass.bag_io.part_writer import PartWriter, definition_of
+from scara_effmass.bag_io.rosbag2 import refuse_existing, write_metadata
+from scara_effmass.errors import OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -25,16 +21,6 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
     from scara_effmass.values import JointState
-
-ROSBAG2_VERSION = 9
-"""Of the metadata, as ROS 2 Jazzy writes them."""
-
-
-@dataclass(slots=True)
-class _Channel:
-    number: int
-    type_hash: str
-    count: int = 0
 
 
 @final
@@ -53,37 +39,35 @@ class BagWriter:
         self.path = path
         self._overwrite = overwrite
         self._types = types or known_types()
-        self._channels: dict[tuple[str, str], _Channel] = {}
-        self._schemas: dict[str, int] = {}
-        self._start_ns, self._end_ns = LATEST_NS, 0
+        self._numbers: dict[tuple[str, str], int] = {}
         self._is_file = path.suffix == ".mcap"
-        self._check_free()
+        refuse_existing(path, overwrite=overwrite)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._unfinished = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
             self._content = self._unfinished / path.name
             if not self._is_file:
                 self._content.mkdir()
-            self._mcap = self._content if self._is_file else self._content / f"{path.name}_0.mcap"
-            self._file = self._mcap.open("xb")
+            mcap = self._content if self._is_file else self._content / f"{path.name}_0.mcap"
+            self._file = mcap.open("xb")
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
-        self._writer = Writer(self._file)
-        self._writer.start(profile="ros2", library="scara_effmass")
+        self._part = PartWriter(mcap.name, self._file)
 
     def write(self, topic: str, kind: str, log_time_ns: int, data: bytes) -> None:
         """Add one message, CDR bytes of type `kind` such as "sensor_msgs/msg/JointState".
 
         Raises BagError when the type is not known, OutputError when the disk does not take it.
         """
-        channel = self._channels.get((topic, kind)) or self._new_channel(topic, kind)
+        number = self._numbers.get((topic, kind))
+        if number is None:
+            definition, type_hash = definition_of(self._types, kind, f"{self.path}: {topic}")
+            number = self._part.add_topic(Topic(topic, kind, 0, type_hash), definition)
+            self._numbers[topic, kind] = number
         try:
-            self._writer.add_message(channel.number, log_time_ns, data, log_time_ns, channel.count)
+            self._part.write(number, log_time_ns, data)
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from None
-        channel.count += 1
-        self._start_ns = min(self._start_ns, log_time_ns)
-        self._end_ns = max(self._end_ns, log_time_ns)
 
     def write_joint_states(self, topic: str, states: Iterable[JointState], frame_id: str = "") -> None:
         """Add joint states, logged at their own stamps; raises OutputError."""
@@ -93,14 +77,11 @@ class BagWriter:
     def close(self) -> None:
         """Complete the recording and put it in its place; raises OutputError."""
         try:
-            if not self._is_file:
-                text = yaml.safe_dump(self._metadata(), sort_keys=False)
-                self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
-                full = yaml.safe_dump({"rosbag2_bagfile_information": self._metadata()}, sort_keys=False)
-                (self._content / METADATA).write_text(full, encoding="utf-8")
-            self._writer.finish()  # type: ignore[no-untyped-call]
+            part = self._part.finish()
             self._file.close()
-            self._check_free()
+            if not self._is_file:
+                write_metadata(self._content, [part])
+            refuse_existing(self.path, overwrite=self._overwrite)
             if self.path.exists():
                 self.path.rename(self._unfinished / "replaced")
             self._content.rename(self.path)
@@ -124,57 +105,3 @@ class BagWriter:
             self.close()
         else:
             self.abort()
-
-    def _check_free(self) -> None:
-        if not self.path.exists():
-            return
-        if not self._overwrite:
-            raise OutputError(f"{self.path}: exists already; it is replaced only when that is asked for")
-        if self.path.is_dir() is self._is_file or (self.path.is_dir() and not (self.path / METADATA).is_file()):
-            raise OutputError(f"{self.path}: exists and is no such recording; it is not replaced")
-
-    def _new_channel(self, topic: str, kind: str) -> _Channel:
-        try:
-            definition, _ = self._types.generate_msgdef(kind, ros_version=2)
-            type_hash = self._types.hash_rihs01(kind)
-        except TypesysError:
-            raise BagError(f"{self.path}: {topic}: type {kind} has no definition here") from None
-        if kind not in self._schemas:
-            self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", definition.encode())
-        about = {"offered_qos_profiles": "", "topic_type_hash": type_hash}
-        channel = _Channel(self._writer.register_channel(topic, "cdr", self._schemas[kind], about), type_hash)
-        self._channels[topic, kind] = channel
-        return channel
-
-    def _metadata(self) -> dict[str, Any]:
-        count = sum(channel.count for channel in self._channels.values())
-        start = {"nanoseconds_since_epoch": self._start_ns if count else 0}
-        duration = {"nanoseconds": self._end_ns - self._start_ns if count else 0}
-        topics = [
-            {
-                "topic_metadata": {
-                    "name": topic,
-                    "type": kind,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": [],
-                    "type_description_hash": channel.type_hash,
-                },
-                "message_count": channel.count,
-            }
-            for (topic, kind), channel in self._channels.items()
-        ]
-        part = {"path": self._mcap.name, "starting_time": start, "duration": duration, "message_count": count}
-        return {
-            "version": ROSBAG2_VERSION,
-            "storage_identifier": "mcap",
-            "duration": dict(duration),
-            "starting_time": dict(start),
-            "message_count": count,
-            "topics_with_message_count": topics,
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [self._mcap.name],
-            "files": [part],
-            "custom_data": None,
-            "ros_distro": "jazzy",
-        }

@@ -32,7 +32,9 @@ def declare(node: Node, settings: type[BaseModel]) -> dict[str, Any]:
     fields = dict(_flat(settings))
     unknown = [name for name in sorted(given) if name not in fields and not name.startswith(_OF_EVERY_NODE)]
     if unknown:
-        raise SettingsError(f"{node.get_name()}: no parameter {unknown[0]!r}: it has {', '.join(fields)}")
+        raise SettingsError(
+            f"{node.get_name()}: no parameter {unknown[0]!r}: it has {', '.join(fields) or 'none of its own'}"
+        )
     return {name: from_ros(_declared(node, name, field, given.get(name))) for name, field in fields.items()}
 
 

@@ -1,0 +1,193 @@
+"""`record`: a process of its own, ended as users and launchers do it, killed, and repaired."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import String
+
+from scara_effmass.bag_io.files import open_bag
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    Cli = Callable[..., subprocess.CompletedProcess[str]]
+
+PATIENCE_S = 25.0
+RECORD = (sys.executable, "-m", "scara_effmass", "record")
+
+
+def until(condition: Callable[[], Any], process: subprocess.Popen[str]) -> None:
+    began = time.monotonic()
+    while not condition():
+        assert time.monotonic() < began + PATIENCE_S, "nothing came of it"
+        assert process.poll() is None, process.communicate()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(0.01)
+
+
+def saved(bag: Path) -> int:
+    """Messages that are on the disk while the recorder runs."""
+    try:
+        with open_bag(bag) as opened:
+            return sum(1 for _ in opened.messages())
+    except Exception:  # noqa: BLE001 - not there yet
+        return 0
+
+
+@contextmanager
+def recording(bag: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
+    """Record ten notes, in a domain of this test; they are on the disk inside the `with`."""
+    domain = str(1 + os.getpid() % 101)
+    environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": domain}
+    context = Context()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        rclpy.init(context=context, domain_id=int(domain), signal_handler_options=SignalHandlerOptions.NO)
+        node = Node("notes", context=context)
+    publisher = node.create_publisher(String, "notes", QoSProfile(depth=100))
+    process = subprocess.Popen(
+        [*RECORD, "-o", str(bag), *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
+    try:
+        until(publisher.get_subscription_count, process)
+        for number in range(10):
+            publisher.publish(String(data=str(number)))
+        until(lambda: saved(bag) == 10, process)
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+        node.destroy_node()
+        context.try_shutdown()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_with_a_complete_recording_and_says_what_is_in_it(tmp_path: Path, number: signal.Signals) -> None:
+    bag = tmp_path / "bag"
+    with recording(bag, "notes", "never", "--json") as process:
+        process.send_signal(number)
+        output, errors = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, errors) == (0, "")
+    report = json.loads(output)
+    assert (report["bag"], report["messages"], report["lost"]) == (str(bag), 10, 0)
+    assert report["topics"]["/notes"] == {
+        "type": "std_msgs/msg/String",
+        "received": 10,
+        "recorded": 10,
+        "lost": {"queue": 0, "disk": 0, "middleware": 0},
+    }
+    assert report["unheard"] == ["/never"]
+    assert report["files"] == ["bag_0.mcap"]
+    with open_bag(bag) as opened:
+        assert [opened.deserialize(raw).data for raw in opened.messages()] == [str(i) for i in range(10)]
+        assert opened.losses == ()
+
+
+def test_what_it_prints(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with recording(bag, "notes", "never", "--no-compression", "--max-size", "0.0001") as process:
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, errors) == (0, "")
+    lines = output.splitlines()
+    assert lines[0] == "recorded        /notes: 10 messages"
+    assert lines[1] == "not recorded    /never: nobody published it"
+    assert lines[2].startswith("in all          10 messages, 0 lost, 0.0 MB in ")
+    assert lines[2].endswith(f" s: {bag}")
+    assert len(list(bag.glob("bag_*.mcap"))) > 1
+
+
+def test_killed_it_leaves_what_repair_completes(tmp_path: Path, here: Cli) -> None:
+    bag = tmp_path / "bag"
+    with recording(bag, "notes") as process:
+        process.kill()
+        process.wait()
+    assert not (bag / "metadata.yaml").exists()
+    done = here("record", "--repair", bag)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (
+        done.stdout == f"repaired        {bag / 'bag_0.mcap'}: 10 messages\nrepaired        {bag / 'metadata.yaml'}\n"
+    )
+    with open_bag(bag) as opened:
+        assert len(list(opened.messages())) == 10
+        assert opened.losses == ()
+    again = here("record", "--repair", bag, "--json")
+    assert again.returncode == 0
+    report = json.loads(again.stdout)
+    assert report["intact"] is True
+    assert [file["messages"] for file in report["files"]] == [10]
+
+
+REFUSALS = {
+    "nothing to do": (["record"], "one of the arguments -o/--output --repair is required"),
+    "both": (["record", "-o", "a", "--repair", "b"], "not allowed with argument"),
+    "a file": (["record", "-o", "a.mcap"], "a.mcap: a recording is a folder; a name without .mcap would be right"),
+    "negative size": (["record", "-o", "a", "--max-size", "-1"], "--max-size = -1.0: 0 (never) or more would be right"),
+    "no duration": (["record", "-o", "a", "--duration", "0"], "duration = 0.0: more than 0 would be right"),
+    "all and some": (["record", "-o", "a", "b", "--all"], "topics = 'b': --all records every topic"),
+    "a wrong name": (["record", "-o", "a", "b c"], "record: topic 'b c': "),
+    "unwritable": (["record", "-o", "/proc/none/a"], "/proc/none/a: cannot be written"),
+    "repair of nothing": (["record", "--repair", "a"], "a: there is no such file or folder"),
+    "repair of topics": (["record", "--repair", "a", "b"], "record: b: --repair takes no topics"),
+    "ROS parameters": (["record", "-o", "a", "--", "-p", "b:=1"], "recorder: no parameter 'b'"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSALS)
+def test_a_refusal_is_one_line_and_exit_code_2(name: str, cli: Cli, tmp_path: Path) -> None:
+    arguments, expected = REFUSALS[name]
+    done = cli(*arguments)
+    assert done.returncode == 2, done.stderr
+    (line,) = done.stderr.splitlines()
+    assert expected in line
+    assert done.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_is_replaced_only_by_force(cli: Cli, swing_bag: Path, tmp_path: Path) -> None:
+    bag = tmp_path / "swing"
+    bag.mkdir()
+    for path in swing_bag.iterdir():
+        (bag / path.name).write_bytes(path.read_bytes())
+    done = cli("record", "-o", bag, "--duration", "0.1")
+    assert done.returncode == 2
+    assert f"{bag}: exists already" in done.stderr
+    assert saved(bag) == 1000
+    done = cli("record", "-o", bag, "--duration", "0.1", "--force")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("in all          0 messages, 0 lost, 0.0 MB in 1 file, 0.1 s: ")
+    assert sorted(path.name for path in bag.iterdir()) == ["metadata.yaml", "swing_0.mcap"]
+
+
+def test_a_file_that_cannot_be_repaired_is_named_and_the_answer_is_no(
+    cli: Cli, swing_bag: Path, tmp_path: Path
+) -> None:
+    bag = tmp_path / "swing"
+    bag.mkdir()
+    (bag / "swing_0.mcap").write_bytes((swing_bag / "swing_0.mcap").read_bytes())
+    (bag / "swing_1.mcap").write_bytes(b"")
+    done = cli("record", "--repair", bag)
+    assert done.returncode == 1
+    assert done.stdout.splitlines()[:2] == [
+        f"intact          {bag / 'swing_0.mcap'}: 1000 messages",
+        f"not repaired    {bag / 'swing_1.mcap'}: is empty; a recording in MCAP would be right",
+    ]
