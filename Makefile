@@ -63,7 +63,7 @@ clean:  ## remove everything that was made
 	$*/bin/python -m pip install --quiet --no-deps --no-compile --use-pep517 --requirement $< && \
 	touch $@
 
-.venv/.installed: .venv/.requirements pyproject.toml package.xml $(shell find cmake msg_schemas scripts/ros_executable -type f)
+.venv/.installed: .venv/.requirements pyproject.toml package.xml $(shell find cmake msg_schemas scripts -type f)
 	@echo "building the messages and installing this tree"
 	@$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@

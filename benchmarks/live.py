@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -19,6 +18,7 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
+from usage import cpu_s, resident_mb
 
 from scara_effmass.safety import SILENCE
 
@@ -121,13 +121,13 @@ def _run(command: list[str]) -> Run:
                 raise RuntimeError(f"{command[-1]} did not come up")
         _spin(executor, WARM_UP_S)
         sender.count_from_now()
-        used, started = _cpu_s(process.pid), time.monotonic()
+        used, started = cpu_s(process.pid), time.monotonic()
         _spin(executor, RUN_S)
-        cpu = (_cpu_s(process.pid) - used) / (time.monotonic() - started)
+        cpu = (cpu_s(process.pid) - used) / (time.monotonic() - started)
         sender.stop()
         _spin(executor, SETTLE_S)
         return Run(
-            sender.sent, len(sender.latencies_ns), np.array(sender.latencies_ns) / 1e3, cpu, _resident_mb(process.pid)
+            sender.sent, len(sender.latencies_ns), np.array(sender.latencies_ns) / 1e3, cpu, resident_mb(process.pid)
         )
     finally:
         sender.destroy_node()
@@ -138,13 +138,3 @@ def _run(command: list[str]) -> Run:
 
 def _spin(executor: EventsExecutor, seconds: float) -> None:
     executor.spin_until_future_complete(Future(), timeout_sec=seconds)
-
-
-def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def _resident_mb(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -16,7 +16,7 @@ ARGUMENTS = (
     DeclareLaunchArgument(
         "params_file",
         default_value="",
-        description="YAML file of the monitor's parameters; empty: the defaults",
+        description="YAML file with the parameters of the nodes, each below its name; empty: the defaults",
     ),
     DeclareLaunchArgument(
         "robot",
@@ -24,9 +24,15 @@ ARGUMENTS = (
         description="robot file, URDF or DH YAML; empty: the parameter of params_file, else the shipped Omron i4-550L",
     ),
     DeclareLaunchArgument(
+        "source",
+        default_value="none",
+        choices=["none", "ni9230", "bag", "bench"],
+        description="where force comes from; none: no force is measured, daq_node is not started",
+    ),
+    DeclareLaunchArgument(
         "namespace",
         default_value="",
-        description="namespace of the node and of its topics",
+        description="namespace of the nodes and of their topics",
     ),
     DeclareLaunchArgument(
         "use_sim_time",
@@ -38,31 +44,34 @@ ARGUMENTS = (
         "log_level",
         default_value="info",
         choices=["debug", "info", "warn", "error", "fatal"],
-        description="least severity that the node logs",
+        description="least severity that the nodes log",
     ),
 )
 
 
-def monitor(context: LaunchContext) -> list[Node]:
-    """Return the node, with those parameters alone that were asked for: an empty argument sets nothing."""
+def nodes(context: LaunchContext) -> list[Node]:
+    """Return the nodes, with those parameters alone that were asked for: an empty argument sets nothing."""
     given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
-    parameters: list[str | dict[str, str | bool]] = [{"use_sim_time": given["use_sim_time"] == "true"}]
+    started = [_node("monitor_node", given, {"robot": given["robot"]} if given["robot"] else {})]
+    if given["source"] != "none":
+        started.append(_node("daq_node", given, {"source": given["source"]}))
+    return started
+
+
+def _node(executable: str, given: dict[str, str], own: dict[str, str]) -> Node:
+    parameters: list[str | dict[str, str] | dict[str, bool]] = [{"use_sim_time": given["use_sim_time"] == "true"}]
     if given["params_file"]:
         parameters.append(given["params_file"])
-    if given["robot"]:
-        parameters.append({"robot": given["robot"]})
-    return [
-        Node(
-            package="scara_effmass",
-            executable="monitor_node",
-            namespace=given["namespace"],
-            parameters=parameters,
-            arguments=["--ros-args", "--log-level", given["log_level"]],
-            output="screen",
-        )
-    ]
+    return Node(
+        package="scara_effmass",
+        executable=executable,
+        namespace=given["namespace"],
+        parameters=[*parameters, own],
+        arguments=["--ros-args", "--log-level", given["log_level"]],
+        output="screen",
+    )
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the arguments and the monitor."""
-    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=monitor)])
+    """Return the arguments and the nodes."""
+    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=nodes)])

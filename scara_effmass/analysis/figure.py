@@ -20,10 +20,13 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
+    from scara_effmass.analysis.forces import Forces
     from scara_effmass.values import FloatArray
 
 COLUMNS = 1500
 """Pixels across the data, about; finer than that nothing can be seen."""
+SUBTITLE_IN = 0.44
+"""How far below the upper edge it stands [inch]: in the second line of the title, which is empty."""
 FORMATS = (".png", ".svg")
 LARGEST_LINEAR_RATIO = 12.0
 """Masses further apart than this are drawn on a logarithmic axis."""
@@ -45,20 +48,26 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-def draw_run(course: Course, *, title: str, subtitle: str, mass_model: str, timeout: float) -> Figure:
+def draw_run(
+    course: Course, *, title: str, subtitle: str, mass_model: str, timeout: float, forces: Forces | None = None
+) -> Figure:
     """Return the figure of one contact point's course; the verdict used the mass of `mass_model`.
 
-    `timeout` [s] is the silence after which nothing is known.
+    `timeout` [s] is the silence after which nothing is known; `forces` are drawn below, where there are any.
     """
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(13.0, 7.5), layout="constrained")
+        heights = (0.25, 2.2, 1.6, 1.3) if forces else (0.25, 2.2, 1.6)
+        figure = Figure(figsize=(13.0, 1.9 * sum(heights)), layout="constrained")
         FigureCanvasAgg(figure)
-        band, speeds, masses = figure.subplots(3, 1, sharex=True, height_ratios=(0.25, 2.2, 1.6))
+        rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+        band, speeds, masses = rows[:3]
         course = _with_gaps(course, timeout)
         _draw_verdicts(band, course, timeout)
         _draw_speeds(speeds, course)
         _draw_masses(masses, course, mass_model)
-        masses.set_xlabel("time since the first joint state [s]")
+        if forces:
+            _draw_forces(rows[-1], forces, course.start_ns)
+        rows[-1].set_xlabel("time since the first joint state [s]")
         masses.set_xlim(0.0, max(float(course.time[-1]), 1e-3))
         for axes in (speeds, masses):
             for start, stop, verdict in verdict_spans(course, timeout):
@@ -67,7 +76,8 @@ def draw_run(course: Course, *, title: str, subtitle: str, mass_model: str, time
                         start, stop, facecolor="none", edgecolor="#BBBBBB", hatch="////", linewidth=0.0, zorder=0
                     )
         figure.suptitle(f"{title}\n", fontsize=13.0, fontweight="bold", x=0.01, ha="left")
-        figure.text(0.01, 0.94, subtitle, fontsize=9.5, color="#444444", va="center")
+        below_title = 1.0 - SUBTITLE_IN / figure.get_figheight()
+        figure.text(0.01, below_title, subtitle, fontsize=9.5, color="#444444", va="center")
         figure.align_ylabels()
     return figure
 
@@ -97,6 +107,7 @@ def _with_gaps(course: Course, timeout: float) -> Course:
         course.iso_mass,
     )
     return Course(
+        course.start_ns,
         np.insert(course.time, gaps, course.time[gaps - 1] + timeout),
         np.insert(course.verdict, gaps, Verdict.UNKNOWN),
         *(np.insert(column, gaps, nothing) for column in columns),
@@ -166,6 +177,20 @@ def _draw_masses(axes: Axes, course: Course, mass_model: str) -> None:
     else:
         axes.set_ylim(bottom=0.0)
     axes.set_ylabel("effective mass [kg]")
+    _legend(axes)
+
+
+def _draw_forces(axes: Axes, forces: Forces, start_ns: int) -> None:
+    time = (forces.stamp_ns - start_ns) / 1e9
+    what = "simulated force" if forces.simulated else "measured force"
+    axes.plot(*thinned(time, forces.force, COLUMNS), color="#000000", linewidth=1.0, label=what)
+    for sound, marker, label in ((True, "v", "impact"), (False, "x", "impact, clipped or incomplete")):
+        found = [impact for impact in forces.impacts if sound is not (impact.clipped or impact.incomplete)]
+        if found:
+            onsets = [(impact.stamp_ns - start_ns) / 1e9 for impact in found]
+            peaks = [impact.peak_force for impact in found]
+            axes.plot(onsets, peaks, linestyle="none", marker=marker, color="#D55E00", label=label)
+    axes.set_ylabel("force [N]")
     _legend(axes)
 
 

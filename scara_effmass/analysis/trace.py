@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What was decided, over time (m,) since the first cycle [s]; NaN where nothing is known [m/s, kg]."""
+    """What was decided, over time (m,) since `start_ns` [s]; NaN where nothing is known [m/s, kg]."""
 
+    start_ns: int
     time: FloatArray
     verdict: NDArray[np.int64]
     speed: FloatArray
@@ -62,7 +63,8 @@ class Trace:
         order = np.argsort(at_ns, kind="stable")
         at_ns = at_ns[order]
         columns = np.array(self._values).reshape(-1, 6)[order].T
-        return Course((at_ns - at_ns[:1]) / 1e9, np.array(self._verdicts)[order], *columns)
+        start_ns = int(at_ns[0]) if len(at_ns) else 0
+        return Course(start_ns, (at_ns - start_ns) / 1e9, np.array(self._verdicts)[order], *columns)
 
 
 def thinned(time: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:

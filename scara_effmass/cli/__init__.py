@@ -20,8 +20,11 @@ if TYPE_CHECKING:
 COMMANDS = {
     "demo": "replay a recording through the live monitor, watch it, summarise it, plot it",
     "monitor": "run the live monitor node",
+    "daq": "run the force node: an NI-9230, a recording, or simulated force",
     "replay": "play a bag into the live nodes, with /clock",
+    "record": "record live topics into a bag that survives a crash; complete one that was killed",
     "assess": "assess every joint state of bags, offline, into a table or a bag",
+    "figures": "draw the paper's figures anew, and compare its numbers",
     "limits": "print the body-region table, and the speeds it allows",
     "doctor": "tell what is installed and whether a robot model is sound",
 }

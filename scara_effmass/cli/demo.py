@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from scara_effmass.cli.live import Display
 from scara_effmass.cli.options import (
@@ -27,20 +30,23 @@ from scara_effmass.share import share
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterable, Iterator, Mapping
 
     from rich.console import Console
 
+    from scara_effmass.analysis.forces import Forces
     from scara_effmass.analysis.summary import Summary
     from scara_effmass.analysis.trace import Trace
     from scara_effmass.bag_io.bag import Bag
+    from scara_effmass.cli.processes import Started
     from scara_effmass.model.arm import Arm
     from scara_effmass.nodes.watch import Watch
     from scara_effmass.settings import MonitorSettings
     from scara_effmass.values import ContactAssessment
 
 EXAMPLES = """\
-Starts the monitor node and the replay as processes of their own, in a ROS domain of their own on this machine,
-and watches what the monitor publishes.
+Starts the nodes, the recorder and the replay as processes of their own, in a ROS domain of their own on this machine,
+and watches what the monitor publishes. Where the recording holds force, the force node plays it and looks for impacts.
 
 examples:
   scara-effmass demo
@@ -51,15 +57,22 @@ examples:
 START_WITHIN_S = 20.0
 STRAGGLERS_S = 2.0
 """How long after the end of the replay the last answers may take."""
+FORCE_ENDS_WITHIN_S = 3.0
 SUMMARY = "summary.json"
 FIGURE = "run"
+BAG = "recording"
+
+
+SIMULATED_TIME = ["--ros-args", "-p", "use_sim_time:=true"]
 
 
 class Recording(NamedTuple):
-    """What is replayed: its topic of joint states, the time that is replayed, and what it says of its making."""
+    """What is replayed: its topics, the time that is replayed, and what it says of its making."""
 
     path: Path
     topic: str
+    force_topic: str
+    """empty where it holds no force"""
     span_s: float
     made: str
 
@@ -78,7 +91,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="how much to replay [s]")
     parser.add_argument(
-        "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="where figures and summary go"
+        "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="where recording, figures and summary go"
     )
     add_force(parser)
     add_json(parser)
@@ -89,9 +102,11 @@ def run(args: argparse.Namespace) -> int:
     """Run it live, then summarise and draw."""
     from scara_effmass.analysis.figure import FORMATS  # noqa: PLC0415 - not needed for --help
     from scara_effmass.analysis.output import require_free  # noqa: PLC0415
+    from scara_effmass.bag_io.rosbag2 import refuse_existing  # noqa: PLC0415
 
     for name in (SUMMARY, *(f"{FIGURE}{suffix}" for suffix in FORMATS)):
         require_free(args.out / name, overwrite=args.force)
+    refuse_existing(args.out / BAG, overwrite=args.force)
     settings, arm, choice = _settled(args)
     recording = _recording(args)
     console = printer()
@@ -121,6 +136,7 @@ class Live:
         self.traces: dict[str, Trace] = {name: Trace() for name in arm.contact_points}
         self.sent = self.cycles = self.silences = self.foreign = 0
         self.replayed: dict[str, Any] = {}
+        self.recorded: dict[str, Any] = {}
         self._first_ns: int | None = None
 
     @property
@@ -129,31 +145,15 @@ class Live:
         return self.sent - self.foreign - self.cycles
 
     def run(self, args: argparse.Namespace, settings: MonitorSettings, recording: Recording, console: Console) -> None:
-        """Start the monitor and the replay, and receive until the end. Raises EffmassError when either fails."""
+        """Start everything, and receive until the end. Raises EffmassError when a part of it fails."""
         keep_to_this_machine()
         from scara_effmass.nodes.watch import Watch  # noqa: PLC0415 - reads the domain when it is made
 
-        points = tuple(self.traces)
-        monitor_words = [
-            "monitor",
-            "--robot",
-            str(robot_path(settings)),
-            "--model",
-            settings.effective_mass_model.value,
-        ]
-        if args.params:
-            monitor_words += ["--params", str(args.params)]
-        replay_words = [
-            "replay",
-            str(recording.path),
-            "--topic",
-            recording.topic,
-            "--topics",
-            recording.topic,
-            "--json",
-        ]
-        replay_words += ["--rate", str(args.rate), "--duration", str(args.duration)]
-        with started([*monitor_words, "--ros-args", "-p", "use_sim_time:=true"]) as monitor:
+        with ExitStack() as running:
+            monitor = running.enter_context(started(_monitor_words(args, settings)))
+            force = running.enter_context(started(_force_words(recording))) if recording.force_topic else None
+            recorder = running.enter_context(started(_record_words(args)))
+            nodes = [node for node in (monitor, force, recorder) if node]
             display = Display(console, recording.span_s)
 
             def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
@@ -161,19 +161,25 @@ class Live:
                 if not args.json:
                     display.show(contacts, (at_ns - (self._first_ns or at_ns)) / 1e9, watch.speed_scaling)
 
-            with Watch(points, on_cycle) as watch:
-                if not watch.spin(START_WITHIN_S, lambda: watch.connected or monitor.ended):
+            def broken() -> bool:
+                return any(node.ended for node in nodes)
+
+            with Watch(tuple(self.traces), on_cycle) as watch:
+                if not watch.spin(START_WITHIN_S, lambda: watch.connected or broken()):
                     raise EffmassError(f"the monitor has not come up within {START_WITHIN_S:g} s")
-                if monitor.ended:
-                    monitor.fail()
-                with started(replay_words) as replay, display:
-                    watch.spin(math.inf, lambda: replay.ended or monitor.ended)
-                    if monitor.ended:
-                        monitor.fail()
+                _require_running(nodes)
+                with started(_replay_words(args, recording)) as replay, display:
+                    nodes.remove(force) if force else None
+                    watch.spin(math.inf, lambda: replay.ended or broken())
+                    _require_running(nodes)
                     self.replayed = json.loads(replay.output())
                     self.sent = sum(self.replayed["sent"].values())
                     self._look_back(recording, args.duration)
                     self._await_stragglers(watch)
+                    if force:
+                        watch.spin(FORCE_ENDS_WITHIN_S, lambda: force.ended)
+                        force.finish()
+                    self.recorded = json.loads(recorder.finish())
 
     def _look_back(self, recording: Recording, duration_s: float) -> None:
         """Find in the recording what no message tells: joint states of other devices, and the tightest one's pose."""
@@ -202,6 +208,37 @@ class Live:
             self.traces[contact.contact_point].add(contact, at_ns)
 
 
+def _require_running(nodes: Iterable[Started]) -> None:
+    """Raise EffmassError with the line of a node that has ended."""
+    for node in nodes:
+        if node.ended:
+            node.fail()
+
+
+def _monitor_words(args: argparse.Namespace, settings: MonitorSettings) -> list[str]:
+    words = ["monitor", "--robot", str(robot_path(settings)), "--model", settings.effective_mass_model.value]
+    if args.params:
+        words += ["--params", str(args.params)]
+    return words + SIMULATED_TIME
+
+
+def _force_words(recording: Recording) -> list[str]:
+    """Play the force on the clock of the replay, and end when it ends."""
+    words = ["daq", "--source", "bag", "--path", str(recording.path), "--topic", recording.force_topic]
+    return [*words, *SIMULATED_TIME, "-p", "stop_at_end:=true"]
+
+
+def _record_words(args: argparse.Namespace) -> list[str]:
+    return ["record", "-o", str(args.out / BAG), "--json", *(["--force"] if args.force else []), *SIMULATED_TIME]
+
+
+def _replay_words(args: argparse.Namespace, recording: Recording) -> list[str]:
+    """Replay the joint states, once monitor and recorder listen."""
+    words = ["replay", str(recording.path), "--topic", recording.topic, "--topics", recording.topic]
+    words += ["--rate", str(args.rate), "--duration", str(args.duration)]
+    return [*words, "--subscribers", "2", "--json"]
+
+
 def _settled(args: argparse.Namespace) -> tuple[MonitorSettings, Arm, str]:
     """Return settings, robot, and a line about a mass model that had to be chosen."""
     settings = settings_from(args)
@@ -218,11 +255,13 @@ def _settled(args: argparse.Namespace) -> tuple[MonitorSettings, Arm, str]:
 
 def _recording(args: argparse.Namespace) -> Recording:
     from scara_effmass.analysis.assessment import joint_state_topic  # noqa: PLC0415
+    from scara_effmass.bag_io.definitions import FORCE_BLOCK  # noqa: PLC0415
     from scara_effmass.bag_io.files import open_bag  # noqa: PLC0415
 
     with open_bag(args.bag or share("bags", "tour")) as bag:
         topic = joint_state_topic(bag, args.topic)
-        return Recording(bag.path, topic, min(bag.duration_ns / 1e9, args.duration), _making(bag))
+        force_topic = next((each.name for each in bag.topics if each.type == FORCE_BLOCK), "")
+        return Recording(bag.path, topic, force_topic, min(bag.duration_ns / 1e9, args.duration), _making(bag))
 
 
 def _making(bag: Bag) -> str:
@@ -254,6 +293,45 @@ def _introduction(
     return lines + [("robot file", note) for note in arm.robot.notes]
 
 
+def _recorded_forces(path: Path) -> Forces | None:
+    from scara_effmass.analysis.forces import forces_of  # noqa: PLC0415
+    from scara_effmass.bag_io.files import open_bag  # noqa: PLC0415
+
+    with open_bag(path) as bag:
+        return forces_of(bag)
+
+
+def _about(forces: Forces | None) -> dict[str, Any] | None:
+    if forces is None:
+        return None
+    return {
+        "source": forces.source,
+        "simulated": forces.simulated,
+        "blocks": forces.blocks,
+        "lost_samples": forces.lost,
+        "impacts": [impact._asdict() for impact in forces.impacts],
+    }
+
+
+def _force_lines(forces: Forces | None) -> Iterator[tuple[str, str]]:
+    if forces is None:
+        return
+    what = "simulated, nothing was measured" if forces.simulated else "as recorded"
+    samples = int(np.isfinite(forces.force).sum())
+    yield "force", f"{forces.blocks} blocks, {samples} samples, {forces.lost} lost; {what}: {forces.source}"
+    for impact in forces.impacts:
+        marks = [f"rebound {impact.rebound}"] * bool(impact.rebound)
+        marks += ["clipped"] * impact.clipped + ["incomplete"] * impact.incomplete
+        text = f"{impact.peak_force:.1f} N, {1e3 * impact.duration:.2f} ms, {impact.impulse:.4f} N s"
+        yield "  impact", f"at stamp {impact.stamp_ns / 1e9:.5f} s: {', '.join((text, *marks))}"
+
+
+def _recording_lines(recorded: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    yield "recorded", f"{recorded['messages']} messages, {recorded['lost']} lost: {recorded['bag']}"
+    for name, topic in recorded["topics"].items():
+        yield "", f"{name}: {topic['recorded']}"
+
+
 def _finish(
     args: argparse.Namespace,
     live: Live,
@@ -263,6 +341,7 @@ def _finish(
     console: Console,
 ) -> None:
     """Draw, write, print."""
+    forces = _recorded_forces(args.out / BAG)
     from scara_effmass.analysis.figure import draw_run, save  # noqa: PLC0415
     from scara_effmass.analysis.output import completed  # noqa: PLC0415
 
@@ -277,6 +356,7 @@ def _finish(
         " · allowable speed includes the uncertainty margins",
         mass_model=model,
         timeout=settings.timeout,
+        forces=forces,
     )
     paths = save(figure, args.out, FIGURE, overwrite=args.force)
     result = {
@@ -294,6 +374,8 @@ def _finish(
         "late": live.replayed["late"],
         "worst_lateness_s": live.replayed["worst_lateness_s"],
         "warnings": live.replayed["warnings"],
+        "force": _about(forces),
+        "recording": live.recorded,
         "figures": [str(path) for path in paths],
     }
     with completed(args.out / SUMMARY, overwrite=args.force) as unfinished:
@@ -304,6 +386,8 @@ def _finish(
     ignored = f", {live.foreign} of other devices" if live.foreign else ""
     console.print(f"{'cycles':<16}{live.sent} joint states sent{ignored}, {live.cycles} answered, {live.lost} lost")
     for subject, text in summary_lines(live.summary):
+        console.print(f"{subject:<16}{text}")
+    for subject, text in (*_force_lines(forces), *_recording_lines(live.recorded)):
         console.print(f"{subject:<16}{text}")
     if live.replayed["late"]:
         worst = f"at worst {live.replayed['worst_lateness_s']:.3f} s: this machine was too busy, not the recording"

@@ -16,14 +16,16 @@ from rich.table import Table
 
 from scara_effmass import __version__
 from scara_effmass.cli.options import add_json, add_params, add_robot, arm_from, printer, robot_path, settings_from
-from scara_effmass.errors import LimitError, RobotError
+from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
-from scara_effmass.settings import MassModel
+from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, load_settings
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
+    from scara_effmass.daq.ni_driver import Device
     from scara_effmass.model.arm import Arm
     from scara_effmass.settings import MonitorSettings
 
@@ -60,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     path = robot_path(settings)
     if not path.is_file():
         raise RobotError(f"{path}: there is no such file; a URDF or DH YAML file would be right")
-    findings = [*_installation(), *_environment(), *_limits(settings)]
+    findings = [*_installation(), *_environment(), *_converter(args.params), *_limits(settings)]
     joints: list[dict[str, Any]] = []
     try:
         arm = arm_from(settings)
@@ -130,6 +132,36 @@ def _environment() -> Iterator[Finding]:
         "ROS_AUTOMATIC_DISCOVERY_RANGE",
         f"{reach}{'; nodes of the whole network are found: LOCALHOST keeps to this machine' if wide else ''}",
     )
+
+
+def _converter(params: Path | None) -> Iterator[Finding]:
+    """What `daq_node` would find of its converter; a monitor needs none, so nothing here is wrong."""
+    settings = DaqSettings()
+    if params is not None:
+        try:
+            settings = load_settings(DaqSettings, params, "daq")
+        except SettingsError as error:
+            yield Finding("note", "daq_node", f"{error}; what follows is about its defaults")
+    try:
+        driver = import_module("scara_effmass.daq.ni_driver")
+        yield Finding("ok", "NI-DAQmx", driver.driver_version())
+        devices: tuple[Device, ...] = driver.devices()
+    except DaqError as error:
+        yield Finding("note", "NI-DAQmx", str(error))
+        return
+    for device in devices:
+        simulated = ", simulated by its driver" * device.simulated
+        channels = f"; for an IEPE force sensor: {', '.join(device.channels)}" if device.channels else ""
+        text = device.trouble or f"{device.product}{simulated}{channels}"
+        yield Finding("note" if device.trouble or device.simulated else "ok", device.name, text)
+    if settings.source is ForceSourceKind.NI9230:
+        there = [channel for device in devices for channel in device.channels]
+        missing = [name for name in settings.ni9230.channels if name.lower() not in {each.lower() for each in there}]
+        yield (
+            Finding("note", "ni9230.channels", f"{', '.join(missing)} not found; here: {', '.join(there) or 'none'}")
+            if missing
+            else Finding("ok", "ni9230.channels", f"{', '.join(settings.ni9230.channels)}: there")
+        )
 
 
 def _limits(settings: MonitorSettings) -> Iterator[Finding]:

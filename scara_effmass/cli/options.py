@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from scara_effmass.share import share
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Mapping, Sequence
 
     from scara_effmass.model.arm import Arm
 
@@ -20,9 +22,9 @@ PIPE_WIDTH = 160
 """Columns where no terminal sets them: enough for every table, so that none is cut in a file."""
 
 
-def add_params(parser: argparse.ArgumentParser) -> None:
+def add_params(parser: argparse.ArgumentParser, node: str = "monitor_node") -> None:
     """Add --params, the file that the other options override."""
-    parser.add_argument("--params", type=Path, metavar="FILE", help="YAML file of the monitor's parameters")
+    parser.add_argument("--params", type=Path, metavar="FILE", help=f"YAML file of the parameters of {node}")
 
 
 def add_robot(parser: argparse.ArgumentParser) -> None:
@@ -71,6 +73,18 @@ def settings_from(args: argparse.Namespace, **more: Any) -> MonitorSettings:  # 
     given = {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | more
     changes = {name: value for name, value in given.items() if value is not None}
     return checked(MonitorSettings, {**settings.model_dump(), **changes}, "options")
+
+
+def node_arguments(params: Path | None, given: Mapping[str, Any], ros_arguments: Sequence[str]) -> list[str]:
+    """Return everything as ROS arguments: the file first, then `given`, then the user's own; the last one wins."""
+    words = ["--ros-args"]
+    if params:
+        words += ["--params-file", str(params)]
+    for name, value in given.items():
+        if value not in {None, ""}:
+            # In quotes, because ROS reads the value as YAML and would take some file names for numbers.
+            words += ["-p", f"{name}:={json.dumps(value)}"]
+    return [*words, "--", *ros_arguments]
 
 
 def robot_path(settings: MonitorSettings) -> Path:

@@ -15,7 +15,7 @@ from scara_effmass.errors import EffmassError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-END_WITHIN_S = 5.0
+END_WITHIN_S = 10.0
 
 
 class Started:
@@ -46,6 +46,11 @@ class Started:
         self._output.seek(0)
         return self._output.read().decode()
 
+    def finish(self) -> str:
+        """Tell it to stop, as Ctrl-C would, and return what it printed. Raises EffmassError when it failed."""
+        self._interrupt()
+        return self.output()
+
     def fail(self) -> None:
         """Raise EffmassError for a command that ended when it should not."""
         self._errors.seek(0)
@@ -54,16 +59,21 @@ class Started:
         raise EffmassError(f"{self._name} has ended: {reason}")
 
     def end(self) -> None:
-        """End it as Ctrl-C would, and by force if it does not listen."""
-        if not self.ended:
-            self._process.send_signal(signal.SIGINT)
-            try:
-                self._process.wait(END_WITHIN_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+        """End it as Ctrl-C would, and forget what it printed."""
+        self._interrupt()
         self._output.close()
         self._errors.close()
+
+    def _interrupt(self) -> None:
+        """Interrupt it, and end it by force if it does not listen."""
+        if self.ended:
+            return
+        self._process.send_signal(signal.SIGINT)
+        try:
+            self._process.wait(END_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
 
 @contextmanager

@@ -47,6 +47,13 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--topics", nargs="+", default=(), metavar="TOPIC", help="topics to replay (default: all that can be)"
     )
+    parser.add_argument(
+        "--subscribers",
+        type=int,
+        default=1,
+        metavar="N",
+        help="begin when so many listen to the joint states (default: 1)",
+    )
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -63,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
         passes=0 if args.loop else 1,
         topics=tuple(args.topics),
         joint_states=args.topic or "",
+        subscribers=args.subscribers,
     )
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:.1f} s"))
     with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as progress:

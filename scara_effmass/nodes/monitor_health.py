@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
+from scara_effmass.nodes.diagnostics import status
 from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ _LEVELS = {
 }
 
 
-class Health:
+class MonitorHealth:
     """Counts what the node receives, and what the middleware says was lost, and how long an answer takes."""
 
     def __init__(self, node: str) -> None:
@@ -60,8 +61,8 @@ class Health:
             statuses.append(self._model(monitor))
         if decision is not None:
             statuses += [self._contact(contact) for contact in decision.contacts]
-        for status in statuses:
-            status.hardware_id = hardware
+        for each in statuses:
+            each.hardware_id = hardware
         return statuses
 
     def _input(self, monitor: Monitor | None, publishers: int) -> DiagnosticStatus:
@@ -76,7 +77,7 @@ class Health:
             level, message = DiagnosticStatus.WARN, f"{self.lost} joint states lost"
         elif self._unmatched:
             level, message = DiagnosticStatus.WARN, "; ".join(sorted(self._unmatched))
-        return _status(
+        return status(
             f"{self._node}: input",
             level,
             message,
@@ -98,7 +99,7 @@ class Health:
         robot = arm.robot
         missing = tuple(self.missing_models(arm))
         cause = monitor.first_cause
-        return _status(
+        return status(
             f"{self._node}: model",
             DiagnosticStatus.WARN if missing else DiagnosticStatus.OK,
             f"no {missing[0]}" if missing else "lumped and full model",
@@ -120,7 +121,7 @@ class Health:
         )
 
     def _contact(self, contact: ContactAssessment) -> DiagnosticStatus:
-        return _status(
+        return status(
             f"{self._node}: contact {contact.contact_point}",
             _LEVELS[contact.verdict],
             contact.reason or contact.verdict.name,
@@ -138,8 +139,3 @@ class Health:
                 "input age [s]": f"{contact.input_age:.6f}",
             },
         )
-
-
-def _status(name: str, level: bytes, message: str, values: dict[str, object]) -> DiagnosticStatus:
-    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-    return DiagnosticStatus(name=name, level=level, message=message, values=pairs)

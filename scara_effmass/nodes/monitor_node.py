@@ -28,7 +28,7 @@ from scara_effmass.iso15066 import limits_for
 from scara_effmass.model.arm import Arm
 from scara_effmass.model.load import load_robot, robot_from_urdf
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.health import Health
+from scara_effmass.nodes.monitor_health import MonitorHealth
 from scara_effmass.nodes.running import SuiteNode, incompatible, run
 from scara_effmass.safety import Monitor, without_robot
 from scara_effmass.settings import READ_ONLY, MonitorSettings, checked
@@ -86,7 +86,7 @@ class MonitorNode(SuiteNode):
         """Load the robot and create the endpoints. Raises EffmassError."""
         self._kept.callback(self._forget)
         self._decoder = JointStateDecoder()
-        self._health = Health(self.get_name())
+        self._health = MonitorHealth(self.get_name())
         self._decision: Decision | None = None
         self._shown: list[Verdict] = []
         self._reported_ns = 0

@@ -1,8 +1,8 @@
 """A recording into the live nodes: its messages on their topics, and its time as `/clock`.
 
-The clock is set before each message and at least every 10 ms of the recording's time. The two travel on different
-topics, so a message may overtake its clock; then it seems at most those 10 ms newer than the clock, which the
-monitor's `future_tolerance` covers.
+The clock stands at the start until there are listeners. Then it is set before each message and at least every 10 ms
+of the recording's time. The two travel on different topics, so a message may overtake its clock; then it seems at most
+those 10 ms newer than the clock, which the monitor's `future_tolerance` covers.
 """
 
 from __future__ import annotations
@@ -54,8 +54,10 @@ class ReplayOptions:
     """Topics to replay; empty: all but the clock and what the live nodes publish themselves."""
     joint_states: str = ""
     """The topic that is published as /joint_states; empty: each keeps its name."""
+    subscribers: int = 1
+    """How many have to listen to the joint states, or to some topic where there are none, before it begins."""
     subscriber_timeout_s: float = 10.0
-    """How long to wait for somebody to listen before it begins."""
+    """How long to wait for them."""
     answer_timeout_s: float = 1.0
     """How long an answer may take at rate 0."""
 
@@ -65,6 +67,7 @@ class ReplayOptions:
             ("start_s", self.start_s, 0.0 <= self.start_s < math.inf, "0 or more"),
             ("duration_s", self.duration_s, self.duration_s > 0.0, "more than 0"),
             ("passes", self.passes, self.passes >= 0, "0 (until stopped) or more"),
+            ("subscribers", self.subscribers, self.subscribers >= 1, "1 or more"),
             (
                 "subscriber_timeout_s",
                 self.subscriber_timeout_s,
@@ -224,19 +227,30 @@ class _Player:
         )
 
     def _wait_for_listeners(self) -> None:
-        """Return when /joint_states, or where it is not replayed any topic, has a subscriber. Raises EffmassError."""
+        """Return when /joint_states, or any topic where it is not replayed, has its subscribers.
+
+        Raises EffmassError.
+        """
         seconds = self._options.subscriber_timeout_s
         deadline_ns = time.monotonic_ns() + round(seconds * _NS)
         wanted = [self._joint_states] if self._joint_states else list(self._outlets.values())
         answers = self._answers
+        least = self._options.subscribers
+
+        def heard() -> bool:
+            return any(outlet.subscribers >= least for outlet in wanted)
 
         def listening() -> bool:
-            return any(outlet.subscribers for outlet in wanted) and (answers is None or answers.publishers > 0)
+            return heard() and (answers is None or answers.publishers > 0)
 
-        self._stage.spin_until(deadline_ns, listening)
-        if not any(outlet.subscribers for outlet in wanted):
+        # Meanwhile the clock stands at the start: some nodes do nothing before they have a time.
+        while not listening() and time.monotonic_ns() < deadline_ns:
+            self._set_clock(self._start_ns)
+            self._stage.spin_until(min(deadline_ns, time.monotonic_ns() + _PROGRESS_NS), listening)
+        if not heard():
             names = ", ".join(outlet.name for outlet in wanted)
-            raise EffmassError(f"{names}: nobody has subscribed within {seconds:g} s; start a node first")
+            few = f"only {max(outlet.subscribers for outlet in wanted)} of {least}" if least > 1 else "nobody"
+            raise EffmassError(f"{names}: {few} has subscribed within {seconds:g} s; start a node first")
         if answers and not answers.publishers:
             raise EffmassError(
                 f"{answers.topic}: nobody publishes it within {seconds:g} s; rate 0 needs a monitor that answers"
@@ -256,11 +270,14 @@ class _Player:
             self._now_ns = time_ns
             if time_ns != clock_ns:
                 clock_ns = time_ns
-                sec, nanosec = divmod(time_ns, _NS)
-                self._clock.send(Clock(clock=Time(sec=sec, nanosec=nanosec)))
+                self._set_clock(time_ns)
             if message is not None:
                 self._send(message)
             self._show()
+
+    def _set_clock(self, time_ns: int) -> None:
+        sec, nanosec = divmod(time_ns, _NS)
+        self._clock.send(Clock(clock=Time(sec=sec, nanosec=nanosec)))
 
     def _send(self, message: RawMessage) -> None:
         outlet = self._outlets[message.topic]

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rclpy.event_handler import PublisherEventCallbacks
@@ -13,6 +9,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rosgraph_msgs.msg import Clock
 
 from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.nodes.message_types import message_class
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -24,13 +21,16 @@ if TYPE_CHECKING:
 
 CLOCK = "/clock"
 JOINT_STATES = "/joint_states"
-COMPUTED = ("contact_state", "allowable_speed", "speed_scaling", "impact_validation", "diagnostics")
-"""What the live nodes publish themselves: not replayed unless asked for by name."""
+COMPUTED = (
+    *("contact_state", "allowable_speed", "speed_scaling"),
+    *("force", "impact", "wrench"),
+    *("impact_validation", "diagnostics"),
+)
+"""What the live nodes publish themselves: not replayed unless asked for by name. Force is played by daq_node."""
 LATCHED = ("robot_description", "tf_static", "recording_info")
 """What is published once and kept for those who come later."""
 
 DEPTH = 1000
-_TYPE = re.compile(r"(?P<package>[a-z][a-z0-9_]*)/msg/(?P<name>[A-Z][A-Za-z0-9]*)")
 
 
 class Outlet:
@@ -94,11 +94,11 @@ def outlets_of(
         reason = "" if as_joint_states else _not_wanted(topic.name, topics, joint_states)
         if not reason and names.count(topic.name) > 1:
             reason = "it holds messages of more than one type"
-        message_class = None if reason else _installed(topic.type)
-        if not reason and message_class is None:
+        installed = None if reason else message_class(topic.type)
+        if not reason and installed is None:
             reason = f"its type {topic.type or '(none)'} is not installed"
-        if message_class is not None:
-            outlet = Outlet(node, JOINT_STATES if as_joint_states else topic.name, message_class)
+        if installed is not None:
+            outlet = Outlet(node, JOINT_STATES if as_joint_states else topic.name, installed)
             reason = _other_definition(bag, node, outlet, topic.type)
             if reason:
                 node.destroy_publisher(outlet.publisher)
@@ -132,20 +132,6 @@ def _not_wanted(name: str, topics: Collection[str], joint_states: str) -> str:
     if name.rsplit("/", 1)[-1] in COMPUTED:
         return "the live nodes publish it themselves"
     return ""
-
-
-def _installed(kind: str) -> type | None:
-    """Return the message class of type `kind`, None where it is not installed."""
-    match = _TYPE.fullmatch(kind)
-    if match is None:
-        return None
-    package = find_spec(match["package"])
-    folders = (package.submodule_search_locations or ()) if package else ()
-    # A recording must not make any module run that is no message package.
-    if not any((Path(folder) / "msg").is_dir() for folder in folders):
-        return None
-    found: type | None = getattr(import_module(f"{match['package']}.msg"), match["name"], None)
-    return found
 
 
 def _other_definition(bag: Bag, node: Node, outlet: Outlet, kind: str) -> str:

@@ -206,12 +206,19 @@ def run(make: Callable[[], SuiteNode], args: Sequence[str] | None) -> int:
             raise
         # Told to stop while starting: whatever was being made missed its context.
     finally:
-        if executor is not None:
-            executor.shutdown()
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
+        _end(node, executor)
     return 0
+
+
+def _end(node: SuiteNode | None, executor: Executor | None) -> None:
+    """Destroy what `run` made, as far as it came."""
+    if node is not None:
+        node.stop()  # no thread of it may wake an executor that has gone
+    if executor is not None:
+        executor.shutdown()
+    if node is not None:
+        node.destroy_node()
+    rclpy.try_shutdown()
 
 
 def _init(args: Sequence[str] | None) -> None:

@@ -9,9 +9,10 @@ import pytest
 from matplotlib.image import imread
 
 from scara_effmass.analysis.figure import draw_run, save
+from scara_effmass.analysis.forces import Forces
 from scara_effmass.analysis.trace import Course
 from scara_effmass.errors import OutputError
-from scara_effmass.values import Verdict
+from scara_effmass.values import Impact, Verdict
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,7 +31,7 @@ def run(seconds: float = 10.0, *, largest: float = 3.0, full: bool = True, gap: 
     course = (t, verdict, speed, allowable, mass, mass, 0.9 * mass if full else mass * np.nan, np.full(len(t), 2.77))
     keep = (t < 4.0) | (t > 6.0) if gap else t >= 0.0
     time, decided, *values = (column[keep] for column in course)
-    return Course(time, decided.astype(np.int64), *values)
+    return Course(0, time, decided.astype(np.int64), *values)
 
 
 def drawn(course: Course, model: str = "lumped") -> Figure:
@@ -79,7 +80,7 @@ def test_a_model_that_does_not_exist_is_not_in_the_legend() -> None:
 
 def test_a_single_cycle_and_nothing_known_can_be_drawn(tmp_path: Path) -> None:
     nothing = np.array([np.nan])
-    course = Course(np.array([0.0]), np.array([Verdict.UNKNOWN]), *(nothing for _ in range(6)))
+    course = Course(0, np.array([0.0]), np.array([Verdict.UNKNOWN]), *(nothing for _ in range(6)))
     save(drawn(course), tmp_path, "run", overwrite=False)
 
 
@@ -96,3 +97,16 @@ def test_both_files_are_written_and_neither_replaced(tmp_path: Path) -> None:
         save(drawn(run(2.0)), tmp_path / "out", "run", overwrite=False)
     assert paths[0].read_bytes() == before
     assert list((tmp_path / "out").iterdir()) == [paths[0]]
+
+
+def test_force_and_its_impacts_are_drawn_below() -> None:
+    stamp_ns = (np.arange(100) * 1e8).astype(np.int64)
+    impact = Impact(5_000_000_000, "cell", 90.0, 2e-3, 0.1, 640.0, *(False, False, 0, 0.0, 0.1, 0.0, "test", False))
+    cut = impact._replace(stamp_ns=7_000_000_000, peak_force=40.0, clipped=True)
+    forces = Forces(stamp_ns, np.linspace(0.0, 90.0, 100), 1, 0, simulated=True, source="test", impacts=(impact, cut))
+    figure = draw_run(run(), title="", subtitle="", mass_model="lumped", timeout=0.2, forces=forces)
+    assert len(figure.axes) == 4
+    panel = lines(figure, 3)
+    assert panel["simulated force"][-1] == 90.0
+    assert panel["impact"] == 90.0
+    assert panel["impact, clipped or incomplete"] == 40.0

@@ -20,7 +20,7 @@ known = blank("tool", "", 1, 0.0)._replace(
 
 def course(times: list[float], verdicts: list[Verdict]) -> Course:
     nothing = np.full(len(times), np.nan)
-    return Course(np.array(times), np.array(verdicts, np.int64), *(nothing for _ in range(6)))
+    return Course(0, np.array(times), np.array(verdicts, np.int64), *(nothing for _ in range(6)))
 
 
 def test_a_trace_keeps_what_was_decided_in_order_of_time() -> None:

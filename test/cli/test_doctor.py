@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 import re
 import sys
+from ctypes.util import find_library
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from scara_effmass.cli import main
+from scara_effmass.daq import ni_driver
+from scara_effmass.daq.ni9230 import Ni9230
+from scara_effmass.errors import DriverMissingError
+from scara_effmass.settings import DaqSettings
 from scara_effmass.share import share
 
 if TYPE_CHECKING:
@@ -121,3 +126,81 @@ def test_missing_type_support_is_a_finding(monkeypatch: pytest.MonkeyPatch, caps
     code, result = examined(capsys)
     assert code == 1
     assert "install scara_effmass again" in texts(result, "wrong")["scara_effmass_msgs"]
+
+
+MODULE = ni_driver.Device("cDAQ1Mod1", "NI 9230", False, ("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1"), "")  # noqa: FBT003
+DEVICES = (ni_driver.Device("cDAQ1", "cDAQ-9171", False, (), ""), MODULE)  # noqa: FBT003
+
+
+@pytest.fixture
+def driver(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """A driver that knows `DEVICES`."""
+    monkeypatch.setattr(ni_driver, "driver_version", lambda: "24.5.1")
+    monkeypatch.setattr(ni_driver, "devices", lambda: DEVICES)
+    return monkeypatch
+
+
+@pytest.mark.skipif(find_library("nidaqmx") is not None, reason="NI-DAQmx is installed here")
+def test_no_driver_is_worth_a_note_in_the_words_of_the_source(capsys: pytest.CaptureFixture[str]) -> None:
+    code, result = examined(capsys)
+    assert code == 0
+    with pytest.raises(DriverMissingError) as missing:
+        Ni9230(DaqSettings(), lambda: 0).start()
+    assert texts(result, "note")["NI-DAQmx"] == str(missing.value)
+    assert "ni9230.channels" not in texts(result, "note")
+
+
+@pytest.mark.usefixtures("driver")
+def test_the_converter_is_found(capsys: pytest.CaptureFixture[str]) -> None:
+    code, result = examined(capsys)
+    assert code == 0
+    ok = texts(result, "ok")
+    assert ok["NI-DAQmx"] == "24.5.1"
+    assert ok["cDAQ1"] == "cDAQ-9171"
+    assert ok["cDAQ1Mod1"] == "NI 9230; for an IEPE force sensor: cDAQ1Mod1/ai0, cDAQ1Mod1/ai1"
+    assert ok["ni9230.channels"] == "cDAQ1Mod1/ai0: there"
+
+
+@pytest.mark.parametrize(
+    ("devices", "note"),
+    [
+        ((), "cDAQ1Mod1/ai0 not found; here: none"),
+        ((MODULE._replace(channels=("Dev2/ai0",)),), "cDAQ1Mod1/ai0 not found; here: Dev2/ai0"),
+    ],
+)
+def test_a_channel_that_is_not_there_is_worth_a_note(
+    devices: tuple[ni_driver.Device, ...],
+    note: str,
+    driver: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    driver.setattr(ni_driver, "devices", lambda: devices)
+    code, result = examined(capsys)
+    assert code == 0
+    assert texts(result, "note")["ni9230.channels"] == note
+
+
+def test_devices_that_are_no_hardware_or_do_not_answer(
+    driver: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    driver.setattr(ni_driver, "devices", lambda: (MODULE._replace(simulated=True), DEVICES[0]._replace(trouble="gone")))
+    _, result = examined(capsys)
+    notes = texts(result, "note")
+    assert "simulated by its driver" in notes["cDAQ1Mod1"]
+    assert notes["cDAQ1"] == "gone"
+
+
+@pytest.mark.usefixtures("driver")
+def test_the_channel_of_a_parameter_file_is_looked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "cell.yaml"
+    daq = "daq:\n  ros__parameters:\n    {}\n"
+    monitor = "monitor:\n  ros__parameters:\n    contact: transient\n"
+    file.write_text(monitor + daq.format("ni9230.channels: [cDAQ1Mod1/ai2]"), encoding="utf-8")
+    _, result = examined(capsys, "--params", str(file))
+    assert texts(result, "note")["ni9230.channels"].startswith("cDAQ1Mod1/ai2 not found")
+    file.write_text(monitor + daq.format("source: bench"), encoding="utf-8")
+    _, result = examined(capsys, "--params", str(file))
+    assert "ni9230.channels" not in texts(result, "note") | texts(result, "ok")
+    file.write_text(monitor, encoding="utf-8")
+    _, result = examined(capsys, "--params", str(file))
+    assert "daq (or /**) would be right; what follows is about its defaults" in texts(result, "note")["daq_node"]

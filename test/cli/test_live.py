@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import signal
 import subprocess
@@ -16,7 +15,7 @@ import pytest
 from scara_effmass.bag_io.files import open_bag
 from scara_effmass.bag_io.writer import BagWriter
 from scara_effmass.cli import COMMANDS, main
-from scara_effmass.cli.monitor import node_arguments
+from scara_effmass.cli.options import node_arguments
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,16 +26,11 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def given(**more: Any) -> argparse.Namespace:  # noqa: ANN401 - any option
-    options: dict[str, Any] = {"params": None, "robot": None, "effective_mass_model": None, "ros_arguments": []}
-    return argparse.Namespace(**{**options, **more})
-
-
-def test_options_of_the_monitor_become_ros_arguments(tmp_path: Path) -> None:
+def test_options_of_a_node_become_ros_arguments(tmp_path: Path) -> None:
     file = tmp_path / "cell.yaml"
     file.write_text("/**:\n  ros__parameters:\n    timeout: 0.1\n", encoding="utf-8")
     own = ["--ros-args", "-p", "timeout:=0.3"]
-    words = node_arguments(given(params=file, robot="1e5", effective_mass_model="iso", ros_arguments=own))
+    words = node_arguments(file, {"robot": "1e5", "effective_mass_model": "iso", "other": None}, own)
     options = ["-p", 'robot:="1e5"', "-p", 'effective_mass_model:="iso"', "--"]
     assert words == ["--ros-args", "--params-file", str(file), *options, *own]
 
@@ -106,7 +100,12 @@ def test_demo_runs_the_live_monitor_and_says_the_same_as_assess(swing_bag: Path,
     assert str(tmp_path / "out" / "run.png") in done.stdout
     assert (tmp_path / "out" / "run.png").read_bytes().startswith(PNG)
     assert ET.parse(tmp_path / "out" / "run.svg").getroot().tag.endswith("svg")  # noqa: S314 - our own file
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"run.png", "run.svg", "summary.json"}
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert files == {"recording", "run.png", "run.svg", "summary.json"}
+    assert result["recording"]["lost"] == 0
+    with open_bag(swing_bag) as sent, open_bag(tmp_path / "out" / "recording") as recorded:
+        pairs = zip(sent.messages(["/joint_states"]), recorded.messages(["/joint_states"]), strict=True)
+        assert all(a.data == b.data for a, b in pairs)
 
     again = cli("demo", "--bag", swing_bag, "--out", tmp_path / "out")
     assert again.returncode == 2
@@ -121,6 +120,9 @@ def test_demo_of_the_shipped_recording_calls_it_generated(cli: Cli, tmp_path: Pa
     assert result["generated"] is True
     assert result["lost"] == 0
     assert result["received"] == result["sent"] == 250
+    assert result["force"]["simulated"] is True
+    assert result["force"]["lost_samples"] == 0
+    assert result["recording"]["topics"]["/joint_states"]["recorded"] == 250
 
 
 def test_demo_counts_other_devices_apart_and_keeps_its_own_topic_name(
@@ -145,12 +147,16 @@ def test_demo_ends_what_it_started_when_it_is_interrupted(domain: dict[str, str]
         line = next(line for line in process.stdout if " scaling " in line)
         assert "tool: " in line
         started = children_of(process.pid)
-        assert len(started) == 2
+        assert len(started) == 4  # monitor, force, recorder, replay
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=30)
     assert (process.returncode, errors) == (130, "")
     assert not [pid for pid in started if Path(f"/proc/{pid}").exists()]
-    assert list(tmp_path.iterdir()) == []
+    # What was recorded until then is kept, and complete.
+    assert [path.name for path in tmp_path.iterdir()] == ["recording"]
+    with open_bag(tmp_path / "recording") as bag:
+        assert "/joint_states" in {topic.name for topic in bag.topics}
+        assert not bag.losses
 
 
 def children_of(pid: int) -> list[int]:

@@ -1,0 +1,53 @@
+"""The force of a recording: what was measured, and the impacts that were found while it was."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from scara_effmass.bag_io.definitions import FORCE_BLOCK, IMPACT
+from scara_effmass.bag_io.force import decode_impact
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from scara_effmass.bag_io.bag import Bag
+    from scara_effmass.values import FloatArray, Impact
+
+
+class Forces(NamedTuple):
+    """Force (n,) [N] at the ROS times `stamp_ns` (n,), NaN right behind each gap, and the impacts in it."""
+
+    stamp_ns: NDArray[np.int64]
+    force: FloatArray
+    blocks: int
+    lost: int
+    simulated: bool
+    source: str
+    impacts: tuple[Impact, ...]
+
+
+def forces_of(bag: Bag) -> Forces | None:
+    """Return the force of the first channel in `bag`, None where it has none. Raises BagError and DecodeError."""
+    topic, impact_topic = (
+        next((topic.name for topic in bag.topics if topic.type == kind), "") for kind in (FORCE_BLOCK, IMPACT)
+    )
+    stamps: list[NDArray[np.int64]] = []
+    forces: list[FloatArray] = []
+    blocks = lost = 0
+    for block in bag.force_blocks(topic) if topic else ():
+        # The first block may say what was lost before the recording began.
+        if block.lost_samples and blocks:
+            lost += block.lost_samples
+            stamps.append(np.array([block.stamp_ns], np.int64))
+            forces.append(np.array([np.nan]))
+        blocks += 1
+        stamps.append(block.stamp_ns + np.rint(np.arange(len(block.force)) / block.sample_rate * 1e9).astype(np.int64))
+        forces.append(block.force)
+    if not blocks:
+        return None
+    impacts = [decode_impact(message.data) for message in bag.messages([impact_topic])] if impact_topic else []
+    return Forces(
+        np.concatenate(stamps), np.concatenate(forces), blocks, lost, block.simulated, block.source, tuple(impacts)
+    )

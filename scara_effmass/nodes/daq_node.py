@@ -1,0 +1,236 @@
+"""`daq_node`: force in, blocks and impacts out. Acquisition runs in its own thread; this one converts and publishes."""
+
+from __future__ import annotations
+
+import traceback
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from pydantic import Field
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from scara_effmass_msgs.msg import ForceBlock, Impact
+from std_srvs.srv import Trigger
+
+from scara_effmass.bag_io.force import force_block_message, impact_message
+from scara_effmass.daq.acquisition import Acquisition
+from scara_effmass.daq.channel import ForceSignal
+from scara_effmass.daq.source import make_source
+from scara_effmass.errors import DaqError, EffmassError, SettingsError
+from scara_effmass.impacts.detection import Detector
+from scara_effmass.nodes import parameters
+from scara_effmass.nodes.daq_health import DaqHealth
+from scara_effmass.nodes.running import SuiteNode, run
+from scara_effmass.settings import READ_ONLY, DaqSettings, ForceSourceKind, checked
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rclpy.lifecycle import LifecyclePublisher
+
+    from scara_effmass import values
+    from scara_effmass.daq.acquisition import AcquisitionState
+    from scara_effmass.daq.source import ForceSource
+
+_BLOCK_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=100)
+"""Of the last ones only: a subscriber that cannot follow loses blocks, the acquisition does not wait for it."""
+_EVENT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
+_REPORT_S = 1.0
+_DELIVERED_S = 5.0
+"""Fast DDS asks its readers every 3 s."""
+_NS = 1_000_000_000
+
+
+class NodeSettings(DaqSettings):
+    """The settings of the measurement and the node's own."""
+
+    autostart: bool = Field(default=True, description="configure and activate at start", json_schema_extra=READ_ONLY)
+    stop_at_end: bool = Field(
+        default=False,
+        description="end the process when a recording or a finite acquisition is over",
+        json_schema_extra=READ_ONLY,
+    )
+
+
+class DaqNode(SuiteNode):
+    """Publishes `force`, `impact`, `wrench`, `/diagnostics`; each further channel has its own below these names."""
+
+    def __init__(self) -> None:
+        """Declare the parameters. Raises SettingsError for one that cannot be used."""
+        super().__init__("daq")
+        values = parameters.declare(self, NodeSettings)
+        settings = checked(NodeSettings, values, self.get_name())
+        self.autostart = settings.autostart
+        self._settings = settings
+        self._outputs: list[_Output] = []
+        self._acquisition: Acquisition | None = None
+        self._state: AcquisitionState | None = None
+        self._drain_is_due = False
+
+    def set_up(self) -> None:
+        """Choose the source and create the endpoints. Raises EffmassError."""
+        settings = self._settings
+        if settings.source is ForceSourceKind.NI9230 and self.get_parameter("use_sim_time").value:
+            raise SettingsError(f"{self.get_name()}: use_sim_time = true: a device measures now; false would be right")
+        self._source: ForceSource = make_source(settings, self._now_ns)
+        self._health = DaqHealth(self.get_name())
+        for number, name in enumerate(self._source.channels):
+            below = f"/{name}" if number else ""
+            self._outputs.append(
+                _Output(
+                    self.publisher(ForceBlock, f"force{below}", _BLOCK_QOS, self._health.incompatible),
+                    self.publisher(Impact, f"impact{below}", _EVENT_QOS, self._health.incompatible),
+                    self.publisher(WrenchStamped, f"wrench{below}", _EVENT_QOS, self._health.incompatible),
+                    settings,
+                )
+            )
+        self._kept.callback(self._outputs.clear)
+        self._diagnostics = self.keep(
+            self.create_lifecycle_publisher(DiagnosticArray, "/diagnostics", 10), self.destroy_lifecycle_publisher
+        )
+        self.keep(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.keep(self.create_timer(_REPORT_S, self._report, clock=steady), self.destroy_timer)
+
+    def start(self) -> None:
+        """Start to acquire. Raises DaqError, BagError or SettingsError."""
+        source = self._source
+        acquisition = Acquisition(source, self._settings, self._wake)
+        acquisition.start()
+        self._acquisition = acquisition
+        self._signal = ForceSignal(source, self._settings)
+        for output in self._outputs:
+            output.begin()
+        coerced = "" if source.sample_rate == source.requested_rate else f", {source.requested_rate:.9g} was asked for"
+        self.get_logger().info(f"acquiring {source.description} at {source.sample_rate:.9g} Hz{coerced}")
+
+    def stop(self) -> None:
+        """Stop to acquire."""
+        if self._acquisition is not None:
+            self._acquisition.stop()
+            self._acquisition = None
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _wake(self) -> None:
+        """Have `_drain` called in the executor's thread; called in the acquisition's."""
+        if not self._drain_is_due and self.executor is not None:
+            self._drain_is_due = True
+            self.executor.create_task(self._drain)
+
+    def _drain(self) -> None:
+        self._drain_is_due = False
+        try:
+            self._publish_what_came()
+        except Exception as error:  # noqa: BLE001 - out of a task, it would take the interpreter down
+            if not self.context.ok():
+                return  # told to stop while it was publishing
+            if not isinstance(error, EffmassError):
+                self.get_logger().error(traceback.format_exc())
+                error = DaqError(f"{type(error).__name__}: {error}")
+            self.fail(error)
+
+    def _publish_what_came(self) -> None:
+        acquisition = self._acquisition
+        if acquisition is None or not self.active:
+            return
+        for reading in acquisition.take():
+            for output, blocks in zip(self._outputs, self._signal.blocks(reading), strict=True):
+                output.publish(blocks)
+        state = acquisition.statistics().state
+        if state is not self._state:
+            self._state = state
+            self._report()
+        if acquisition.failure is not None:
+            raise acquisition.failure
+        if acquisition.ended:
+            self._on_end()
+
+    def _on_end(self) -> None:
+        for output in self._outputs:
+            output.finish()
+        self._report()
+        self.get_logger().info(f"{self._source.description}: the end")
+        if self._settings.stop_at_end:
+            for output in self._outputs:
+                output.wait_delivered()
+            rclpy.try_shutdown()
+
+    def _report(self) -> None:
+        if self._acquisition is None:
+            return
+        found = [(output.detector, output.impacts) for output in self._outputs]
+        array = DiagnosticArray(status=self._health.statuses(self._acquisition, self._signal, found))
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._acquisition is None:
+            response.message = "nothing is being acquired"
+        else:
+            self._signal.begin_tare()
+            response.success = True
+            response.message = f"the next {self._settings.tare.time:g} s are taken for zero force"
+        return response
+
+
+class _Output:
+    """The topics of one channel."""
+
+    def __init__(
+        self, force: LifecyclePublisher, impact: LifecyclePublisher, wrench: LifecyclePublisher, settings: DaqSettings
+    ) -> None:
+        self._force = force
+        self._impact = impact
+        self._wrench = wrench
+        self._settings = settings
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what was found before."""
+        self.detector = Detector(self._settings.detection)
+        self.impacts = 0
+
+    def publish(self, blocks: Sequence[values.ForceBlock]) -> None:
+        """Publish the blocks and what is found in them."""
+        for block in blocks:
+            self._force.publish(force_block_message(block))
+            self._publish_impacts(self.detector.feed(block))
+            if self._settings.wrench_rate and self._wrench.get_subscription_count():
+                self._publish_wrenches(block)
+
+    def finish(self) -> None:
+        """Publish what was still waiting for what follows."""
+        self._publish_impacts(self.detector.finish())
+
+    def wait_delivered(self) -> None:
+        """Return when every reliable subscriber has everything, or some does not take it."""
+        for publisher in (self._force, self._impact):
+            publisher.wait_for_all_acked(Duration(seconds=_DELIVERED_S))
+
+    def _publish_impacts(self, impacts: Sequence[values.Impact]) -> None:
+        self.impacts += len(impacts)
+        for impact in impacts:
+            self._impact.publish(impact_message(impact))
+
+    def _publish_wrenches(self, block: values.ForceBlock) -> None:
+        """Publish, of each interval, the sample farthest from zero: an impact is shorter than an interval."""
+        count = max(1, round(len(block.force) / block.sample_rate * self._settings.wrench_rate))
+        for part in np.array_split(np.arange(len(block.force)), min(count, len(block.force))):
+            index = int(part[np.abs(block.force[part]).argmax()])
+            message = WrenchStamped()
+            stamp_ns = block.stamp_ns + round(index / block.sample_rate * _NS)
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, _NS)
+            message.header.frame_id = block.frame_id
+            message.wrench.force.z = float(block.force[index])
+            self._wrench.publish(message)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node with ROS arguments `args`, or those of the process."""
+    return run(DaqNode, args)

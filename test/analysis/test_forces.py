@@ -1,0 +1,49 @@
+"""The force of a recording, as it is drawn and summed up."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scara_effmass.analysis.forces import forces_of
+from scara_effmass.bag_io.definitions import FORCE_BLOCK, IMPACT
+from scara_effmass.bag_io.files import open_bag
+from scara_effmass.bag_io.force import force_block_message, impact_message
+from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.share import share
+from scara_effmass.values import ForceBlock, Impact
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+START_NS = 1_800_000_000_000_000_000
+MS = 1_000_000
+
+
+def block(number: int, first: int, lost: int = 0) -> ForceBlock:
+    none = np.empty(0, np.uint32)
+    force = np.arange(first, first + 10.0)
+    stamp_ns = START_NS + number * MS
+    return ForceBlock(stamp_ns, "cell", first, 1e4, force, lost, none, 0.0, 0.0, "test", *(False, 0.0, 0, 0.0))
+
+
+def test_blocks_are_put_together_with_a_gap_where_samples_were_lost(tmp_path: Path) -> None:
+    impact = Impact(START_NS, "cell", 9.0, 1e-3, 0.01, 3.0, *(False, False, 0, 0.0, 0.1, 0.0, "test", False))
+    with BagWriter(tmp_path / "bag") as bag:
+        for each in (block(0, 100, lost=7), block(1, 110), block(3, 130, lost=10)):
+            bag.write("/force", FORCE_BLOCK, each.stamp_ns, force_block_message(each))
+        bag.write("/impact", IMPACT, START_NS + 4 * MS, impact_message(impact))
+    with open_bag(tmp_path / "bag") as bag:
+        forces = forces_of(bag)
+    assert forces is not None
+    assert (forces.blocks, forces.lost, forces.simulated, forces.source) == (3, 10, False, "test")
+    assert forces.impacts == (impact,)
+    assert np.flatnonzero(np.isnan(forces.force)).tolist() == [20]
+    assert (np.diff(forces.stamp_ns) >= 0).all()
+    assert forces.stamp_ns[-1] == START_NS + 3 * MS + 900_000
+
+
+def test_a_recording_without_force_has_none() -> None:
+    with open_bag(share("bags", "straight_300_200")) as bag:
+        assert forces_of(bag) is None

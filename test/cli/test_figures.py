@@ -1,0 +1,55 @@
+"""`figures`: all of the paper's figures and claims, in a folder that was free."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+from matplotlib.image import imread
+
+if TYPE_CHECKING:
+    import subprocess
+    from collections.abc import Callable
+    from pathlib import Path
+
+    Cli = Callable[..., subprocess.CompletedProcess[str]]
+
+DRAWN = [f"figure_{number}" for number in (6, 7, 8, 9, 10, 11, 12, 14, 15, 17, 19)]
+
+
+@pytest.mark.timeout(240)  # seventeen seconds of work, on a machine that may have other work
+def test_everything_is_written_and_said(here: Cli, tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "figures"
+    done = here("figures", "-o", folder, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    result = json.loads(done.stdout)
+    assert result["output"] == str(folder)
+    assert result["figures"] == DRAWN
+    assert [line.partition(":")[0] for line in result["left_out"]] == ["Fig. 18", "Fig. 19 (a)"]
+    names = {f"{name}.{suffix}" for name in DRAWN for suffix in ("png", "svg")} | {"index.html", "claims.json"}
+    assert {path.name for path in folder.iterdir()} == names
+    for name in DRAWN:
+        height, width, _ = imread(folder / f"{name}.png").shape
+        assert width > 800
+        assert height > 500
+    assert json.loads((folder / "claims.json").read_text(encoding="utf-8"))["claims"] == result["claims"]
+
+    refused = here("figures", "-o", folder)
+    assert refused.returncode == 2
+    assert refused.stderr.count("\n") == 1
+    assert "--force" in refused.stderr
+
+
+def test_a_file_in_the_way_is_refused(here: Cli, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    done = here("figures", "-o", tmp_path / "file")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "file" in done.stderr
+
+
+def test_the_folder_must_be_named(cli: Cli) -> None:
+    done = cli("figures")
+    assert done.returncode == 2
+    assert "-o" in done.stderr

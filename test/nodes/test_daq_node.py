@@ -1,0 +1,306 @@
+"""The live force node: what it publishes, how it starts, what it refuses, and how it ends."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import rclpy
+from geometry_msgs.msg import WrenchStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from scara_effmass_msgs.msg import ForceBlock, Impact
+from std_srvs.srv import Trigger
+
+from scara_effmass.bag_io.definitions import FORCE_BLOCK
+from scara_effmass.bag_io.force import decode_force_block, decode_impact, force_block_message
+from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.errors import EffmassError
+from scara_effmass.impacts.detection import Detector
+from scara_effmass.nodes.daq_node import DaqNode
+from scara_effmass.settings import DetectionSettings
+from scara_effmass.values import ForceBlock as Block
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from test.nodes.conftest import Cell
+
+EXECUTABLE = Path(sys.executable).with_name("daq_node")
+DEEP = QoSProfile(depth=20_000)
+RATE = 12_800.0
+S = 1_000_000_000
+SETTLED = 10
+"""Blocks after which the clock fit has seen a read that was not late."""
+BENCH = ("-p", "source:=bench", "-p", "bench.impact_period:=0.5", "-p", "bench.seed:=7")
+
+
+class Heard:
+    """What came on the force topics of one channel, as bytes where bytes are compared."""
+
+    def __init__(self, cell: Cell, channel: str = "") -> None:
+        self.blocks: list[bytes] = []
+        self.impacts: list[bytes] = []
+        self.wrenches: list[WrenchStamped] = []
+        below = f"/{channel}" if channel else ""
+        node = cell.node
+        node.create_subscription(ForceBlock, f"force{below}", self.blocks.append, DEEP, raw=True)
+        node.create_subscription(Impact, f"impact{below}", self.impacts.append, DEEP, raw=True)
+        node.create_subscription(WrenchStamped, f"wrench{below}", self.wrenches.append, DEEP)
+
+
+def started(new_cell: Callable[..., Cell], *arguments: str) -> Cell:
+    cell = new_cell(name="daq")
+    cell.start("--ros-args", *arguments, command=[str(EXECUTABLE)])
+    return cell
+
+
+def change(cell: Cell, transition: int) -> bool:
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return bool(cell.call(ChangeState, "change_state", request).success)
+
+
+def recording(folder: Path, pulses: Sequence[float] = (0.6, 1.1)) -> Path:
+    """Write 1.5 s of noise with half-sines of 2 ms and 100 N that begin at `pulses` [s]."""
+    path = folder / "force.mcap"
+    n = round(0.1 * RATE)
+    t = np.arange(15 * n) / RATE
+    force = np.random.default_rng(3).normal(0.0, 0.1, t.size)
+    for start in pulses:
+        force += 100.0 * np.where((t > start) & (t < start + 0.002), np.sin(np.pi * (t - start) / 0.002), 0.0)
+    none = np.empty(0, np.uint32)
+    block = Block(
+        0,
+        "cell",
+        0,
+        RATE,
+        force[:0],
+        0,
+        none,
+        0.0,
+        0.003,
+        "test",
+        simulated=True,
+        tare=0.0,
+        tare_stamp_ns=0,
+        relative_uncertainty=0.0,
+    )
+    begin_ns = 1_800_000_000 * S
+    with BagWriter(path) as bag:
+        for first in range(0, t.size, n):
+            stamp_ns = begin_ns + round(first / RATE * S)
+            part = block._replace(stamp_ns=stamp_ns, first_sample=first, force=force[first : first + n])
+            bag.write("/force", FORCE_BLOCK, stamp_ns + S // 10, force_block_message(part))
+    return path
+
+
+def test_simulated_force_is_published_whole_and_called_simulated(new_cell: Callable[..., Cell]) -> None:
+    cell = started(new_cell, *BENCH)
+    cell.listen()
+    heard = Heard(cell)
+    cell.until(lambda: len(heard.blocks) >= 20 and len(heard.impacts) >= 2 and heard.wrenches)
+    now_ns = time.time_ns()
+    blocks = [decode_force_block(data) for data in heard.blocks]
+    for before, after in pairwise(blocks):
+        assert after.first_sample == before.first_sample + len(before.force) + after.lost_samples
+    for before, after in pairwise(blocks[SETTLED:]):
+        step_s = (after.stamp_ns - before.stamp_ns) / 1e9
+        assert step_s == pytest.approx(len(before.force) / before.sample_rate, abs=2e-3)
+    last = blocks[-1]
+    assert sum(block.lost_samples for block in blocks) == 0
+    assert last.simulated
+    assert "simulated" in last.source
+    assert last.frame_id == "force_sensor"
+    assert 0.0 <= (now_ns - last.stamp_ns) / 1e9 - len(last.force) / last.sample_rate < 1.0
+    assert last.sample_rate == pytest.approx(RATE, rel=1e-3)
+    assert all(decode_impact(data).simulated for data in heard.impacts)
+    # Wrenches are samples of the blocks, 100 of them in a second.
+    samples = {value for block in blocks for value in block.force.tolist()}
+    first = next(i for i, w in enumerate(heard.wrenches) if stamp(w) >= blocks[1].stamp_ns)
+    some = [w for w in heard.wrenches[first:] if stamp(w) < blocks[-1].stamp_ns]
+    assert {w.wrench.force.z for w in some} <= samples
+    assert len(some) == pytest.approx(100 * (blocks[-1].stamp_ns - blocks[1].stamp_ns) / 1e9, rel=0.1)
+    assert cell.report("daq: source", "samples lost by the device", bool).endswith("0")
+    assert cell.report("daq: source", "simulated", bool).endswith("True")
+    assert float(cell.report("daq: channel bench0", "samples published", bool).rpartition(" ")[2]) > 0
+
+
+def stamp(message: Any) -> int:  # noqa: ANN401 - any stamped message
+    return int(message.header.stamp.sec * S + message.header.stamp.nanosec)
+
+
+def test_impacts_are_those_that_the_published_blocks_give_offline(new_cell: Callable[..., Cell]) -> None:
+    cell = started(new_cell, *BENCH, "-p", "autostart:=false")
+    heard = Heard(cell)
+    assert change(cell, Transition.TRANSITION_CONFIGURE)
+    cell.until(lambda: cell.node.count_publishers("force") and cell.node.count_publishers("impact"))
+    assert change(cell, Transition.TRANSITION_ACTIVATE)
+    cell.until(lambda: len(heard.impacts) >= 5)
+    assert change(cell, Transition.TRANSITION_DEACTIVATE)
+    detector = Detector(DetectionSettings())
+    found = [impact for data in heard.blocks for impact in detector.feed(decode_force_block(data))]
+    live = [decode_impact(data) for data in heard.impacts]
+    assert decode_force_block(heard.blocks[0]).first_sample == 0
+    assert found[: len(live)] == live
+
+
+def test_every_channel_has_topics_of_its_own(new_cell: Callable[..., Cell]) -> None:
+    cell = started(new_cell, *BENCH, "-p", "bench.channels:=3")
+    heard = [Heard(cell, channel) for channel in ("", "bench1", "bench2")]
+    cell.until(lambda: all(len(each.blocks) >= 3 for each in heard))
+    frames = [decode_force_block(each.blocks[-1]).frame_id for each in heard]
+    assert frames == ["force_sensor", "force_sensor_bench1", "force_sensor_bench2"]
+
+
+def test_reset_tares(new_cell: Callable[..., Cell]) -> None:
+    cell = started(new_cell, *BENCH, "-p", "tare.time:=0.2", "-p", "bench.impact_period:=3600.0")
+    heard = Heard(cell)
+    cell.until(lambda: heard.blocks and decode_force_block(heard.blocks[-1]).tare_stamp_ns)
+    first = decode_force_block(heard.blocks[-1])
+    answer = cell.call(Trigger, "reset", Trigger.Request())
+    assert answer.success
+    assert answer.message == "the next 0.2 s are taken for zero force"
+    cell.until(lambda: decode_force_block(heard.blocks[-1]).tare_stamp_ns > first.tare_stamp_ns)
+    assert abs(decode_force_block(heard.blocks[-1]).tare) < 0.1
+
+
+def test_inactive_is_silent_and_does_not_acquire(new_cell: Callable[..., Cell]) -> None:
+    cell = started(new_cell, *BENCH, "-p", "autostart:=false")
+    heard = Heard(cell)
+    assert change(cell, Transition.TRANSITION_CONFIGURE)
+    cell.until(lambda: cell.node.count_publishers("force"))
+    answer = cell.call(Trigger, "reset", Trigger.Request())
+    assert (answer.success, answer.message) == (False, "nothing is being acquired")
+    assert not heard.blocks
+    for _ in range(2):
+        assert change(cell, Transition.TRANSITION_ACTIVATE)
+        cell.until(partial(has_begun, heard))
+        assert change(cell, Transition.TRANSITION_DEACTIVATE)
+        heard.blocks.clear()
+
+
+def has_begun(heard: Heard) -> bool:
+    """Whether blocks came, of which the first begins the numbering."""
+    return len(heard.blocks) >= 2 and decode_force_block(heard.blocks[0]).first_sample == 0
+
+
+def test_a_recording_is_played_to_its_end_and_that_ends_the_process(
+    new_cell: Callable[..., Cell], tmp_path: Path
+) -> None:
+    cell = new_cell(name="daq")
+    heard = Heard(cell)
+    words = ["-p", "source:=bag", "-p", f"bag.path:={recording(tmp_path)}", "-p", "stop_at_end:=true"]
+    words += ["-p", "bag.rate:=0.0", "-p", "autostart:=false"]
+    process = cell.start("--ros-args", *words, command=[str(EXECUTABLE)])
+    assert change(cell, Transition.TRANSITION_CONFIGURE)
+    cell.until(lambda: cell.node.count_publishers("force") and cell.node.count_publishers("impact"))
+    assert change(cell, Transition.TRANSITION_ACTIVATE)
+    cell.process = None  # it may end from here on
+    cell.until(lambda: len(heard.blocks) == 15 and len(heard.impacts) == 2)
+    process.communicate(timeout=25)
+    assert process.returncode == 0
+    blocks = [decode_force_block(data) for data in heard.blocks]
+    assert [block.stamp_ns for block in blocks] == [1_800_000_000 * S + i * S // 10 for i in range(15)]
+    impacts = [decode_impact(data) for data in heard.impacts]
+    assert [i.peak_force for i in impacts] == pytest.approx([100.0, 100.0], rel=0.01)
+    onsets = [(i.stamp_ns - 1_800_000_000 * S) / 1e9 for i in impacts]
+    assert onsets == pytest.approx([0.6, 1.1], abs=1e-4)
+
+
+def test_a_subscriber_that_does_not_listen_costs_the_others_nothing(new_cell: Callable[..., Cell]) -> None:
+    cell = started(new_cell, *BENCH)
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=cell.domain, signal_handler_options=SignalHandlerOptions.NO)
+    asleep = rclpy.create_node("asleep", context=context)
+    asleep.create_subscription(ForceBlock, "force", print, QoSProfile(depth=1))  # nobody spins it
+    heard = Heard(cell)
+    try:
+        cell.until(lambda: cell.node.count_subscribers("force") == 2)
+        heard.blocks.clear()
+        cell.until(lambda: len(heard.blocks) >= 20)
+    finally:
+        asleep.destroy_node()
+        context.try_shutdown()
+    blocks = [decode_force_block(data) for data in heard.blocks]
+    assert blocks[-1].first_sample - blocks[0].first_sample == sum(len(block.force) for block in blocks[:-1])
+
+
+@pytest.mark.parametrize(
+    ("argument", "line"),
+    [
+        ("source:=guess", "daq: source = 'guess': Input should be 'ni9230', 'bag' or 'bench'"),
+        ("nonsense:=1", "daq: no parameter 'nonsense': it has source,"),
+        ("sensor.sensitivity:=0.0", "daq: sensor.sensitivity = 0.0: Input should be greater than 0"),
+        ("sensor.sensitivity:=2", "daq: sensor.sensitivity = 2: must be DOUBLE, is INTEGER: write 2.0"),
+        ("detection.threshold:=.nan", "daq: detection.threshold = nan: must be 0 to 100000"),
+        ("bench.channels:=0", "daq: bench.channels = 0: Input should be greater than or equal to 1"),
+        ("bag.axis:=w", "daq: bag.axis = 'w': String should match pattern"),
+        ("use_sim_time:=true", "daq: use_sim_time = true: a device measures now; false would be right"),
+        ("block_time:=0.1", "the driver NI-DAQmx is not installed: install it from ni.com/downloads"),
+    ],
+)
+def test_what_it_cannot_use_is_named_in_one_line(
+    local: None,  # noqa: ARG001 - keeps it on this machine
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    argument: str,
+    line: str,
+) -> None:
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    rclpy.init(args=["--ros-args", "-p", argument], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        with pytest.raises(EffmassError) as refusal:
+            DaqNode().bring_up()
+    finally:
+        rclpy.try_shutdown()
+    assert str(refusal.value).startswith(line)
+    assert "\n" not in str(refusal.value)
+
+
+def test_without_a_driver_it_ends_with_one_line_and_2(new_cell: Callable[..., Cell]) -> None:
+    process = started(new_cell).process
+    assert process is not None
+    output, errors = process.communicate(timeout=25)
+    assert (process.returncode, output) == (2, "")
+    (only,) = [line for line in errors.splitlines() if "[INFO]" not in line]
+    assert only.startswith("the driver NI-DAQmx is not installed")
+
+
+def test_a_recording_that_is_not_there_ends_it_with_one_line_and_2(
+    new_cell: Callable[..., Cell], tmp_path: Path
+) -> None:
+    missing = tmp_path / "missing.mcap"
+    process = started(new_cell, "-p", "source:=bag", "-p", f"bag.path:={missing}").process
+    assert process is not None
+    _, errors = process.communicate(timeout=25)
+    assert process.returncode == 2
+    assert errors.startswith(f"{missing}: ")
+    assert len(errors.splitlines()) == 1
+
+
+def test_running_it_takes_no_other_parameters(new_cell: Callable[..., Cell]) -> None:
+    cell = started(new_cell, *BENCH)
+    heard = Heard(cell)
+    cell.until(lambda: heard.blocks)
+    assert "read-only" in cell.set(**{"sensor.sensitivity": 3.0})
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ends_with_0_when_told_to(new_cell: Callable[..., Cell], number: signal.Signals) -> None:
+    cell = started(new_cell, *BENCH)
+    heard = Heard(cell)
+    cell.until(lambda: heard.blocks)
+    assert cell.process is not None
+    cell.process.send_signal(number)
+    output, errors = cell.process.communicate(timeout=25)
+    assert cell.process.returncode == 0
+    assert "Traceback" not in output + errors
