@@ -1,0 +1,127 @@
+"""All figures, the page and the claims: written together or not at all."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+
+from scara_effmass import __version__
+from scara_effmass.analysis.figure import FORMATS
+from scara_effmass.analysis.output import completed
+from scara_effmass.analysis.paper.claim import Outcome
+from scara_effmass.analysis.paper.experiment_claims import motion_claims, run_claims
+from scara_effmass.analysis.paper.mass_claims import mass_claims
+from scara_effmass.analysis.paper.page import Picture, page
+from scara_effmass.analysis.paper.plates import PLATES
+from scara_effmass.analysis.paper.reduced_mass_claims import reduced_mass_claims
+from scara_effmass.analysis.paper.robot_claims import robot_claims
+from scara_effmass.analysis.paper.scara import agreement
+from scara_effmass.analysis.paper.style import STYLE
+from scara_effmass.analysis.paper.workspace import spread_positions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
+
+    from scara_effmass.analysis.paper.claim import Claim
+    from scara_effmass.analysis.paper.plates import Material, Plate
+    from scara_effmass.analysis.paper.scara import Agreement
+
+PAGE, CLAIMS = "index.html", "claims.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Album:
+    """What was made: names of the figures, what is left out and why, the claims, and how well two ways agree."""
+
+    figures: tuple[str, ...]
+    left_out: tuple[str, ...]
+    claims: tuple[Claim, ...]
+    agreement: Agreement
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many claims have which outcome."""
+        return {each.value: sum(claim.outcome is each for claim in self.claims) for each in Outcome}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON takes it."""
+        claims = [
+            {**asdict(claim), "basis": claim.basis and claim.basis.value, "outcome": claim.outcome.value}
+            for claim in self.claims
+        ]
+        return {
+            "scara_effmass": __version__,
+            "figures": list(self.figures),
+            "left_out": list(self.left_out),
+            "counts": self.counts,
+            "closed_form_check": {
+                "poses": self.agreement.poses,
+                "lumped_relative_difference": self.agreement.lumped,
+                "full_relative_difference": self.agreement.full,
+            },
+            "claims": claims,
+        }
+
+
+def make_album(
+    material: Material,
+    folder: Path,
+    *,
+    overwrite: bool,
+    advance: Callable[[], object],
+    plates: Sequence[Plate] = PLATES,
+) -> Album:
+    """Draw and compare, and write figures (PNG and SVG), `index.html` and `claims.json` into `folder`.
+
+    `advance` is called after each of `STEPS`. Raises OutputError, before anything is drawn, where a file is in the way.
+    """
+    left_out = [f"Fig. {plate.number}: {why}" for plate in plates if (why := plate.whole_missing(material))]
+    plates = [plate for plate in plates if not plate.whole_missing(material)]
+    left_out += [f"Fig. {plate.number} {why}" for plate in plates if (why := plate.part_missing(material))]
+    names = [f"{plate.name}{suffix}" for plate in plates for suffix in FORMATS] + [PAGE, CLAIMS]
+    with ExitStack() as stack:
+        paths = {name: stack.enter_context(completed(folder / name, overwrite=overwrite)) for name in names}
+        for plate in plates:
+            with mpl.rc_context(STYLE):
+                _save(plate.draw(material), *(paths[f"{plate.name}{suffix}"] for suffix in FORMATS))
+            advance()
+        album = Album(tuple(plate.name for plate in plates), tuple(left_out), _claims(material), _checked(material))
+        advance()
+        pictures = [Picture(plate.name, plate.caption, paths[f"{plate.name}.png"].read_bytes()) for plate in plates]
+        text = page(pictures, album.claims, album.left_out, album.agreement)
+        paths[PAGE].write_text(text, encoding="utf-8")
+        paths[CLAIMS].write_text(json.dumps(album.as_dict(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    return album
+
+
+STEPS = len(PLATES) + 1
+"""How often `make_album` advances, at most."""
+
+
+def _save(figure: Figure, png: Path, svg: Path) -> None:
+    figure.savefig(png, dpi=140)
+    figure.set_layout_engine("none")  # it is done, and would be done anew
+    figure.savefig(svg, metadata={"Date": None})
+
+
+def _claims(material: Material) -> tuple[Claim, ...]:
+    scara = material.scara
+    return (
+        *robot_claims(scara),
+        *mass_claims(material.arm, scara),
+        *reduced_mass_claims(scara),
+        *motion_claims(material.motion),
+        *run_claims(scara, material.runs),
+    )
+
+
+def _checked(material: Material) -> Agreement:
+    # Not on the grid of angles: the stretched arm on it moves across itself only, so along n it has no velocity.
+    return agreement(material.arm, material.scara, *spread_positions(material.scara))

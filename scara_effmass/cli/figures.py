@@ -1,0 +1,85 @@
+"""`scara-effmass figures`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import Progress
+
+from scara_effmass.cli.options import add_force, add_json, arm_from, printer
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    import argparse
+
+    from scara_effmass.analysis.paper.album import Album
+
+EXAMPLES = """\
+DIR gets every figure as PNG and SVG, index.html with the paper's claims beside what comes out here, and the
+same claims as claims.json. The robot is the shipped Omron i4-550L. A claim that does not match is no error.
+
+examples:
+  scara-effmass figures -o out/figures
+  scara-effmass figures -o out/figures --force --json
+"""
+RECORDING = "straight_300_200"
+IMPACT_X_M = 0.300
+
+
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.epilog = EXAMPLES
+    parser.add_argument("-o", "--output", required=True, type=Path, metavar="DIR", help="folder for figures and page")
+    add_force(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Draw, compare, write, and print what matches."""
+    from scara_effmass.analysis.paper.album import STEPS, make_album  # noqa: PLC0415 - not needed for --help
+    from scara_effmass.analysis.paper.motion import tool_motion  # noqa: PLC0415
+    from scara_effmass.analysis.paper.plates import Material  # noqa: PLC0415
+    from scara_effmass.analysis.paper.scara import closed_form_of  # noqa: PLC0415
+
+    arm = arm_from(MonitorSettings())
+    scara = closed_form_of(arm)
+    joints = arm.robot.joint_names
+    about = f"generated recording {RECORDING}"
+    motion = tool_motion(share("bags", RECORDING), scara, (joints[0], joints[1]), about, contact_x=IMPACT_X_M)
+    progress = Progress(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
+    with progress:
+        task = progress.add_task("figures", total=STEPS)
+        album = make_album(
+            Material(arm, scara, motion), args.output, overwrite=args.force, advance=lambda: progress.advance(task)
+        )
+    if args.json:
+        printer().print_json(json.dumps({"output": str(args.output), **album.as_dict()}, allow_nan=False))
+    else:
+        _print(album, args.output)
+    return 0
+
+
+def _print(album: Album, output: Path) -> None:
+    from scara_effmass.analysis.paper.claim import Outcome  # noqa: PLC0415
+
+    console = printer()
+    console.print(f"{'figures':<16}{len(album.figures)}")
+    for line in album.left_out:
+        console.print(f"{'left out':<16}{line}")
+    counted = ", ".join(f"{count} {outcome}" for outcome, count in album.counts.items())
+    console.print(f"{'claims':<16}{counted}")
+    for claim in album.claims:
+        if claim.outcome is Outcome.NO_MATCH:
+            console.print(f"{'no match':<16}{claim.where}: {claim.paper}; here {claim.ours} ({claim.rule})")
+    check = album.agreement
+    console.print(
+        f"{'check':<16}Eqs. 27 and 28 against the mass matrices at {check.poses} positions: "
+        f"largest relative differences {check.full:.1e} and {check.lumped:.1e}"
+    )
+    console.print(f"{'written':<16}{output / 'index.html'}")
