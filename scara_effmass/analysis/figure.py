@@ -92,6 +92,13 @@ def save(figure: Figure, folder: Path, name: str, *, overwrite: bool) -> list[Pa
     return paths
 
 
+def write(figure: Figure, png: Path, svg: Path) -> None:
+    """Write `figure` in both formats, alike every time, under the style it was drawn in."""
+    figure.savefig(png, dpi=140)
+    figure.set_layout_engine("none")  # it is done, and would be done anew
+    figure.savefig(svg, metadata={"Date": None})
+
+
 def _with_gaps(course: Course, timeout: float) -> Course:
     """Break the lines where no joint state came: put NaN right after the last one before each gap."""
     gaps = np.flatnonzero(np.diff(course.time) > timeout) + 1

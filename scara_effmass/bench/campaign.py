@@ -18,9 +18,9 @@ from scara_effmass.bench.converter import ForceSensor
 from scara_effmass.bench.draws import uniform
 from scara_effmass.bench.drive import SERVO
 from scara_effmass.bench.experiment import run_impact
-from scara_effmass.bench.generate import FORCE_TOPIC, JOINT_STATES_TOPIC, TEXT
 from scara_effmass.bench.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES, REST_S, ImpactSetup
 from scara_effmass.bench.recordings import EPOCH_NS, SEED
+from scara_effmass.bench.topics import FORCE_TOPIC, JOINT_STATES_TOPIC, TEXT
 from scara_effmass.errors import BagError, OutputError
 
 if TYPE_CHECKING:

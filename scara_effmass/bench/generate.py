@@ -12,8 +12,10 @@ from scara_effmass.bag_io.definitions import FORCE_BLOCK, JOINT_STATE, RECORDING
 from scara_effmass.bag_io.force import force_block_message
 from scara_effmass.bag_io.messages import joint_state_message, serialized
 from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.bench.campaign import Campaign, run_campaign
 from scara_effmass.bench.recordings import EPOCH_NS, RECORDINGS, REVISION, SEED
 from scara_effmass.bench.struck import BLOCK_NS
+from scara_effmass.bench.topics import FORCE_TOPIC, JOINT_STATES_TOPIC, TEXT
 from scara_effmass.errors import OutputError
 
 if TYPE_CHECKING:
@@ -22,21 +24,22 @@ if TYPE_CHECKING:
 
     from scara_effmass.bench.recordings import Recording
 
-JOINT_STATES_TOPIC = "/joint_states"
-FORCE_TOPIC = "/force"
-TEXT = "std_msgs/msg/String"
 CHECKSUMS = "SHA256SUMS"
+CAMPAIGN = Campaign(repetitions=1)
+"""The one that is shipped, in the folder of this name:"""
+CAMPAIGN_FOLDER = "campaign"
 
 
 def generate(folder: Path, *, overwrite: bool = False) -> tuple[Path, ...]:
-    """Write every reference recording into `folder`, with the checksums of their files; return the paths.
+    """Write every reference recording and the campaign into `folder`, with checksums; return the paths.
 
     No clock goes into them: the same versions of the libraries give the same bytes. Raises OutputError.
     """
     sums = folder / CHECKSUMS
     if sums.exists() and not overwrite:
         raise OutputError(f"{sums}: exists already; it is replaced only when that is asked for")
-    bags = tuple(_write(folder, recording, overwrite=overwrite) for recording in RECORDINGS)
+    bags = [_write(folder, recording, overwrite=overwrite) for recording in RECORDINGS]
+    bags += [step.path for step in run_campaign(folder / CAMPAIGN_FOLDER, CAMPAIGN, overwrite=overwrite)]
     files = sorted(file for bag in bags for file in bag.iterdir())
     lines = [f"{hashlib.sha256(f.read_bytes()).hexdigest()}  {f.relative_to(folder).as_posix()}\n" for f in files]
     try:

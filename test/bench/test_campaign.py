@@ -13,8 +13,8 @@ from scara_effmass.bag_io.definitions import RECORDING_INFO
 from scara_effmass.bag_io.files import open_bag
 from scara_effmass.bench.campaign import APART_NS, Campaign, record, run_campaign
 from scara_effmass.bench.experiment import run_impact
-from scara_effmass.bench.generate import FORCE_TOPIC
 from scara_effmass.bench.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES
+from scara_effmass.bench.topics import FORCE_TOPIC
 from scara_effmass.errors import OutputError
 
 if TYPE_CHECKING:

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 
 from scara_effmass import __version__
-from scara_effmass.analysis.figure import FORMATS
+from scara_effmass.analysis.figure import FORMATS, write
 from scara_effmass.analysis.output import completed
+from scara_effmass.analysis.page import Picture
 from scara_effmass.analysis.paper.claim import Outcome
 from scara_effmass.analysis.paper.experiment_claims import motion_claims, run_claims
 from scara_effmass.analysis.paper.mass_claims import mass_claims
-from scara_effmass.analysis.paper.page import Picture, page
+from scara_effmass.analysis.paper.page import page
 from scara_effmass.analysis.paper.plates import PLATES
 from scara_effmass.analysis.paper.reduced_mass_claims import reduced_mass_claims
 from scara_effmass.analysis.paper.robot_claims import robot_claims
@@ -26,8 +27,6 @@ from scara_effmass.analysis.paper.workspace import spread_positions
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
-
-    from matplotlib.figure import Figure
 
     from scara_effmass.analysis.paper.claim import Claim
     from scara_effmass.analysis.paper.plates import Material, Plate
@@ -90,11 +89,14 @@ def make_album(
         paths = {name: stack.enter_context(completed(folder / name, overwrite=overwrite)) for name in names}
         for plate in plates:
             with mpl.rc_context(STYLE):
-                _save(plate.draw(material), *(paths[f"{plate.name}{suffix}"] for suffix in FORMATS))
+                write(plate.draw(material), *(paths[f"{plate.name}{suffix}"] for suffix in FORMATS))
             advance()
         album = Album(tuple(plate.name for plate in plates), tuple(left_out), _claims(material), _checked(material))
         advance()
-        pictures = [Picture(plate.name, plate.caption, paths[f"{plate.name}.png"].read_bytes()) for plate in plates]
+        pictures = [
+            Picture(plate.name, f"Fig. {plate.number}", plate.caption, paths[f"{plate.name}.png"].read_bytes())
+            for plate in plates
+        ]
         text = page(pictures, album.claims, album.left_out, album.agreement)
         paths[PAGE].write_text(text, encoding="utf-8")
         paths[CLAIMS].write_text(json.dumps(album.as_dict(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
@@ -103,12 +105,6 @@ def make_album(
 
 STEPS = len(PLATES) + 1
 """How often `make_album` advances, at most."""
-
-
-def _save(figure: Figure, png: Path, svg: Path) -> None:
-    figure.savefig(png, dpi=140)
-    figure.set_layout_engine("none")  # it is done, and would be done anew
-    figure.savefig(svg, metadata={"Date": None})
 
 
 def _claims(material: Material) -> tuple[Claim, ...]:
