@@ -2,6 +2,7 @@
 
 from scara_effmass.settings.daq import (
     BagSettings,
+    BenchScene,
     BenchSettings,
     Coupling,
     DaqSettings,
@@ -22,6 +23,7 @@ __all__ = [
     "NODE_ONLY",
     "READ_ONLY",
     "BagSettings",
+    "BenchScene",
     "BenchSettings",
     "Contact",
     "Coupling",

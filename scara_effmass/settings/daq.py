@@ -217,6 +217,13 @@ class BagSettings(_Group):
     rate: float = Field(
         1.0, ge=0.0, le=1e3, description="times the original speed; 0: as fast as possible", json_schema_extra=READ_ONLY
     )
+    subscriber_timeout: float = Field(
+        3.0,
+        ge=0.0,
+        le=3600.0,
+        description="how long to wait for somebody to listen before it begins [s]",
+        json_schema_extra=READ_ONLY,
+    )
     stamps: Stamps = Field(
         Stamps.RECORDED,
         description="recorded, or now: as if it were measured now; files without absolute time are always now",
@@ -224,8 +231,31 @@ class BagSettings(_Group):
     )
 
 
+class BenchScene(str, Enum):
+    """What is simulated."""
+
+    HALF_SINES = "half_sines"
+    CELL = "cell"
+
+
 class BenchSettings(_Group):
     """Simulated force as the source."""
+
+    scene: BenchScene = Field(
+        BenchScene.HALF_SINES,
+        description=(
+            "half_sines: noise and half-sine impacts on any number of channels; cell: the virtual test bench, "
+            "whose robot bench_node moves"
+        ),
+        json_schema_extra=READ_ONLY,
+    )
+    start: float = Field(
+        0.0,
+        ge=0.0,
+        le=1e10,
+        description="ROS time at which the cell begins, the same as that of bench_node [s]; 0: now",
+        json_schema_extra=READ_ONLY,
+    )
 
     channels: int = Field(1, ge=1, le=8, description="number of channels", json_schema_extra=READ_ONLY)
     sample_rate: float = Field(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
@@ -10,8 +11,10 @@ from pydantic import BaseModel, ValidationError
 from scara_effmass.errors import SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
+
+    from pydantic.fields import FieldInfo
 
 Settings = TypeVar("Settings", bound=BaseModel)
 
@@ -32,8 +35,28 @@ def checked(kind: type[Settings], values: Mapping[str, Any], origin: str) -> Set
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "settings"
-        value = "" if first["type"] in {"missing", "extra_forbidden"} else f" = {first['input']!r}"
+        if first["type"] == "extra_forbidden":
+            raise SettingsError(f"{origin}: {key}: is not known; {nearest(key, flat_fields(kind))}") from None
+        value = "" if first["type"] == "missing" else f" = {first['input']!r}"
         raise SettingsError(f"{origin}: {key}{value}: {first['msg']}") from None
+
+
+def flat_fields(settings: type[BaseModel], prefix: str = "") -> dict[str, FieldInfo]:
+    """Return the fields of `settings` under their ROS names; those of a group are dotted ("filter.cutoff")."""
+    fields: dict[str, FieldInfo] = {}
+    for name, field in settings.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            fields |= flat_fields(field.annotation, f"{prefix}{name}.")
+        else:
+            fields[f"{prefix}{name}"] = field
+    return fields
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """Return what would be right instead of `name`: the most similar of `names`, or all of them."""
+    names = list(names)
+    similar = get_close_matches(name, names, n=1)
+    return f"{similar[0]} would be right" if similar else f"there are {', '.join(names) or 'none'}"
 
 
 def load_settings(kind: type[Settings], path: Path, node: str) -> Settings:

@@ -1,0 +1,173 @@
+"""How well predicted forces agree with measured ones over a series of impacts.
+
+The law is F = x sqrt(k), x = v sqrt(mu) (ISO/TS 15066, Annex A: E = mu v^2 / 2 = F^2 / (2 k)). Series are short, so all
+is computed anew from the whole series, with sums that are rounded once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.special import stdtrit  # scipy.stats would take a second to import, and a hundred times as long to answer
+
+if TYPE_CHECKING:
+    from scara_effmass.values import FloatArray
+
+CONFIDENCE = 0.95
+LIMITS = 1.96
+"""Standard deviations to either side of the bias that hold 95 % of normal differences (Bland and Altman 1986)."""
+SAME = 0.01
+"""Values of x within this share are one value: repetitions differ by that much, and correlating them says nothing."""
+ROUNDING = 1e-12
+"""A prediction this share below the measured force is not below it: one impact fits its own stiffness exactly."""
+
+
+class Interval(NamedTuple):
+    """From `low` to `high`."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """Predicted against measured forces of `count` impacts. Forces in [N], stiffness in [N/m].
+
+    `correlation` is Pearson's r of F and x, and 0 where `correlation_reason` says why there is none.
+    `fitted_stiffness` is that of the least-squares line F = sqrt(k) x through the origin, 0 below two impacts;
+    `stiffness` the one behind the predictions. `exponent` is p of F = c (mu v^2)^p over logarithms: 0.5 for a linear
+    spring, 0.6 for a Hertz contact. Intervals are at 95 % and take the residuals for independent and normal.
+    `bias` and `rmse` are of predicted - measured, `relative_rmse` is over the mean measured force, `limits` are
+    bias +- 1.96 standard deviations (n - 1) of the differences. `shortfalls` counts predictions that fall short by more
+    than the tolerance, relative to the measured force, `non_conservative` those that fall short at all;
+    `largest_shortfall` is relative, and 0 where none does. None: too few impacts, or `correlation_reason`.
+    """
+
+    count: int
+    correlation: float
+    correlation_reason: str
+    correlation_interval: Interval | None
+    fitted_stiffness: float
+    stiffness_interval: Interval | None
+    stiffness: float
+    exponent: float | None
+    exponent_interval: Interval | None
+    mean_force: float
+    bias: float
+    rmse: float
+    relative_rmse: float
+    limits: Interval | None
+    non_conservative: int
+    shortfalls: int
+    largest_shortfall: float
+
+
+def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfall_tolerance: float = 0.1) -> Agreement:
+    """Return the agreement of measured `force` (n,) [N] with the law over `x` (n,) = v sqrt(mu) [m/s sqrt(kg)].
+
+    Both are positive. `stiffness` [N/m] is the one to predict with; 0: the fitted one.
+    """
+    n = x.size
+    slope = slope_through_origin(x, force)
+    used = stiffness or slope**2
+    predicted = math.sqrt(used) * x if stiffness else slope * x
+    difference = predicted - force
+    mean_force = _mean(force)
+    bias, rmse = _mean(difference), math.sqrt(_mean(difference**2))
+    deviation = math.sqrt(math.fsum((difference - bias) ** 2) / (n - 1)) if n > 1 else 0.0
+    shortfall = -difference / force
+    reason = _uncorrelated(x, force)
+    line = None if reason else _Line(x, force)
+    power = None if reason else _Line(2.0 * np.log(x), np.log(force))  # x^2 = mu v^2
+    return Agreement(
+        count=n,
+        correlation=line.correlation if line else 0.0,
+        correlation_reason=reason,
+        correlation_interval=line.correlation_interval if line else None,
+        fitted_stiffness=slope**2 if n > 1 else 0.0,
+        stiffness_interval=_stiffness_interval(x, force, slope),
+        stiffness=used,
+        exponent=power.slope if power else None,
+        exponent_interval=power.slope_interval if power else None,
+        mean_force=mean_force,
+        bias=bias,
+        rmse=rmse,
+        relative_rmse=rmse / mean_force if n else 0.0,
+        limits=Interval(bias - LIMITS * deviation, bias + LIMITS * deviation) if n > 1 else None,
+        non_conservative=int(np.count_nonzero(shortfall > ROUNDING)),
+        shortfalls=int(np.count_nonzero(shortfall > shortfall_tolerance + ROUNDING)),
+        largest_shortfall=max((float(s) for s in shortfall if s > ROUNDING), default=0.0),
+    )
+
+
+def slope_through_origin(x: FloatArray, force: FloatArray) -> float:
+    """Return the slope of the least-squares line F = slope x, sum(x F) / sum(x^2); 0 without impacts."""
+    return math.fsum(x * force) / math.fsum(x * x) if x.size else 0.0
+
+
+def is_conservative(predicted: float, measured: float) -> bool:
+    """Return whether `predicted` is not below `measured`, rounding aside."""
+    return measured - predicted <= ROUNDING * measured
+
+
+class _Line:
+    """The least-squares line through points (x, y), and their correlation. Both must vary."""
+
+    def __init__(self, x: FloatArray, y: FloatArray) -> None:
+        self.n = x.size
+        dx, dy = x - _mean(x), y - _mean(y)
+        xx, xy, yy = math.fsum(dx * dx), math.fsum(dx * dy), math.fsum(dy * dy)
+        self.slope = xy / xx
+        self.correlation = min(1.0, max(-1.0, xy / math.sqrt(xx * yy)))
+        self._errors = math.fsum((dy - self.slope * dx) ** 2) / xx
+
+    @property
+    def slope_interval(self) -> Interval | None:
+        """By Student's t with n - 2 degrees of freedom."""
+        if self.n < 3:
+            return None
+        half = _quantile(self.n - 2) * math.sqrt(self._errors / (self.n - 2))
+        return Interval(self.slope - half, self.slope + half)
+
+    @property
+    def correlation_interval(self) -> Interval | None:
+        """By Fisher's z, which is normal with the standard deviation (n - 3)^-1/2."""
+        r = self.correlation
+        if self.n < 4 or abs(r) == 1.0:
+            return None if self.n < 4 else Interval(r, r)
+        z, half = math.atanh(r), _quantile(math.inf) / math.sqrt(self.n - 3)
+        return Interval(math.tanh(z - half), math.tanh(z + half))
+
+
+def _uncorrelated(x: FloatArray, force: FloatArray) -> str:
+    """Return why no correlation of `force` and `x` is defined; empty when it is."""
+    if x.size < 2:
+        return "fewer than two impacts"
+    if np.ptp(x) <= SAME * x.max():
+        return "all impacts are at the same v sqrt(mu)"
+    if np.ptp(force) <= ROUNDING * force.max():
+        return "all impacts have the same measured force"
+    return ""
+
+
+def _stiffness_interval(x: FloatArray, force: FloatArray, slope: float) -> Interval | None:
+    """Return the interval of k = slope^2: that of the slope (t, n - 1 degrees of freedom), squared end by end."""
+    n = x.size
+    if n < 2:
+        return None
+    residual = force - slope * x
+    error = math.sqrt(math.fsum(residual * residual) / (n - 1) / math.fsum(x * x))
+    half = _quantile(n - 1) * error
+    return Interval(max(0.0, slope - half) ** 2, (slope + half) ** 2)
+
+
+def _quantile(degrees: float) -> float:
+    """Return Student's t (infinite `degrees`: the normal distribution's) that half of 1 - CONFIDENCE lies above."""
+    return float(stdtrit(degrees, 0.5 + CONFIDENCE / 2.0))
+
+
+def _mean(values: FloatArray) -> float:
+    return math.fsum(values) / values.size if values.size else 0.0

@@ -1,0 +1,107 @@
+"""The criterion: what fails is named with its value and its limit."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from scara_effmass.errors import SettingsError
+from scara_effmass.impacts.agreement import agreement
+from scara_effmass.impacts.criterion import compare, criterion_hash, shortcoming
+from scara_effmass.settings import CriterionSettings, ValidatorSettings, checked
+
+if TYPE_CHECKING:
+    from scara_effmass.impacts.agreement import Agreement
+
+X = np.linspace(0.15, 0.35, 20)
+GOOD = agreement(X, 450.0 * X)
+
+
+def test_accepted_without_a_reason() -> None:
+    assert shortcoming(CriterionSettings(), GOOD, 0) == ""
+
+
+@pytest.mark.parametrize(
+    ("found", "unpaired", "reason"),
+    [
+        (agreement(X[:0], X[:0]), 0, "no impacts, at least 3 are required"),
+        (agreement(X[:1], 450.0 * X[:1]), 0, "1 impact, at least 3 are required"),
+        (agreement(X[:2], 450.0 * X[:2]), 9, "2 impacts, at least 3 are required"),
+        (GOOD, 21, "20 impacts of 41 paired with the robot, at least 50% must be"),
+        (
+            agreement(np.full(5, 0.3), np.full(5, 90.0)),
+            0,
+            "correlation undefined: all impacts are at the same v sqrt(mu)",
+        ),
+        (replace(GOOD, correlation=0.94321), 0, "correlation 0.9432 is below 0.95"),
+        (replace(GOOD, relative_rmse=0.12345), 0, "relative RMSE 0.1235 is above 0.1"),
+        (replace(GOOD, shortfalls=2), 0, "2 of 20 impacts predicted more than 10% too low, at most 5% may be"),
+    ],
+)
+def test_the_first_figure_that_fails(found: Agreement, unpaired: int, reason: str) -> None:
+    assert shortcoming(CriterionSettings(), found, unpaired) == reason
+
+
+def test_limits_are_inclusive() -> None:
+    found = replace(GOOD, correlation=0.95, relative_rmse=0.1, shortfalls=1)
+    assert shortcoming(CriterionSettings(), found, 20) == ""
+
+
+def test_a_stiffness_that_is_too_small_fails_by_its_shortfalls() -> None:
+    """15 % too little force everywhere: the correlation cannot see it."""
+    found = agreement(X, 450.0 * X, (0.85 * 450.0) ** 2)
+    assert found.correlation == pytest.approx(1.0)
+    lenient = CriterionSettings(largest_relative_rmse=0.2)
+    assert shortcoming(lenient, found, 0) == "20 of 20 impacts predicted more than 10% too low, at most 5% may be"
+
+
+def test_half_of_a_fitted_series_is_non_conservative_and_may_be() -> None:
+    rng = np.random.default_rng(0)
+    found = agreement(X, 450.0 * X * (1.0 + rng.normal(0.0, 0.01, X.size)))
+    assert found.non_conservative >= 5
+    assert shortcoming(CriterionSettings(), found, 0) == ""
+
+
+def test_the_hash_is_that_of_the_values() -> None:
+    text = (
+        '{"largest_relative_rmse":0.1,"largest_shortfall_share":0.05,"least_correlation":0.95,"least_count":3,'
+        '"least_paired_share":0.5,"shortfall_tolerance":0.1}'
+    )
+    assert criterion_hash(CriterionSettings()) == hashlib.sha256(text.encode()).hexdigest()[:16]
+    assert criterion_hash(CriterionSettings(least_count=4)) != criterion_hash(CriterionSettings())
+
+
+def test_settings_in_groups_are_checked() -> None:
+    found = checked(ValidatorSettings, {"criterion.least_count": 12, "stiffness": 200.0}, "params.yaml")
+    assert (found.criterion.least_count, found.stiffness) == (12, 200.0)
+    with pytest.raises(SettingsError, match=r"params.yaml: criterion.least_correlation = 2.0: .* less than or equal"):
+        checked(ValidatorSettings, {"criterion.least_correlation": 2.0}, "params.yaml")
+
+
+def test_the_best_model_first_with_numbers() -> None:
+    wrong = agreement(X, 450.0 * X[::-1])
+    comparison = compare({"iso": wrong, "lumped": GOOD}, same_mass=False)
+    assert [fit.model for fit in comparison.order] == ["lumped", "iso"]
+    assert comparison.text.startswith("lumped explains the forces best; relative RMSE lumped 0.0000 (r 1.0000), iso 0.")
+    assert comparison.count == 20
+
+
+def test_models_that_are_as_good_as_each_other() -> None:
+    rng = np.random.default_rng(0)
+    one = agreement(X, 450.0 * X * (1.0 + rng.normal(0.0, 0.02, X.size)))
+    both = compare({"lumped": replace(one, relative_rmse=one.relative_rmse * 1.05), "full": one}, same_mass=False)
+    assert [fit.model for fit in both.order] == ["full", "lumped"]
+    assert both.text.startswith("full and lumped explain the forces equally well; ")
+
+
+def test_nothing_to_compare() -> None:
+    assert compare({"lumped": GOOD}, same_mass=False).text.endswith("nothing to compare")
+    assert compare({}, same_mass=False).count == 0
+    one = agreement(X[:1], X[:1])
+    assert compare({"lumped": one, "iso": one}, same_mass=False).text.endswith("nothing to compare")
+    same = compare({"lumped": GOOD, "iso": GOOD}, same_mass=True)
+    assert "the models cannot be told apart" in same.text

@@ -1,0 +1,556 @@
+"""From contact states and impacts to a judged series."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scara_effmass.errors import SettingsError
+from scara_effmass.impacts.validator import Validator
+from scara_effmass.settings import MassModel, ValidatorSettings
+from scara_effmass.values import NAN, ForceBlock
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from scara_effmass.impacts.result import Result
+    from scara_effmass.values import ValidatedImpact
+    from test.impacts.validation.conftest import Cell, MakeCell, MakeImpact, MakeState
+
+START = 1_700_000_000_000_000_000
+MS = 1_000_000
+LUMPED = (0.981, 1.247, 2.891)
+OBSTACLES = (0.50, 2.39, 3.72, 7.35)
+STIFFNESS = 2e5
+ISO = 2.77
+
+
+def run(
+    cell: Cell, settings: ValidatorSettings, order: Callable[[int], int] | None = None
+) -> tuple[list[ValidatedImpact], Result]:
+    """Feed `cell`, by time of arrival unless `order` says from which stream (0: states) the nth one comes."""
+    validator = Validator(settings)
+    for since_ns, obstacle_mass, configuration in cell.runs:
+        validator.set_run(since_ns, obstacle_mass=obstacle_mass, configuration=configuration)
+    states, impacts = list(cell.states), list(cell.impacts)
+    found: list[ValidatedImpact] = []
+    turn = 0
+    while states or impacts:
+        if not states or not impacts:
+            first = not states
+        elif order:
+            first = bool(order(turn))
+        else:
+            first = impacts[0][1] < states[0][1]
+        turn += 1
+        found += validator.add_impact(*impacts.pop(0)) if first else validator.add_state(*states.pop(0))
+    found += validator.finish()
+    return found, validator.result()
+
+
+def balanced(result: Result) -> bool:
+    counted = len(result.impacts) + sum(result.excluded.values()) + sum(result.unpaired.values()) + result.waiting
+    refused = sum(result.excluded.values()) + sum(result.unpaired.values())
+    return result.seen == counted and len(result.refused) == refused
+
+
+@pytest.fixture(scope="module")
+def campaign(make_cell: MakeCell) -> Cell:
+    """The paper's twelve cases, without noise."""
+    return make_cell()
+
+
+def test_the_campaign_gives_back_what_went_into_it(campaign: Cell) -> None:
+    found, result = run(campaign, ValidatorSettings(history=60.0))
+    assert balanced(result)
+    assert (result.seen, result.waiting, result.simulated, len(found)) == (12, 0, 12, 12)
+    assert (result.accepted, result.reason, result.clock, result.force_sign) == (True, "", "", "")
+    lumped, full, iso = result.models
+    assert [m.model for m in result.models] == ["lumped", "full", "iso"]
+    assert lumped.overall.fitted_stiffness == pytest.approx(STIFFNESS, rel=1e-9)
+    assert lumped.overall.correlation == pytest.approx(1.0)
+    assert lumped.overall.exponent == pytest.approx(0.5, abs=1e-9)
+    assert 0.999 < full.overall.correlation < 1.0  # 2 % heavier
+    assert iso.overall.correlation < 0.95
+    assert not iso.accepted
+    assert [fit.model for fit in result.comparison.order] == ["lumped", "full", "iso"]
+    assert result.comparison.text.startswith("lumped explains the forces best")
+    for impact, (m_h, m_n) in zip(found, [(m_h, m) for m_h in OBSTACLES for m in LUMPED], strict=True):
+        assert impact.speed == pytest.approx(0.25, rel=1e-9)  # neither the latest, 0.1, nor between the two
+        assert impact.effective_mass == pytest.approx(m_n)
+        assert impact.reduced_mass == pytest.approx(m_n * m_h / (m_n + m_h))
+        assert impact.direction == pytest.approx((0.0, -1.0, 0.0))
+        assert (impact.obstacle_mass, impact.configuration) == (m_h, f"m_n {m_n} kg")
+        assert impact.from_trend
+        assert [p.model for p in impact.predictions] == ["lumped", "full", "iso"]
+
+
+def test_every_figure_of_an_impact(campaign: Cell) -> None:
+    """Recomputed from the message's own fields, with a stiffness that is too small."""
+    found, result = run(campaign, ValidatorSettings(history=60.0, stiffness=180.0))
+    n = 0
+    for n, impact in enumerate(found, 1):
+        assert impact.stiffness == 180_000.0
+        assert impact.predicted_force == pytest.approx(0.25 * math.sqrt(impact.reduced_mass * 180_000.0))
+        assert impact.relative_error == pytest.approx(math.sqrt(0.9) - 1.0)
+        assert not impact.conservative
+        assert (impact.count, impact.non_conservative) == (n, n)
+        so_far = np.array([(i.predicted_force - i.measured_force) for i in found[:n]])
+        assert impact.bias == pytest.approx(so_far.mean())
+        assert impact.rmse == pytest.approx(np.sqrt(np.mean(so_far**2)))
+        assert impact.fitted_stiffness == (pytest.approx(STIFFNESS) if n > 1 else 0.0)
+        assert impact.accepted == (n >= 3)
+        iso = impact.predictions[2]
+        assert iso.effective_mass == ISO
+        assert iso.predicted_force == pytest.approx(0.25 * math.sqrt(180e3 / (1 / ISO + 1 / impact.obstacle_mass)))
+    assert n == 12
+    assert result.models[0].overall.largest_shortfall == pytest.approx(1.0 - math.sqrt(0.9))
+
+
+def test_groups_by_configuration_and_by_obstacle(campaign: Cell) -> None:
+    _, result = run(campaign, ValidatorSettings(history=60.0))
+    iso = result.models[2]
+    assert list(iso.by_obstacle_mass) == sorted(OBSTACLES)
+    assert sorted(iso.by_configuration) == [f"m_n {m} kg" for m in LUMPED]
+    assert sum(group.count for group in iso.by_configuration.values()) == 12
+    lightest, heaviest = iso.by_configuration["m_n 0.981 kg"], iso.by_configuration["m_n 2.891 kg"]
+    assert (
+        lightest.bias > 0.0 > heaviest.bias
+    )  # one mass for all poses: too much for the light, too little for the heavy
+    assert {group.stiffness for group in iso.by_obstacle_mass.values()} == {iso.overall.stiffness}
+
+
+def test_groups_at_one_reduced_mass_say_so(make_cell: MakeCell) -> None:
+    cell = make_cell(repetitions=3)
+    one = cell._replace(states=cell.states[:600], impacts=cell.impacts[:3])
+    _, result = run(one, ValidatorSettings(history=60.0))
+    assert not result.accepted
+    assert result.reason == "correlation undefined: all impacts are at the same v sqrt(mu)"
+    assert "the models cannot be told apart" in result.comparison.text
+
+
+@given(st.integers(0, 2**32), st.data())
+@settings(max_examples=30)
+def test_the_order_of_arrival_does_not_matter(make_cell: MakeCell, seed: int, data: st.DataObject) -> None:
+    """Bit by bit: each published impact, and the result; with spoilt impacts and clocks that leap among them."""
+    cell = make_cell(step_ms=40)
+    for i in data.draw(st.lists(st.integers(0, 11), max_size=3)):
+        impact, received_ns = cell.impacts[i]
+        leap = {"stamp_ns": impact.stamp_ns + data.draw(st.sampled_from([-3000, 3000])) * MS}
+        spoil: dict[str, Any] = data.draw(st.sampled_from([{"clipped": True}, {"rebound": 1}, leap]))
+        cell.impacts[i] = (impact._replace(**spoil), received_ns)
+    cell.states.pop(data.draw(st.integers(0, 299)))
+    settings = ValidatorSettings(history=60.0)
+    by_time = run(cell, settings)
+    assert balanced(by_time[1])
+    turns = np.random.default_rng(seed).integers(0, 2, 400)
+    for order in (lambda i: turns[i % 400], lambda _: 0, lambda _: 1):
+        assert run(cell, settings, order) == by_time
+
+
+@given(st.lists(st.tuples(st.integers(0, 12_000), st.floats(-10.0, 500.0), st.integers(0, 5)), max_size=25))
+@settings(max_examples=50)
+def test_no_impact_is_lost(make_cell: MakeCell, make_impact: MakeImpact, drawn: list[tuple[int, float, int]]) -> None:
+    cell = make_cell(step_ms=40)
+    cell.impacts.clear()
+    for ms, peak, kind in sorted(drawn):
+        impact = make_impact(START + ms * MS, peak, clipped=kind == 1, incomplete=kind == 2, rebound=int(kind == 3))
+        cell.impacts.append((impact, impact.stamp_ns + 100 * MS))
+    found, result = run(cell, ValidatorSettings())
+    assert balanced(result)
+    assert result.seen == len(drawn)
+    assert len(found) == len(result.impacts)
+    assert result.waiting == 0
+
+
+def test_scaled_forces_scale_the_stiffness_by_the_square(make_cell: MakeCell) -> None:
+    rng = np.random.default_rng(0)
+    forces = [i.peak_force * (1.0 + rng.normal(0.0, 0.03)) for i, _ in make_cell().impacts]
+    settings = ValidatorSettings(history=60.0)
+    _, one = run(make_cell(forces), settings)
+    _, two = run(make_cell([2.0 * force for force in forces]), settings)
+    for a, b in zip(one.models, two.models, strict=True):
+        assert b.overall.fitted_stiffness == 4.0 * a.overall.fitted_stiffness
+        assert b.overall.correlation == pytest.approx(a.overall.correlation, abs=1e-12)
+        assert (a.accepted, a.overall.non_conservative) == (b.accepted, b.overall.non_conservative)
+
+
+def test_an_impact_waits_for_the_state_after_it(make_state: MakeState, make_impact: MakeImpact) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    for ms in (0, 10, 20):
+        assert not validator.add_state(make_state(START + ms * MS), START + ms * MS)
+    assert not validator.add_impact(make_impact(START + 25 * MS), START + 25 * MS)
+    assert validator.result().waiting == 1
+    assert balanced(validator.result())
+    (validated,) = validator.add_state(make_state(START + 30 * MS, 0.1), START + 30 * MS)
+    assert validated.stamp_ns == START + 25 * MS
+    assert validated.speed == pytest.approx(0.25)
+    assert validator.result().waiting == 0
+
+
+def test_without_an_end_an_impact_waits_no_longer_than_the_clock_tolerance(
+    make_state: MakeState, make_impact: MakeImpact
+) -> None:
+    """When joint states stop, the monitor repeats its last stamp, and that is heard."""
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    validator.add_state(make_state(START), START)
+    validator.add_impact(make_impact(START + 25 * MS), START + 100 * MS)
+    validator.add_state(make_state(START), START + 600 * MS)
+    assert validator.result().waiting == 1
+    validator.add_state(make_state(START), START + 601 * MS)
+    assert validator.result().unpaired == {"no contact state within 50 ms after the onset": 1}
+
+
+def test_spoilt_impacts_are_counted_each_under_its_reason(campaign: Cell) -> None:
+    spoilt: list[dict[str, Any]] = [
+        {"clipped": True},
+        {"incomplete": True},
+        {"rebound": 2},
+        {"peak_force": -3.0},
+        {"peak_force": NAN},
+    ]
+    impacts = [
+        (i._replace(**(spoilt[n] if n < 5 else {})), received) for n, (i, received) in enumerate(campaign.impacts)
+    ]
+    found, result = run(campaign._replace(impacts=impacts), ValidatorSettings(history=60.0))
+    assert result.excluded == {
+        "clipped: the force reached the end of the measuring range": 1,
+        "incomplete: samples were lost during it": 1,
+        "rebound of an earlier impact": 1,
+        "no positive peak force": 2,
+    }
+    assert (len(found), result.unpaired, result.accepted) == (7, {}, True)
+    assert balanced(result)
+    assert result.refused[0].excluded
+
+
+def test_no_impacts(campaign: Cell) -> None:
+    _, result = run(campaign._replace(impacts=[]), ValidatorSettings())
+    assert not result.accepted
+    assert result.reason == "no impacts, at least 3 are required"
+    assert result.seen == 0
+    assert "nothing to compare" in result.comparison.text
+    _, result = run(campaign._replace(impacts=[], states=[]), ValidatorSettings())
+    assert (result.contact_point, result.accepted) == ("", False)
+
+
+def test_one_impact(campaign: Cell) -> None:
+    (only,), result = run(campaign._replace(impacts=campaign.impacts[:1]), ValidatorSettings(history=60.0))
+    assert (only.count, only.correlation, only.fitted_stiffness, only.accepted) == (1, 0.0, 0.0, False)
+    assert only.stiffness == pytest.approx(STIFFNESS)
+    assert only.conservative
+    assert result.reason == "1 impact, at least 3 are required"
+
+
+def test_no_obstacle_mass(campaign: Cell) -> None:
+    found, result = run(campaign._replace(runs=[]), ValidatorSettings(history=60.0))
+    assert not found
+    assert result.unpaired == {"obstacle_mass is not given": 12}
+    assert result.refused[0].detail == "set it to the mass of what is hit [kg]"
+
+
+def test_no_contact_states(campaign: Cell) -> None:
+    found, result = run(campaign._replace(states=[]), ValidatorSettings())
+    assert not found
+    assert result.unpaired == {"no contact state": 12}
+    assert balanced(result)
+
+
+@pytest.mark.parametrize("ahead_s", [-3.2, 3.2, -3600.0, 3600.0, -1.7e9])
+def test_clocks_apart(make_cell: MakeCell, ahead_s: float) -> None:
+    """The state that is stamped as the onset is another one's, and would be taken without a look at the arrivals."""
+    cell = make_cell(force_clock_ns=round(ahead_s * 1e9))
+    found, result = run(cell, ValidatorSettings(history=60.0))
+    assert not found
+    assert result.unpaired == {"force and contact states are seconds apart: their clocks differ": 12}
+    assert result.clock.startswith("force and contact states are ")
+    assert float(result.clock.split()[5]) == pytest.approx(abs(ahead_s), abs=0.2)
+    assert result.reason == result.clock
+    assert not any(model.accepted for model in result.models)
+
+
+def test_blocks_tell_the_clocks_better(campaign: Cell) -> None:
+    """Half a second and more, which an impact's own arrival cannot tell from a late report."""
+    validator = Validator(ValidatorSettings(history=60.0))
+    for state in campaign.states:
+        validator.add_state(*state)
+    for i in range(10):
+        validator.add_force(block([0.0] * 128, START + i * 100 * MS), START + (i * 100 + 15) * MS)
+    assert validator.result().clock == ""
+    for i in range(11):
+        validator.add_force(block([0.0] * 128, START + i * 100 * MS), START + (i * 100 + 10 + 802) * MS)
+    assert validator.result().clock == "force and contact states are 0.80 s apart: their clocks differ"
+    for i in range(30):
+        validator.add_force(block([0.0] * 128, START + i * 100 * MS), START + (i * 100 + 10 - 798) * MS)
+    assert validator.result().clock == "force and contact states are 0.80 s apart: their clocks differ"
+
+
+@pytest.mark.parametrize("days", [-1, 1])
+def test_clocks_that_share_no_time_without_arrivals(campaign: Cell, days: int) -> None:
+    """Recordings of two days: no arrival times, only stamps that do not meet."""
+    day = days * 86_400_000 * MS
+    cell = campaign._replace(
+        states=[(state, 0) for state, _ in campaign.states],
+        impacts=[(impact._replace(stamp_ns=impact.stamp_ns + day), 0) for impact, _ in campaign.impacts],
+    )
+    found, result = run(cell, ValidatorSettings(history=60.0))
+    assert not found
+    assert result.clock.startswith("impacts and contact states are at least 8638")
+    assert result.unpaired == {"no contact state within 50 ms before the onset": 12}
+
+
+def test_without_arrivals_stamps_alone_pair(campaign: Cell) -> None:
+    cell = campaign._replace(
+        states=[(state, 0) for state, _ in campaign.states], impacts=[(impact, 0) for impact, _ in campaign.impacts]
+    )
+    settings = ValidatorSettings(history=60.0)
+    assert run(cell, settings) == run(campaign, settings)
+
+
+def block(force: Sequence[float], stamp_ns: int = START) -> ForceBlock:
+    return ForceBlock(
+        stamp_ns=stamp_ns,
+        frame_id="force_sensor",
+        first_sample=0,
+        sample_rate=12_800.0,
+        force=np.array(force),
+        lost_samples=0,
+        saturated_samples=np.array([], dtype=np.uint32),
+        clock_residual=0.0,
+        filter_delay=0.0,
+        source="generated by the test",
+        simulated=True,
+        tare=0.0,
+        tare_stamp_ns=0,
+        relative_uncertainty=0.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("force", "text"),
+    [
+        (
+            [0.1, -312.0, 2.0, NAN],
+            "force goes to -312 N and never above 2 N: compression is positive; set sensor.invert",
+        ),
+        ([0.0, 312.0, -60.0], ""),
+        ([0.3, -0.4], ""),
+        ([NAN], ""),
+    ],
+)
+def test_force_of_the_wrong_sign(campaign: Cell, force: list[float], text: str) -> None:
+    validator = Validator(ValidatorSettings())
+    for state in campaign.states:
+        validator.add_state(*state)
+    validator.add_force(block(force), 0)
+    result = validator.result()
+    assert result.force_sign == text
+    assert result.reason == (text or "no impacts, at least 3 are required")
+
+
+def test_other_contact_points_are_named(make_state: MakeState, make_impact: MakeImpact) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0, contact_point="tool"))
+    for ms in (0, 10):
+        validator.add_state(make_state(START + ms * MS, 0.9, contact_point="elbow"), 0)
+        validator.add_state(make_state(START + ms * MS, 0.25), 0)
+    (validated,) = validator.add_impact(make_impact(START + 5 * MS), 0)
+    assert (validated.contact_point, validated.speed) == ("tool", 0.25)
+    assert validator.result().other_contact_points == ("elbow",)
+
+
+def test_the_first_contact_point_where_none_is_chosen(make_state: MakeState) -> None:
+    validator = Validator(ValidatorSettings())
+    for name in ("", "elbow", "tool"):  # the first one: there is no robot yet
+        validator.add_state(make_state(START, contact_point=name), 0)
+    result = validator.result()
+    assert (result.contact_point, result.other_contact_points) == ("elbow", ("tool",))
+
+
+@pytest.mark.parametrize(
+    ("model", "masses", "effective"),
+    [
+        (MassModel.FULL, (1.0, 2.0), 2.0),
+        (MassModel.ISO, (1.0, 2.0), ISO),
+        (MassModel.LARGEST, (1.0, 2.0), 2.0),
+        (MassModel.LARGEST, (3.0, 2.0), 3.0),
+        (MassModel.LUMPED, (1.0, NAN), 1.0),
+    ],
+)
+def test_the_judged_model(
+    make_state: MakeState,
+    make_impact: MakeImpact,
+    model: MassModel,
+    masses: tuple[float, float],
+    effective: float,
+) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0, effective_mass_model=model))
+    for ms in (0, 10):
+        validator.add_state(make_state(START + ms * MS, 0.25, (1.0, 0.0, 0.0), *masses), 0)
+    (validated,) = validator.add_impact(make_impact(START + 5 * MS), 0)
+    assert validated.effective_mass == effective
+    assert all(math.isfinite(p.effective_mass) for p in validated.predictions)
+    assert validator.result().model == model.value
+
+
+@pytest.mark.parametrize("model", [MassModel.FULL, MassModel.LARGEST])
+def test_a_judged_model_without_a_mass(make_state: MakeState, make_impact: MakeImpact, model: MassModel) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0, effective_mass_model=model))
+    for ms in (0, 10):
+        validator.add_state(make_state(START + ms * MS, full=NAN), 0)
+    assert not validator.add_impact(make_impact(START + 5 * MS), 0)
+    assert validator.result().unpaired == {f"no {model.value} mass": 1}
+
+
+def test_the_obstacle_at_the_onset_counts(make_state: MakeState, make_impact: MakeImpact) -> None:
+    """Changed between impacts, also while one still waits."""
+    validator = Validator(ValidatorSettings(obstacle_mass=1.0, configuration="near"))
+    found = []
+    for ms in range(0, 100, 10):
+        found += validator.add_state(make_state(START + ms * MS), 0)
+        if ms in {20, 60}:
+            validator.add_impact(make_impact(START + (ms + 5) * MS), 0)
+            validator.set_run(START + (ms + 6) * MS, obstacle_mass=2.0 + ms)
+    assert [(i.obstacle_mass, i.configuration) for i in found] == [(1.0, "near"), (22.0, "near")]
+    assert validator.obstacle_mass == 62.0
+    validator.set_run(START, configuration="far")
+    assert validator.obstacle_mass == 62.0
+    validator.set_run(START + 66 * MS, obstacle_mass=1.5)  # in place of the one that began then
+    assert validator.obstacle_mass == 1.5
+
+
+@pytest.mark.parametrize("mass", [-1.0, NAN, math.inf, 1001.0])
+def test_a_mass_that_cannot_be(mass: float) -> None:
+    validator = Validator(ValidatorSettings())
+    with pytest.raises(SettingsError, match=r"^validator: obstacle_mass = .*: 0 \(not given\) to 1000 kg"):
+        validator.set_run(0, obstacle_mass=mass)
+    assert validator.obstacle_mass == 0.0
+
+
+def test_reset_begins_a_new_series(campaign: Cell) -> None:
+    validator = Validator(ValidatorSettings(history=60.0, obstacle_mass=2.39))
+    for state in campaign.states:
+        validator.add_state(*state)
+    for impact in campaign.impacts:
+        validator.add_impact(*impact)
+    assert validator.result().seen == 12
+    validator.add_state(campaign.states[0][0], 0)
+    assert validator.result().late_states == 1
+    validator.reset()
+    result = validator.result()
+    assert (result.seen, result.impacts, result.late_states, result.accepted) == (0, (), 0, False)
+    (validated,) = validator.add_impact(*campaign.impacts[0])
+    assert (validated.count, validated.obstacle_mass) == (1, 2.39)
+
+
+def test_recordings_one_after_the_other(make_cell: MakeCell) -> None:
+    """Each on the same stamps, with an obstacle of its own: one series."""
+    cell = make_cell()
+    validator = Validator(ValidatorSettings(history=60.0))
+    found: list[ValidatedImpact] = []
+    for number, (since_ns, obstacle_mass, configuration) in enumerate(cell.runs):
+        validator.set_run(0, obstacle_mass=obstacle_mass, configuration=configuration)
+        shift = START - since_ns
+        for state, received_ns in cell.states[200 * number : 200 * number + 200]:
+            found += validator.add_state(state._replace(stamp_ns=state.stamp_ns + shift), received_ns + shift)
+        impact, received_ns = cell.impacts[number]
+        found += validator.add_impact(impact._replace(stamp_ns=impact.stamp_ns + shift), received_ns + shift)
+        found += validator.begin_recording()
+    together, _ = run(cell, ValidatorSettings(history=60.0))
+    assert [i.predicted_force for i in found] == [i.predicted_force for i in together]
+    assert validator.result().accepted
+
+
+def test_a_clock_that_goes_back_begins_a_new_recording(make_state: MakeState, make_impact: MakeImpact) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    validator.set_run(START, obstacle_mass=3.0)
+    validator.add_state(make_state(START), 0)
+    validator.add_impact(make_impact(START + 5 * MS), 0)
+    early = START - 60_000 * MS
+    for ms in (0, 10):
+        validator.add_state(make_state(early + ms * MS), 0)
+    assert validator.result().unpaired == {"no contact state within 50 ms after the onset": 1}
+    (validated,) = validator.add_impact(make_impact(early + 5 * MS), 0)
+    assert validated.obstacle_mass == 3.0
+
+
+def test_the_series_is_predicted_with_its_own_stiffness(make_cell: MakeCell) -> None:
+    rng = np.random.default_rng(0)
+    forces = [i.peak_force * (1.0 + rng.normal(0.0, 0.05)) for i, _ in make_cell().impacts]
+    found, result = run(make_cell(forces), ValidatorSettings(history=60.0))
+    overall = result.models[0].overall
+    assert len({i.stiffness for i in found}) == 12  # each with what was known then
+    assert {i.stiffness for i in result.impacts} == {overall.fitted_stiffness}
+    assert result.impacts[-1] == found[-1]
+    difference = [i.predicted_force - i.measured_force for i in result.impacts]
+    assert overall.bias == pytest.approx(np.mean(difference), abs=1e-9)
+    assert overall.non_conservative == sum(not i.conservative for i in result.impacts)
+
+
+def test_an_impact_may_be_reported_late(campaign: Cell) -> None:
+    """A train of contacts is reported when it is over: no sign of clocks that differ."""
+    late = [(impact, impact.stamp_ns + 1200 * MS) for impact, _ in campaign.impacts]
+    found, result = run(campaign._replace(impacts=late), ValidatorSettings(history=60.0))
+    assert (len(found), result.clock, result.accepted) == (12, "", True)
+
+
+def test_clocks_that_differed_in_an_earlier_recording(make_cell: MakeCell) -> None:
+    cell = make_cell(force_clock_ns=-5000 * MS)
+    validator = Validator(ValidatorSettings(history=60.0))
+    for state in cell.states:
+        validator.add_state(*state)
+    for impact in cell.impacts:
+        validator.add_impact(*impact)
+    text = validator.result().clock
+    assert text
+    validator.begin_recording()
+    assert validator.result().clock == text
+    validator.reset()
+    assert validator.result().clock == ""
+
+
+def test_the_clock_residual_widens_the_uncertainty(make_state: MakeState, make_impact: MakeImpact) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0, effective_mass_model=MassModel.LARGEST))
+    for ms in range(0, 50, 10):
+        masses = (1.0 + 0.01 * ms, 1.0 + 0.02 * ms)
+        validator.add_state(make_state(START + ms * MS, 0.2 + 0.001 * ms, (1.0, 0.0, 0.0), *masses), 0)
+    (near,) = validator.add_impact(make_impact(START + 25 * MS), 0)
+    (far,) = validator.add_impact(make_impact(START + 25 * MS, clock_residual=-0.004), 0)
+    assert near.speed_spread == pytest.approx(0.002)
+    assert far.speed_spread == pytest.approx(0.010)
+    assert [p.mass_spread for p in far.predictions] == pytest.approx([0.1, 0.2, 0.0, 0.2])
+
+
+def test_models_are_compared_on_the_same_impacts(make_state: MakeState, make_impact: MakeImpact) -> None:
+    """The full mass is not known for half of them: the comparison leaves those out for all models."""
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    for number, mass in enumerate((0.8, 1.0, 1.5, 2.0, 3.0, 4.0)):
+        start_ns = START + number * 1000 * MS
+        full = mass if number % 2 else NAN
+        for ms in (0, 10):
+            validator.add_state(make_state(start_ns + ms * MS, lumped=mass, full=full), 0)
+        validator.add_impact(make_impact(start_ns + 5 * MS, 100.0 + 20.0 * number), 0)
+    result = validator.result()
+    assert [model.overall.count for model in result.models] == [6, 3, 6]
+    assert result.comparison.count == 3
+    by_model = {fit.model: fit for fit in result.comparison.order}
+    assert by_model["lumped"].relative_rmse == by_model["full"].relative_rmse
+    assert by_model["lumped"].relative_rmse != result.models[0].overall.relative_rmse
+
+
+def test_one_reduced_mass_at_several_speeds_tells_no_models_apart(
+    make_state: MakeState, make_impact: MakeImpact
+) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    for number, speed in enumerate((0.1, 0.2, 0.3, 0.4)):
+        start_ns = START + number * 1000 * MS
+        for ms in (0, 10):
+            validator.add_state(make_state(start_ns + ms * MS, speed, lumped=1.0 + 0.002 * number), 0)
+        validator.add_impact(make_impact(start_ns + 5 * MS, 400.0 * speed), 0)
+    result = validator.result()
+    assert result.models[0].overall.correlation > 0.99
+    assert "the models cannot be told apart" in result.comparison.text
