@@ -148,7 +148,7 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
     if not path.exists():
         return
     if not overwrite:
-        raise OutputError(f"{path}: exists already; it is replaced only when that is asked for")
+        raise OutputError(f"{path}: exists already; --force replaces it")
     is_file = path.suffix == ".mcap"
     if path.is_dir() is is_file or (path.is_dir() and not (path / METADATA).is_file()):
         raise OutputError(f"{path}: exists and is no such recording; it is not replaced")

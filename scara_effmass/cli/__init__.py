@@ -21,10 +21,13 @@ COMMANDS = {
     "demo": "replay a recording through the live monitor, watch it, summarise it, plot it",
     "monitor": "run the live monitor node",
     "daq": "run the force node: an NI-9230, a recording, or simulated force",
+    "validator": "run the node that holds impacts against their predictions",
     "replay": "play a bag into the live nodes, with /clock",
     "record": "record live topics into a bag that survives a crash; complete one that was killed",
     "assess": "assess every joint state of bags, offline, into a table or a bag",
+    "validate": "hold measured impacts against their predictions, offline, and write a report",
     "figures": "draw the paper's figures anew, and compare its numbers",
+    "campaign": "simulate the paper's impact experiment, and record it as bags",
     "limits": "print the body-region table, and the speeds it allows",
     "doctor": "tell what is installed and whether a robot model is sound",
 }

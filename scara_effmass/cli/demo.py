@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -114,7 +115,12 @@ def run(args: argparse.Namespace) -> int:
     if not args.json:
         for subject, text in _introduction(recording, arm, settings, choice, args.rate):
             console.print(f"{subject:<16}{text}")
-    live.run(args, settings, recording, console)
+    try:
+        live.run(args, settings, recording, console)
+    except BaseException:
+        # A demo gives all that it announces, or nothing.
+        shutil.rmtree(args.out / BAG, ignore_errors=True)
+        raise
     if not live.cycles:
         raise EffmassError(
             f"{recording.path}: the monitor answered none of {live.sent} joint states; does {arm.robot.name} fit?"

@@ -97,7 +97,7 @@ def _record(args: argparse.Namespace) -> int:
         printer().print_json(json.dumps(_plain(report), allow_nan=False))
     else:
         _print(report, named=bool(args.topics))
-    return 0
+    return 1 if report.recording.lost or report.recording.stopped_by_disk else 0
 
 
 def _plain(report: RecordReport) -> dict[str, object]:

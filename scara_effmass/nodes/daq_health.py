@@ -56,6 +56,8 @@ class DaqHealth:
         message = statistics.reason or statistics.state.value
         if level == DiagnosticStatus.OK and lost:
             level, message = DiagnosticStatus.WARN, f"{lost} samples lost"
+        elif level == DiagnosticStatus.OK and signal.clock.restarts:
+            level, message = DiagnosticStatus.WARN, f"a clock has jumped {signal.clock.restarts} times: stamps with it"
         elif level == DiagnosticStatus.OK and self._unmatched:
             level, message = DiagnosticStatus.WARN, "; ".join(sorted(self._unmatched))
         live = statistics.latency_p50_s == statistics.latency_p50_s  # NaN of a recording, whose time is its own
@@ -86,12 +88,16 @@ class DaqHealth:
 
     def _channel(self, channel: ForceChannel, detector: Detector, impacts: int) -> DiagnosticStatus:
         level, message = DiagnosticStatus.OK, f"{impacts} impacts"
-        if channel.tare_problem:
+        if channel.lost and not channel.samples:
+            level, message = DiagnosticStatus.ERROR, f"none of {channel.lost} samples could be used"
+        elif channel.tare_problem:
             level, message = DiagnosticStatus.WARN, channel.tare_problem
         elif channel.samples and not detector.settled:
             level, message = DiagnosticStatus.WARN, "no steady baseline yet: impacts are not found"
         elif channel.saturated:
             level, message = DiagnosticStatus.WARN, f"{channel.saturated} samples at the end of the measuring range"
+        elif channel.lost:
+            level, message = DiagnosticStatus.WARN, f"{channel.lost} samples lost"
         return status(
             f"{self._node}: channel {channel.name}",
             level,

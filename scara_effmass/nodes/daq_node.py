@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import traceback
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from scara_effmass_msgs.msg import ForceBlock, Impact
 from std_srvs.srv import Trigger
 
 from scara_effmass.bag_io.force import force_block_message, impact_message
-from scara_effmass.daq.acquisition import Acquisition
+from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.channel import ForceSignal
 from scara_effmass.daq.source import make_source
 from scara_effmass.errors import DaqError, EffmassError, SettingsError
@@ -33,13 +34,13 @@ if TYPE_CHECKING:
     from rclpy.lifecycle import LifecyclePublisher
 
     from scara_effmass import values
-    from scara_effmass.daq.acquisition import AcquisitionState
     from scara_effmass.daq.source import ForceSource
 
 _BLOCK_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=100)
 """Of the last ones only: a subscriber that cannot follow loses blocks, the acquisition does not wait for it."""
 _EVENT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
 _REPORT_S = 1.0
+_LOOK_S = 0.01
 _DELIVERED_S = 5.0
 """Fast DDS asks its readers every 3 s."""
 _NS = 1_000_000_000
@@ -74,8 +75,9 @@ class DaqNode(SuiteNode):
     def set_up(self) -> None:
         """Choose the source and create the endpoints. Raises EffmassError."""
         settings = self._settings
-        if settings.source is ForceSourceKind.NI9230 and self.get_parameter("use_sim_time").value:
-            raise SettingsError(f"{self.get_name()}: use_sim_time = true: a device measures now; false would be right")
+        if settings.source is not ForceSourceKind.BAG and self.get_parameter("use_sim_time").value:
+            kind = settings.source.value
+            raise SettingsError(f"{self.get_name()}: use_sim_time = true: {kind} measures now; false would be right")
         self._source: ForceSource = make_source(settings, self._now_ns)
         self._health = DaqHealth(self.get_name())
         for number, name in enumerate(self._source.channels):
@@ -99,6 +101,8 @@ class DaqNode(SuiteNode):
     def start(self) -> None:
         """Start to acquire. Raises DaqError, BagError or SettingsError."""
         source = self._source
+        if self._settings.source is ForceSourceKind.BAG:
+            self._await_subscriber()
         acquisition = Acquisition(source, self._settings, self._wake)
         acquisition.start()
         self._acquisition = acquisition
@@ -107,6 +111,17 @@ class DaqNode(SuiteNode):
             output.begin()
         coerced = "" if source.sample_rate == source.requested_rate else f", {source.requested_rate:.9g} was asked for"
         self.get_logger().info(f"acquiring {source.description} at {source.sample_rate:.9g} Hz{coerced}")
+
+    def _await_subscriber(self) -> None:
+        """Wait a while until somebody listens: what a recording holds is published once. Raises EffmassError."""
+        self._source.start()  # what cannot be read is said at once
+        self._source.close()
+        deadline = time.monotonic() + self._settings.bag.subscriber_timeout
+        while not any(output.is_heard for output in self._outputs):
+            if time.monotonic() > deadline:
+                self.get_logger().warning(f"nobody listens to {self._source.description}")
+                return
+            time.sleep(_LOOK_S)  # matches are made in threads of the middleware
 
     def stop(self) -> None:
         """Stop to acquire."""
@@ -155,6 +170,8 @@ class DaqNode(SuiteNode):
         for output in self._outputs:
             output.finish()
         self._report()
+        if not any(channel.samples for channel in self._signal.channels):
+            raise DaqError(f"{self._source.description}: holds no usable sample; finite numbers would be right")
         self.get_logger().info(f"{self._source.description}: the end")
         if self._settings.stop_at_end:
             for output in self._outputs:
@@ -170,7 +187,7 @@ class DaqNode(SuiteNode):
         self._diagnostics.publish(array)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._acquisition is None:
+        if self._acquisition is None or self._state is not AcquisitionState.RUNNING:
             response.message = "nothing is being acquired"
         else:
             self._signal.begin_tare()
@@ -190,6 +207,11 @@ class _Output:
         self._wrench = wrench
         self._settings = settings
         self.begin()
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether anybody has subscribed to the force or the impacts."""
+        return bool(self._force.get_subscription_count() or self._impact.get_subscription_count())
 
     def begin(self) -> None:
         """Forget what was found before."""

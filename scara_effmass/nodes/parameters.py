@@ -6,16 +6,15 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, get_origin
 
 import annotated_types
-from pydantic import BaseModel
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.parameter import Parameter
 
 from scara_effmass.errors import SettingsError
+from scara_effmass.settings.loading import flat_fields, nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
+    from pydantic import BaseModel
     from pydantic.fields import FieldInfo
     from rclpy.node import Node
 
@@ -29,22 +28,11 @@ def declare(node: Node, settings: type[BaseModel]) -> dict[str, Any]:
     """
     # Private, but the public way, automatically_declare_parameters_from_overrides, raises on an empty list.
     given: dict[str, Parameter] = node._parameter_overrides  # noqa: SLF001
-    fields = dict(_flat(settings))
+    fields = flat_fields(settings)
     unknown = [name for name in sorted(given) if name not in fields and not name.startswith(_OF_EVERY_NODE)]
     if unknown:
-        raise SettingsError(
-            f"{node.get_name()}: no parameter {unknown[0]!r}: it has {', '.join(fields) or 'none of its own'}"
-        )
+        raise SettingsError(f"{node.get_name()}: no parameter {unknown[0]!r}: {nearest(unknown[0], fields)}")
     return {name: from_ros(_declared(node, name, field, given.get(name))) for name, field in fields.items()}
-
-
-def _flat(settings: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """Yield the fields of `settings` under their ROS names; those of a group are dotted ("filter.cutoff")."""
-    for name, field in settings.model_fields.items():
-        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            yield from _flat(field.annotation, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", field
 
 
 def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401  what ROS holds, before the settings model checks it

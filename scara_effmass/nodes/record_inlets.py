@@ -42,6 +42,7 @@ SUITE = (
 SUITE_BELOW = ("force", "impact", "wrench")
 """Where further force channels publish, each on a topic below, as force/ai1: recorded with the suite."""
 
+_LOOKS_BEFORE_A_WORD = 20
 DEPTH = 1000
 """Messages that may wait for this process: 1 s of a topic at 1 kHz."""
 
@@ -82,6 +83,7 @@ class Inlets:
         self._numbers: dict[str, int] = {}
         self._subscriptions: dict[str, Any] = {}
         self._unfit: set[str] = set()
+        self._looks_in_vain = 0
 
     @property
     def found(self) -> Collection[str]:
@@ -92,6 +94,9 @@ class Inlets:
         """Subscribe to what has appeared since the last time, and anew where a publisher does not fit."""
         # On simulated time nothing has a time before the first /clock.
         if not self._clock.now().nanoseconds:
+            self._looks_in_vain += 1
+            if self._looks_in_vain == _LOOKS_BEFORE_A_WORD:
+                self._say("waiting for the first /clock: use_sim_time is set")
             return
         for name, kinds in self._node.get_topic_names_and_types():
             if self._is_wanted(name):

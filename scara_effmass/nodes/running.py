@@ -231,7 +231,8 @@ def _init(args: Sequence[str] | None) -> None:
         _, strays = parser.parse_known_args(remove_ros_args(words))
         rclpy.init(args=words)
     except RuntimeError as error:
-        raise SettingsError(f"ROS arguments: {' '.join(str(error).split())}") from None
+        reason = " ".join(str(error).split()).partition(", at /")[0]
+        raise SettingsError(f"ROS arguments: {reason}") from None
     if strays:
         raise SettingsError(f"{strays[0]!r}: not known; ROS arguments stand behind --ros-args")
 

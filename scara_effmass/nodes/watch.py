@@ -19,14 +19,17 @@ from rclpy.task import Future
 from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import Float64
 
+from scara_effmass.nodes.contact_messages import contact_from
 from scara_effmass.safety import SILENCE
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import FrameType, TracebackType
 
     from rclpy.event_handler import QoSSubscriptionMatchedInfo
+
+    from scara_effmass.values import ContactAssessment
 
     OnCycle = Callable[[tuple[ContactAssessment, ...], int], None]
 
@@ -119,7 +122,12 @@ class Watch:
         if self._signalled:
             number = self._signalled[0]
             self._signalled.clear()
-            self._handlers[number](number, None)
+            handler = self._handlers[number]
+            if callable(handler):
+                handler(number, None)
+            elif handler is signal.SIG_DFL:
+                signal.signal(number, handler)
+                signal.raise_signal(number)
 
     def _on_matched(self, topic: str) -> Callable[[QoSSubscriptionMatchedInfo], None]:
         def note(info: QoSSubscriptionMatchedInfo) -> None:
@@ -153,15 +161,3 @@ class Watch:
 
     def _on_speed_scaling(self, message: Float64) -> None:
         self.speed_scaling = message.data
-
-
-def contact_from(message: ContactState) -> ContactAssessment:
-    """Return what `message` says, as `safety` says it."""
-    stamp, direction = message.header.stamp, message.direction
-    special = {
-        "stamp_ns": stamp.sec * 1_000_000_000 + stamp.nanosec,
-        "direction": (direction.x, direction.y, direction.z),
-        "verdict": Verdict(message.verdict),
-    }
-    fields = (special[name] if name in special else getattr(message, name) for name in ContactAssessment._fields)
-    return ContactAssessment._make(fields)

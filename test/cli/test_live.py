@@ -152,11 +152,7 @@ def test_demo_ends_what_it_started_when_it_is_interrupted(domain: dict[str, str]
         _, errors = process.communicate(timeout=30)
     assert (process.returncode, errors) == (130, "")
     assert not [pid for pid in started if Path(f"/proc/{pid}").exists()]
-    # What was recorded until then is kept, and complete.
-    assert [path.name for path in tmp_path.iterdir()] == ["recording"]
-    with open_bag(tmp_path / "recording") as bag:
-        assert "/joint_states" in {topic.name for topic in bag.topics}
-        assert not bag.losses
+    assert list(tmp_path.iterdir()) == []
 
 
 def children_of(pid: int) -> list[int]:

@@ -18,6 +18,7 @@ from scara_effmass.bag_io.messages import header, message, serialized
 from scara_effmass.bag_io.writer import BagWriter
 from scara_effmass.daq.simulated import SimulatedForce
 from scara_effmass.daq.source import Unit, make_source
+from scara_effmass.daq.virtual_cell import VirtualCellForce
 from scara_effmass.errors import BagError, DaqError, EffmassError, SettingsError
 from scara_effmass.settings import DaqSettings, checked
 from scara_effmass.values import ForceBlock
@@ -97,6 +98,27 @@ def bench(_: pytest.FixtureRequest, __: Path) -> Subject:
     def make(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
         assert isinstance(make_source(settings, now_ns), SimulatedForce)
         return SimulatedForce(settings, now_ns, seen_ns if settings.block_time == 2.0 else hasty_ns)
+
+    subject.make = make
+    return subject
+
+
+def virtual_cell(_: pytest.FixtureRequest, __: Path) -> Subject:
+    subject = Subject(
+        settings={"source": "bench", "bench.scene": "cell", "block_time": 0.02},
+        make=make_source,
+        finite=False,
+        slow={"block_time": 1.0},
+    )
+
+    def make(settings: DaqSettings, _: Callable[[], int]) -> ForceSource:
+        def hasty_ns() -> int:
+            subject.now_ns += NS // 10
+            return subject.now_ns
+
+        source = make_source(settings, subject.clock if settings.block_time == 1.0 else hasty_ns)
+        assert isinstance(source, VirtualCellForce)
+        return source
 
     subject.make = make
     return subject
@@ -209,7 +231,7 @@ def name_of(build: Callable[..., Subject]) -> str:
     return build.__name__
 
 
-@pytest.fixture(params=(bench, *NEEDY), ids=name_of)
+@pytest.fixture(params=(bench, virtual_cell, *NEEDY), ids=name_of)
 def subject(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Subject]:
     made: Subject = request.param(request, tmp_path)
     yield made

@@ -238,13 +238,14 @@ def test_a_subscriber_that_does_not_listen_costs_the_others_nothing(new_cell: Ca
     ("argument", "line"),
     [
         ("source:=guess", "daq: source = 'guess': Input should be 'ni9230', 'bag' or 'bench'"),
-        ("nonsense:=1", "daq: no parameter 'nonsense': it has source,"),
+        ("nonsense:=1", "daq: no parameter 'nonsense': there are source,"),
+        ("sensor.sensitivty:=2.3", "daq: no parameter 'sensor.sensitivty': sensor.sensitivity would be right"),
         ("sensor.sensitivity:=0.0", "daq: sensor.sensitivity = 0.0: Input should be greater than 0"),
         ("sensor.sensitivity:=2", "daq: sensor.sensitivity = 2: must be DOUBLE, is INTEGER: write 2.0"),
         ("detection.threshold:=.nan", "daq: detection.threshold = nan: must be 0 to 100000"),
         ("bench.channels:=0", "daq: bench.channels = 0: Input should be greater than or equal to 1"),
         ("bag.axis:=w", "daq: bag.axis = 'w': String should match pattern"),
-        ("use_sim_time:=true", "daq: use_sim_time = true: a device measures now; false would be right"),
+        ("use_sim_time:=true", "daq: use_sim_time = true: ni9230 measures now; false would be right"),
         ("block_time:=0.1", "the driver NI-DAQmx is not installed: install it from ni.com/downloads"),
     ],
 )

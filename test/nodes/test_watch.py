@@ -18,7 +18,8 @@ from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import Float64
 
 from scara_effmass.bag_io.encode import ContactStateEncoder
-from scara_effmass.nodes.watch import Watch, contact_from
+from scara_effmass.nodes.contact_messages import contact_from
+from scara_effmass.nodes.watch import Watch
 from scara_effmass.safety.monitor import blank
 from scara_effmass.values import ContactAssessment, Verdict
 

@@ -1,0 +1,225 @@
+"""`validator_node`: impacts against what the monitor predicted at their onset."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from diagnostic_msgs.msg import DiagnosticArray
+from pydantic import Field
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from scara_effmass.bag_io.definitions import RECORDING_INFO
+from scara_effmass.bag_io.force import decode_force_block, decode_impact
+from scara_effmass.errors import DecodeError, EffmassError, SettingsError
+from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.validator import Validator
+from scara_effmass.nodes import parameters
+from scara_effmass.nodes.contact_messages import contact_from
+from scara_effmass.nodes.running import SuiteNode, incompatible, run
+from scara_effmass.nodes.validator_health import ValidatorHealth
+from scara_effmass.settings import READ_ONLY, DetectionSettings, ValidatorSettings, checked
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from rclpy.event_handler import QoSMessageLostInfo
+    from rclpy.parameter import Parameter
+
+    from scara_effmass.impacts.result import Result
+    from scara_effmass.values import ValidatedImpact
+
+    WriteReport = Callable[[Result, ValidatorSettings, Path], Path]
+
+_NS = 1_000_000_000
+_INPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=20_000)
+"""Deep enough for the seconds in which a report is written."""
+_INFO_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_RESULT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
+_REPORT_S = 1.0
+_PLAIN = (
+    *("predicted_force", "measured_force", "relative_error", "effective_mass", "reduced_mass", "speed", "stiffness"),
+    *("conservative", "count", "correlation", "fitted_stiffness", "bias", "rmse", "non_conservative", "accepted"),
+    "reason",
+)
+"""The fields that message and value have in common."""
+
+
+class NodeSettings(ValidatorSettings):
+    """The settings of the validation and the node's own."""
+
+    autostart: bool = Field(default=True, description="configure and activate at start", json_schema_extra=READ_ONLY)
+    find_impacts: bool = Field(
+        default=False,
+        description="find impacts in the topic force, for a sender that publishes no topic impact",
+        json_schema_extra=READ_ONLY,
+    )
+    report_folder: str = Field(
+        "",
+        description="where ~/write_report makes a folder for each report; empty: validation, where the node runs",
+        json_schema_extra=READ_ONLY,
+    )
+    detection: DetectionSettings = DetectionSettings()
+
+
+class ValidatorNode(SuiteNode):
+    """Pairs `impact` (or what it finds in `force`) with `contact_state`; publishes `impact_validation`."""
+
+    def __init__(self, write_report: WriteReport | None = None) -> None:
+        """Declare the parameters; `write_report` makes the report. Raises SettingsError."""
+        super().__init__("validator")
+        settings = checked(NodeSettings, parameters.declare(self, NodeSettings), self.get_name())
+        self.autostart = settings.autostart
+        self._settings = settings
+        self._write_report = write_report
+        self.add_on_set_parameters_callback(self._judge_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
+        self._validator: Validator | None = None
+
+    def set_up(self) -> None:
+        """Create the endpoints."""
+        settings = self._settings
+        self._health = ValidatorHealth(self.get_name())
+        self._validator = Validator(settings)
+        self._detector = Detector(settings.detection)
+        self._result = self.publisher(ImpactValidation, "impact_validation", _RESULT_QOS, self._health.incompatible)
+        self._diagnostics = self.keep(
+            self.create_lifecycle_publisher(DiagnosticArray, "/diagnostics", 10), self.destroy_lifecycle_publisher
+        )
+        self._subscribe(ContactState, "contact_state", self._on_contact_state, raw=False)
+        if not settings.find_impacts:
+            self._subscribe(Impact, "impact", self._on_impact, raw=True)
+        self._subscribe(ForceBlock, "force", self._on_force, raw=True)
+        self.keep(self.create_subscription(String, RECORDING_INFO, self._on_info, _INFO_QOS), self.destroy_subscription)
+        self.keep(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
+        self.keep(self.create_service(Trigger, "~/write_report", self._on_write_report), self.destroy_service)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.keep(self.create_timer(_REPORT_S, self._report, clock=steady), self.destroy_timer)
+
+    def _subscribe(self, kind: type, topic: str, callback: Callable[..., None], *, raw: bool) -> None:
+        misfit = partial(incompatible, f"a publisher of {topic}", self._health.incompatible)
+        self.keep(
+            self.create_subscription(
+                kind,
+                topic,
+                callback,
+                _INPUT_QOS,
+                raw=raw,
+                event_callbacks=SubscriptionEventCallbacks(
+                    incompatible_qos=misfit, message_lost=partial(self._on_lost, topic)
+                ),
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            ),
+            self.destroy_subscription,
+        )
+
+    def _on_lost(self, topic: str, lost: QoSMessageLostInfo) -> None:
+        self._health.lose(topic, lost.total_count)
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _on_contact_state(self, message: ContactState) -> None:
+        if self.active and self._validator is not None:
+            self._publish(self._validator.add_state(contact_from(message), self._now_ns()))
+
+    def _on_impact(self, data: bytes) -> None:
+        if not self.active or self._validator is None:
+            return
+        try:
+            self._publish(self._validator.add_impact(decode_impact(data), self._now_ns()))
+        except DecodeError as error:
+            self._health.undecodable(str(error))
+
+    def _on_force(self, data: bytes) -> None:
+        if not self.active or self._validator is None:
+            return
+        try:
+            block = decode_force_block(data)
+        except DecodeError as error:
+            self._health.undecodable(str(error))
+            return
+        self._validator.add_force(block, self._now_ns())
+        if self._settings.find_impacts:
+            for impact in self._detector.feed(block):
+                self._publish(self._validator.add_impact(impact, self._now_ns()))
+
+    def _on_info(self, message: String) -> None:
+        """Take the obstacle mass and the configuration from what a recording, or the bench, says of itself."""
+        with suppress(ValueError, TypeError, AttributeError):
+            about = json.loads(message.data)
+            mass, configuration = about.get("obstacle_mass"), about.get("configuration")
+            if self._validator is not None and (mass is not None or configuration is not None):
+                try:
+                    self._validator.set_run(
+                        int(about.get("since_ns", self._now_ns())), obstacle_mass=mass, configuration=configuration
+                    )
+                except SettingsError as error:
+                    self.get_logger().error(f"{RECORDING_INFO}: {error}")
+
+    def _publish(self, impacts: Iterable[ValidatedImpact]) -> None:
+        for impact in impacts:
+            message = ImpactValidation(**{name: getattr(impact, name) for name in _PLAIN})
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(impact.stamp_ns, _NS)
+            message.header.frame_id = impact.frame_id
+            self._result.publish(message)
+
+    def _report(self) -> None:
+        if self._validator is None:
+            return
+        array = DiagnosticArray(status=self._health.statuses(self._validator.result()))
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._validator is not None:
+            count = len(self._validator.result().impacts)
+            self._validator.reset()
+            response.success = True
+            response.message = f"a new series; the last one had {count} impacts"
+        return response
+
+    def _on_write_report(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._validator is None or self._write_report is None:
+            response.message = "no report can be written here"
+            return response
+        folder = Path(self._settings.report_folder or "validation") / f"{self._now_ns() / _NS:.3f}"
+        try:
+            response.message = str(self._write_report(self._validator.result(), self._settings, folder))
+            response.success = True
+        except EffmassError as error:
+            response.message = str(error)
+        return response
+
+    def _judge_parameters(self, changes: list[Parameter]) -> SetParametersResult:
+        try:
+            self._changed(changes)
+        except EffmassError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_parameters(self, changes: list[Parameter]) -> None:
+        self._settings = settings = self._changed(changes)
+        if self._validator is not None:
+            self._validator.set_run(
+                self._now_ns(), obstacle_mass=settings.obstacle_mass, configuration=settings.configuration
+            )
+
+    def _changed(self, changes: list[Parameter]) -> NodeSettings:
+        values = {p.name: parameters.from_ros(p) for p in changes if p.name in NodeSettings.model_fields}
+        return checked(NodeSettings, {**self._settings.model_dump(), **values}, self.get_name())
+
+
+def main(args: Sequence[str] | None = None, write_report: WriteReport | None = None) -> int:
+    """Run the node with ROS arguments `args`, or those of the process."""
+    return run(partial(ValidatorNode, write_report), args)
