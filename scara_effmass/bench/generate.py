@@ -37,7 +37,7 @@ def generate(folder: Path, *, overwrite: bool = False) -> tuple[Path, ...]:
     """
     sums = folder / CHECKSUMS
     if sums.exists() and not overwrite:
-        raise OutputError(f"{sums}: exists already; it is replaced only when that is asked for")
+        raise OutputError(f"{sums}: exists already; --force replaces it")
     bags = [_write(folder, recording, overwrite=overwrite) for recording in RECORDINGS]
     bags += [step.path for step in run_campaign(folder / CAMPAIGN_FOLDER, CAMPAIGN, overwrite=overwrite)]
     files = sorted(file for bag in bags for file in bag.iterdir())

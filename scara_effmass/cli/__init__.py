@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from types import FrameType
 
 COMMANDS = {
-    "demo": "replay a recording through the live monitor, watch it, summarise it, plot it",
+    "demo": "run all nodes on a virtual test bench, or on a recording, and show what comes of it",
     "monitor": "run the live monitor node",
     "daq": "run the force node: an NI-9230, a recording, or simulated force",
     "validator": "run the node that holds impacts against their predictions",
+    "bench": "run the robot of the virtual test bench",
     "replay": "play a bag into the live nodes, with /clock",
     "record": "record live topics into a bag that survives a crash; complete one that was killed",
     "assess": "assess every joint state of bags, offline, into a table or a bag",

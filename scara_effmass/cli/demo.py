@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,15 +23,14 @@ from scara_effmass.cli.options import (
     robot_path,
     settings_from,
 )
-from scara_effmass.cli.processes import keep_to_this_machine, started
+from scara_effmass.cli.processes import keep_to_this_machine, require_running, started
 from scara_effmass.cli.report import summary_lines
-from scara_effmass.errors import EffmassError
+from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.settings import MassModel
-from scara_effmass.share import share
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
 
     from rich.console import Console
 
@@ -39,19 +38,23 @@ if TYPE_CHECKING:
     from scara_effmass.analysis.summary import Summary
     from scara_effmass.analysis.trace import Trace
     from scara_effmass.bag_io.bag import Bag
-    from scara_effmass.cli.processes import Started
     from scara_effmass.model.arm import Arm
     from scara_effmass.nodes.watch import Watch
     from scara_effmass.settings import MonitorSettings
     from scara_effmass.values import ContactAssessment
 
 EXAMPLES = """\
-Starts the nodes, the recorder and the replay as processes of their own, in a ROS domain of their own on this machine,
-and watches what the monitor publishes. Where the recording holds force, the force node plays it and looks for impacts.
+Without --bag: a simulated robot drives into simulated carts, live; monitor, force and validator nodes watch it over
+DDS, the recorder records it, and a report tells how well the predicted forces agree. Takes about a minute.
+
+With --bag: the recording is replayed to the monitor, its force (if it holds any) is played by the force node, the run
+is recorded, and a summary and a figure are made.
+
+Everything runs as processes of its own, in a ROS domain of its own on this machine.
 
 examples:
   scara-effmass demo
-  scara-effmass demo --rate 2 --duration 10 --out out/short
+  scara-effmass demo --bag bags/tour --rate 2 --duration 10 --out out/tour
   scara-effmass demo --bag recording.bag --robot arm.urdf --topic /arm/joint_states --out out/arm
 """
 
@@ -64,6 +67,11 @@ FIGURE = "run"
 BAG = "recording"
 
 
+BENCH_INTRODUCTION = (
+    ("simulated", "robot, carts and force: a virtual test bench (MuJoCo), no real robot, nothing is measured"),
+    ("live", "monitor, force and validator nodes, their messages and verdicts: computed now, over DDS, in real time"),
+    ("experiment", "an i4-550L drives into four carts (0.50 to 7.35 kg) in three configurations, at 0.25 m/s"),
+)
 SIMULATED_TIME = ["--ros-args", "-p", "use_sim_time:=true"]
 
 
@@ -82,7 +90,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.epilog = EXAMPLES
     parser.add_argument(
-        "--bag", type=Path, metavar="BAG", help="recording (default: the shipped tour of the workspace)"
+        "--bag", type=Path, metavar="BAG", help="recording to replay (default: the virtual test bench, live)"
     )
     add_topic(parser)
     add_robot(parser)
@@ -90,7 +98,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate", type=float, default=1.0, help="times the original speed; 0: as fast as the monitor answers"
     )
-    parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="how much to replay [s]")
+    parser.add_argument(
+        "--duration", type=float, default=math.inf, metavar="S", help="how much to replay or simulate [s]"
+    )
     parser.add_argument(
         "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="where recording, figures and summary go"
     )
@@ -105,28 +115,48 @@ def run(args: argparse.Namespace) -> int:
     from scara_effmass.analysis.output import require_free  # noqa: PLC0415
     from scara_effmass.bag_io.rosbag2 import refuse_existing  # noqa: PLC0415
 
-    for name in (SUMMARY, *(f"{FIGURE}{suffix}" for suffix in FORMATS)):
-        require_free(args.out / name, overwrite=args.force)
     refuse_existing(args.out / BAG, overwrite=args.force)
     settings, arm, choice = _settled(args)
-    recording = _recording(args)
     console = printer()
+    if args.bag is None:
+        return _run_bench(args, settings, arm, console)
+    for name in (SUMMARY, *(f"{FIGURE}{suffix}" for suffix in FORMATS)):
+        require_free(args.out / name, overwrite=args.force)
+    recording = _recording(args)
     live = Live(arm, settings)
     if not args.json:
         for subject, text in _introduction(recording, arm, settings, choice, args.rate):
             console.print(f"{subject:<16}{text}")
-    try:
+    with _all_or_nothing(args.out):
         live.run(args, settings, recording, console)
-    except BaseException:
-        # A demo gives all that it announces, or nothing.
-        shutil.rmtree(args.out / BAG, ignore_errors=True)
-        raise
     if not live.cycles:
         raise EffmassError(
             f"{recording.path}: the monitor answered none of {live.sent} joint states; does {arm.robot.name} fit?"
         )
     _finish(args, live, recording, arm, settings, console)
     return 0
+
+
+def _run_bench(args: argparse.Namespace, settings: MonitorSettings, arm: Arm, console: Console) -> int:
+    from scara_effmass.cli.demo_bench import run_bench  # noqa: PLC0415
+
+    if args.robot or settings.robot:
+        raise SettingsError("demo: --robot: the virtual test bench is an i4-550L; --bag replays another robot's motion")
+    if not args.json:
+        for subject, text in BENCH_INTRODUCTION:
+            console.print(f"{subject:<16}{text}")
+    with _all_or_nothing(args.out):
+        return run_bench(args, arm, settings, console)
+
+
+@contextmanager
+def _all_or_nothing(folder: Path) -> Iterator[None]:
+    """Leave no recording of a demo that did not come to its end."""
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(folder / BAG, ignore_errors=True)
+        raise
 
 
 class Live:
@@ -173,11 +203,11 @@ class Live:
             with Watch(tuple(self.traces), on_cycle) as watch:
                 if not watch.spin(START_WITHIN_S, lambda: watch.connected or broken()):
                     raise EffmassError(f"the monitor has not come up within {START_WITHIN_S:g} s")
-                _require_running(nodes)
+                require_running(nodes)
                 with started(_replay_words(args, recording)) as replay, display:
                     nodes.remove(force) if force else None
                     watch.spin(math.inf, lambda: replay.ended or broken())
-                    _require_running(nodes)
+                    require_running(nodes)
                     self.replayed = json.loads(replay.output())
                     self.sent = sum(self.replayed["sent"].values())
                     self._look_back(recording, args.duration)
@@ -212,13 +242,6 @@ class Live:
         self.summary.add(contacts, at_ns)
         for contact in contacts:
             self.traces[contact.contact_point].add(contact, at_ns)
-
-
-def _require_running(nodes: Iterable[Started]) -> None:
-    """Raise EffmassError with the line of a node that has ended."""
-    for node in nodes:
-        if node.ended:
-            node.fail()
 
 
 def _monitor_words(args: argparse.Namespace, settings: MonitorSettings) -> list[str]:
@@ -264,7 +287,7 @@ def _recording(args: argparse.Namespace) -> Recording:
     from scara_effmass.bag_io.definitions import FORCE_BLOCK  # noqa: PLC0415
     from scara_effmass.bag_io.files import open_bag  # noqa: PLC0415
 
-    with open_bag(args.bag or share("bags", "tour")) as bag:
+    with open_bag(args.bag) as bag:
         topic = joint_state_topic(bag, args.topic)
         force_topic = next((each.name for each in bag.topics if each.type == FORCE_BLOCK), "")
         return Recording(bag.path, topic, force_topic, min(bag.duration_ns / 1e9, args.duration), _making(bag))

@@ -11,30 +11,37 @@ from rich.console import Console
 from rich.progress import Progress
 
 from scara_effmass.cli.options import add_force, add_json, arm_from, printer
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import DetectionSettings, MonitorSettings
 from scara_effmass.share import share
 
 if TYPE_CHECKING:
     import argparse
 
     from scara_effmass.analysis.paper.album import Album
+    from scara_effmass.analysis.paper.plates import Material
 
 EXAMPLES = """\
 DIR gets every figure as PNG and SVG, index.html with the paper's claims beside what comes out here, and the
 same claims as claims.json. The robot is the shipped Omron i4-550L. A claim that does not match is no error.
+Forces are those of the shipped campaign, which is simulated, unless --campaign names another one.
 
 examples:
   scara-effmass figures -o out/figures
-  scara-effmass figures -o out/figures --force --json
+  scara-effmass figures -o out/figures --campaign out/campaign --force --json
 """
-RECORDING = "straight_300_200"
-IMPACT_X_M = 0.300
+
+
+PATH_ONLY = "straight_300_200"
+"""The shipped recording of the path through the paper's point; nothing is hit in it."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.epilog = EXAMPLES
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="DIR", help="folder for figures and page")
+    parser.add_argument(
+        "--campaign", type=Path, metavar="DIR", help="recorded impacts, one bag per run (default: the shipped ones)"
+    )
     add_force(parser)
     add_json(parser)
     parser.set_defaults(run=run)
@@ -43,26 +50,38 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Draw, compare, write, and print what matches."""
     from scara_effmass.analysis.paper.album import STEPS, make_album  # noqa: PLC0415 - not needed for --help
-    from scara_effmass.analysis.paper.motion import tool_motion  # noqa: PLC0415
-    from scara_effmass.analysis.paper.plates import Material  # noqa: PLC0415
-    from scara_effmass.analysis.paper.scara import closed_form_of  # noqa: PLC0415
 
-    arm = arm_from(MonitorSettings())
-    scara = closed_form_of(arm)
-    joints = arm.robot.joint_names
-    about = f"generated recording {RECORDING}"
-    motion = tool_motion(share("bags", RECORDING), scara, (joints[0], joints[1]), about, contact_x=IMPACT_X_M)
     progress = Progress(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
     with progress:
         task = progress.add_task("figures", total=STEPS)
-        album = make_album(
-            Material(arm, scara, motion), args.output, overwrite=args.force, advance=lambda: progress.advance(task)
-        )
+        material = _material(args.campaign or share("bags", "campaign"))
+        album = make_album(material, args.output, overwrite=args.force, advance=lambda: progress.advance(task))
     if args.json:
         printer().print_json(json.dumps({"output": str(args.output), **album.as_dict()}, allow_nan=False))
     else:
         _print(album, args.output)
     return 0
+
+
+def _material(campaign: Path) -> Material:
+    """Return the shipped robot and the impacts in the folder `campaign`; one of them shows the tool's motion."""
+    from scara_effmass.analysis.paper.campaign_runs import campaign_runs  # noqa: PLC0415
+    from scara_effmass.analysis.paper.motion import tool_motion  # noqa: PLC0415
+    from scara_effmass.analysis.paper.plates import Material  # noqa: PLC0415
+    from scara_effmass.analysis.paper.protocol import POINT_OF_FIG_17, SHOWN_OBSTACLE_KG  # noqa: PLC0415
+    from scara_effmass.analysis.paper.scara import closed_form_of  # noqa: PLC0415
+
+    arm = arm_from(MonitorSettings())
+    scara = closed_form_of(arm)
+    joints = arm.robot.joint_names[0], arm.robot.joint_names[1]
+    runs = campaign_runs(campaign, scara, joints, DetectionSettings())
+    fitting = [run for run in runs if run.impact.point == POINT_OF_FIG_17]
+    if fitting:
+        motion = min(fitting, key=lambda run: run.impact.obstacle_mass_kg != SHOWN_OBSTACLE_KG).motion
+    else:
+        path = share("bags", PATH_ONLY)
+        motion = tool_motion(path, scara, joints, f"generated recording {PATH_ONLY}", contact_x=POINT_OF_FIG_17[0])
+    return Material(arm, scara, motion, tuple(run.impact for run in runs))
 
 
 def _print(album: Album, output: Path) -> None:

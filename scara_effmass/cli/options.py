@@ -81,7 +81,7 @@ def node_arguments(params: Path | None, given: Mapping[str, Any], ros_arguments:
     if params:
         words += ["--params-file", str(params)]
     for name, value in given.items():
-        if value not in {None, ""}:
+        if value is not None and value != "":
             # In quotes, because ROS reads the value as YAML and would take some file names for numbers.
             words += ["-p", f"{name}:={json.dumps(value)}"]
     return [*words, "--", *ros_arguments]

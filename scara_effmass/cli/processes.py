@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from scara_effmass.errors import EffmassError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
 END_WITHIN_S = 10.0
 
@@ -74,6 +74,13 @@ class Started:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+
+def require_running(processes: Iterable[Started]) -> None:
+    """Raise EffmassError with the line of a command that has ended."""
+    for process in processes:
+        if process.ended:
+            process.fail()
 
 
 @contextmanager

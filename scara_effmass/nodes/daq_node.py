@@ -26,7 +26,7 @@ from scara_effmass.impacts.detection import Detector
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.daq_health import DaqHealth
 from scara_effmass.nodes.running import SuiteNode, run
-from scara_effmass.settings import READ_ONLY, DaqSettings, ForceSourceKind, checked
+from scara_effmass.settings import READ_ONLY, BenchScene, DaqSettings, ForceSourceKind, checked
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -75,7 +75,9 @@ class DaqNode(SuiteNode):
     def set_up(self) -> None:
         """Choose the source and create the endpoints. Raises EffmassError."""
         settings = self._settings
-        if settings.source is not ForceSourceKind.BAG and self.get_parameter("use_sim_time").value:
+        simulates = settings.source is ForceSourceKind.BENCH and settings.bench.scene is BenchScene.CELL
+        on_ros_time = simulates or settings.source is ForceSourceKind.BAG
+        if self.get_parameter("use_sim_time").value and not on_ros_time:
             kind = settings.source.value
             raise SettingsError(f"{self.get_name()}: use_sim_time = true: {kind} measures now; false would be right")
         self._source: ForceSource = make_source(settings, self._now_ns)

@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactState, ImpactValidation
 from std_msgs.msg import Float64
 
 from scara_effmass.nodes.contact_messages import contact_from
@@ -48,8 +48,16 @@ class Watch:
     `allowable_speed` [m/s] and `speed_scaling` [0-1].
     """
 
-    def __init__(self, contact_points: Sequence[str], on_cycle: OnCycle) -> None:
-        """Call `on_cycle(contacts, at_ns)` per joint state, `at_ns` being the node's clock when it was assessed."""
+    def __init__(
+        self,
+        contact_points: Sequence[str],
+        on_cycle: OnCycle,
+        on_validation: Callable[[ImpactValidation], None] | None = None,
+    ) -> None:
+        """Call `on_cycle(contacts, at_ns)` per joint state, `at_ns` being the node's clock when it was assessed.
+
+        `on_validation` is called with what a validator publishes.
+        """
         self.cycles = 0
         self.silences = 0
         self.allowable_speed = 0.0
@@ -65,7 +73,7 @@ class Watch:
         # Python's own handlers stay: an interrupt shall end the whole command, not the context alone.
         rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
         self._kept.callback(context.try_shutdown)
-        # On the time of the replay, as the monitor is.
+        # On the time of the replay, or of the bench, as the monitor is.
         node = Node(
             "watch",
             context=context,
@@ -82,6 +90,8 @@ class Watch:
         ):
             events = SubscriptionEventCallbacks(matched=self._on_matched(topic))
             node.create_subscription(kind, topic, callback, _QOS, event_callbacks=events)
+        if on_validation is not None:
+            node.create_subscription(ImpactValidation, "impact_validation", on_validation, _QOS)
         self._executor = EventsExecutor(context=context)
         self._executor.add_node(node)
         self._kept.callback(self._executor.shutdown)
@@ -90,6 +100,11 @@ class Watch:
     def connected(self) -> bool:
         """Whether a monitor publishes on every topic."""
         return len(self._matched) == _TOPICS
+
+    @property
+    def now_ns(self) -> int:
+        """The time on /clock; 0 before it has begun."""
+        return int(self._clock.now().nanoseconds)
 
     def spin(self, seconds: float, done: Callable[[], bool] = bool) -> bool:
         """Receive for `seconds` or until `done`; return whether it is.

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 from matplotlib.image import imread
 
+from scara_effmass.share import share
+
 if TYPE_CHECKING:
     import subprocess
     from collections.abc import Callable
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
 
     Cli = Callable[..., subprocess.CompletedProcess[str]]
 
-DRAWN = [f"figure_{number}" for number in (6, 7, 8, 9, 10, 11, 12, 14, 15, 17, 19)]
+DRAWN = [f"figure_{number}" for number in (6, 7, 8, 9, 10, 11, 12, 14, 15, 17, 18, 19)]
 
 
 @pytest.mark.timeout(240)  # seventeen seconds of work, on a machine that may have other work
@@ -26,7 +28,11 @@ def test_everything_is_written_and_said(here: Cli, tmp_path: Path) -> None:
     result = json.loads(done.stdout)
     assert result["output"] == str(folder)
     assert result["figures"] == DRAWN
-    assert [line.partition(":")[0] for line in result["left_out"]] == ["Fig. 18", "Fig. 19 (a)"]
+    assert result["left_out"] == []
+    outcomes = {claim["key"]: claim["outcome"] for claim in result["claims"]}
+    forces = ("force_grows", "force_order", "force_proportional", "speed", "midpoint")
+    assert {outcomes[key] for key in forces} == {"match"}
+    assert outcomes["repetitions"] == "no match"  # the shipped campaign has one of each
     names = {f"{name}.{suffix}" for name in DRAWN for suffix in ("png", "svg")} | {"index.html", "claims.json"}
     assert {path.name for path in folder.iterdir()} == names
     for name in DRAWN:
@@ -39,6 +45,15 @@ def test_everything_is_written_and_said(here: Cli, tmp_path: Path) -> None:
     assert refused.returncode == 2
     assert refused.stderr.count("\n") == 1
     assert "--force" in refused.stderr
+
+
+def test_a_folder_without_impacts_is_refused(here: Cli, tmp_path: Path) -> None:
+    for campaign in (tmp_path / "nowhere", share("bags", "tour")):
+        done = here("figures", "-o", tmp_path / "out", "--campaign", campaign)
+        assert done.returncode == 2
+        assert done.stderr.count("\n") == 1
+        assert str(campaign) in done.stderr
+        assert not (tmp_path / "out").exists()
 
 
 def test_a_file_in_the_way_is_refused(here: Cli, tmp_path: Path) -> None:

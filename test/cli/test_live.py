@@ -16,6 +16,7 @@ from scara_effmass.bag_io.files import open_bag
 from scara_effmass.bag_io.writer import BagWriter
 from scara_effmass.cli import COMMANDS, main
 from scara_effmass.cli.options import node_arguments
+from scara_effmass.share import share
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -113,7 +114,7 @@ def test_demo_runs_the_live_monitor_and_says_the_same_as_assess(swing_bag: Path,
 
 
 def test_demo_of_the_shipped_recording_calls_it_generated(cli: Cli, tmp_path: Path) -> None:
-    done = cli("demo", "--duration", "1", "--json")
+    done = cli("demo", "--bag", share("bags", "tour"), "--duration", "1", "--json")
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads(done.stdout)
     assert result == demo_result(tmp_path / "out" / "demo")
@@ -141,7 +142,7 @@ def test_demo_counts_other_devices_apart_and_keeps_its_own_topic_name(
 
 
 def test_demo_ends_what_it_started_when_it_is_interrupted(domain: dict[str, str], tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "scara_effmass", "demo", "--out", str(tmp_path)]
+    words = [sys.executable, "-m", "scara_effmass", "demo", "--out", str(tmp_path), "--bag", str(share("bags", "tour"))]
     with subprocess.Popen(words, env=domain, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         line = next(line for line in process.stdout if " scaling " in line)

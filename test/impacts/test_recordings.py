@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from scara_effmass.values import FloatArray, Impact
     from test.impacts.conftest import Detect
 
+EXAMPLE = Path(__file__).parents[2] / "examples" / "cart_impacts.py"
 FOLDER = Path(__file__).parents[1] / "recordings" / "cart_impacts"
 AROUND = 0.25
 """So long before and after the contact [s] the velocity is looked at."""
@@ -93,3 +96,26 @@ def test_the_mass_of_the_cart(detect: Detect) -> None:
         masses.append(impact.impulse / (before - after))
     assert all(0.51 < mass < 0.61 for mass in masses)
     assert np.std(masses) < 0.05 * np.mean(masses)
+
+
+def test_import_signal_and_detection_give_the_same(detect: Detect) -> None:
+    """The example takes the files the way of `daq_node`, by its settings alone, and has tables of its own."""
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLE), str(FOLDER)], capture_output=True, text=True, timeout=50, check=True
+    )
+    assert done.stderr == ""
+    rows = list(csv.DictReader(done.stdout.splitlines()))
+    assert [f"{row['file']} {row['run']}" for row in rows] == [run.name for run in RUNS]
+    by_medians, by_lines = [], []
+    for row, run in zip(rows, RUNS, strict=True):
+        impact = found_in(run, detect)
+        assert float(row["peak_n"]) == pytest.approx(impact.peak_force, abs=0.006)
+        assert float(row["duration_s"]) == pytest.approx(impact.duration, abs=0.001)
+        assert float(row["impulse_n_s"]) == pytest.approx(impact.impulse, rel=2e-3)
+        before, after = velocities(run, impact)
+        by_medians.append(float(row["mass_median_kg"]))
+        assert by_medians[-1] == pytest.approx(impact.impulse / (before - after), rel=0.01)
+        by_lines.append(float(row["mass_extrapolated_kg"]))
+    # One cart, so the mass is one: less what the slope does to it during the contact, it scatters no more and is less.
+    assert all(0.47 < mass < 0.54 for mass in by_lines)
+    assert 0.03 < np.mean(by_medians) - np.mean(by_lines) < 0.06

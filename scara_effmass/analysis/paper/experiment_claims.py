@@ -51,11 +51,12 @@ def run_claims(scara: Scara, runs: Sequence[RecordedImpact]) -> Iterator[Claim]:
     peaks = mean_peaks(runs)
     points = points_by_mass(scara, runs)
     counts = {cell: sum((run.point, run.obstacle_mass_kg) == cell for run in runs) for cell in peaks}
+    least, most = min(counts.values()), max(counts.values())
     yield holds(
         "repetitions",
         "§5",
         TESTS,
-        f"{min(counts.values())} to {max(counts.values())} in {len(counts)} cases",
+        f"{least} in each of {len(counts)} cases" if least == most else f"{least} to {most} in {len(counts)} cases",
         f"{REPETITIONS} in each",
         Basis.GIVEN,
         kind,

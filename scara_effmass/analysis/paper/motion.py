@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 class ToolMotion:
     """Tool position and velocity along x, (n,) each, over the time since the first joint state.
 
-    `contact_s` is when the tool is at the impact point, `contact` what there is then; `about` says whose motion it is.
+    `contact_s` is when the tool is at the impact point, by a clock that may be off by `contact_doubt_s`; `contact` is
+    what there is then, and `about` says whose motion it is.
     """
 
     time_s: FloatArray
@@ -31,6 +32,7 @@ class ToolMotion:
     contact_s: float
     contact: str
     about: str
+    contact_doubt_s: float = 0.0
 
     @property
     def contact_x_m(self) -> float:
@@ -39,8 +41,9 @@ class ToolMotion:
 
     @property
     def contact_speed_m_s(self) -> float:
-        """How fast the tool is then."""
-        return float(np.interp(self.contact_s, self.time_s, self.speed_m_s))
+        """How fast the tool is right before: by the last joint state that surely is."""
+        after = int(np.searchsorted(self.time_s, self.contact_s - self.contact_doubt_s, side="right"))
+        return float(self.speed_m_s[max(after - 1, 0)])
 
     @property
     def share_of_path(self) -> float:
@@ -56,11 +59,12 @@ def tool_motion(
     *,
     contact_x: float | None = None,
     contact_ns: int = 0,
+    contact_doubt_s: float = 0.0,
 ) -> ToolMotion:
     """Return the tool's motion in the recording at `path`, whose first two joints are named `joints`.
 
-    The contact is where x first reaches `contact_x` [m], or if that is None at the stamp `contact_ns`.
-    Raises BagError.
+    The contact is where x first reaches `contact_x` [m], or if that is None at the stamp `contact_ns`,
+    give or take `contact_doubt_s`. Raises BagError.
     """
     stamps, rows = [], []
     with open_bag(path) as bag:
@@ -81,7 +85,7 @@ def tool_motion(
     if not time[0] <= contact <= time[-1]:
         raise BagError(f"{path}: the contact, {contact:.3f} s after the first joint state, is not in the recording")
     meaning = "instant of impact" if contact_x is None else "at the impact point (nothing is hit)"
-    return ToolMotion(time, x, speed, contact, meaning, about)
+    return ToolMotion(time, x, speed, contact, meaning, about, contact_doubt_s)
 
 
 def _first_at(time: FloatArray, x: FloatArray, value: float, path: Path) -> float:

@@ -40,9 +40,9 @@ def page(pictures: Sequence[Picture], claims: Sequence[Claim], left_out: Sequenc
     missing = "".join(f"<li>{escape(line)}</li>" for line in left_out)
     missing = f"<h2>Left out</h2><ul>{missing}</ul>" if missing else ""
     figures = "\n".join(map(figure, pictures))
-    body = f"""<p>Effective mass of a SCARA robot (Omron i4-550L) by lumped parameters: everything on this page is computed by
-scara_effmass {escape(__version__)} from its own models and recordings. Nothing is measured on a robot, unless a figure
-says so.</p>
+    body = f"""<p>Effective mass of a SCARA robot (Omron i4-550L) by lumped parameters: everything on this page is
+computed by scara_effmass {escape(__version__)} from its own models and recordings. Nothing is measured on a robot,
+unless a figure says so.</p>
 <h2>Claims: {summary}</h2>
 <p>What an agreement is worth:</p><ul>{meanings}</ul>
 <div class="wide"><table>

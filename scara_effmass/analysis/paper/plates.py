@@ -118,12 +118,13 @@ PLATES = (
     ),
     Plate(
         17,
-        "Position and velocity of the tool along x around the impact point (300, 200) mm.",
+        "Position and velocity of the tool along x around the impact point (300, 200) mm. Where the velocity drops "
+        "again behind the impact, the robot, which goes on as planned, has come after the cart and hit it anew.",
         lambda material: figure_17(material.motion),
     ),
     Plate(
         18,
-        "Force over time in each configuration, every repetition a line.",
+        "Force over time in each configuration, every repetition a line. Of each run the first contact is shown.",
         lambda material: figure_18(material.scara, material.runs),
         whole_missing=lambda material: material.no_shown_force,
     ),

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 class RecordedImpact:
     """The right arm hits the cart along x, the tool at `point` (x, y) [m].
 
-    `point` and `obstacle_mass_kg` are the nominal ones, alike in all repetitions. `time_s` (n,) begins at
-    the onset; `force_n` (n,) is positive in compression, tare subtracted.
+    `point` and `obstacle_mass_kg` are the nominal ones, alike in all repetitions. `time_s` (n,) is 0 at the onset;
+    `force_n` (n,) is positive in compression, without tare and baseline.
     """
 
     point: tuple[float, float]

@@ -1,0 +1,130 @@
+"""What the validator needs from one recording, in the order in which it was recorded."""
+
+from __future__ import annotations
+
+import json
+from heapq import merge
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from scara_effmass.analysis.assessment import cycles
+from scara_effmass.bag_io.definitions import FORCE_BLOCK, IMPACT, RECORDING_INFO, check_definition
+from scara_effmass.bag_io.force import decode_force_block, decode_impact
+from scara_effmass.errors import BagError, DecodeError
+from scara_effmass.impacts.pairing import HEAVIEST
+
+if TYPE_CHECKING:
+    from collections import Counter
+    from collections.abc import Iterator, Mapping
+
+    from scara_effmass.analysis.assessment import Cycle
+    from scara_effmass.bag_io.bag import Bag
+    from scara_effmass.bag_io.batches import Topic
+    from scara_effmass.safety import Monitor
+    from scara_effmass.values import ForceBlock, Impact
+
+USUAL = {FORCE_BLOCK: "force", IMPACT: "impact"}
+"""Where the suite publishes what is measured, the surer kind first: impacts can be found anew in force blocks."""
+
+
+class RunInfo(NamedTuple):
+    """What a recording says of itself from `since_ns` on; None: it says nothing of that.
+
+    `obstacle_mass` is m_H [kg]; `about` is all that it says.
+    """
+
+    since_ns: int
+    obstacle_mass: float | None
+    configuration: str | None
+    about: Mapping[str, Any]
+
+
+class Measured(NamedTuple):
+    """A force block or an impact, and when it was recorded."""
+
+    log_time_ns: int
+    value: ForceBlock | Impact
+
+
+def run_infos(bag: Bag) -> list[RunInfo]:
+    """Return what `bag` says of its runs on `RECORDING_INFO`, from `since_ns` on if it says so.
+
+    Else the first holds from the beginning on, each other one from when it was recorded.
+
+    Raises BagError for a mass that cannot be one. What is no JSON object says nothing.
+    """
+    if all(topic.name != RECORDING_INFO for topic in bag.topics):
+        return []
+    infos: list[RunInfo] = []
+    for message in bag.messages([RECORDING_INFO]):
+        try:
+            about = json.loads(bag.deserialize(message).data)
+        except (DecodeError, AttributeError, ValueError, TypeError):
+            continue
+        if isinstance(about, dict):
+            name = about.get("configuration")
+            told_ns = about.get("since_ns")
+            since_ns = told_ns if isinstance(told_ns, int) else message.log_time_ns if infos else 0
+            infos.append(RunInfo(since_ns, _obstacle_mass(bag, about), None if name is None else str(name), about))
+    return infos
+
+
+def measured_topic(bag: Bag, asked: str | None) -> Topic:
+    """Return the topic of the force blocks, or else of the impacts: the one asked for, else `force` (`impact`).
+
+    Raises BagError, with those there are, when that leaves none or several.
+    """
+    found = [topic for kind in USUAL for topic in bag.topics if topic.type == kind and topic.count]
+    if not found:
+        right = f"{FORCE_BLOCK} or {IMPACT}, as daq publishes them, would be right"
+        raise BagError(f"{bag.path}: holds neither force blocks nor impacts; {right}")
+    surest = [topic for topic in found if topic.type == found[0].type]
+    if asked is not None:
+        chosen = [topic for topic in found if topic.name.lstrip("/") == asked.lstrip("/")]
+    else:
+        chosen = [topic for topic in surest if topic.name.lstrip("/") == USUAL[topic.type]] or surest
+    if len(chosen) == 1:
+        return chosen[0]
+    problem = "several topics hold the force" if asked is None else f"no force on {asked}"
+    raise BagError(f"{bag.path}: {problem}; give --force-topic one of {', '.join(topic.name for topic in found)}")
+
+
+def recorded_cycles(bag: Bag, topic: str, monitor: Monitor) -> Iterator[Cycle]:
+    """Yield as `cycles` does. Raises BagError at the end if none of the joint states was of the monitor's robot."""
+    count = 0
+    for cycle in cycles(bag, topic, monitor):
+        count += 1
+        yield cycle
+    if monitor.foreign == count > 0:
+        names = ", ".join(monitor.arm.robot.joint_names)
+        raise BagError(f"{bag.path}: {topic}: none of its joint states names a joint of the robot ({names})")
+
+
+def measured(bag: Bag, topic: Topic, unreadable: Counter[str]) -> Iterator[Measured]:
+    """Yield the force blocks or impacts of `topic`; what cannot be decoded is counted, by why, in `unreadable`.
+
+    Raises BagError when the recording has another definition of the type.
+    """
+    check_definition(bag.types, topic.type, str(bag.path))
+    for message in bag.messages([topic.name]):
+        if message.type != topic.type:
+            continue
+        try:
+            decode = decode_force_block if topic.type == FORCE_BLOCK else decode_impact
+            yield Measured(message.log_time_ns, decode(message.data))
+        except DecodeError as error:
+            unreadable[f"{bag.path}: {topic.name}: left out: {error}"] += 1
+
+
+def in_order(states: Iterator[Cycle], forces: Iterator[Measured]) -> Iterator[Cycle | Measured]:
+    """Yield both as they were recorded."""
+    return merge(forces, states, key=lambda each: each.log_time_ns)
+
+
+def _obstacle_mass(bag: Bag, about: Mapping[str, Any]) -> float | None:
+    mass = about.get("obstacle_mass")
+    if mass is None:
+        return None
+    if isinstance(mass, bool) or not isinstance(mass, int | float) or not 0.0 <= mass <= HEAVIEST:
+        wanted = f"0 (not given) to {HEAVIEST:g} kg would be right"
+        raise BagError(f"{bag.path}: {RECORDING_INFO}: obstacle_mass = {mass!r}: {wanted}")
+    return float(mass)

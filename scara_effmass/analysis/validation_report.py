@@ -1,0 +1,52 @@
+"""The report of a validation: page, figures and numbers, written together or not at all."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+
+from scara_effmass.analysis.figure import FORMATS, write
+from scara_effmass.analysis.output import completed, require_free
+from scara_effmass.analysis.page import Picture
+from scara_effmass.analysis.paper.style import STYLE
+from scara_effmass.analysis.validation_figures import PLOTS
+from scara_effmass.analysis.validation_page import page
+from scara_effmass.analysis.validation_record import record
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from scara_effmass.analysis.validation import Validation, ValidationSettings
+    from scara_effmass.model.robot import Robot
+
+PAGE, RECORD = "report.html", "report.json"
+NAMES = (PAGE, RECORD, *(f"{plot.name}{suffix}" for plot in PLOTS for suffix in FORMATS))
+"""Of all files of a report."""
+
+
+def require_room(folder: Path, *, overwrite: bool) -> None:
+    """Raise OutputError when a report may not be written into `folder`."""
+    if folder.exists() and not folder.is_dir():
+        require_free(folder, overwrite=False)
+    for name in NAMES:
+        require_free(folder / name, overwrite=overwrite)
+
+
+def write_report(
+    validation: Validation, settings: ValidationSettings, robot: Robot, folder: Path, *, overwrite: bool
+) -> None:
+    """Write `NAMES` into `folder`. Raises OutputError."""
+    with ExitStack() as stack:
+        paths = {name: stack.enter_context(completed(folder / name, overwrite=overwrite)) for name in NAMES}
+        for plot in PLOTS:
+            with mpl.rc_context(STYLE):
+                write(plot.draw(validation.result), *(paths[f"{plot.name}{suffix}"] for suffix in FORMATS))
+        pictures = [
+            Picture(plot.name, plot.title, plot.caption, paths[f"{plot.name}.png"].read_bytes()) for plot in PLOTS
+        ]
+        paths[PAGE].write_text(page(validation, pictures, settings, robot), encoding="utf-8")
+        numbers = json.dumps(record(validation, settings, robot), indent=1, ensure_ascii=False, allow_nan=False)
+        paths[RECORD].write_text(f"{numbers}\n", encoding="utf-8")

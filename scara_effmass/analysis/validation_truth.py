@@ -1,0 +1,63 @@
+"""What a simulated recording knows of its impact, beside what was found without that knowledge."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from scara_effmass.analysis.validation import ValidatedRecording, Validation
+    from scara_effmass.values import ValidatedImpact
+
+LAW = ("stiffness", "exponent")
+NEEDED = ("speed", "effective_mass", "peak_force")
+
+
+class Deviation(NamedTuple):
+    """Found over true - 1, for one quantity: the mean over the `impacts`, and the one farthest from zero."""
+
+    quantity: str
+    impacts: int
+    mean: float
+    farthest: float
+
+
+def deviations(validation: Validation) -> list[Deviation]:
+    """Return how far off was what was found, where recordings of a single impact tell the truth; else nothing."""
+    found: dict[str, list[float]] = {}
+    for recording in validation.recordings:
+        for quantity, deviation in _of(recording):
+            found.setdefault(quantity, []).append(deviation)
+    return [
+        Deviation(quantity, len(each), sum(each) / len(each), max(each, key=abs)) for quantity, each in found.items()
+    ]
+
+
+def stated_stiffness(validation: Validation) -> float | None:
+    """Return the stiffness [N/m] of the simulated contact; None for none, several, or no linear spring."""
+    contacts = [info.about for recording in validation.recordings for info in recording.infos]
+    (stiffness, exponent) = (contacts[0].get(name) for name in LAW) if contacts else (None, None)
+    same = all(about.get("stiffness") == stiffness and about.get("exponent") == exponent for about in contacts)
+    return float(stiffness) if same and exponent == 1.0 and isinstance(stiffness, int | float) else None
+
+
+def _of(recording: ValidatedRecording) -> Iterator[tuple[str, float]]:
+    if len(recording.impacts) != 1 or len(recording.infos) != 1:
+        return
+    truth = recording.infos[0].about.get("truth")
+    if not isinstance(truth, dict):
+        return
+    values = [truth.get(name) for name in NEEDED]
+    numbers = [float(value) for value in values if isinstance(value, int | float) and value > 0.0]
+    if len(numbers) == len(NEEDED):
+        yield from _compared(recording.impacts[0], *numbers)
+
+
+def _compared(
+    impact: ValidatedImpact, speed: float, effective_mass: float, peak_force: float
+) -> Iterator[tuple[str, float]]:
+    yield "speed at the onset", impact.speed / speed - 1.0
+    yield "peak force", impact.measured_force / peak_force - 1.0
+    for prediction in impact.predictions:
+        yield f"effective mass, {prediction.model}", prediction.effective_mass / effective_mass - 1.0

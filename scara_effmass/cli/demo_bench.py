@@ -1,0 +1,126 @@
+"""The demo without a recording: the virtual test bench live, all nodes on it, and the report of its impacts."""
+
+from __future__ import annotations
+
+import json
+import time
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+from scara_effmass.cli.live import Display
+from scara_effmass.cli.processes import keep_to_this_machine, require_running, started
+from scara_effmass.errors import EffmassError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from rich.console import Console
+    from scara_effmass_msgs.msg import ImpactValidation
+
+    from scara_effmass.model.arm import Arm
+    from scara_effmass.settings import MonitorSettings
+    from scara_effmass.values import ContactAssessment
+
+START_WITHIN_S = 60.0
+SLOWEST = 10.0
+"""Times real time that it may take: the simulation waits for nodes that fall behind."""
+IMPACTS = 12
+"""Three configurations with four masses each."""
+PER_IMPACT_S = 3.5
+FORCE_TOPIC_IS_LATE_S = 3.0
+"""An impact is told once its rebounds are over, and validated then."""
+BAG = "recording"
+
+
+def run_bench(args: argparse.Namespace, arm: Arm, settings: MonitorSettings, console: Console) -> int:
+    """Run it; return 0 when the series is accepted, else 1. Raises EffmassError."""
+    from scara_effmass.analysis.validation import ValidationSettings, validate  # noqa: PLC0415
+    from scara_effmass.analysis.validation_record import record  # noqa: PLC0415
+    from scara_effmass.analysis.validation_report import PAGE, require_room, write_report  # noqa: PLC0415
+
+    require_room(args.out, overwrite=args.force)
+    live, recorded = _run_live(args, arm, settings, console)
+    validation_settings = ValidationSettings(monitor=settings)
+    validation = validate([args.out / BAG], arm, validation_settings)
+    write_report(validation, validation_settings, arm.robot, args.out, overwrite=args.force)
+    result = validation.result
+    told = {_stamp_ns(message) for message in live}
+    found = {impact.stamp_ns for impact in result.impacts}
+    summary: dict[str, Any] = {
+        "live": len(told),
+        "offline": len(found),
+        "both": len(told & found),
+        "recording": recorded,
+        **record(validation, validation_settings, arm.robot),
+    }
+    if args.json:
+        console.print_json(json.dumps(summary, allow_nan=False))
+        return 0 if result.accepted else 1
+    console.print(f"{'impacts':<16}{len(told)} validated live, {len(found)} offline, {len(told & found)} the same")
+    for each in result.models:
+        agreement = each.overall
+        if agreement.count:
+            k = f"k {agreement.fitted_stiffness / 1e3:.4g} N/mm, RMSE {agreement.rmse:.3g} N"
+            verdict = "accepted" if each.accepted else each.reason
+            console.print(f"{each.model:<16}r {agreement.correlation:.5f}, {k}, {verdict}")
+    console.print(f"{'recorded':<16}{recorded['messages']} messages, {recorded['lost']} lost: {recorded['bag']}")
+    console.print(f"{'open':<16}{args.out / PAGE}")
+    return 0 if result.accepted else 1
+
+
+def _run_live(
+    args: argparse.Namespace, arm: Arm, settings: MonitorSettings, console: Console
+) -> tuple[list[ImpactValidation], dict[str, Any]]:
+    """Start everything, watch until the impacts are over; return what the validator said and the recorder's report."""
+    keep_to_this_machine()
+    from scara_effmass.nodes.watch import Watch  # noqa: PLC0415 - reads the domain when it is made
+
+    start_s = float(round(time.time()))
+    span_s = min(args.duration, IMPACTS * PER_IMPACT_S)
+    simulated_time = ["--ros-args", "-p", "use_sim_time:=true"]
+    cell = ["-p", "bench.scene:=cell", "-p", f"bench.start:={start_s}"]
+    force = ["--force"] if args.force else []
+    words = {
+        "daq": ["daq", "--source", "bench", *simulated_time, *cell],
+        "validator": ["validator", *simulated_time],
+        "monitor": ["monitor", "--model", settings.effective_mass_model.value, *simulated_time],
+        "record": ["record", "-o", str(args.out / BAG), "--json", *force, *simulated_time],
+        "bench": ["bench", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=2"],
+    }
+    heard: list[ImpactValidation] = []
+    with ExitStack() as running:
+        processes = {name: running.enter_context(started(each)) for name, each in words.items()}
+        display = Display(console, span_s)
+
+        def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
+            if not args.json:
+                display.show(contacts, at_ns / 1e9 - start_s, watch.speed_scaling)
+
+        def on_validation(message: ImpactValidation) -> None:
+            heard.append(message)
+            if not args.json:
+                console.print(_line(message, start_s))
+
+        def over() -> bool:
+            late = watch.now_ns / 1e9 > start_s + span_s + FORCE_TOPIC_IS_LATE_S
+            return late or len(heard) >= IMPACTS or any(process.ended for process in processes.values())
+
+        with Watch(arm.contact_points, on_cycle, on_validation) as watch, display:
+            watch.spin(START_WITHIN_S + SLOWEST * span_s, over)
+            require_running(processes.values())
+            recorded: dict[str, Any] = json.loads(processes["record"].finish())
+    if not heard:
+        raise EffmassError("no impact was validated: this machine may be too busy for the simulation")
+    return heard, recorded
+
+
+def _line(message: ImpactValidation, start_s: float) -> str:
+    return (
+        f"{_stamp_ns(message) / 1e9 - start_s:6.1f} s  impact {message.count}: {message.speed:.3f} m/s, "
+        f"{message.reduced_mass:.3f} kg reduced: {message.measured_force:.1f} N simulated, "
+        f"{message.predicted_force:.1f} N predicted ({message.relative_error:+.1%})"
+    )
+
+
+def _stamp_ns(message: ImpactValidation) -> int:
+    return int(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)

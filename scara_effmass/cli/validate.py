@@ -1,0 +1,160 @@
+"""`scara-effmass validate`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import yaml
+from pydantic import BaseModel
+from rich.console import Console
+from rich.progress import Progress
+
+from scara_effmass.cli.options import add_force, add_json, add_params, add_robot, add_topic, arm_from, printer
+from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings, checked, load_settings
+
+if TYPE_CHECKING:
+    import argparse
+
+    from scara_effmass.analysis.validation import Validation, ValidationSettings
+
+EXAMPLES = """\
+Impacts are found anew in the force blocks of a recording; without these, the recorded impacts are taken. The mass
+of what is hit comes from --obstacle-mass, else from what the recording says of itself, else from validator:
+obstacle_mass in FILE. All recordings are one series. DIR gets report.html, report.json, and figures as PNG and SVG.
+Exits with 1 when the series fails the acceptance criterion; the report is written all the same.
+
+examples:
+  scara-effmass validate bags/campaign -o out/validation
+  scara-effmass validate monday.mcap -o out/monday --obstacle-mass 2.39 --model full
+  scara-effmass validate bags/campaign -o out/validation --params cell.yaml --force --json
+"""
+NOT_ACCEPTED = 1
+SECTIONS = frozenset({"monitor", "validator", "daq"})
+
+Settings = TypeVar("Settings", bound=BaseModel)
+
+
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.epilog = EXAMPLES
+    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="recording, or folder of recordings")
+    parser.add_argument("-o", "--output", required=True, type=Path, metavar="DIR", help="folder for the report")
+    add_topic(parser)
+    parser.add_argument(
+        "--force-topic", metavar="TOPIC", help="topic of the force blocks or impacts (default: force, or the only one)"
+    )
+    parser.add_argument(
+        "--obstacle-mass",
+        dest="mass_of_obstacle",
+        type=float,
+        metavar="KG",
+        help="mass of what is hit, in all recordings",
+    )
+    parser.add_argument(
+        "--stiffness",
+        dest="contact_stiffness",
+        type=float,
+        metavar="N_PER_MM",
+        help="contact stiffness to predict with (default: the one that fits best)",
+    )
+    add_robot(parser)
+    add_params(parser, "monitor_node, validator_node and daq_node (its detection)")
+    add_force(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Validate, write the report, and print what it comes down to."""
+    from scara_effmass.analysis.validation import validate  # noqa: PLC0415 - not needed for --help
+    from scara_effmass.analysis.validation_record import record  # noqa: PLC0415
+    from scara_effmass.analysis.validation_report import require_room, write_report  # noqa: PLC0415
+    from scara_effmass.bag_io.files import find_bags  # noqa: PLC0415
+
+    settings = validation_settings(args)
+    arm = arm_from(settings.monitor)
+    require_room(args.output, overwrite=args.force)
+    paths = [path for given in args.bags for path in find_bags(given)]
+    with Progress(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as progress:
+        task = progress.add_task("recordings", total=len(paths))
+        validation = validate(paths, arm, settings, lambda share: progress.advance(task, share))
+    write_report(validation, settings, arm.robot, args.output, overwrite=args.force)
+    if args.json:
+        whole = {**record(validation, settings, arm.robot), "output": str(args.output)}
+        printer().print_json(json.dumps(whole, allow_nan=False))
+    else:
+        _print(validation, args.output)
+    return 0 if validation.result.accepted else NOT_ACCEPTED
+
+
+def validation_settings(args: argparse.Namespace) -> ValidationSettings:
+    """Return the settings of --params with the other options over them. Raises SettingsError."""
+    from scara_effmass.analysis.validation import ValidationSettings  # noqa: PLC0415
+
+    path, model = args.params, args.effective_mass_model
+    sections = _sections(path) if path else set()
+    if path and not sections & {"**", *SECTIONS}:
+        load_settings(ValidatorSettings, path, "validator")  # says what is wrong with the file
+
+    def section(kind: type[Settings], name: str) -> Settings:
+        return load_settings(kind, path, name) if sections & {"**", name} else kind()
+
+    validator = _changed(
+        section(ValidatorSettings, "validator"),
+        stiffness=args.contact_stiffness,
+        effective_mass_model=model,
+        obstacle_mass=args.mass_of_obstacle,
+    )
+    return ValidationSettings(
+        monitor=_changed(section(MonitorSettings, "monitor"), robot=args.robot, effective_mass_model=model),
+        validator=validator,
+        detection=section(DaqSettings, "daq").detection,
+        obstacle_mass=args.mass_of_obstacle,
+        topic=args.topic,
+        force_topic=args.force_topic,
+    )
+
+
+def _sections(path: Path) -> set[str]:
+    """Return the names of the nodes in a file of parameters, without namespaces; none where it is no such file."""
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return set()
+    return {str(name).rpartition("/")[2] for name in document} if isinstance(document, dict) else set()
+
+
+def _changed(settings: Settings, **given: Any) -> Settings:  # noqa: ANN401 - any setting
+    changes = {name: value for name, value in given.items() if value is not None}
+    return checked(type(settings), {**settings.model_dump(), **changes}, "options")
+
+
+def _print(validation: Validation, output: Path) -> None:
+    result, console = validation.result, printer()
+
+    def line(subject: str, text: str) -> None:
+        console.print(f"{subject:<16}{text}")
+
+    line("result", "accepted" if result.accepted else f"not accepted: {result.reason}")
+    simulated = f", {result.simulated} of them simulated" if result.simulated else ""
+    line("impacts", f"{result.seen} found, {len(result.impacts)} in the series{simulated}")
+    for model in result.models:
+        found = model.overall
+        r = "r undefined" if found.correlation_reason else f"r {found.correlation:.5f}"
+        exponent = "" if found.exponent is None else f", exponent {found.exponent:.3f}"
+        line(
+            model.model,
+            f"{r}, k {found.stiffness / 1e3:.4g} N/mm{exponent}, bias {found.bias:+.2f} N, RMSE {found.rmse:.2f} N "
+            f"({found.relative_rmse:.2%}), {found.non_conservative} of {found.count} not conservative",
+        )
+    line("comparison", result.comparison.text)
+    for subject, counts in (("excluded", result.excluded), ("not paired", result.unpaired)):
+        for reason, count in counts.items():
+            line(subject, f"{count}: {reason}")
+    for recording in validation.recordings:
+        for loss in recording.losses:
+            line("not read", loss)
+    line("written", f"{output / 'report.html'}")

@@ -1,0 +1,79 @@
+"""A small campaign on the virtual test bench, and recordings made wrong from it."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any, Protocol
+
+import pytest
+
+from scara_effmass.bag_io.definitions import FORCE_BLOCK, RECORDING_INFO
+from scara_effmass.bag_io.files import open_bag
+from scara_effmass.bag_io.force import decode_force_block, force_block_message
+from scara_effmass.bag_io.messages import serialized
+from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.bench.campaign import Campaign, run_campaign
+from scara_effmass.model.arm import Arm
+from scara_effmass.model.load import load_robot
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from scara_effmass.values import ForceBlock
+
+MASSES = (0.5, 7.35)
+
+
+class Altered(Protocol):
+    def __call__(
+        self,
+        path: Path,
+        *,
+        block: Callable[[ForceBlock], ForceBlock] | None = None,
+        info: dict[str, Any] | None = None,
+        without: str = "",
+    ) -> Path: ...
+
+
+@pytest.fixture(scope="session")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Recordings of three configurations, two masses each."""
+    folder = tmp_path_factory.mktemp("campaign")
+    return [step.path for step in run_campaign(folder, Campaign(obstacle_masses=MASSES, repetitions=1))]
+
+
+@pytest.fixture(scope="session")
+def arm() -> Arm:
+    return Arm(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
+
+
+@pytest.fixture
+def altered(tmp_path: Path) -> Altered:
+    """Copy a recording: every force block through `block`, `info` over what it says of itself, a topic left out."""
+
+    def copy(
+        path: Path,
+        *,
+        block: Callable[[ForceBlock], ForceBlock] | None = None,
+        info: dict[str, Any] | None = None,
+        without: str = "",
+    ) -> Path:
+        copied = tmp_path / f"altered_{len(list(tmp_path.iterdir()))}"
+        with open_bag(path) as bag, BagWriter(copied) as writer:
+            for message in bag.messages():
+                data = message.data
+                if message.topic == without:
+                    continue
+                if message.type == FORCE_BLOCK and block:
+                    data = force_block_message(block(decode_force_block(data)))
+                elif message.topic == RECORDING_INFO and info:
+                    about = {**json.loads(bag.deserialize(message).data), **info}
+                    kept = {key: value for key, value in about.items() if value is not None}
+                    data = serialized(message.type, {"data": json.dumps(kept)})
+                writer.write(message.topic, message.type, message.log_time_ns, data)
+        return copied
+
+    return copy

@@ -1,0 +1,276 @@
+"""Recordings give what the cores give; each recording's own mass holds for it; bad ones are told."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from scara_effmass.analysis.validation import ValidationSettings, validate
+from scara_effmass.bag_io.definitions import FORCE_BLOCK, IMPACT, JOINT_STATE, RECORDING_INFO
+from scara_effmass.bag_io.files import open_bag
+from scara_effmass.bag_io.force import impact_message
+from scara_effmass.bag_io.messages import joint_state_message
+from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.errors import BagError
+from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.validator import Validator
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import MassModel, ValidatorSettings
+from scara_effmass.values import JointState
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import Any, Protocol
+
+    from scara_effmass.analysis.validation import Validation
+    from scara_effmass.impacts.result import Result
+    from scara_effmass.model.arm import Arm
+    from scara_effmass.values import ForceBlock
+
+    class Altered(Protocol):
+        def __call__(self, path: Path, **changes: object) -> Path: ...
+
+
+SETTINGS = ValidationSettings()
+S = 1_000_000_000
+
+
+@pytest.fixture(scope="session")
+def validation(campaign: list[Path], arm: Arm) -> Validation:
+    return validate(campaign, arm, SETTINGS)
+
+
+def about(path: Path) -> dict[str, Any]:
+    with open_bag(path) as bag:
+        (message,) = bag.messages([RECORDING_INFO])
+        said: dict[str, Any] = json.loads(bag.deserialize(message).data)
+        return said
+
+
+def by_hand(paths: list[Path], arm: Arm) -> Result:
+    """Feed the cores, all joint states of a recording before all of its force."""
+    validator = Validator(SETTINGS.validator)
+    for path in paths:
+        validator.begin_recording()
+        said = about(path)
+        validator.set_run(0, obstacle_mass=said["obstacle_mass"], configuration=said["configuration"])
+        monitor, detector = Monitor(arm, SETTINGS.monitor), Detector(SETTINGS.detection)
+        with open_bag(path) as bag:
+            for block in bag.joint_state_blocks():
+                for log_time_ns, state in zip(block.log_time_ns.tolist(), block.states(), strict=True):
+                    decision = monitor.assess(state, log_time_ns)
+                    assert decision is not None
+                    for contact in decision.contacts:
+                        validator.add_state(contact, log_time_ns)
+            log_times_ns = [message.log_time_ns for message in bag.messages(["/force"])]
+            for log_time_ns, force in zip(log_times_ns, bag.force_blocks("/force"), strict=True):
+                validator.add_force(force, log_time_ns)
+                for impact in detector.feed(force):
+                    validator.add_impact(impact, log_time_ns)
+            for impact in detector.finish():
+                validator.add_impact(impact, log_times_ns[-1])
+    validator.finish()
+    return validator.result()
+
+
+def test_it_is_what_the_cores_say(campaign: list[Path], arm: Arm, validation: Validation) -> None:
+    # As text, in which NaN equals itself.
+    assert repr(validation.result) == repr(by_hand(campaign, arm))
+
+
+def test_the_campaign_comes_out_as_the_paper_has_it(validation: Validation) -> None:
+    result = validation.result
+    assert (result.accepted, result.reason, result.clock, result.force_sign) == (True, "", "", "")
+    lumped, full, iso = (model.overall for model in result.models)
+    assert [model.model for model in result.models] == ["lumped", "full", "iso"]
+    assert lumped.count == full.count == iso.count == result.simulated == 6
+    assert min(lumped.correlation, full.correlation) > 0.999
+    assert iso.correlation < 0.9
+    assert iso.relative_rmse > 10.0 * max(lumped.relative_rmse, full.relative_rmse)
+    assert full.fitted_stiffness == pytest.approx(2e6, rel=0.02)
+    assert full.exponent == pytest.approx(0.5, abs=0.01)
+    forces = {(impact.configuration, impact.obstacle_mass): impact.measured_force for impact in result.impacts}
+    for mass in (0.5, 7.35):
+        assert forces["300_200", mass] < forces["300_0", mass] < forces["300_-200", mass]
+    for configuration in ("300_200", "300_0", "300_-200"):
+        assert forces[configuration, 0.5] < forces[configuration, 7.35]
+
+
+def test_every_recording_has_its_own_impact(campaign: list[Path], validation: Validation) -> None:
+    assert [recording.path for recording in validation.recordings] == campaign
+    for recording in validation.recordings:
+        (impact,) = recording.impacts
+        said = about(recording.path)
+        assert (impact.configuration, impact.obstacle_mass) == (said["configuration"], said["obstacle_mass"])
+        truth = said["truth"]
+        assert abs(impact.stamp_ns - truth["onset_ns"]) < 1_000_000
+        assert impact.measured_force == pytest.approx(truth["peak_force"], rel=0.005)
+        full = next(each for each in impact.predictions if each.model == "full")
+        assert full.effective_mass == pytest.approx(truth["effective_mass"], rel=0.01)
+        assert recording.joint_states > 1000
+        assert recording.force_blocks > 10
+        assert (recording.lost_samples, recording.simulated, recording.losses) == (0, True, ())
+    refused = sum(len(recording.refused) for recording in validation.recordings)
+    assert refused == len(validation.result.refused) == sum(validation.result.excluded.values()) > 0
+
+
+def test_progress_is_told(campaign: list[Path], arm: Arm) -> None:
+    shares: list[float] = []
+    validate(campaign[:2], arm, SETTINGS, shares.append)
+    assert sum(shares) == pytest.approx(2.0)
+
+
+def test_the_given_mass_goes_before_the_recorded_one(campaign: list[Path], arm: Arm) -> None:
+    given = validate(campaign[:1], arm, replace(SETTINGS, obstacle_mass=3.0)).result
+    assert [impact.obstacle_mass for impact in given.impacts] == [3.0]
+    settings = replace(SETTINGS, validator=ValidatorSettings(obstacle_mass=3.0, configuration="mine"))
+    recorded = validate(campaign[:1], arm, settings).result
+    assert [(impact.obstacle_mass, impact.configuration) for impact in recorded.impacts] == [(0.5, "300_200")]
+
+
+def test_recorded_impacts_serve_where_there_is_no_force(
+    campaign: list[Path], arm: Arm, tmp_path: Path, validation: Validation
+) -> None:
+    path = tmp_path / "impacts"
+    detector = Detector(SETTINGS.detection)
+    with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
+        for message in bag.messages():
+            if message.type != FORCE_BLOCK:
+                writer.write(*message)
+        for block in bag.force_blocks("/force"):
+            for each in detector.feed(block):
+                writer.write("/impact", IMPACT, each.stamp_ns + S // 2, impact_message(each))
+    found = validate([path], arm, SETTINGS)
+    assert found.recordings[0].force_topic == "/impact"
+    (impact,), expected = found.result.impacts, validation.result.impacts[0]
+    for name in ("stamp_ns", "measured_force", "speed", "effective_mass", "reduced_mass", "obstacle_mass"):
+        assert getattr(impact, name) == getattr(expected, name)
+
+
+def test_the_largest_mass_can_be_judged(campaign: list[Path], arm: Arm) -> None:
+    settings = replace(SETTINGS, validator=ValidatorSettings(effective_mass_model=MassModel.LARGEST))
+    result = validate(campaign, arm, settings).result
+    assert [model.model for model in result.models] == ["lumped", "full", "iso", "largest"]
+    assert result.accepted
+
+
+# What is wrong with a series is said in its result.
+
+
+def test_no_impacts(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+    quiet = altered(campaign[0], block=lambda block: block._replace(force=1e-3 * block.force))
+    result = validate([quiet], arm, SETTINGS).result
+    assert (result.seen, result.accepted) == (0, False)
+    assert "no impacts" in result.reason
+
+
+def test_one_impact(campaign: list[Path], arm: Arm) -> None:
+    result = validate(campaign[:1], arm, SETTINGS).result
+    assert len(result.impacts) == 1
+    assert result.reason == "1 impact, at least 3 are required"
+    assert result.models[0].overall.correlation_reason == "fewer than two impacts"
+
+
+def test_all_at_the_same_reduced_mass(campaign: list[Path], arm: Arm) -> None:
+    result = validate(campaign[:1] * 3, arm, SETTINGS).result
+    assert len(result.impacts) == 3
+    assert result.reason == "correlation undefined: all impacts are at the same v sqrt(mu)"
+
+
+def test_clocks_seconds_apart(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+    late = [altered(path, block=lambda block: block._replace(stamp_ns=block.stamp_ns + 5 * S)) for path in campaign[:3]]
+    result = validate(late, arm, SETTINGS).result
+    assert result.impacts == ()
+    assert not result.accepted
+    assert "their clocks differ" in result.clock
+    assert "their clocks differ" in result.reason
+
+
+def test_saturated_peaks_are_counted(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+    def saturated(block: ForceBlock) -> ForceBlock:
+        beyond = np.flatnonzero(block.force >= 150.0).astype(np.uint32)
+        return block._replace(force=np.minimum(block.force, 150.0), saturated_samples=beyond)
+
+    result = validate([altered(campaign[0], block=saturated), *campaign[1:]], arm, SETTINGS).result
+    assert result.accepted
+    assert len(result.impacts) == 5
+    assert result.excluded["clipped: the force reached the end of the measuring range"] == 1
+
+
+def test_the_wrong_sign_of_force(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+    result = validate([altered(campaign[0], block=lambda b: b._replace(force=-b.force))], arm, SETTINGS).result
+    assert not result.accepted
+    assert "compression is positive" in result.reason
+
+
+def test_a_missing_mass_is_not_that_of_the_recording_before(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+    nameless = altered(campaign[1], info={"obstacle_mass": None, "configuration": None})
+    result = validate([campaign[0], nameless], arm, SETTINGS).result
+    assert len(result.impacts) == 1
+    assert result.unpaired == {"obstacle_mass is not given": 1}
+    settings = replace(SETTINGS, validator=ValidatorSettings(obstacle_mass=7.35))
+    named = validate([campaign[0], nameless], arm, settings).result
+    assert [(each.obstacle_mass, each.configuration) for each in named.impacts] == [(0.5, "300_200"), (7.35, "")]
+
+
+# What cannot be validated at all is refused.
+
+
+def test_a_recording_without_joint_states(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+    path = altered(campaign[0], without="/joint_states")
+    with pytest.raises(BagError, match=f"{path}: no topic holds joint states"):
+        validate([path], arm, SETTINGS)
+
+
+def test_a_recording_without_force(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+    path = altered(campaign[0], without="/force")
+    with pytest.raises(BagError, match=f"{path}: holds neither force blocks nor impacts"):
+        validate([path], arm, SETTINGS)
+
+
+def test_joint_states_of_another_robot(campaign: list[Path], arm: Arm, altered: Altered, tmp_path: Path) -> None:
+    path = tmp_path / "other"
+    foreign = JointState(0, ("wheel",), np.zeros(1), np.zeros(1))
+    with open_bag(altered(campaign[0], without="/joint_states")) as bag, BagWriter(path) as writer:
+        for message in bag.messages():
+            writer.write(*message)
+        writer.write("/joint_states", JOINT_STATE, bag.end_ns, joint_state_message(foreign))
+    with pytest.raises(BagError, match="none of its joint states names a joint of the robot"):
+        validate([path], arm, SETTINGS)
+
+
+@pytest.mark.parametrize("mass", ["2.39", -1.0, True, 1e4])
+def test_a_recorded_mass_that_is_none(campaign: list[Path], arm: Arm, altered: Altered, mass: object) -> None:
+    path = altered(campaign[0], info={"obstacle_mass": mass})
+    with pytest.raises(BagError, match=f"{path}: {RECORDING_INFO}: obstacle_mass = {mass!r}: .* would be right"):
+        validate([path], arm, SETTINGS)
+
+
+def test_of_several_force_topics_one_must_be_named(campaign: list[Path], arm: Arm, tmp_path: Path) -> None:
+    path = tmp_path / "two_channels"
+    with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
+        for message in bag.messages():
+            topics = ["/left", "/right"] if message.type == FORCE_BLOCK else [message.topic]
+            for topic in topics:
+                writer.write(topic, *message[1:])
+    with pytest.raises(BagError, match="several topics hold the force; give --force-topic one of /left, /right"):
+        validate([path], arm, SETTINGS)
+    found = validate([path], arm, replace(SETTINGS, force_topic="right"))
+    assert (found.recordings[0].force_topic, len(found.result.impacts)) == ("/right", 1)
+    with pytest.raises(BagError, match="no force on up; give --force-topic one of"):
+        validate([path], arm, replace(SETTINGS, force_topic="up"))
+
+
+def test_what_cannot_be_decoded_is_told(campaign: list[Path], arm: Arm, tmp_path: Path) -> None:
+    path = tmp_path / "cut"
+    with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
+        for message in bag.messages():
+            cut = message.type == FORCE_BLOCK and message.log_time_ns < bag.start_ns + S // 2
+            writer.write(*(message._replace(data=message.data[:20]) if cut else message))
+    (recording,) = validate([path], arm, SETTINGS).recordings
+    assert len(recording.losses) == 1
+    assert "/force: left out: " in recording.losses[0]

@@ -1,0 +1,183 @@
+"""The report of a validation: whole, self-contained, the same every time, and there also where little was found."""
+
+from __future__ import annotations
+
+import json
+import math
+from html.parser import HTMLParser
+from typing import TYPE_CHECKING, Any, Protocol
+
+import pytest
+from matplotlib.image import imread
+
+from scara_effmass.analysis.validation import ValidationSettings, validate
+from scara_effmass.analysis.validation_record import record
+from scara_effmass.analysis.validation_report import NAMES, require_room, write_report
+from scara_effmass.analysis.validation_scope import LAW, NO_PROOF
+from scara_effmass.errors import OutputError
+from scara_effmass.settings import ValidatorSettings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from scara_effmass.analysis.validation import Validation
+    from scara_effmass.model.arm import Arm
+
+    class Altered(Protocol):
+        def __call__(self, path: Path, **changes: object) -> Path: ...
+
+
+SETTINGS = ValidationSettings()
+
+
+class Page(HTMLParser):
+    """What a page holds: tags still open, addresses it names, its pictures and its texts."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+        self.texts: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.addresses += [value or "" for name, value in attrs if name in {"src", "href", "srcset", "data"}]
+        if tag not in {"meta", "img", "br"}:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if data.strip():
+            self.texts.append(data.strip())
+
+
+@pytest.fixture(scope="session")
+def validation(campaign: list[Path], arm: Arm) -> Validation:
+    return validate(campaign, arm, SETTINGS)
+
+
+def written(
+    validation: Validation, arm: Arm, folder: Path, settings: ValidationSettings = SETTINGS
+) -> dict[str, bytes]:
+    write_report(validation, settings, arm.robot, folder, overwrite=False)
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def numbers(value: Any) -> list[float]:  # noqa: ANN401 - whatever JSON holds
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        return [number for each in value for number in numbers(each)]
+    return [value] if isinstance(value, float) else []
+
+
+def test_all_files_are_the_same_every_time(validation: Validation, arm: Arm, tmp_path: Path) -> None:
+    first, second = (written(validation, arm, tmp_path / folder) for folder in ("one", "two"))
+    assert set(first) == set(NAMES)
+    assert first == second
+    for name in NAMES:
+        if name.endswith(".png"):
+            height, width, _ = imread(tmp_path / "one" / name).shape
+            assert width > 1000
+            assert height > 500
+
+
+def test_the_page_is_whole_and_loads_nothing(validation: Validation, arm: Arm, tmp_path: Path) -> None:
+    text = written(validation, arm, tmp_path / "report")["report.html"].decode()
+    page = Page(text)
+    assert page.open == []
+    assert [address[:22] for address in page.addresses] == ["data:image/png;base64,"] * 4
+    assert "url(" not in text
+    assert "@import" not in text
+
+
+def test_the_page_says_what_it_is_worth(validation: Validation, arm: Arm, tmp_path: Path) -> None:
+    texts = Page(written(validation, arm, tmp_path / "report")["report.html"].decode()).texts
+    assert "Accepted." in texts
+    assert "lumped model, simulated impacts; nothing was measured on a robot." in texts
+    assert {NO_PROOF, LAW} <= set(texts)
+    whole = " ".join(texts)
+    assert f"(hash {validation.result.criterion_hash})" in whole
+    assert validation.result.comparison.text in whole
+    assert arm.robot.origin in texts
+    assert "rebound of an earlier impact" in texts
+    for recording in validation.recordings:
+        assert texts.count(recording.path.name) == 2  # its impact, and itself
+    for model in validation.result.models:
+        assert any(text.startswith(f"{model.overall.correlation:.5f} (") for text in texts)
+
+
+def test_the_record_is_all_of_it_in_finite_numbers(validation: Validation, arm: Arm, tmp_path: Path) -> None:
+    files = written(validation, arm, tmp_path / "report")
+    said = json.loads(files["report.json"])
+    assert said == record(validation, SETTINGS, arm.robot)
+    assert all(map(math.isfinite, numbers(said)))
+    assert next(iter(said)) == "models"
+    lumped = said["models"][0]
+    first = ["model", "count", "correlation", "fitted_stiffness", "exponent", "bias", "rmse", "non_conservative"]
+    assert list(lumped)[:9] == [*first, "accepted"]
+    assert lumped["by_obstacle_mass"].keys() == {"0.5", "7.35"}
+    assert [each["recording"] for each in said["impacts"]] == [r.path.name for r in validation.recordings]
+    assert said["settings"]["validator"]["clock_tolerance"] == SETTINGS.validator.clock_tolerance
+    assert set(said["excluded"]) == {"rebound of an earlier impact"}
+
+
+def test_a_report_of_nothing(campaign: list[Path], arm: Arm, altered: Altered, tmp_path: Path) -> None:
+    quiet = altered(campaign[0], block=lambda block: block._replace(force=1e-3 * block.force))
+    empty = validate([quiet], arm, SETTINGS)
+    files = written(empty, arm, tmp_path / "report")
+    assert set(files) == set(NAMES)
+    texts = Page(files["report.html"].decode()).texts
+    assert any(text.startswith("Not accepted: no impacts") for text in texts)
+    assert "Every impact that was found is in the series." in texts
+    assert json.loads(files["report.json"])["models"][0]["exponent"] is None
+    assert b"no impact could be paired with the robot" in b"".join(
+        line for line in files["bland_altman.svg"].splitlines() if line.strip().startswith(b"<!--")
+    )
+
+
+def test_a_report_of_one_impact(campaign: list[Path], arm: Arm, tmp_path: Path) -> None:
+    files = written(validate(campaign[:1], arm, SETTINGS), arm, tmp_path / "report")
+    texts = Page(files["report.html"].decode()).texts
+    assert "undefined: fewer than two impacts" in texts
+    assert "Not accepted: 1 impact, at least 3 are required." in texts
+
+
+def test_a_given_stiffness_is_said(campaign: list[Path], arm: Arm, tmp_path: Path) -> None:
+    settings = ValidationSettings(validator=ValidatorSettings(stiffness=2000.0))
+    found = validate(campaign, arm, settings)
+    files = written(found, arm, tmp_path / "report", settings)
+    assert "All models predict with the given stiffness of 2000 N/mm." in files["report.html"].decode()
+    assert json.loads(files["report.json"])["models"][0]["stiffness"] == 2e6
+
+
+def test_nothing_is_overwritten_and_nothing_half_written(
+    validation: Validation, arm: Arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "report"
+    folder.mkdir()
+    (folder / "exponent.svg").write_text("mine")
+    refused = r"exponent\.svg: exists already; --force replaces it"
+    with pytest.raises(OutputError, match=refused):
+        require_room(folder, overwrite=False)
+    with pytest.raises(OutputError, match=refused):
+        write_report(validation, SETTINGS, arm.robot, folder, overwrite=False)
+    require_room(folder, overwrite=True)
+
+    def fail(*_: object) -> str:
+        raise OutputError("no room")
+
+    monkeypatch.setattr("scara_effmass.analysis.validation_report.page", fail)
+    with pytest.raises(OutputError, match="no room"):
+        write_report(validation, SETTINGS, arm.robot, folder, overwrite=True)
+    assert [path.name for path in folder.iterdir()] == ["exponent.svg"]
+    assert (folder / "exponent.svg").read_text() == "mine"
+
+
+def test_the_folder_must_not_be_a_file(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="file"):
+        require_room(tmp_path / "file", overwrite=True)

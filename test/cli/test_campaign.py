@@ -1,0 +1,127 @@
+"""`campaign`: bags that say what they are, gone on with after an interruption; bad options in one line."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from scara_effmass.bag_io.definitions import RECORDING_INFO
+from scara_effmass.bag_io.files import find_bags, open_bag
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    Cli = Callable[..., subprocess.CompletedProcess[str]]
+
+SMALL = ("--configuration", "300_0", "--mass", "0.5", "--repetitions", "2")
+
+
+def said(bag: Path) -> dict[str, object]:
+    with open_bag(bag) as opened:
+        (message,) = opened.messages([RECORDING_INFO])
+        about: dict[str, object] = json.loads(opened.deserialize(message).data)
+    return about
+
+
+def test_it_records_then_keeps_then_replaces(here: Cli, tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "campaign"
+    first = here("campaign", "-o", folder, *SMALL)
+    assert (first.returncode, first.stderr) == (0, "")
+    assert "2 impacts on the virtual test bench (MuJoCo); nothing was measured" in first.stdout
+    assert "kept" not in first.stdout
+    assert [bag.name for bag in find_bags(folder)] == ["300_0_500g_1", "300_0_500g_2"]
+    assert said(folder / "300_0_500g_1")["simulated"] is True
+
+    again = here("campaign", "-o", folder, *SMALL, "--json")
+    result = json.loads(again.stdout)
+    assert result["simulated"] is True
+    assert (result["made"], result["kept"]) == (0, 2)
+    assert [run["obstacle_mass_kg"] for run in result["runs"]] == [0.5, 0.5]
+    assert "2, which were there already" in here("campaign", "-o", folder, *SMALL).stdout
+
+    other = here("campaign", "-o", folder, *SMALL, "--seed", "1")
+    assert other.returncode == 2
+    assert other.stderr.count("\n") == 1
+    assert "not of this run" in other.stderr
+    replaced = here("campaign", "-o", folder, *SMALL, "--seed", "1", "--force", "--json")
+    assert (json.loads(replaced.stdout)["made"], json.loads(replaced.stdout)["seed"]) == (2, 1)
+
+
+def test_the_tip_is_as_asked_for(here: Cli, tmp_path: Path) -> None:
+    tip = ("--stiffness", "500", "--damping", "20", "--friction", "0.2")
+    one = (*SMALL[:-1], "1")
+    result = json.loads(here("campaign", "-o", tmp_path / "soft", *one, *tip, "--json").stdout)
+    assert (result["stiffness"], result["exponent"], result["damping"], result["friction"]) == (5e5, 1.0, 20.0, 0.2)
+    about = said(tmp_path / "soft" / "300_0_500g_1")
+    assert (about["stiffness"], about["damping"], about["friction"]) == (5e5, 20.0, 0.2)
+    done = here("campaign", "-o", tmp_path / "hertz", *one, "--hertz")
+    assert "Hertz contact 3400 N/mm^1.5" in done.stdout
+    about = said(tmp_path / "hertz" / "300_0_500g_1")
+    assert about["exponent"] == 1.5
+    assert about["stiffness"] == pytest.approx(3400.0 * 1000.0**1.5)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (("--configuration", "nowhere"), "300_-200"),
+        (("--mass", "-1"), "above 0"),
+        (("--mass", "nan"), "above 0"),
+        (("--mass", "heavy"), "above 0"),
+        (("--mass", "0.001"), "stiffness"),
+        (("--mass", "1", "--mass", "1.0001"), "gram"),
+        (("--repetitions", "0"), "from 1 up"),
+        (("--seed", "1.5"), "from 0 up"),
+        (("--friction", "2"), "friction"),
+        (("--stiffness", "1e9"), "stiffness"),
+        (("--damping", "inf"), "--damping"),
+    ],
+)
+def test_bad_options_are_refused_before_anything_is_written(
+    here: Cli, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], named: str
+) -> None:
+    try:
+        done = here("campaign", "-o", tmp_path / "out", *options)
+        code, errors = done.returncode, done.stderr
+    except SystemExit as exit_:  # what the parser itself refuses
+        code, errors = exit_.code if isinstance(exit_.code, int) else 0, capsys.readouterr().err
+    assert code == 2
+    assert errors.count("\n") == 1
+    assert named in errors
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_an_error(here: Cli, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    done = here("campaign", "-o", tmp_path / "file", *SMALL)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+
+
+def at_work_on_the_third(folder: Path) -> bool:
+    """Return whether two bags are whole, and nothing is left over from writing them."""
+    return (folder / "300_0_500g_2").exists() and len(list(folder.iterdir())) == 2
+
+
+def test_an_interruption_leaves_whole_bags_and_the_rest_is_made_later(
+    here: Cli, tmp_path: Path, domain: dict[str, str]
+) -> None:
+    folder = tmp_path / "out"
+    words = ("campaign", "-o", str(folder), *SMALL[:-1], "50")
+    with subprocess.Popen([sys.executable, "-m", "scara_effmass", *words], env=domain, cwd=tmp_path) as process:
+        while process.poll() is None and not at_work_on_the_third(folder):
+            time.sleep(0.005)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
+    bags = sorted(folder.iterdir())
+    assert 2 <= len(bags) < 50
+    assert all(said(bag)["simulated"] is True for bag in bags)
+    done = here("campaign", "-o", folder, *SMALL[:-1], str(len(bags)), "--json")
+    assert json.loads(done.stdout)["kept"] == len(bags)

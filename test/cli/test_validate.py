@@ -1,0 +1,133 @@
+"""`validate`: a report, a summary, and an exit code that says whether the criterion is met."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+from scara_effmass.bag_io.files import open_bag
+from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.bench.campaign import Campaign, run_campaign
+from scara_effmass.bench.impact_setup import CONFIGURATIONS
+
+if TYPE_CHECKING:
+    import subprocess
+    from collections.abc import Callable
+    from pathlib import Path
+
+    Cli = Callable[..., subprocess.CompletedProcess[str]]
+
+FIGURES = ("force_over_root_mu", "force_over_obstacle_mass", "bland_altman", "exponent")
+FILES = {"report.html", "report.json", *(f"{name}.{suffix}" for name in FIGURES for suffix in ("png", "svg"))}
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four recordings: the lightest and the heaviest configuration, with two masses each."""
+    folder = tmp_path_factory.mktemp("campaign")
+    small = Campaign(configurations=CONFIGURATIONS[::2], obstacle_masses=(0.5, 7.35), repetitions=1)
+    assert len(list(run_campaign(folder, small))) == 4
+    return folder
+
+
+def test_json_has_every_model_the_lumped_first(cli: Cli, campaign: Path, tmp_path: Path) -> None:
+    done = cli("validate", campaign, "-o", "new/report", "--json")
+    assert (done.returncode, done.stderr) == (0, "")  # and no progress bar in a pipe
+    said = json.loads(done.stdout)
+    assert {path.name for path in (tmp_path / "new" / "report").iterdir()} == FILES
+    assert [model["model"] for model in said["models"]] == ["lumped", "full", "iso"]
+    for model in said["models"]:
+        assert model["count"] == 4
+        for name in ("correlation", "fitted_stiffness", "exponent", "bias", "rmse"):
+            assert isinstance(model[name], float)
+        assert isinstance(model["non_conservative"], int)
+    assert [model["accepted"] for model in said["models"]] == [True, True, False]
+    assert said.pop("output") == "new/report"
+    assert said == json.loads((tmp_path / "new" / "report" / "report.json").read_text(encoding="utf-8"))
+
+
+def test_the_summary_is_short(here: Cli, campaign: Path) -> None:
+    done = here("validate", campaign, "-o", "report")
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert lines[0].split() == ["result", "accepted"]
+    assert "4 in the series, 4 of them simulated" in lines[1]
+    assert [line.split()[0] for line in lines[2:]] == ["lumped", "full", "iso", "comparison", "excluded", "written"]
+    refused = here("validate", campaign, "-o", "report")
+    assert refused.returncode == 2
+    assert refused.stderr.count("\n") == 1
+    assert "--force" in refused.stderr
+    assert here("validate", campaign, "-o", "report", "--force").returncode == 0
+
+
+def test_a_failed_criterion_exits_with_1_and_a_report(here: Cli, campaign: Path, tmp_path: Path) -> None:
+    done = here("validate", campaign, "-o", "report", "--model", "iso")
+    assert (done.returncode, done.stderr) == (1, "")
+    assert done.stdout.startswith("result          not accepted: correlation 0.")
+    assert {path.name for path in (tmp_path / "report").iterdir()} == FILES
+
+
+def test_mass_and_stiffness_can_be_given(here: Cli, campaign: Path) -> None:
+    done = here("validate", campaign, "-o", "report", "--obstacle-mass", "2", "--stiffness", "1000", "--json")
+    said = json.loads(done.stdout)
+    assert done.returncode == 1
+    assert {impact["obstacle_mass"] for impact in said["impacts"]} == {2.0}
+    assert {model["stiffness"] for model in said["models"]} == {1e6}
+
+
+def test_every_section_of_the_file_counts(here: Cli, campaign: Path, tmp_path: Path) -> None:
+    (tmp_path / "cell.yaml").write_text(
+        "monitor: {ros__parameters: {timeout: 0.3}}\n"
+        "validator: {ros__parameters: {criterion: {least_count: 5}}}\n"
+        "/cell/daq: {ros__parameters: {source: bench, detection.threshold: 20.0}}\n"
+    )
+    done = here("validate", campaign, "-o", "report", "--params", "cell.yaml", "--json")
+    said = json.loads(done.stdout)
+    assert done.returncode == 1
+    assert said["reason"] == "4 impacts, at least 5 are required"
+    assert said["settings"]["monitor"]["timeout"] == 0.3
+    assert said["settings"]["detection"]["threshold"] == 20.0
+    assert all(each["peak_force"] >= 20.0 for each in said["refused"])
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ("camera: {ros__parameters: {}}\n", "holds camera"),
+        ("validator: {ros__parameters: {stiffness: -1.0}}\n", "stiffness = -1.0"),
+        ("daq: {ros__parameters: {detection: {threshold: 0}}}\n", "detection.threshold = 0"),
+        ("[", "not YAML"),
+    ],
+)
+def test_a_bad_file_of_parameters(here: Cli, campaign: Path, tmp_path: Path, text: str, wrong: str) -> None:
+    (tmp_path / "bad.yaml").write_text(text)
+    done = here("validate", campaign, "-o", "report", "--params", "bad.yaml")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "bad.yaml" in done.stderr
+    assert wrong in done.stderr
+    assert not (tmp_path / "report").exists()
+
+
+@pytest.mark.parametrize("missing", ["/joint_states", "/force"])
+def test_a_bag_with_half_of_it_is_named(here: Cli, campaign: Path, tmp_path: Path, missing: str) -> None:
+    half = tmp_path / "half"
+    with open_bag(campaign / "300_200_500g_1") as bag, BagWriter(half) as writer:
+        for message in bag.messages():
+            if message.topic != missing:
+                writer.write(*message)
+    done = here("validate", campaign, half, "-o", "report")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert str(half) in done.stderr
+    assert not (tmp_path / "report").exists()
+
+
+@pytest.mark.parametrize(("option", "value"), [("--obstacle-mass", "-1"), ("--stiffness", "nan")])
+def test_an_option_that_cannot_be(here: Cli, campaign: Path, option: str, value: str) -> None:
+    done = here("validate", campaign, "-o", "report", f"{option}={value}")
+    assert done.returncode == 2
+    assert f"options: {option.strip('-').replace('-', '_')} = {float(value)}" in done.stderr
+    assert done.stderr.count("\n") == 1

@@ -1,0 +1,173 @@
+"""The live validator: the same as offline, and what it says of itself."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import rclpy
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from scara_effmass_msgs.msg import ContactState, Impact, ImpactValidation
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from scara_effmass.bag_io.encode import ContactStateEncoder
+from scara_effmass.bag_io.force import impact_message
+from scara_effmass.errors import EffmassError
+from scara_effmass.impacts.validator import Validator
+from scara_effmass.nodes.validator_node import ValidatorNode
+from scara_effmass.safety.monitor import blank
+from scara_effmass.settings import ValidatorSettings
+from scara_effmass.values import Impact as FoundImpact
+from scara_effmass.values import Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from scara_effmass.values import ContactAssessment
+    from test.nodes.conftest import Cell
+
+EXECUTABLE = Path(sys.executable).with_name("validator_node")
+DEEP = QoSProfile(depth=20_000)
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+S, MS = 1_000_000_000, 1_000_000
+START_NS = 1_800_000_000 * S
+PEAKS = (200.0, 290.0, 331.0, 302.0)
+
+
+def contact(number: int) -> ContactAssessment:
+    """Return a contact state each millisecond, its mass and speed slowly changing."""
+    mass = 1.0 + number * 1e-4
+    return blank("tool", "", START_NS + number * MS, 0.0)._replace(
+        verdict=Verdict.OK,
+        direction=(1.0, 0.0, 0.0),
+        speed=0.25 + number * 1e-6,
+        effective_mass=mass,
+        lumped_mass=mass,
+        full_mass=0.97 * mass,
+        iso_mass=2.77,
+        allowable_speed=1.0,
+    )
+
+
+def impact(number: int, peak: float) -> FoundImpact:
+    stamp_ns = START_NS + (number * 1000 + 500) * MS + 300_000
+    return FoundImpact(stamp_ns, "cell", peak, 2e-3, 0.3, 0.0, *(False, False, 0, 0.0, 0.1, 1e-4, "test", True))
+
+
+class Bench:
+    """A test's end of the wires to a validator."""
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+        self.heard: list[ImpactValidation] = []
+        node = cell.node
+        cell.listen()
+        node.create_subscription(ImpactValidation, "impact_validation", self.heard.append, DEEP)
+        self.states = node.create_publisher(ContactState, "contact_state", DEEP)
+        self.impacts = node.create_publisher(Impact, "impact", DEEP)
+        self.info = node.create_publisher(String, "/scara_effmass/recording_info", LATCHED)
+        ends = (self.states, self.impacts, self.info)
+        cell.until(
+            lambda: all(end.get_subscription_count() for end in ends) and node.count_publishers("impact_validation")
+        )
+
+    def run(self, masses: tuple[float, ...]) -> None:
+        """Let the robot hit something of each mass; each is told before its impact."""
+        encoder = ContactStateEncoder("tool", "base_link")
+        for number, (mass, peak) in enumerate(zip(masses, PEAKS, strict=True)):
+            if mass:
+                begin_ns = START_NS + number * S
+                self.info.publish(String(data=json.dumps({"obstacle_mass": mass, "since_ns": begin_ns})))
+                self.cell.report("validator: series", "impacts seen", bool)  # a report later, it has come
+            for millisecond in range(number * 1000 + 400, number * 1000 + 600):
+                self.states.publish(encoder.encode(contact(millisecond)))
+            self.impacts.publish(impact_message(impact(number, peak)))
+
+
+@pytest.fixture
+def bench(new_cell: Callable[..., Cell]) -> Bench:
+    cell = new_cell(name="validator")
+    # What is sent is of another time than the node's, all of it alike.
+    cell.start("--ros-args", "-p", "criterion.least_count:=2", command=[str(EXECUTABLE)])
+    return Bench(cell)
+
+
+def test_what_it_publishes_is_what_the_core_gives_offline(bench: Bench) -> None:
+    masses = (0.5, 2.39, 3.72, 2.39)
+    bench.run(masses)
+    bench.cell.until(lambda: len(bench.heard) == 4)
+    validator = Validator(ValidatorSettings.model_validate({"criterion": {"least_count": 2}}))
+    expected = []
+    for number, (mass, peak) in enumerate(zip(masses, PEAKS, strict=True)):
+        validator.set_run(START_NS + number * S, obstacle_mass=mass)
+        for millisecond in range(number * 1000 + 400, number * 1000 + 600):
+            expected += validator.add_state(contact(millisecond), 0)
+        expected += validator.add_impact(impact(number, peak), 0)
+    assert len(expected) == 4
+    names = set(ImpactValidation.get_fields_and_field_types()) - {"header"}
+    for message, one in zip(bench.heard, expected, strict=True):
+        assert message.header.stamp.sec * S + message.header.stamp.nanosec == one.stamp_ns
+        assert {name: getattr(message, name) for name in names} == {name: getattr(one, name) for name in names}
+
+
+def test_without_a_mass_an_impact_is_counted_and_not_predicted(bench: Bench) -> None:
+    bench.run((0.0, 0.0, 0.0, 0.0))
+    assert bench.cell.report("validator: series", "impacts seen", lambda value: value == "4").startswith(
+        "4 impacts could not be paired"
+    )
+    assert not bench.heard
+    assert "the mass" in str(bench.cell.set(obstacle_mass=-1.0)) or bench.cell.set(obstacle_mass=-1.0)
+    assert bench.cell.set(obstacle_mass=2.39) == ""
+
+
+def test_reset_begins_a_new_series(bench: Bench) -> None:
+    bench.run((0.5, 2.39, 3.72, 2.39))
+    bench.cell.until(lambda: len(bench.heard) == 4)
+    answer: Any = bench.cell.call(Trigger, "reset", Trigger.Request())
+    assert answer.success
+    assert answer.message == "a new series; the last one had 4 impacts"
+    bench.cell.report("validator: series", "impacts seen", lambda value: value == "0")
+
+
+@pytest.mark.parametrize(
+    ("argument", "line"),
+    [
+        ("obstacle_mass:=-1.0", "validator: obstacle_mass = -1.0: must be 0 to 1000"),
+        ("nonsense:=1", "validator: no parameter 'nonsense': there are contact_point,"),
+        (
+            "criterion.least_count:=1",
+            "validator: criterion.least_count = 1: Input should be greater than or equal to 2",
+        ),
+        ("effective_mass_model:=none", "validator: effective_mass_model = 'none': Input should be 'lumped', "),
+    ],
+)
+def test_a_parameter_it_cannot_use_is_named(
+    local: None,  # noqa: ARG001 - keeps it on this machine
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    argument: str,
+    line: str,
+) -> None:
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    rclpy.init(args=["--ros-args", "-p", argument], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        with pytest.raises(EffmassError) as refusal:
+            ValidatorNode().bring_up()
+    finally:
+        rclpy.try_shutdown()
+    assert str(refusal.value).startswith(line)
+
+
+def test_ends_with_0_when_told_to(bench: Bench) -> None:
+    process = bench.cell.process
+    assert process is not None
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=25)
+    assert process.returncode == 0
+    assert "Traceback" not in output + errors
