@@ -23,7 +23,7 @@ help:  ## list the targets
 
 setup: .venv/.installed  ## make .venv: locked requirements, messages built, this tree installed editable
 
-demo: setup  ## replay the shipped recording through the live monitor
+demo: setup  ## run all nodes on a virtual test bench, and make the report
 	$(BIN)/scara-effmass demo --force
 
 test: lint  ## lint, then all tests
@@ -34,7 +34,7 @@ lint: setup  ## ruff and mypy
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
-bench: setup  ## time the core, the live monitor and the bag reader
+bench: setup  ## time the core, the live nodes, the bag reader and the recorder
 	$(BIN)/python benchmarks/run.py
 
 bags: setup  ## make the shipped recordings again

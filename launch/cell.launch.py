@@ -27,7 +27,7 @@ ARGUMENTS = (
         "source",
         default_value="none",
         choices=["none", "ni9230", "bag", "bench"],
-        description="where force comes from; none: no force is measured, daq_node is not started",
+        description="where force comes from; none: daq_node and validator_node are not started",
     ),
     DeclareLaunchArgument(
         "namespace",
@@ -55,6 +55,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     started = [_node("monitor_node", given, {"robot": given["robot"]} if given["robot"] else {})]
     if given["source"] != "none":
         started.append(_node("daq_node", given, {"source": given["source"]}))
+        started.append(_node("validator_node", given, {}))
     return started
 
 

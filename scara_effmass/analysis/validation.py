@@ -79,10 +79,16 @@ class ValidatedRecording(NamedTuple):
 
 
 class Validation(NamedTuple):
-    """The validator's result, and the recordings it is from."""
+    """The validator's result, and the recordings it is from; none where the series was live."""
 
     result: Result
     recordings: tuple[ValidatedRecording, ...]
+
+    def names(self) -> list[str]:
+        """Return for each impact the recording it is from."""
+        if not self.recordings:
+            return ["live"] * len(self.result.impacts)
+        return [recording.path.name for recording in self.recordings for _ in recording.impacts]
 
 
 def validate(

@@ -77,7 +77,8 @@ def _facts(validation: Validation, settings: ValidationSettings, robot: Robot) -
     if result.late_states:
         yield "contact states", f"{result.late_states} came out of order and were left out"
     yield "robot file", robot.origin
-    yield "recordings", f"{len(validation.recordings)}, listed below"
+    count = len(validation.recordings)
+    yield "recordings", f"{count}, listed below" if count else "none: the series was live"
     yield "software", f"scara_effmass {__version__}"
 
 

@@ -33,7 +33,7 @@ def record(validation: Validation, settings: ValidationSettings, robot: Robot) -
     """Return all of `validation`, the models first, and what it was made with."""
     result = validation.result
     whole = _plain({name: getattr(result, name) for name in result._fields if name not in {"models", "impacts"}})
-    names = [recording.path.name for recording in validation.recordings for _ in recording.impacts]
+    names = validation.names()
     impacts = [{"recording": name, **_plain(impact)} for name, impact in zip(names, result.impacts, strict=True)]
     return {
         "models": [_model(model) for model in result.models],

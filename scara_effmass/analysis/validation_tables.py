@@ -163,7 +163,7 @@ def _impact_heads(result: Result) -> tuple[str, ...]:
 
 def _impact_rows(validation: Validation) -> Iterator[tuple[str, ...]]:
     models = [model.model for model in validation.result.models]
-    names = [recording.path.name for recording in validation.recordings for _ in recording.impacts]
+    names = validation.names()
     for name, impact in zip(names, validation.result.impacts, strict=True):
         yield (name, *_impact_row(impact, models))
 

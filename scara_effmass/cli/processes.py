@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from scara_effmass.errors import EffmassError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+_PR_SET_PDEATHSIG = 1
 END_WITHIN_S = 10.0
 
 
@@ -32,6 +34,7 @@ class Started:
             stdout=self._output,
             stderr=self._errors,
             start_new_session=True,
+            preexec_fn=_end_with_parent,  # noqa: PLW1509 - no thread runs yet where commands are started
         )
 
     @property
@@ -74,6 +77,11 @@ class Started:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+
+def _end_with_parent() -> None:
+    """Have Linux send SIGTERM to this process when its parent dies, even by SIGKILL: nodes must not outlive a demo."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def require_running(processes: Iterable[Started]) -> None:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from scara_effmass.cli.options import add_params, node_arguments
-from scara_effmass.settings import ValidatorSettings, load_settings
+from scara_effmass.cli.options import add_params, node_arguments, robot_path
+from scara_effmass.settings import MonitorSettings, ValidatorSettings, checked, load_settings
 
 if TYPE_CHECKING:
     import argparse
+    from pathlib import Path
+
+    from scara_effmass.impacts.result import Result
+    from scara_effmass.nodes.validator_node import NodeSettings
 
 EXAMPLES = """\
 ROS arguments stand behind -- or --ros-args; they win over the options. What is hit may change while it runs:
@@ -34,4 +38,26 @@ def run(args: argparse.Namespace) -> int:
 
     if args.params:
         load_settings(ValidatorSettings, args.params, "validator")  # says in one line what ROS would say in ten
-    return main(node_arguments(args.params, {"obstacle_mass": args.obstacle_mass}, args.ros_arguments))
+    words = node_arguments(args.params, {"obstacle_mass": args.obstacle_mass}, args.ros_arguments)
+    return main(words, write_report)
+
+
+def node() -> int:
+    """Run the node as a ROS executable, with the arguments of the process."""
+    from scara_effmass.nodes.validator_node import main  # noqa: PLC0415
+
+    return main(None, write_report)
+
+
+def write_report(result: Result, settings: NodeSettings, folder: Path) -> Path:
+    """Write the report of a live series; return its page. Raises OutputError, RobotError."""
+    from scara_effmass.analysis import validation_report  # noqa: PLC0415 - draws, only when it is asked for
+    from scara_effmass.analysis.validation import Validation, ValidationSettings  # noqa: PLC0415
+    from scara_effmass.model.load import load_robot  # noqa: PLC0415
+
+    monitor = checked(MonitorSettings, {"robot": settings.robot}, "validator")
+    shown = checked(ValidatorSettings, settings.model_dump(include=set(ValidatorSettings.model_fields)), "validator")
+    about = ValidationSettings(monitor=monitor, validator=shown, detection=settings.detection)
+    robot = load_robot(robot_path(monitor), monitor)
+    validation_report.write_report(Validation(result, ()), about, robot, folder, overwrite=False)
+    return folder / validation_report.PAGE

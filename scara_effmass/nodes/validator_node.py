@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from scara_effmass.impacts.result import Result
     from scara_effmass.values import ValidatedImpact
 
-    WriteReport = Callable[[Result, ValidatorSettings, Path], Path]
+    WriteReport = Callable[[Result, "NodeSettings", Path], Path]
 
 _NS = 1_000_000_000
 _INPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=20_000)
@@ -67,6 +67,11 @@ class NodeSettings(ValidatorSettings):
     report_folder: str = Field(
         "",
         description="where ~/write_report makes a folder for each report; empty: validation, where the node runs",
+        json_schema_extra=READ_ONLY,
+    )
+    robot: str = Field(
+        "",
+        description="robot file of the monitor, which the report describes; empty: the shipped Omron i4-550L",
         json_schema_extra=READ_ONLY,
     )
     detection: DetectionSettings = DetectionSettings()

@@ -113,7 +113,8 @@ class Cell:
         due = began
         while not (result := condition()):
             assert now < began + patience_s, f"nothing came of it in {patience_s} s"
-            assert self.process is None or self.process.poll() is None, "the node has ended"
+            if self.process is not None and self.process.poll() is not None:
+                raise AssertionError(f"the node has ended: {self.process.communicate()[1][-2000:]}")
             if again is not None and now >= due:
                 again()
                 due = now + 0.1

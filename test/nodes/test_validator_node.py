@@ -91,10 +91,11 @@ class Bench:
 
 
 @pytest.fixture
-def bench(new_cell: Callable[..., Cell]) -> Bench:
+def bench(new_cell: Callable[..., Cell], tmp_path: Path) -> Bench:
     cell = new_cell(name="validator")
     # What is sent is of another time than the node's, all of it alike.
-    cell.start("--ros-args", "-p", "criterion.least_count:=2", command=[str(EXECUTABLE)])
+    words = ["-p", "criterion.least_count:=2", "-p", f"report_folder:={tmp_path}"]
+    cell.start("--ros-args", *words, command=[str(EXECUTABLE)])
     return Bench(cell)
 
 
@@ -122,8 +123,20 @@ def test_without_a_mass_an_impact_is_counted_and_not_predicted(bench: Bench) -> 
         "4 impacts could not be paired"
     )
     assert not bench.heard
-    assert "the mass" in str(bench.cell.set(obstacle_mass=-1.0)) or bench.cell.set(obstacle_mass=-1.0)
+    assert bench.cell.set(obstacle_mass=-1.0)
     assert bench.cell.set(obstacle_mass=2.39) == ""
+
+
+def test_a_report_of_the_series_is_written_on_demand(bench: Bench) -> None:
+    bench.run((0.5, 2.39, 3.72, 2.39))
+    bench.cell.until(lambda: len(bench.heard) == 4)
+    answer: Any = bench.cell.call(Trigger, "write_report", Trigger.Request())
+    assert answer.success, answer.message
+    page = Path(answer.message)
+    assert page.name == "report.html"
+    record = json.loads(page.with_name("report.json").read_text(encoding="utf-8"))
+    assert record["models"][0]["count"] == 4
+    assert record["models"][0]["correlation"] == bench.heard[-1].correlation
 
 
 def test_reset_begins_a_new_series(bench: Bench) -> None:
