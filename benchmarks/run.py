@@ -12,7 +12,9 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_DOMAIN_ID", "71")
 
 import core
+import daq
 import live
+import recorder
 
 import bags
 
@@ -38,7 +40,17 @@ def main() -> None:
     lost, bare_lost = (sum(run.sent - run.answered for run in side) for side in (monitor, bare))
     sent = sum(run.sent for run in monitor)
     table.add_row("joint states lost", f"{lost} of {sent}", "bare node", str(bare_lost), "", "0")
-    Console(width=120).print(table)
+    for rate, (node, loop) in daq.measure().items():
+        what = f"{daq.CHANNELS} force channels at {rate / 1e3:g} kS/s"
+        row(f"CPU, {what}", 100.0 * node.cpu, "bare loop", 100.0 * loop.cpu, "%", "<= 2")
+        row(f"memory after a minute, {what}", node.memory_after_mb, "before", node.memory_before_mb, "MB", "1.0")
+        table.add_row(f"samples lost, {what}", f"{node.lost} of {node.samples}", "bare loop", str(loop.lost), "", "0")
+    row("recorder, joint states", *_around("mcap's writer", recorder.measure()), "1/s", "")
+    run = recorder.measure_live()
+    lost = run.sent - run.recorded
+    table.add_row("recorder, live: lost", f"{lost} of {run.sent}", "", "", "", "0")
+    table.add_row("recorder, live: CPU", f"{100.0 * run.cpu:.1f} %", "a core", "100 %", f"{run.cpu:.2f}", "<= 0.5")
+    Console(width=140).print(table)
 
 
 def _around(against: str, pair: tuple[float, float]) -> tuple[float, str, float]:

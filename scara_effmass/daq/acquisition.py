@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, final
 
 from scara_effmass.daq.backlog import Backlog
 from scara_effmass.daq.pace import Pace
+from scara_effmass.daq.recorded import RecordedForce
 from scara_effmass.errors import DaqError, DeviceLostError, DeviceMissingError, OverrunError
 from scara_effmass.settings import ForceSourceKind
 
@@ -27,7 +28,7 @@ class AcquisitionState(Enum):
 
     IDLE = "not started"
     RUNNING = "running"
-    WAITING = "waiting for the device"
+    WAITING = "waiting for samples"
     ENDED = "ended"
     FAILED = "failed"
     STOPPED = "stopped"
@@ -183,8 +184,12 @@ class Acquisition:
             elif self.source.ended:
                 return AcquisitionState.ENDED
             else:
-                self._enter(AcquisitionState.WAITING, f"no samples within {self._timeout_s:g} s")
+                self._enter(AcquisitionState.WAITING, self._why_none())
         return AcquisitionState.STOPPED
+
+    def _why_none(self) -> str:
+        reason = f"no samples within {self._timeout_s:g} s"
+        return f"{reason}: {self.source.awaited}" if isinstance(self.source, RecordedForce) else reason
 
     def _add(self, reading: Reading, read_ns: int) -> None:
         count = reading.samples.shape[1]
@@ -201,7 +206,7 @@ class Acquisition:
             self._end = first + count
             self._read += count
             self._lost += lost
-        numbered = reading._replace(first_sample=first, lost=lost, run=self._run)
+        numbered = reading._replace(first_sample=first, lost=lost, run=self._run + reading.run)
         self._backlog.put(numbered, room=self._backlog_s * self.source.sample_rate)
         self._enter(AcquisitionState.RUNNING)
 

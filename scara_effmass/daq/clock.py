@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import NamedTuple
 
@@ -11,8 +12,8 @@ BIN_S = 1.0
 """The earliest read of so long stands for all of them."""
 BINS = 30
 """So many bins tell the rate: long enough for a few ppm, short enough to follow a clock that is being slewed."""
-LEAST_BINS = 5
-"""With fewer, the nominal rate is closer to the truth than a fitted one."""
+LEAST_BINS = 8
+"""With fewer, two late bins, as many as LATE_S makes, would spoil more than half of the slopes."""
 OFFSET_BINS = 5
 """So many of the latest bins tell the offset, so that a wrong rate has little time to do harm."""
 SETTLED_READS = 10
@@ -22,7 +23,7 @@ START_UNCERTAINTY_S = 10e-3
 JUMP_S = 5e-3
 """A fit that is off by more is no fit any more: one of the two clocks has jumped."""
 LATE_S = 2.0
-"""How long every read has to be late to be taken for a jump; reads that are merely delayed recover sooner."""
+"""For so long reads have to be late, all by the same to within JUMP_S, to be taken for a jump."""
 
 
 class _Point(NamedTuple):
@@ -45,7 +46,8 @@ class ClockFit:
 
     After the tenth read, the fit moves backwards by no more than one sample from read to read, so that no sample
     comes before the previous one; the rest is made up for later and is part of `residual`. When a read is 5 ms earlier
-    than the fit, or all are 5 ms later for 2 s, a clock has jumped: the fit begins anew, and stamps may leap.
+    than the fit, or 2 s of samples are all later by the same, at least 5 ms, a clock has jumped: the fit begins anew,
+    and stamps may leap. After a stall, what has piled up comes later by less and less, which is no jump.
     """
 
     def __init__(self, nominal_rate: float) -> None:
@@ -55,7 +57,8 @@ class ClockFit:
         """Measured against ROS time [Hz]; nominal during the first seconds."""
         self.residual = START_UNCERTAINTY_S
         """What a stamp may be off [s]: nine of ten seconds have their earliest read within so much of the fit; at first
-        no less than 10 ms over the number of reads; and on top, how much of a backward move is yet to be made up."""
+        no less than 10 ms over the number of reads; after a jump no less than that, by a factor e less with each read;
+        and on top, how much of a backward move is yet to be made up."""
         self.restarts = 0
         """How often a fit that had settled was given up because a clock had jumped."""
         self._reads = 0
@@ -78,9 +81,14 @@ class ClockFit:
         last = sample_count - 1
         if not self._reads:
             self._start(last, host_ns)
-        elif last < self._anchor or self._jumped(last, host_ns):
+        elif last < self._anchor:
             self.restarts += self.settled
             self._start(last, host_ns)
+        elif self._jumped(last, late_s := (host_ns - self.stamp_ns(last)) / 1e9):
+            jump_s = abs(late_s) if self.settled else 0.0
+            self.restarts += self.settled
+            self._start(last, host_ns)
+            self._jump_s = jump_s
         self._reads += 1
         x = (last - self._origin) / self._nominal_rate
         self._sort_in(x, (host_ns - self._origin_ns) / 1e9)
@@ -101,18 +109,23 @@ class ClockFit:
         self._bins: deque[_Point] = deque(maxlen=BINS)
         self._earliest = _Point(0.0, 0.0)
         self._bin_end = BIN_S
+        self._jump_s = 0.0
         self._late_reads = 0
-        self._late_since_ns = 0
+        self._late_by_s = 0.0
+        self._late_for_s = 0.0
 
-    def _jumped(self, last: int, host_ns: int) -> bool:
-        late_s = (host_ns - self.stamp_ns(last)) / 1e9
+    def _jumped(self, last: int, late_s: float) -> bool:
         if late_s <= JUMP_S:
             self._late_reads = 0
             return late_s < -JUMP_S
-        if not self._late_reads:
-            self._late_since_ns = host_ns
-        self._late_reads += 1
-        return self._late_reads >= SETTLED_READS and host_ns - self._late_since_ns >= LATE_S * 1e9
+        if not self._late_reads or late_s < self._late_by_s - JUMP_S:
+            # The ones before were merely delayed.
+            self._late_reads, self._late_by_s, self._late_for_s = 1, late_s, 0.0
+        elif late_s <= self._late_by_s + JUMP_S:
+            # Late by the same, so as much host time has passed as samples have come.
+            self._late_reads += 1
+            self._late_for_s += (last - self._anchor) / self._nominal_rate
+        return self._late_reads >= SETTLED_READS and self._late_for_s >= LATE_S
 
     def _sort_in(self, x: float, host_s: float) -> None:
         point = _Point(x, host_s - x)
@@ -144,7 +157,8 @@ class ClockFit:
             first_new_ns = fit_ns - round((last - self._anchor - 1) / self.sample_rate * 1e9)
             behind_ns = max(0, self._anchor_ns - first_new_ns)
         self._anchor, self._anchor_ns = last, fit_ns + behind_ns
-        self.residual = max(self._scatter, START_UNCERTAINTY_S / self._reads) + behind_ns / 1e9
+        unsettled_s = max(START_UNCERTAINTY_S / self._reads, self._jump_s * math.exp(1 - self._reads))
+        self.residual = max(self._scatter, unsettled_s) + behind_ns / 1e9
 
 
 def _median_slope(points: deque[_Point]) -> float:

@@ -21,6 +21,9 @@ DELIMITERS = ",;\t"
 TIME_UNITS = {"s": NS, "sec": NS, "ms": 1_000_000, "us": 1000, "µs": 1000, "ns": 1}
 """In [ns]."""
 
+FARTHEST_NS = 2**62
+"""In 2116; twice that is too much for 64 bits."""
+
 BRACKETED = re.compile(r".*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*")
 SUFFIXED = re.compile(r".*_([A-Za-z]+)\s*")
 LOWER_CASE = {unit.lower(): unit for unit in (*UNITS, *TIME_UNITS)}
@@ -136,7 +139,11 @@ def _samples(
             goes = f"{header[time]} = {row[time]} comes after {last:.15g}"
             raise BagError(f"{origin}: {goes}; times that rise would be right")
         last = when
-        yield round(when * unit_ns), value
+        stamp_ns = when * unit_ns
+        if abs(stamp_ns) > FARTHEST_NS:
+            goes = f"{header[time]} = {row[time]} is more than {FARTHEST_NS // NS} s"
+            raise BagError(f"{origin}: {goes}; seconds since 1970 or since the start would be right")
+        yield round(stamp_ns), value
 
 
 def _number(text: str, origin: str) -> float:

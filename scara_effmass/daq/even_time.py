@@ -84,7 +84,9 @@ class EvenBlocks:
             last = len(ahead) < CHUNK + REACH
             count = len(ahead) if last else CHUNK
             stamps_ns = np.fromiter((stamp_ns for stamp_ns, _ in ahead), np.int64, len(ahead))
-            values = np.fromiter((value for _, value in ahead[:count]), np.float64, count) * self._scale
+            values = np.fromiter((value for _, value in ahead[:count]), np.float64, count)
+            with np.errstate(over="ignore"):  # infinite, then, which is no force
+                values *= self._scale
             fresh = numbering.numbers(stamps_ns, count), stamps_ns[:count], values
             numbers, stamps_ns, values = (np.concatenate(pair) for pair in zip(kept, fresh, strict=True))
             ahead = ahead[count:]

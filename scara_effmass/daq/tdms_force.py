@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from nptdms import TdmsFile
+from nptdms.log import log_manager
 
 from scara_effmass.daq.recording import NS, UNITS, RecordedBlock, Recording, declared_unit
 from scara_effmass.errors import BagError, SettingsError
@@ -16,6 +18,12 @@ if TYPE_CHECKING:
 
     from scara_effmass.settings import BagSettings
     from scara_effmass.values import FloatArray
+
+LONGEST_S = 1e9
+"""Thirty years."""
+
+log_manager.set_level(logging.CRITICAL)
+"""What is wrong with a file is said once, by the error it ends in."""
 
 SPELLINGS = {"newton": "N", "newtons": "N", "kilonewton": "kN", "kilonewtons": "kN", "volt": "V", "volts": "V"}
 """How units are also written, in lower case."""
@@ -31,16 +39,19 @@ def open_tdms_force(settings: BagSettings, block_time: float) -> Recording:
     channel, name = _channel(path, settings.topic)
     origin = f"{path}: {name}"
     increment = _property(channel, "wf_increment", origin)
-    if not 0.0 < increment < np.inf:
+    if not 0.0 < increment * len(channel) < LONGEST_S:
         found = f"wf_increment = {channel.properties.get('wf_increment', 'missing')}"
         raise BagError(f"{origin}: {found}; the time from sample to sample [s] would be right")
     offset = _property(channel, "wf_start_offset", origin)
     start = channel.properties.get("wf_start_time")
     start_ns = int(start.astype("datetime64[ns]").astype(np.int64)) if isinstance(start, np.datetime64) else 0
+    if not abs(offset) < LONGEST_S:
+        raise BagError(f"{origin}: wf_start_offset = {offset:g}; some seconds would be right")
     start_ns += round(offset * NS)
     written = str(channel.properties.get("unit_string", ""))
     unit, scale = declared_unit(settings.unit, SPELLINGS.get(written.lower(), written), origin)
-    samples = np.asarray(channel[:], np.float64) * scale
+    with np.errstate(over="ignore"):  # infinite, then, which is no force
+        samples = np.asarray(channel[:], np.float64) * scale
     return Recording(
         description=f"{path.name}, {name}",
         channel=name,

@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
+from itertools import chain, repeat
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,10 +15,11 @@ from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.simulated import SimulatedForce
 from scara_effmass.daq.source import Reading, Unit, make_source
 from scara_effmass.errors import DaqError, DeviceLostError, DeviceMissingError, OverrunError
-from scara_effmass.settings import BagSettings, DaqSettings, ForceSourceKind, Ni9230Settings
+from scara_effmass.settings import BagSettings, DaqSettings, ForceSourceKind, Ni9230Settings, Stamps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+    from pathlib import Path
 
     from test.daq.conftest import NiDevice
 
@@ -380,6 +382,41 @@ def test_no_samples_for_long_is_said() -> None:
     bell.until(over(made))
     assert numbers(made.take()) == [(0, 100, 0), (100, 100, 0)]
     made.stop()
+
+
+def test_a_recording_says_what_time_it_waits_for(tmp_path: Path) -> None:
+    path = tmp_path / "cell.csv"
+    path.write_text("t (s),f (N)\n" + "".join(f"{0.1 * n:.1f},{n}\n" for n in range(20)), encoding="utf-8")
+    settings = DaqSettings(source=ForceSourceKind.BAG, block_time=0.1, bag=BagSettings(path=str(path)))
+    now_ns, bell = 500 * NS, Bell()
+    made = Acquisition(make_source(settings, lambda: now_ns), settings, bell)
+    made._timeout_s = 0.01
+    made.start()
+    bell.until(lambda: made.statistics().state is AcquisitionState.WAITING)
+    statistics = made.statistics()
+    made.stop()
+    awaited = "waiting for the clock to reach 500.100 s: it is at 500.000 s"
+    assert (statistics.state.value, statistics.reason) == (
+        "waiting for samples",
+        f"no samples within 0.01 s: {awaited}",
+    )
+
+
+def test_the_runs_of_a_recording_that_was_set_back_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "cell.csv"
+    path.write_text("t (s),f (N)\n" + "".join(f"{n / 10:.1f},{n}\n" for n in range(20)), encoding="utf-8")
+    settings = DaqSettings(
+        source=ForceSourceKind.BAG, backlog=9.0, block_time=0.5, bag=BagSettings(path=str(path), stamps=Stamps.NOW)
+    )
+    times = chain([500 * NS, 501 * NS, 501 * NS, 400 * NS], repeat(410 * NS))
+    made = Acquisition(make_source(settings, lambda: next(times)), settings, bell := Bell())
+    made.start()
+    bell.until(over(made))
+    readings = made.take()
+    made.stop()
+    assert numbers(readings) == [(5 * n, 5, 0) for n in range(4)]
+    assert [reading.run for reading in readings] == [0, 0, 1, 1]
+    assert (made.statistics().reconnects, made.statistics().samples_lost) == (0, 0)
 
 
 def test_stopping_ends_a_read_that_waits_and_may_be_repeated() -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.daq.clock import JUMP_S, SETTLED_READS, ClockFit
+from scara_effmass.daq.clock import JUMP_S, LATE_S, SETTLED_READS, ClockFit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -135,11 +135,11 @@ def test_prompt_reads_give_the_truth_at_any_rate(rate: float, ppm: float, block_
     device = Device(device_ppm=ppm, rate=rate)
     fit = ClockFit(rate)
     block = max(1, round(rate * block_s))
-    # Until the rate is known, the offset may be as old as five bins, each longer than 1 s by up to a block.
-    oldest_s = 5.0 * (1.0 + block / rate) + block / rate
+    # Until the rate is known, the offset may be as old as six bins, each longer than 1 s by up to a block.
+    oldest_s = 6.0 * (1.0 + block / rate) + block / rate
     # What it is off by then is made up for by no more than a sample per read.
     made_up = round(abs(ppm) * 1e-6 * oldest_s * rate)
-    reads = device.follow(fit, [0.0] * (max(10, round(15.0 * rate / block)) + made_up), block)
+    reads = device.follow(fit, [0.0] * (max(10, round(35.0 * rate / block)) + made_up), block)
     assert max(abs(read.error) for read in reads) <= abs(ppm) * 1e-6 * oldest_s + 1e-8
     assert abs(reads[-1].error) < 1e-7
     assert fit.sample_rate == pytest.approx(rate * (1.0 + ppm * 1e-6), rel=1e-7)
@@ -227,6 +227,8 @@ def test_a_jump_of_ros_time_is_noticed_and_recovered_from(jump: float) -> None:
     assert 30.0 <= (restart + 1) * 0.1 <= (30.2 if jump < 0.0 else 32.5)
     assert fit.restarts == 1
     assert max(abs(read.error) for read in reads[restart + SETTLED_READS :]) < 1e-3
+    assert reads[restart].residual >= 0.9 * abs(jump)
+    assert reads[restart + 20].residual < 1e-3
 
 
 def test_a_jump_too_small_to_be_noticed_is_grown_into() -> None:
@@ -244,6 +246,48 @@ def test_a_stall_longer_than_the_patience_with_late_reads_is_no_jump() -> None:
     reads = Device(50.0, -50.0).follow(fit, delays)
     assert fit.restarts == 0
     assert max(abs(read.error) for read in reads[SETTLED_READS:]) < 1e-3
+
+
+@pytest.mark.parametrize("stall_s", [1.0, 3.0, 8.0])
+@pytest.mark.parametrize("late_s", [0.2e-3, 4e-3, 6e-3, 20e-3])
+def test_what_piles_up_in_a_stall_after_a_late_read_is_no_jump(late_s: float, stall_s: float) -> None:
+    held_up, read_s = 199, 1e-3
+    fit = ClockFit(12_800.0)
+    for n in range(1, 400):
+        host_s = 0.1 * n + (late_s if n == held_up else FLOOR_S)
+        if n > held_up:
+            host_s = max(host_s, 0.1 * held_up + stall_s + (n - held_up - 1) * read_s)
+        fit.update(1280 * n, START_NS + round(host_s * 1e9))
+        error_s = (fit.stamp_ns(1280 * (n - 1)) - START_NS) / 1e9 - 0.1 * (n - 1)
+        assert abs(error_s) < 1e-3
+    assert fit.restarts == 0
+
+
+@given(
+    block=st.sampled_from([320, 640, 1280, 2560]),
+    before_s=st.floats(0.0, 12.0),
+    late=st.lists(st.floats(0.0, 0.02), max_size=60) | st.floats(0.0, 0.02).map(lambda late_s: [late_s] * 80),
+    phase=st.floats(0.0, 1.0),
+    stall_s=st.floats(0.2, 10.0),
+    speed=st.floats(20.0, 1000.0),
+)
+def test_no_stall_is_a_jump(
+    block: int, before_s: float, late: list[float], phase: float, stall_s: float, speed: float
+) -> None:
+    block_s = block / 12_800.0
+    # Reads that are late for LATE_S and all by the same are what a jump looks like, and nobody can tell.
+    late = late[: int((LATE_S - 2.0 * JUMP_S) / block_s) - 1]
+    prompt = max(SETTLED_READS, round(before_s / block_s))
+    from_s = block_s * (prompt + len(late) + phase)
+    delays = [FLOOR_S] * prompt + late
+    now_s = from_s + stall_s
+    while (taken_s := (len(delays) + 1) * block_s) < now_s:
+        delays.append(now_s - taken_s)
+        now_s += block_s / speed
+    fit = ClockFit(12_800.0)
+    reads = Device().follow(fit, delays + [FLOOR_S] * 20, block)
+    assert max(abs(read.error) for read in reads) < 25e-3
+    assert fit.restarts == 0
 
 
 def test_a_bad_first_read_is_forgotten_at_the_second() -> None:

@@ -123,6 +123,13 @@ def test_what_is_no_number_comes_as_nan(tmp_path: Path) -> None:
     assert np.isnan(samples(played(source(write(tmp_path / "cell.csv", text))))).tolist() == [False, True, True, False]
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("unit", "force"), [("N", "1e308"), ("kN", "-1e307"), ("kN", "1.1e6"), ("N", "-1.1e9")])
+def test_what_no_sensor_can_read_comes_as_nan(tmp_path: Path, unit: str, force: str) -> None:
+    text = f"t (s),f ({unit})\n0.0,1\n0.1,{force}\n0.2,2\n0.3,2\n"
+    assert np.isnan(samples(played(source(write(tmp_path / "cell.csv", text))))).tolist() == [False, True, False, False]
+
+
 @pytest.mark.parametrize(
     ("text", "bag", "message"),
     [
@@ -141,6 +148,8 @@ def test_what_is_no_number_comes_as_nan(tmp_path: Path) -> None:
         ("t,f\n0,1\n", {}, "f: does not say its unit; bag.unit = one of N, kN, V, mV would be right"),
         ("t,f (lbf)\n0,1\n", {}, r"f \(lbf\): has the unit 'lbf'; bag.unit = one of N, kN, V, mV would be right"),
         ("t,f (kN)\n0,1\n", {"unit": "N"}, r"f \(kN\): bag.unit = N, but it is in kN; leave bag.unit empty"),
+        ("t,f (N)\n0,1\n1e308,2\n", {}, "line 3: t = 1e308 is more than 4611686018 s; seconds since 1970 or since the"),
+        ("t (ns),f (N)\n-1e19,1\n", {}, r"line 2: t \(ns\) = -1e19 is more than"),
         ("t (h),f (N)\n0,1\n", {}, r"t \(h\) is in h; times in one of s, "),
         ("t,a (N),b (N)\n0,1,2\n", {}, r"bag.topic is empty; one of a \(N\), b \(N\) would be right"),
         ("t,a,b\n0,1,2\n", {"unit": "N"}, "bag.topic is empty; one of a, b would be right"),
@@ -261,6 +270,8 @@ def test_a_channel_without_a_date_is_played_from_now_on(tmp_path: Path) -> None:
     ("channels", "bag", "message"),
     [
         ({"g/c": {"wf_increment": 0.0}}, {}, "g/c: wf_increment = 0.0; the time from sample to sample"),
+        ({"g/c": {"wf_increment": 1e300}}, {}, r"g/c: wf_increment = 1e\+300; the time from sample to sample"),
+        ({"g/c": {"wf_start_offset": float("inf")}}, {}, "g/c: wf_start_offset = inf; some seconds would be right"),
         ({"g/c": {"wf_increment": "soon"}}, {}, "g/c: wf_increment = 'soon'; a number would be right"),
         ({"g/c": {"unit_string": "kgf"}}, {}, "g/c: has the unit 'kgf'; bag.unit = one of N, kN, V, mV would be right"),
         ({"g/c": {}}, {"unit": "kN"}, "g/c: bag.unit = kN, but it is in N; leave bag.unit empty"),
@@ -275,6 +286,19 @@ def test_what_is_wrong_with_a_channel_is_said_in_one_line(
     with pytest.raises((BagError, SettingsError), match=message) as refusal:
         source(path, **bag).start()
     assert str(refusal.value).startswith(f"{path}: ")
+
+
+@pytest.mark.filterwarnings("error")
+def test_forces_beyond_all_numbers_of_a_channel_come_as_nan(tmp_path: Path) -> None:
+    path = tdms(tmp_path / "run.tdms", {"g/c": (np.array([1.0, 1e307]), TIMING | {"unit_string": "kN"})})
+    assert np.isnan(samples(played(source(path)))).tolist() == [False, True]
+
+
+def test_the_library_adds_nothing_to_what_we_say(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "junk.tdms").write_bytes(b"TDSmxxxx" * 100)
+    with pytest.raises(BagError, match=r"junk.tdms: "):
+        source(tmp_path / "junk.tdms").start()
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_file_without_numbers(tmp_path: Path) -> None:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from scara_effmass.daq.source import Reading
+
     Play = Callable[..., RecordedForce]
 
 NS = 10**9
@@ -65,6 +67,11 @@ def play(path: Path) -> Iterator[Play]:
     yield start
     for each in started:
         each.close()
+
+
+def taken(recorded: RecordedForce) -> list[Reading]:
+    """Return what is due."""
+    return list(iter(lambda: recorded.read(0.0), None))
 
 
 def due(recorded: RecordedForce) -> list[int]:
@@ -205,6 +212,79 @@ def test_it_can_be_started_again(play: Play) -> None:
     reading = recorded.read(0.0)
     assert reading is not None
     assert (reading.first_sample, reading.lost, first) == (0, 0, list(range(0, 1000, 100)))
+
+
+def test_a_replay_that_is_set_back_goes_on_from_there(play: Play) -> None:
+    clock = Clock(T0)
+    recorded = play(clock)
+    clock.now_ns = T0 + 450 * MS
+    readings = taken(recorded)
+    # 50 ms of the next block were due when the clock was set back into the third.
+    clock.now_ns = T0 + 250 * MS
+    assert taken(recorded) == []
+    assert recorded.awaited == "waiting for the clock to reach 1700000000.299 s: it is at 1700000000.250 s"
+    clock.now_ns = T0 + NS
+    readings += taken(recorded)
+    assert [(r.first_sample, r.lost, r.run, (r.stamp_ns or 0) - T0) for r in readings] == [
+        *((100 * n, 0, 0, 100 * n * MS) for n in range(4)),
+        (451, 51, 1, 200 * MS),
+        *((251 + 100 * n, 0, 1, 100 * n * MS) for n in range(3, 10)),
+    ]
+    assert recorded.ended
+
+
+def test_a_replay_in_a_loop_begins_again(play: Play) -> None:
+    clock = Clock(T0 - NS)
+    recorded = play(clock)
+    for run in range(3):
+        clock.now_ns = T0 + 899 * MS
+        readings = taken(recorded)
+        assert {reading.run for reading in readings} == {run}
+        assert [(reading.stamp_ns or 0) - T0 for reading in readings] == [100 * n * MS for n in range(9)]
+        # What was due is all there: the gap of one sample says that it does not go on.
+        assert [reading.lost for reading in readings] == [1 if run else 0, *[0] * 8]
+        assert readings[0].first_sample == 901 * run
+        clock.now_ns = T0 - NS
+        assert taken(recorded) == []
+
+
+def test_a_clock_that_falters_is_not_set_back(play: Play) -> None:
+    clock = Clock(T0)
+    recorded = play(clock)
+    for ms in (250, 150, 199, 299):
+        clock.now_ns = T0 + ms * MS
+        assert {reading.run for reading in taken(recorded)} <= {0}
+    assert due(recorded) == []
+    clock.now_ns = T0 + 399 * MS
+    assert due(recorded) == [300]
+
+
+@pytest.mark.parametrize("stamps", list(Stamps))
+def test_on_another_clock_that_is_set_back_it_goes_on(play: Play, stamps: Stamps) -> None:
+    clock = Clock(NOW)
+    recorded = play(clock, stamps=stamps)
+    clock.now_ns = NOW + 150 * MS
+    before = taken(recorded)
+    clock.now_ns -= 30 * NS
+    assert taken(recorded) == []
+    clock.now_ns += 150 * MS
+    after = taken(recorded)
+    assert [reading.first_sample for reading in before + after] == [0, 100, 200]
+    assert {reading.lost for reading in before + after} == {0}
+    moved = stamps is Stamps.NOW
+    assert {reading.run for reading in after} == {int(moved)}
+    first_ns = NOW - 30 * NS if moved else T0
+    assert [reading.stamp_ns for reading in after] == [first_ns + 100 * MS, first_ns + 200 * MS]
+
+
+def test_what_it_waits_for_is_said(play: Play) -> None:
+    clock = Clock(0)
+    recorded = play(clock)
+    assert due(recorded) == []
+    assert recorded.awaited == "waiting for the clock to begin: it is at 0.000 s"
+    clock.now_ns = T0
+    assert due(recorded) == []
+    assert recorded.awaited == "waiting for the clock to reach 1700000000.099 s: it is at 1700000000.000 s"
 
 
 def test_a_source_that_was_never_started_has_nothing(path: Path) -> None:
