@@ -14,9 +14,8 @@ A simulated robot drives into simulated carts, again and again: joint states at 
 cart waits. Start the force node with the same --start, and it has the force of the same impacts.
 
 examples:
-  START=$(date -d '+10 seconds' +%s)
-  scara-effmass bench --start $START
-  scara-effmass daq --source bench -- -p bench.scene:=cell -p bench.start:=$START.0
+  scara-effmass bench --start 1800000000
+  scara-effmass daq --source bench -- -p bench.scene:=cell -p bench.start:=1800000000.0
 """
 
 

@@ -142,6 +142,8 @@ def _run_bench(args: argparse.Namespace, settings: MonitorSettings, arm: Arm, co
 
     if args.robot or settings.robot:
         raise SettingsError("demo: --robot: the virtual test bench is an i4-550L; --bag replays another robot's motion")
+    if args.topic:
+        raise SettingsError(f"demo: --topic = {args.topic}: the virtual test bench has its own; it goes with --bag")
     if not args.json:
         for subject, text in BENCH_INTRODUCTION:
             console.print(f"{subject:<16}{text}")

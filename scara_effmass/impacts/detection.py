@@ -1,8 +1,8 @@
 """Impacts in a stream of force blocks; the same from a live stream as from a recording.
 
-The samples are cut into frames of a fixed number, counted from the first one, so that how they came in blocks makes no
-difference. Frames in which nothing happens give baseline and noise. From the first other frame on samples are kept,
-until a quiet frame follows: that stretch is then judged as a whole.
+The samples are cut into frames at multiples of a fixed number, by sample number, so that neither how they came in
+blocks nor where the recording begins makes a difference. Frames in which nothing happens give baseline and noise. From
+the first other frame on samples are kept, until a quiet frame follows: that stretch is then judged as a whole.
 """
 
 from __future__ import annotations
@@ -28,14 +28,16 @@ if TYPE_CHECKING:
     from scara_effmass.values import FloatArray, ForceBlock, Impact
 
 FRAME_TIME = 0.05
-"""Length of a frame [s]: long for an impact of robots, short for the start of a recording."""
-FRAME_SAMPLES = 8
+"""About the length of a frame [s]: long for an impact of robots, short for the start of a recording."""
+FRAME_SAMPLES = 10
 """And the least number of samples in one."""
+SETTLING_FRAMES = FRAMES + 3
+"""After so many quiet frames in a row nothing is left of what was before."""
 GAP_TIME = 0.3e-3
 """So long without force [s], and GAP_SAMPLES, are two contacts, not one."""
 GAP_SAMPLES = 2
 SAME_RATE = 0.01
-"""The clock fit may change the sample rate by this share; beyond it is another recording."""
+"""The clock fit may change the sample rate by this share from block to block; beyond it is another recording."""
 MOST_FRAMES = 0.6
 """Of what was recorded before the end came, so much has to be quiet."""
 
@@ -45,12 +47,19 @@ class Detector:
 
     An impact is returned once a quiet frame (FRAME_TIME, or FRAME_SAMPLES) has followed it, which for a train of
     contacts may take `settings.longest`. `dropouts` and `glitches` (single samples) are counted from the beginning on.
+
+    Of one stream, detectors that began at different samples return the same impacts to the last bit once they have
+    settled: after SETTLING_FRAMES in a row that are quiet to both (0.4 s at 12.8 kS/s), and `settings.rebound_time`
+    without a contact, for it may be the rebound of one that only the elder has seen.
     """
 
     def __init__(self, settings: DetectionSettings) -> None:
         self._settings = settings
         self._series = Series(settings)
+        self._rate = math.nan
         self.dropouts = self.glitches = 0
+        self.settled = False
+        """Whether the baseline at the last sample is known, or was when it was finished. Else impacts are not found."""
         self._forget()
 
     @property
@@ -59,9 +68,13 @@ class Detector:
         return self._series.pushes
 
     @property
-    def settled(self) -> bool:
-        """Whether the baseline is known; while it is not, impacts are not found."""
-        return self._settled
+    def negative(self) -> int:
+        """How many contacts would be whole impacts if the sign of the force were changed: is the sensor inverted?
+
+        Those that follow a contact are not among them: coupling for alternating current, and whatever rings, answer
+        a push with a pull. What stays below the baseline for FRAMES frames is a load that goes.
+        """
+        return self._series.negative
 
     def feed(self, block: ForceBlock) -> list[Impact]:
         """Return the impacts that are over by the end of `block`, in their order.
@@ -74,11 +87,16 @@ class Detector:
             found += self._join(part)
             self._stream.append(part)
             found += self._advance()
+            self.settled = self._settled
         return found
 
     def finish(self) -> list[Impact]:
-        """Return the impacts that were still waiting for what follows, and begin anew."""
+        """Return the impacts that were still waiting for what follows, and begin anew with what is fed next."""
+        if math.isnan(self._rate):
+            return []
         found = self._close()
+        self.settled = self._settled
+        self._rate = math.nan
         self._forget()
         return found
 
@@ -86,8 +104,7 @@ class Detector:
         self._background = Background(self._settings)
         self._settled = False
         self._series.restart()
-        self._rate = math.nan
-        self._frame = self._gap = self._longest = 0
+        self._frame = FRAME_SAMPLES
         self._begin(0)
 
     def _begin(self, first_sample: int) -> None:
@@ -103,28 +120,28 @@ class Detector:
 
     def _join(self, block: ForceBlock) -> list[Impact]:
         """Return what the gap before `block`, if there is one, has ended."""
-        if math.isnan(self._rate):
-            found = []
-        else:
-            missing = block.first_sample - self._stream.end
-            same = abs(block.sample_rate - self._rate) <= SAME_RATE * self._rate
-            if same and not missing and not block.lost_samples:
-                return []
-            found = self._close()
-            if not same or not 0 <= missing <= self._longest:
-                self._forget()
-        self._begin(block.first_sample)
+        missing = block.first_sample - self._stream.end
+        same = abs(block.sample_rate - self._rate) <= SAME_RATE * self._rate
         self._rate = block.sample_rate
-        self._frame = max(round(FRAME_TIME * self._rate), FRAME_SAMPLES)
-        self._gap = max(round(GAP_TIME * self._rate), GAP_SAMPLES)
-        self._longest = round(self._settings.longest * self._rate)
+        if same and not missing and not block.lost_samples:
+            return []
+        found = self._close()
+        if not same or not 0 <= missing <= self._settings.longest * self._rate:
+            self._forget()
+        self._begin(block.first_sample)
+        # In steps of two: rates that differ as clocks do have the same frames.
+        self._frame = FRAME_SAMPLES << max(0, round(math.log2(FRAME_TIME * self._rate / FRAME_SAMPLES)))
         return found
+
+    def _after(self, index: int) -> int:
+        """Return where the frame that holds sample `index` ends."""
+        return (index // self._frame + 1) * self._frame
 
     def _advance(self) -> list[Impact]:
         found: list[Impact] = []
-        while self._stream.end - self._done >= self._frame:
-            samples = self._stream.samples(self._done, self._done + self._frame)
-            self._done += self._frame
+        while (stop := self._after(self._done)) <= self._stream.end:  # the first frame may be a part of one
+            samples = self._stream.samples(self._done, stop)
+            self._done = stop
             if self._settled:
                 found += self._watch(samples)
             else:
@@ -136,11 +153,13 @@ class Detector:
     def _settle(self, frame: Frame) -> None:
         """Look for a baseline; once there is one, what was held goes through again."""
         self._unsettled.append(frame)
-        hold = max(self._longest, 2 * FRAMES * self._frame) if self._fresh else FRAMES * self._frame
+        hold = FRAMES * self._frame
+        if self._fresh:
+            hold = max(round(self._settings.longest * self._rate), 2 * hold)
         if len(self._unsettled) == FRAMES and self._background.steady(self._unsettled):
             self._adopt(self._unsettled)
         if not self._settled and self._done - self._held >= hold:
-            self._held += self._frame
+            self._held = self._after(self._held)
 
     def _adopt(self, frames: Iterable[Frame]) -> None:
         """Take `frames` for the background, unless the signal is stuck: it was livelier before."""
@@ -180,7 +199,8 @@ class Detector:
         self._frames_below = self._frames_below + 1 if below else 0
         if self._frames_below == FRAMES:
             return self._give_up(self._stretch)
-        if self._done - self._stretch > self._longest + 2 * self._frame:
+        longest = self._settings.longest * self._stream.block_of(self._stretch).sample_rate
+        if self._done - self._stretch > longest + 2 * self._frame:
             return self._divide(self._stretch)
         return []
 
@@ -203,7 +223,7 @@ class Detector:
         """Report what is over in a stretch that has become too long, and go on with the contact that is not."""
         contacts = self._judge(start, self._done).contacts
         going_on = contacts[-1] if contacts and start + contacts[-1].last >= self._done - self._frame else None
-        if going_on is None or going_on.last - going_on.first >= self._longest:
+        if going_on is None or self._series.is_push(going_on, start, self._stream):
             return self._give_up(start)
         over = contacts[:-1]
         self._stretch = start + max(going_on.first - self._frame, over[-1].last + 1 if over else 0)
@@ -229,9 +249,11 @@ class Detector:
         """Judge the samples from `start` up to `stop`, and count what is new in it."""
         stream = self._stream
         samples, saturated = stream.samples(start, stop), stream.saturated(start, stop)
-        stretch = judge(samples, saturated, self._background, self._gap, self._frame)
+        gap = max(round(GAP_TIME * stream.block_of(start).sample_rate), GAP_SAMPLES)
+        stretch = judge(samples, saturated, self._background, gap, self._frame)
         self.dropouts += int(np.count_nonzero(stretch.dropouts + start >= self._counted))
         self.glitches += int(np.count_nonzero(stretch.glitches + start >= self._counted))
+        self._series.count_pulls(stretch, start, self._counted, stream)
         self._counted = stop
         return stretch
 

@@ -23,7 +23,7 @@ def runs(mask: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def has_flat_run(samples: FloatArray, length: int) -> bool:
     """Return whether `length` or more neighbours in `samples` (n,) are equal."""
-    equal = np.flatnonzero(samples[1:] == samples[:-1])
+    equal = (samples[1:] == samples[:-1]).nonzero()[0]
     steps = length - 2
     return equal.size > steps and bool((equal[steps:] - equal[: equal.size - steps] == steps).any())
 

@@ -13,34 +13,55 @@ if TYPE_CHECKING:
     from scara_effmass.impacts.background import Background
     from scara_effmass.impacts.contact import Contact
     from scara_effmass.impacts.stream import Stream
+    from scara_effmass.impacts.stretch import Stretch
     from scara_effmass.settings import DetectionSettings
+
+ANSWER_TIME = 0.5
+"""So long after a contact [s] a pull is the answer of sensor, converter or structure to it."""
 
 
 class Series:
-    """Makes impacts of contacts, and counts those that last too long for one as `pushes`."""
+    """Makes impacts of contacts, and counts those that last too long for one as `pushes`.
+
+    Pulls, which would be whole impacts if the sign of the force were changed, are counted as `negative` unless a
+    contact came before within ANSWER_TIME.
+    """
 
     def __init__(self, settings: DetectionSettings) -> None:
         self._settings = settings
-        self.pushes = 0
+        self.pushes = self.negative = 0
         self.restart()
 
     def restart(self) -> None:
         """Let no impact be a rebound of those up to now."""
-        self._end = -math.inf
+        self._end = self._last = -math.inf
         self._rebound = 0
 
     def report(self, contacts: Iterable[Contact], start: int, stream: Stream, background: Background) -> list[Impact]:
         """Return the impacts among `contacts`, which count from sample `start` of `stream`."""
-        return [
-            self._impact(contact, start, stream, background)
-            for contact in contacts
-            if not self._is_push(contact, stream.block_of(start + contact.first).sample_rate)
-        ]
+        impacts: list[Impact] = []
+        for contact in contacts:
+            if self.is_push(contact, start, stream):
+                self.pushes += 1
+            else:
+                impacts.append(self._impact(contact, start, stream, background))
+            self._last = start + contact.last
+        return impacts
 
-    def _is_push(self, contact: Contact, sample_rate: float) -> bool:
-        push = contact.last - contact.first >= round(self._settings.longest * sample_rate)
-        self.pushes += push
-        return push
+    def count_pulls(self, stretch: Stretch, start: int, since: int, stream: Stream) -> None:
+        """Count the pulls that end at sample `since` or later in `stretch`, which counts from sample `start`."""
+        for pull in stretch.pulls:
+            if not pull.complete or start + pull.last < since:
+                continue
+            contacts = (start + contact.last for contact in stretch.contacts if contact.first < pull.first)
+            apart = start + pull.first - max(contacts, default=self._last)
+            rate = stream.block_of(start + pull.first).sample_rate
+            self.negative += apart > ANSWER_TIME * rate and not self.is_push(pull, start, stream)
+
+    def is_push(self, contact: Contact, start: int, stream: Stream) -> bool:
+        """Return whether `contact`, which counts from sample `start` of `stream`, lasts too long for an impact."""
+        sample_rate = stream.block_of(start + contact.first).sample_rate
+        return contact.last - contact.first >= round(self._settings.longest * sample_rate)
 
     def _impact(self, contact: Contact, start: int, stream: Stream, background: Background) -> Impact:
         block = stream.block_of(start + math.floor(contact.onset))

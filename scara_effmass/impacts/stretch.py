@@ -26,6 +26,8 @@ class Stretch(NamedTuple):
     """What a stretch of force holds, in samples from its beginning."""
 
     contacts: list[Contact]
+    pulls: list[Contact]
+    """What would be contacts if the sign of the force were changed."""
     dropouts: NDArray[np.intp]
     glitches: NDArray[np.intp]
 
@@ -46,6 +48,28 @@ def judge(samples: FloatArray, saturated: BoolArray, background: Background, gap
     glitches = lone_samples(force, level)
     force[glitches] = 0.5 * (force[glitches - 1] + force[glitches + 1])
 
+    contacts = _contacts(force, _Known(valid, saturated, level, release, gap, before))
+    pulls: list[Contact] = []
+    if force.min() < -background.level:
+        level, release = _levels(-force, valid, background, gap)
+        pulls = _contacts(-force, _Known(valid, saturated, level, release, gap, before))
+    return Stretch(contacts, pulls, stuck, glitches)
+
+
+class _Known(NamedTuple):
+    """What contacts are found by: the masks (n,), the levels [N], and the numbers of samples of `judge`."""
+
+    valid: BoolArray
+    saturated: BoolArray
+    level: float
+    release: float
+    gap: int
+    before: int
+
+
+def _contacts(force: FloatArray, known: _Known) -> list[Contact]:
+    """Return the contacts in `force` (n,) [N] above baseline."""
+    valid, saturated, level, release, gap, before = known
     spans = separate(force, valid, level, release, gap)
     contacts: list[Contact] = []
     for number, (first, last) in enumerate(spans):
@@ -64,7 +88,7 @@ def judge(samples: FloatArray, saturated: BoolArray, background: Background, gap
         )
         if contact.area > 0.0 and (complete or last - first + 1 >= CREDIBLE):  # a contact pushes, noise does not
             contacts.append(contact._replace(complete=complete, clipped=clipped))
-    return Stretch(contacts, stuck, glitches)
+    return contacts
 
 
 def _levels(force: FloatArray, valid: BoolArray, background: Background, gap: int) -> tuple[float, float]:

@@ -94,6 +94,8 @@ class DaqHealth:
             level, message = DiagnosticStatus.WARN, channel.tare_problem
         elif channel.samples and not detector.settled:
             level, message = DiagnosticStatus.WARN, "no steady baseline yet: impacts are not found"
+        elif detector.negative:
+            level, message = DiagnosticStatus.WARN, f"{detector.negative} times a pull: is sensor.invert set right?"
         elif channel.saturated:
             level, message = DiagnosticStatus.WARN, f"{channel.saturated} samples at the end of the measuring range"
         elif channel.lost:
@@ -115,5 +117,6 @@ class DaqHealth:
                 "drop-outs": detector.dropouts,
                 "glitches": detector.glitches,
                 "pushes": detector.pushes,
+                "pulls like impacts": detector.negative,
             },
         )

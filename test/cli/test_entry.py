@@ -89,9 +89,11 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "not a bag": (["assess", ROBOT, "-o", "a.csv"], "is no recording in one of the formats"),
     "wrong topic": (["assess", TOUR, "-o", "a.csv", "--topic", "/arm"], "no joint states on /arm; give --topic one of"),
     "wrong topic of a demo": (
-        ["demo", "--topic", "/arm"],
+        ["demo", "--bag", TOUR, "--topic", "/arm"],
         "no joint states on /arm; give --topic one of /joint_states",
     ),
+    "topic of a demo without a bag": (["demo", "--topic", "/arm"], "demo: --topic = /arm: the virtual test bench has"),
+    "robot of a demo without a bag": (["demo", "--robot", ROBOT], "demo: --robot: the virtual test bench is an"),
     "region of an assessment": (["assess", TOUR, "-o", "a.csv", "--region", "tail"], "no such region"),
     "wrong suffix": (["assess", TOUR, "-o", "a.xls"], "one of .parquet, .csv, .mcap would be right"),
     "unwritable folder": (["assess", TOUR, "-o", "/proc/none/a.csv"], "/proc/none/a.csv: cannot be written"),

@@ -27,7 +27,6 @@ def figure_17(motion: ToolMotion) -> Figure:
         (position, motion.x_m, "(a) position", "x [mm]"),
         (velocity, motion.speed_m_s, "(b) velocity", "velocity along x [mm/s]"),
     ):
-
         axes.plot(motion.time_s, 1e3 * values, color=CYCLE[0], linewidth=1.6)
         axes.axvline(motion.contact_s, color=ISO_RED, linestyle="--", zorder=1.5, label=motion.contact)
         axes.set(xlabel="time [s]", ylabel=label, title=name, xlim=(0.0, motion.time_s[-1]))

@@ -1,0 +1,125 @@
+"""Each rule of the detection on its own: what goes wrong without it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from scara_effmass.impacts.background import FRAMES, Background, Frame
+from scara_effmass.impacts.contact import rise
+from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.stretch import judge
+from scara_effmass.settings import DetectionSettings
+
+if TYPE_CHECKING:
+    from scara_effmass.values import FloatArray, Impact
+    from test.impacts.conftest import AddPulse, Detect, MakeBlock
+
+RATE = 12_800.0
+FRAME = 640
+LONGEST = 12_800
+
+
+def noise(size: int, level: float = 0.0) -> FloatArray:
+    return np.random.default_rng(0).normal(level, 0.1, size)
+
+
+@pytest.mark.parametrize(
+    ("force", "first", "onset"),
+    [
+        ([3.0, 4.0, 6.0, 10.0], 1, 0.0),  # the line would reach zero at -2: before the first sample
+        ([-20.0, 1.2, 4.0, 8.0, 10.0], 1, 20.0 / 21.2),  # and here at 0.68, where the force is negative
+        ([0.0, 0.0, 4.0, 10.0], 1, 1.0),  # at 1.25, when there certainly was contact
+    ],
+)
+def test_the_onset_is_between_the_last_sample_below_zero_and_the_first_contact(
+    force: list[float], first: int, onset: float
+) -> None:
+    assert rise(np.array(force), first, 10.0)[0] == pytest.approx(onset)
+
+
+def test_what_pulls_more_than_it_pushes_is_no_contact() -> None:
+    background = Background(DetectionSettings())
+    background.admit([Frame.of(noise(FRAME)) for _ in range(FRAMES)])
+    samples = noise(FRAME)
+    samples[300:306] += [20.0, 20.0, -90.0, -90.0, 20.0, 20.0]
+    marks = np.zeros(FRAME, dtype=np.bool_)
+    assert not judge(samples, marks, background, 4, 0).contacts
+    samples[302:304] += 85.0
+    assert len(judge(samples, marks, background, 4, 0).contacts) == 1
+
+
+def test_frames_beside_a_contact_do_not_enter_the_noise(detect: Detect, add_pulse: AddPulse) -> None:
+    plain = noise(300 * FRAME)
+    for first in range(9, 300, 5):
+        add_pulse(plain, first * FRAME + 100, 4e-3, 100.0)
+    shouldered = plain.copy()
+    for first in range(9, 299, 5):
+        for beside in (first - 1, first + 1):
+            shouldered[beside * FRAME : (beside + 1) * FRAME] += 3.0  # below the threshold, so quiet
+    expected, impacts = detect(plain).impacts, detect(shouldered).impacts
+    assert len(impacts) == len(expected) == 59
+    assert [(i.baseline, i.noise) for i in impacts] == [(i.baseline, i.noise) for i in expected]
+
+
+def test_nor_does_the_frame_after_a_gap_that_may_hide_one(make_block: MakeBlock, add_pulse: AddPulse) -> None:
+    before, after = noise(10 * FRAME), noise(10 * FRAME)
+    add_pulse(after, 4 * FRAME + 100, 4e-3, 100.0)
+    known = []
+    for shoulder in (0.0, 3.0):
+        after[:FRAME] += shoulder
+        detector = Detector(DetectionSettings())
+        assert detector.feed(make_block(before)) == []
+        impacts = detector.feed(make_block(after, 11 * FRAME, lost=FRAME)) + detector.finish()
+        known.append([(impact.baseline, impact.noise) for impact in impacts])
+    assert len(known[0]) == 1
+    assert known[0] == known[1]
+
+
+def test_a_dropout_that_outlasts_the_baseline_counts_once(detect: Detect) -> None:
+    force = noise(60_000)
+    force[10_000:40_100] = force[10_000]  # its end is among the frames that give the next baseline
+    assert detect(force).detector.dropouts == 1
+
+
+def test_a_stuck_signal_is_no_baseline(make_block: MakeBlock) -> None:
+    force = noise(60_000)
+    force[20_000:] = 40.0
+    detector = Detector(DetectionSettings())
+    settled = []
+    for first, part in ((0, force[:20_000]), (20_000, force[20_000:]), (60_000, noise(10_000, 40.0))):
+        assert detector.feed(make_block(part, first)) == []
+        settled.append(detector.settled)
+    assert settled == [True, False, True]
+    assert detector.dropouts == 1
+
+
+def test_contacts_of_a_train_without_end_are_reported_once(detect: Detect, add_pulse: AddPulse) -> None:
+    force = noise(100_000)
+    onsets = np.arange(10_000.0, 90_000.0, 300.0)
+    for onset in onsets:
+        add_pulse(force, onset, 280 / RATE, 100.0)  # less than a frame apart
+    impacts = detect(force).impacts
+    assert [impact.onset_sample for impact in impacts] == pytest.approx(onsets, abs=3.0)
+    assert not any(impact.incomplete for impact in impacts)
+
+
+@pytest.mark.parametrize(("levels", "settled"), [([0, 0, 0, 40, 80], True), ([0, 0, -40, 40, 80], False)])
+def test_a_short_recording_needs_most_of_its_frames_at_one_level(
+    detect: Detect, levels: list[float], *, settled: bool
+) -> None:
+    assert detect(noise(5 * FRAME) + np.repeat(levels, FRAME)).detector.settled == settled
+
+
+@pytest.mark.parametrize(("missing", "baseline"), [(LONGEST, 0.0), (LONGEST + 1, 8.0)])
+def test_after_a_long_gap_the_baseline_is_another(
+    make_block: MakeBlock, add_pulse: AddPulse, missing: int, baseline: float
+) -> None:
+    before, after = noise(20_000), noise(5_000, 8.0)
+    add_pulse(after, 100, 4e-3, 100.0)
+    detector = Detector(DetectionSettings())
+    found: list[Impact] = detector.feed(make_block(before))
+    found += detector.feed(make_block(after, 20_000 + missing, lost=missing)) + detector.finish()
+    assert found[0].baseline == pytest.approx(baseline, abs=0.05)
