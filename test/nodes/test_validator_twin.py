@@ -1,0 +1,70 @@
+"""A recorded impact through the three live nodes gives, bit for bit, what `validate` gives offline."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from scara_effmass_msgs.msg import ContactState, ForceBlock, ImpactValidation
+
+from scara_effmass.analysis.validation import ValidationSettings, validate
+from scara_effmass.model.arm import Arm
+from scara_effmass.model.load import load_robot
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from test.nodes.conftest import Cell
+
+BIN = Path(sys.executable).parent
+BAG = share("bags", "campaign", "300_0_2390g_1")
+SIMULATED = ["--ros-args", "-p", "use_sim_time:=true"]
+# Detection is on what is published: a second tare would move the force by a fraction of the noise.
+FORCE = ["-p", "source:=bag", "-p", f"bag.path:={BAG}", "-p", "tare.at_start:=false"]
+
+
+@pytest.mark.timeout(120)
+def test_live_is_what_it_is_offline(new_cell: Callable[..., Cell], tmp_path: Path) -> None:
+    cell = new_cell(name="validator")
+    heard: list[ImpactValidation] = []
+    node = cell.node
+    node.create_subscription(ImpactValidation, "impact_validation", heard.append, 100)
+    node.create_subscription(ContactState, "contact_state", lambda _: None, 100)
+    node.create_subscription(ForceBlock, "force", lambda _: None, 100)
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(cell.domain), "ROS_LOG_DIR": str(tmp_path)}
+    commands = (
+        [str(BIN / "monitor_node"), *SIMULATED],
+        [str(BIN / "daq_node"), *SIMULATED, *FORCE],
+        [str(BIN / "validator_node"), *SIMULATED],
+    )
+    with ExitStack() as running:
+        for command in commands:
+            process = running.enter_context(subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL))
+            running.callback(process.terminate)
+        cell.until(lambda: all(node.count_publishers(t) for t in ("contact_state", "force", "impact_validation")))
+        topics = ["/joint_states", "/scara_effmass/recording_info"]
+        words = [str(BIN / "scara-effmass"), "replay", str(BAG), "--topics", *topics]
+        replay = running.enter_context(subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL))
+        cell.until(lambda: heard, patience_s=60.0)
+        assert replay.wait(timeout=30) == 0
+    arm = Arm(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
+    (expected,) = validate([BAG], arm, ValidationSettings()).result.impacts
+    (message,) = heard
+    assert message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec == expected.stamp_ns
+    names = (
+        "measured_force",
+        "speed",
+        "effective_mass",
+        "reduced_mass",
+        "stiffness",
+        "predicted_force",
+        "conservative",
+    )
+    assert {name: getattr(message, name) for name in names} == {name: getattr(expected, name) for name in names}
