@@ -1,0 +1,32 @@
+"""The demo on the virtual test bench: all nodes live, and the report of what they saw."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.mark.timeout(200)
+def test_every_impact_is_seen_live_and_found_again_in_the_recording(domain: dict[str, str], tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "scara_effmass", "demo", "--duration", "3", "--out", str(tmp_path / "out"), "--json"]
+    done = subprocess.run(words, env=domain, capture_output=True, text=True, timeout=180, check=False)
+    assert done.stderr == ""
+    result = json.loads(done.stdout)
+    # One impact in three seconds, perhaps a second one before all have ended; a series has to have three.
+    assert 1 <= result["live"] == result["both"] <= result["offline"] < 3
+    assert (done.returncode, result["accepted"]) == (1, False)
+    assert result["recording"]["lost"] == 0
+    impact = result["impacts"][0]
+    assert impact["simulated"] is True
+    assert (impact["configuration"], impact["obstacle_mass"]) == ("300_200", 0.5)
+    assert impact["speed"] == pytest.approx(0.25, abs=0.002)
+    assert impact["measured_force"] == pytest.approx(202.6, rel=0.01)
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"recording", "report.html", "report.json"} <= files
