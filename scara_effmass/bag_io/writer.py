@@ -93,7 +93,11 @@ class BagWriter:
     def abort(self) -> None:
         """Leave nothing of an unfinished recording."""
         self._file.close()
-        shutil.rmtree(self._unfinished, ignore_errors=True)
+        try:
+            shutil.rmtree(self._unfinished, ignore_errors=True)
+        finally:
+            # A signal may have broken into that; it comes once.
+            shutil.rmtree(self._unfinished, ignore_errors=True)
 
     def __enter__(self) -> BagWriter:
         return self
