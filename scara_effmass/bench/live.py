@@ -14,7 +14,7 @@ from scara_effmass.bench.contact import POLYETHYLENE
 from scara_effmass.bench.converter import FORCE_SENSOR, Converter
 from scara_effmass.bench.drive import SERVO, Plan
 from scara_effmass.bench.experiment import cell_for
-from scara_effmass.bench.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES, PATH_M, Q3, ImpactSetup
+from scara_effmass.bench.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES, PATH_M, Q3, REST_S, ImpactSetup
 from scara_effmass.bench.motion import LineMove, Quintic
 from scara_effmass.bench.recordings import measured
 from scara_effmass.errors import SettingsError
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 FRAME = 10
 """Force comes in portions of so many ticks."""
+FIRST_REST_S = 2.0
+"""Before the first impact: a force node needs a second or two until it knows the converter's clock."""
 QUINTIC_PEAK = 1.875
 """Greatest speed of a quintic move over its mean speed."""
 
@@ -125,7 +127,10 @@ class LiveBench:
     def _run(self) -> Iterator[tuple[tuple[str, ...], Encoders, list[Touch], PlacedCart | None]]:
         before: tuple[Configuration, Cell] | None = None
         for configuration, mass in cycle(self.settings.impacts):
-            setup = ImpactSetup(configuration, mass, self.settings.speed, self.settings.contact, self.settings.servo)
+            rest_s = FIRST_REST_S if before is None else REST_S
+            setup = ImpactSetup(
+                configuration, mass, self.settings.speed, self.settings.contact, self.settings.servo, rest=rest_s
+            )
             cell, drive = cell_for(setup, self._robot)
             rest, *impact = setup.moves
             approach: list[Move] = [rest]

@@ -26,6 +26,7 @@ SLOWEST = 10.0
 """Times real time that it may take: the simulation waits for nodes that fall behind."""
 IMPACTS = 12
 """Three configurations with four masses each."""
+FIRST_AFTER_S = 4.0
 PER_IMPACT_S = 3.5
 FORCE_TOPIC_IS_LATE_S = 3.0
 """An impact is told once its rebounds are over, and validated then."""
@@ -76,7 +77,7 @@ def _run_live(
     from scara_effmass.nodes.watch import Watch  # noqa: PLC0415 - reads the domain when it is made
 
     start_s = float(round(time.time()))
-    span_s = min(args.duration, IMPACTS * PER_IMPACT_S)
+    span_s = min(args.duration, FIRST_AFTER_S + IMPACTS * PER_IMPACT_S)
     simulated_time = ["--ros-args", "-p", "use_sim_time:=true"]
     cell = ["-p", "bench.scene:=cell", "-p", f"bench.start:={start_s}"]
     force = ["--force"] if args.force else []

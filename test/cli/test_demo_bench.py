@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 @pytest.mark.timeout(200)
 def test_every_impact_is_seen_live_and_found_again_in_the_recording(domain: dict[str, str], tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "scara_effmass", "demo", "--duration", "3", "--out", str(tmp_path / "out"), "--json"]
+    words = [sys.executable, "-m", "scara_effmass", "demo", "--duration", "4", "--out", str(tmp_path / "out"), "--json"]
     done = subprocess.run(words, env=domain, capture_output=True, text=True, timeout=180, check=False)
     assert done.stderr == ""
     result = json.loads(done.stdout)
-    # One impact in three seconds, perhaps a second one before all have ended; a series has to have three.
+    # One impact in four seconds, perhaps a second one before all have ended; a series has to have three.
     assert 1 <= result["live"] == result["both"] <= result["offline"] < 3
     assert (done.returncode, result["accepted"]) == (1, False)
     assert result["recording"]["lost"] == 0
