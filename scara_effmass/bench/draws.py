@@ -19,7 +19,18 @@ _CHUNK = 4096
 
 def uniform(key: tuple[int, ...], count: int) -> FloatArray:
     """Return `count` numbers from 0 to below 1, with 53 random bits each; the same ones for the same `key`."""
-    return np.asarray((PCG64(list(key)).random_raw(count) >> np.uint64(11)) * 2.0**-53)
+    return next_uniform(PCG64(list(key)), count)
+
+
+def next_uniform(bits: PCG64, count: int) -> FloatArray:
+    """Return the next `count` numbers from 0 to below 1 of a stream, with 53 random bits each."""
+    return np.asarray((bits.random_raw(count) >> np.uint64(11)) * 2.0**-53)
+
+
+def normal_pair(radius: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return two arrays of standard normal numbers from two of uniform ones, by the method of Box and Muller."""
+    radius = np.sqrt(-2.0 * np.log1p(-radius))
+    return radius * np.cos(2.0 * np.pi * angle), radius * np.sin(2.0 * np.pi * angle)
 
 
 def normal(key: tuple[int, ...], first: int, count: int) -> FloatArray:
@@ -36,7 +47,5 @@ def normal(key: tuple[int, ...], first: int, count: int) -> FloatArray:
 
 @lru_cache(maxsize=4)
 def _normal_chunk(key: tuple[int, ...], chunk: int) -> FloatArray:
-    """Return _CHUNK numbers by the method of Box and Muller."""
     radius, angle = uniform((*key, chunk), _CHUNK).reshape(2, -1)
-    radius = np.sqrt(-2.0 * np.log1p(-radius))
-    return np.concatenate((radius * np.cos(2.0 * np.pi * angle), radius * np.sin(2.0 * np.pi * angle)))
+    return np.concatenate(normal_pair(radius, angle))

@@ -1,7 +1,6 @@
 """Force where nothing is measured: noise and half-sine impacts, counted as a 24-bit converter would.
 
-The same seed gives the same samples, however they are asked for. Only the raw numbers of PCG64 are drawn, which numpy
-promises to keep from version to version; those of its distributions it does not.
+The same seed gives the same samples, however they are asked for, with any version of numpy; see `draws`.
 """
 
 from __future__ import annotations
@@ -14,6 +13,8 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.random import PCG64
+
+from scara_effmass.bench.draws import next_uniform, normal_pair, uniform
 
 if TYPE_CHECKING:
     from scara_effmass.values import FloatArray
@@ -157,7 +158,7 @@ class SimulatedSignal:
 
 @lru_cache(maxsize=1024)
 def _drawn(impacts: RandomImpacts, channel: int, number: int) -> tuple[HalfSine, ...]:
-    draws = _uniform(PCG64([impacts.seed, _IMPACTS, channel, number]), 6).tolist()
+    draws = uniform((impacts.seed, _IMPACTS, channel, number), 6).tolist()
     at, peak, duration, again, rebound, gap = draws
     contact = HalfSine(
         onset_sample=(number + 0.75 + 0.5 * at) * impacts.period * impacts.sample_rate,
@@ -182,20 +183,12 @@ def _counted(impact: HalfSine, sample_rate: float, step: float) -> tuple[int, Fl
 
 
 def _normal(seed: int) -> FloatArray:
-    """Return NOISE_SAMPLES numbers of the standard normal distribution, by the method of Box and Muller."""
+    """Return NOISE_SAMPLES standard normal numbers, made in chunks so that little more memory than theirs is taken."""
     bits = PCG64([seed, _NOISE])
     normal = np.empty(NOISE_SAMPLES)
-    for cosines, sines in normal.reshape(-1, 2, _CHUNK):
-        radius = np.sqrt(-2.0 * np.log1p(-_uniform(bits, _CHUNK)))
-        angle = 2.0 * np.pi * _uniform(bits, _CHUNK)
-        np.multiply(radius, np.cos(angle), out=cosines)
-        np.multiply(radius, np.sin(angle), out=sines)
+    for pair in normal.reshape(-1, 2, _CHUNK):
+        pair[:] = normal_pair(next_uniform(bits, _CHUNK), next_uniform(bits, _CHUNK))
     return normal
-
-
-def _uniform(bits: PCG64, count: int) -> FloatArray:
-    """Return numbers from 0 to below 1 with 53 random bits each."""
-    return np.asarray((bits.random_raw(count) >> np.uint64(11)) * 2.0**-53)
 
 
 def _between(limits: tuple[float, float], share: float) -> float:
