@@ -27,6 +27,11 @@ class Forces(NamedTuple):
     source: str
     impacts: tuple[Impact, ...]
 
+    @property
+    def samples(self) -> int:
+        """How many there are."""
+        return int(np.isfinite(self.force).sum())
+
 
 def forces_of(bag: Bag) -> Forces | None:
     """Return the force of the first channel in `bag`, None where it has none. Raises BagError and DecodeError."""

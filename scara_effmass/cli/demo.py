@@ -9,8 +9,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
 from scara_effmass.cli.live import Display
 from scara_effmass.cli.options import (
     add_force,
@@ -65,13 +63,6 @@ FORCE_ENDS_WITHIN_S = 3.0
 SUMMARY = "summary.json"
 FIGURE = "run"
 BAG = "recording"
-
-
-BENCH_INTRODUCTION = (
-    ("simulated", "robot, carts and force: a virtual test bench (MuJoCo), no real robot, nothing is measured"),
-    ("live", "monitor, force and validator nodes, their messages and verdicts: computed now, over DDS, in real time"),
-    ("experiment", "an i4-550L drives into four carts (0.50 to 7.35 kg) in three configurations, at 0.25 m/s"),
-)
 SIMULATED_TIME = ["--ros-args", "-p", "use_sim_time:=true"]
 
 
@@ -144,9 +135,6 @@ def _run_bench(args: argparse.Namespace, settings: MonitorSettings, arm: Arm, co
         raise SettingsError("demo: --robot: the virtual test bench is an i4-550L; --bag replays another robot's motion")
     if args.topic:
         raise SettingsError(f"demo: --topic = {args.topic}: the virtual test bench has its own; it goes with --bag")
-    if not args.json:
-        for subject, text in BENCH_INTRODUCTION:
-            console.print(f"{subject:<16}{text}")
     with _all_or_nothing(args.out):
         return run_bench(args, arm, settings, console)
 
@@ -188,9 +176,9 @@ class Live:
         from scara_effmass.nodes.watch import Watch  # noqa: PLC0415 - reads the domain when it is made
 
         with ExitStack() as running:
-            monitor = running.enter_context(started(_monitor_words(args, settings)))
+            monitor = running.enter_context(started(monitor_words(args, settings)))
             force = running.enter_context(started(_force_words(recording))) if recording.force_topic else None
-            recorder = running.enter_context(started(_record_words(args)))
+            recorder = running.enter_context(started(record_words(args)))
             nodes = [node for node in (monitor, force, recorder) if node]
             display = Display(console, recording.span_s)
 
@@ -246,7 +234,8 @@ class Live:
             self.traces[contact.contact_point].add(contact, at_ns)
 
 
-def _monitor_words(args: argparse.Namespace, settings: MonitorSettings) -> list[str]:
+def monitor_words(args: argparse.Namespace, settings: MonitorSettings) -> list[str]:
+    """Run the monitor with the settings of the demo."""
     words = ["monitor", "--robot", str(robot_path(settings)), "--model", settings.effective_mass_model.value]
     if args.params:
         words += ["--params", str(args.params)]
@@ -259,7 +248,8 @@ def _force_words(recording: Recording) -> list[str]:
     return [*words, *SIMULATED_TIME, "-p", "stop_at_end:=true"]
 
 
-def _record_words(args: argparse.Namespace) -> list[str]:
+def record_words(args: argparse.Namespace) -> list[str]:
+    """Record the run."""
     return ["record", "-o", str(args.out / BAG), "--json", *(["--force"] if args.force else []), *SIMULATED_TIME]
 
 
@@ -348,8 +338,7 @@ def _force_lines(forces: Forces | None) -> Iterator[tuple[str, str]]:
     if forces is None:
         return
     what = "simulated, nothing was measured" if forces.simulated else "as recorded"
-    samples = int(np.isfinite(forces.force).sum())
-    yield "force", f"{forces.blocks} blocks, {samples} samples, {forces.lost} lost; {what}: {forces.source}"
+    yield "force", f"{forces.blocks} blocks, {forces.samples} samples, {forces.lost} lost; {what}: {forces.source}"
     for impact in forces.impacts:
         marks = [f"rebound {impact.rebound}"] * bool(impact.rebound)
         marks += ["clipped"] * impact.clipped + ["incomplete"] * impact.incomplete
@@ -372,10 +361,10 @@ def _finish(
     console: Console,
 ) -> None:
     """Draw, write, print."""
-    forces = _recorded_forces(args.out / BAG)
     from scara_effmass.analysis.figure import draw_run, save  # noqa: PLC0415
     from scara_effmass.analysis.output import completed  # noqa: PLC0415
 
+    forces = _recorded_forces(args.out / BAG)
     tightest = live.summary.tightest
     point = tightest.contact.contact_point if tightest else next(iter(live.traces))
     model = settings.effective_mass_model.value

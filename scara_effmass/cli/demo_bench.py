@@ -7,8 +7,10 @@ import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
+from scara_effmass.cli.demo import BAG, SIMULATED_TIME, monitor_words, record_words
 from scara_effmass.cli.live import Display
 from scara_effmass.cli.processes import keep_to_this_machine, require_running, started
+from scara_effmass.cli.report import validation_lines
 from scara_effmass.errors import EffmassError
 
 if TYPE_CHECKING:
@@ -30,7 +32,12 @@ FIRST_AFTER_S = 4.0
 PER_IMPACT_S = 3.5
 FORCE_TOPIC_IS_LATE_S = 3.0
 """An impact is told once its rebounds are over, and validated then."""
-BAG = "recording"
+INTRODUCTION = (
+    ("simulated", "robot, carts and force: a virtual test bench (MuJoCo), no real robot, nothing is measured"),
+    ("live", "monitor, force and validator nodes, their messages and verdicts: computed now, over DDS"),
+    ("its time", "simulated: real time at most, and it waits for nodes that fall behind"),
+    ("experiment", "an i4-550L drives into four carts (0.50 to 7.35 kg) in three configurations, at 0.25 m/s"),
+)
 
 
 def run_bench(args: argparse.Namespace, arm: Arm, settings: MonitorSettings, console: Console) -> int:
@@ -40,6 +47,9 @@ def run_bench(args: argparse.Namespace, arm: Arm, settings: MonitorSettings, con
     from scara_effmass.analysis.validation_report import PAGE, require_room, write_report  # noqa: PLC0415
 
     require_room(args.out, overwrite=args.force)
+    if not args.json:
+        for subject, text in INTRODUCTION:
+            console.print(f"{subject:<16}{text}")
     live, recorded = _run_live(args, arm, settings, console)
     validation_settings = ValidationSettings(monitor=settings)
     validation = validate([args.out / BAG], arm, validation_settings)
@@ -54,19 +64,16 @@ def run_bench(args: argparse.Namespace, arm: Arm, settings: MonitorSettings, con
         "recording": recorded,
         **record(validation, validation_settings, arm.robot),
     }
+    code = 0 if result.accepted else 1
     if args.json:
         console.print_json(json.dumps(summary, allow_nan=False))
-        return 0 if result.accepted else 1
+        return code
     console.print(f"{'impacts':<16}{len(told)} validated live, {len(found)} offline, {len(told & found)} the same")
-    for each in result.models:
-        agreement = each.overall
-        if agreement.count:
-            k = f"k {agreement.fitted_stiffness / 1e3:.4g} N/mm, RMSE {agreement.rmse:.3g} N"
-            verdict = "accepted" if each.accepted else each.reason
-            console.print(f"{each.model:<16}r {agreement.correlation:.5f}, {k}, {verdict}")
+    for subject, text in validation_lines(validation):
+        console.print(f"{subject:<16}{text}")
     console.print(f"{'recorded':<16}{recorded['messages']} messages, {recorded['lost']} lost: {recorded['bag']}")
     console.print(f"{'open':<16}{args.out / PAGE}")
-    return 0 if result.accepted else 1
+    return code
 
 
 def _run_live(
@@ -78,14 +85,12 @@ def _run_live(
 
     start_s = float(round(time.time()))
     span_s = min(args.duration, FIRST_AFTER_S + IMPACTS * PER_IMPACT_S)
-    simulated_time = ["--ros-args", "-p", "use_sim_time:=true"]
     cell = ["-p", "bench.scene:=cell", "-p", f"bench.start:={start_s}"]
-    force = ["--force"] if args.force else []
     words = {
-        "daq": ["daq", "--source", "bench", *simulated_time, *cell],
-        "validator": ["validator", *simulated_time],
-        "monitor": ["monitor", "--model", settings.effective_mass_model.value, *simulated_time],
-        "record": ["record", "-o", str(args.out / BAG), "--json", *force, *simulated_time],
+        "daq": ["daq", "--source", "bench", *SIMULATED_TIME, *cell],
+        "validator": ["validator", *SIMULATED_TIME],
+        "monitor": monitor_words(args, settings),
+        "record": record_words(args),
         "bench": ["bench", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=2"],
     }
     heard: list[ImpactValidation] = []

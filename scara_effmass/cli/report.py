@@ -1,4 +1,4 @@
-"""A summary in words."""
+"""Summaries in words."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from scara_effmass.analysis.summary import Summary, Tightest
+    from scara_effmass.analysis.validation import Validation
 
 REASONS_SHOWN = 5
 
@@ -32,6 +33,28 @@ def summary_lines(summary: Summary) -> Iterator[tuple[str, str]]:
         yield "UNKNOWN because", f"{reason} ({count} cycles)"
     if reasons[REASONS_SHOWN:]:
         yield "UNKNOWN because", f"{len(reasons) - REASONS_SHOWN} other reasons (--json lists them)"
+
+
+def validation_lines(validation: Validation) -> Iterator[tuple[str, str]]:
+    """Yield subject and text, line by line."""
+    result = validation.result
+    yield "result", "accepted" if result.accepted else f"not accepted: {result.reason}"
+    simulated = f", {result.simulated} of them simulated" if result.simulated else ""
+    yield "impacts", f"{result.seen} found, {len(result.impacts)} in the series{simulated}"
+    for model in result.models:
+        found = model.overall
+        r = "r undefined" if found.correlation_reason else f"r {found.correlation:.5f}"
+        exponent = "" if found.exponent is None else f", exponent {found.exponent:.3f}"
+        error = f"bias {found.bias:+.2f} N, RMSE {found.rmse:.2f} N ({found.relative_rmse:.2%})"
+        safe = f"{found.non_conservative} of {found.count} not conservative"
+        yield model.model, f"{r}, k {found.stiffness / 1e3:.4g} N/mm{exponent}, {error}, {safe}"
+    yield "comparison", result.comparison.text
+    for subject, counts in (("excluded", result.excluded), ("not paired", result.unpaired)):
+        for reason, count in counts.items():
+            yield subject, f"{count}: {reason}"
+    for recording in validation.recordings:
+        for loss in recording.losses:
+            yield "not read", loss
 
 
 def _tightest(tightest: Tightest) -> Iterator[tuple[str, str]]:

@@ -13,12 +13,13 @@ from rich.console import Console
 from rich.progress import Progress
 
 from scara_effmass.cli.options import add_force, add_json, add_params, add_robot, add_topic, arm_from, printer
+from scara_effmass.cli.report import validation_lines
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings, checked, load_settings
 
 if TYPE_CHECKING:
     import argparse
 
-    from scara_effmass.analysis.validation import Validation, ValidationSettings
+    from scara_effmass.analysis.validation import ValidationSettings
 
 EXAMPLES = """\
 Impacts are found anew in the force blocks of a recording; without these, the recorded impacts are taken. The mass
@@ -71,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     """Validate, write the report, and print what it comes down to."""
     from scara_effmass.analysis.validation import validate  # noqa: PLC0415 - not needed for --help
     from scara_effmass.analysis.validation_record import record  # noqa: PLC0415
-    from scara_effmass.analysis.validation_report import require_room, write_report  # noqa: PLC0415
+    from scara_effmass.analysis.validation_report import PAGE, require_room, write_report  # noqa: PLC0415
     from scara_effmass.bag_io.files import find_bags  # noqa: PLC0415
 
     settings = validation_settings(args)
@@ -82,11 +83,14 @@ def run(args: argparse.Namespace) -> int:
         task = progress.add_task("recordings", total=len(paths))
         validation = validate(paths, arm, settings, lambda share: progress.advance(task, share))
     write_report(validation, settings, arm.robot, args.output, overwrite=args.force)
+    console = printer()
     if args.json:
         whole = {**record(validation, settings, arm.robot), "output": str(args.output)}
-        printer().print_json(json.dumps(whole, allow_nan=False))
+        console.print_json(json.dumps(whole, allow_nan=False))
     else:
-        _print(validation, args.output)
+        for subject, text in validation_lines(validation):
+            console.print(f"{subject:<16}{text}")
+        console.print(f"{'written':<16}{args.output / PAGE}")
     return 0 if validation.result.accepted else NOT_ACCEPTED
 
 
@@ -130,31 +134,3 @@ def _sections(path: Path) -> set[str]:
 def _changed(settings: Settings, **given: Any) -> Settings:  # noqa: ANN401 - any setting
     changes = {name: value for name, value in given.items() if value is not None}
     return checked(type(settings), {**settings.model_dump(), **changes}, "options")
-
-
-def _print(validation: Validation, output: Path) -> None:
-    result, console = validation.result, printer()
-
-    def line(subject: str, text: str) -> None:
-        console.print(f"{subject:<16}{text}")
-
-    line("result", "accepted" if result.accepted else f"not accepted: {result.reason}")
-    simulated = f", {result.simulated} of them simulated" if result.simulated else ""
-    line("impacts", f"{result.seen} found, {len(result.impacts)} in the series{simulated}")
-    for model in result.models:
-        found = model.overall
-        r = "r undefined" if found.correlation_reason else f"r {found.correlation:.5f}"
-        exponent = "" if found.exponent is None else f", exponent {found.exponent:.3f}"
-        line(
-            model.model,
-            f"{r}, k {found.stiffness / 1e3:.4g} N/mm{exponent}, bias {found.bias:+.2f} N, RMSE {found.rmse:.2f} N "
-            f"({found.relative_rmse:.2%}), {found.non_conservative} of {found.count} not conservative",
-        )
-    line("comparison", result.comparison.text)
-    for subject, counts in (("excluded", result.excluded), ("not paired", result.unpaired)):
-        for reason, count in counts.items():
-            line(subject, f"{count}: {reason}")
-    for recording in validation.recordings:
-        for loss in recording.losses:
-            line("not read", loss)
-    line("written", f"{output / 'report.html'}")
