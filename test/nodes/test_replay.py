@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from functools import partial
-from itertools import pairwise
+from itertools import dropwhile, pairwise
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -133,9 +133,16 @@ class Listener:
     def states(self, count: int) -> list[JointState]:
         return [self._decoder.decode(data) for data in self.wait("/joint_states", count)]
 
-    def clock(self, count: int = 1) -> list[int]:
-        messages = (deserialize_message(data, Clock) for data in self.wait("/clock", count))
-        return [message.clock.sec * 1_000_000_000 + message.clock.nanosec for message in messages]
+    def clock(self, count: int) -> list[int]:
+        """Return what the clock showed once it is `count` times; its stand before the start is one."""
+        with self._changed:
+            assert self._changed.wait_for(lambda: len(self._times()) >= count, PATIENCE_S), self._times()
+            return self._times()
+
+    def _times(self) -> list[int]:
+        clocks = (deserialize_message(data, Clock).clock for data in self.heard["/clock"])
+        times = [clock.sec * 1_000_000_000 + clock.nanosec for clock in clocks]
+        return times[:1] + list(dropwhile(times[0].__eq__, times)) if times else []
 
     def __enter__(self) -> Listener:
         return self
