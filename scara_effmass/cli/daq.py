@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from scara_effmass.cli.options import add_params, node_arguments
-from scara_effmass.settings import DaqSettings, ForceSourceKind, load_settings
+from scara_effmass.settings import ForceSourceKind, load_settings
 
 if TYPE_CHECKING:
     import argparse
@@ -48,9 +48,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the node until it is told to stop."""
-    from scara_effmass.nodes.daq_node import main  # noqa: PLC0415 - rclpy, only when the node runs
+    from scara_effmass.nodes.daq_node import NodeSettings, main  # noqa: PLC0415 - rclpy, only when the node runs
 
     if args.params:
-        load_settings(DaqSettings, args.params, "daq")  # says in one line what ROS would say in ten
+        load_settings(NodeSettings, args.params, "daq")  # says in one line what ROS would say in ten
     given = {parameter: getattr(args, option) for option, parameter in OPTIONS.items()}
     return main(node_arguments(args.params, given, args.ros_arguments))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from scara_effmass.cli.options import add_params, add_robot, node_arguments
-from scara_effmass.settings import MonitorSettings, load_settings
+from scara_effmass.settings import load_settings
 
 if TYPE_CHECKING:
     import argparse
@@ -30,9 +30,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the node until it is told to stop."""
-    from scara_effmass.nodes.monitor_node import main  # noqa: PLC0415 - rclpy, only when the node runs
+    from scara_effmass.nodes.monitor_node import NodeSettings, main  # noqa: PLC0415 - rclpy, only when the node runs
 
     if args.params:
-        load_settings(MonitorSettings, args.params, "monitor")  # says in one line what ROS would say in ten
+        load_settings(NodeSettings, args.params, "monitor")  # says in one line what ROS would say in ten
     given = {name: getattr(args, name) for name in ("robot", "effective_mass_model")}
     return main(node_arguments(args.params, given, args.ros_arguments))

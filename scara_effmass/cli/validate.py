@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import yaml
 from pydantic import BaseModel
 from rich.console import Console
 from rich.progress import Progress
@@ -33,7 +32,7 @@ examples:
   scara-effmass validate bags/campaign -o out/validation --params cell.yaml --force --json
 """
 NOT_ACCEPTED = 1
-SECTIONS = frozenset({"monitor", "validator", "daq"})
+SECTIONS = ("monitor", "validator", "daq")
 
 Settings = TypeVar("Settings", bound=BaseModel)
 
@@ -99,12 +98,9 @@ def validation_settings(args: argparse.Namespace) -> ValidationSettings:
     from scara_effmass.analysis.validation import ValidationSettings  # noqa: PLC0415
 
     path, model = args.params, args.effective_mass_model
-    sections = _sections(path) if path else set()
-    if path and not sections & {"**", *SECTIONS}:
-        load_settings(ValidatorSettings, path, "validator")  # says what is wrong with the file
 
     def section(kind: type[Settings], name: str) -> Settings:
-        return load_settings(kind, path, name) if sections & {"**", name} else kind()
+        return load_settings(kind, path, name, SECTIONS) if path else kind()
 
     validator = _changed(
         section(ValidatorSettings, "validator"),
@@ -120,15 +116,6 @@ def validation_settings(args: argparse.Namespace) -> ValidationSettings:
         topic=args.topic,
         force_topic=args.force_topic,
     )
-
-
-def _sections(path: Path) -> set[str]:
-    """Return the names of the nodes in a file of parameters, without namespaces; none where it is no such file."""
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
-        return set()
-    return {str(name).rpartition("/")[2] for name in document} if isinstance(document, dict) else set()
 
 
 def _changed(settings: Settings, **given: Any) -> Settings:  # noqa: ANN401 - any setting

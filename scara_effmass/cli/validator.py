@@ -34,10 +34,10 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the node until it is told to stop."""
-    from scara_effmass.nodes.validator_node import main  # noqa: PLC0415 - rclpy, only when the node runs
+    from scara_effmass.nodes.validator_node import NodeSettings, main  # noqa: PLC0415 - rclpy, only when the node runs
 
     if args.params:
-        load_settings(ValidatorSettings, args.params, "validator")  # says in one line what ROS would say in ten
+        load_settings(NodeSettings, args.params, "validator")  # says in one line what ROS would say in ten
     words = node_arguments(args.params, {"obstacle_mass": args.obstacle_mass}, args.ros_arguments)
     return main(words, write_report)
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from scara_effmass.errors import SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping
     from pathlib import Path
 
     from pydantic.fields import FieldInfo
@@ -21,7 +21,7 @@ Settings = TypeVar("Settings", bound=BaseModel)
 READ_ONLY: dict[str, Any] = {"read_only": True}
 """Marks a setting that a running node does not take over: hardware, the robot, and what is built from it."""
 
-NODE_ONLY = frozenset({"autostart", "use_sim_time"})
+NODE_ONLY = frozenset({"autostart", "use_sim_time", "stop_at_end", "find_impacts", "report_folder"})
 """Parameters of the node itself, which a shared file may hold and offline commands have no use for."""
 
 
@@ -59,11 +59,12 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return f"{similar[0]} would be right" if similar else f"there are {', '.join(names) or 'none'}"
 
 
-def load_settings(kind: type[Settings], path: Path, node: str) -> Settings:
+def load_settings(kind: type[Settings], path: Path, node: str, others: Collection[str] = ()) -> Settings:
     """Return the settings of `node` ("monitor") in the YAML file at `path`, written as ROS writes parameters.
 
-    The file holds `/**` or names of nodes over `ros__parameters`, as `ros2 param dump` and launch files have it; what
-    is there for other nodes is theirs. Raises SettingsError.
+    The file holds `/**`, `node` or `/**/node` over `ros__parameters`, as `ros2 param dump` and launch files have it;
+    what is there for other nodes is theirs. A file that is for `others` alone leaves the defaults. Raises
+    SettingsError.
     """
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -73,15 +74,17 @@ def load_settings(kind: type[Settings], path: Path, node: str) -> Settings:
         raise SettingsError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
     if not isinstance(document, dict) or not document:
         raise SettingsError(f"{path}: must hold {node} (or /**) over ros__parameters")
-    sections = [name for name in document if str(name) == "/**" or str(name).rpartition("/")[2] == node]
-    if not sections:
+    owners = {name: str(name).rpartition("/")[2] for name in document}
+    sections = [name for name, owner in owners.items() if owner in {"**", node}]
+    if not sections and not set(others).intersection(owners.values()):
         raise SettingsError(f"{path}: holds {', '.join(map(str, document))}; {node} (or /**) would be right")
     parameters: dict[str, Any] = {}
     for name in sections:
         section = document[name]
         if not isinstance(section, dict) or not isinstance(section.get("ros__parameters"), dict):
             raise SettingsError(f"{path}: ros__parameters is missing under {name}")
-        parameters |= {k: v for k, v in section["ros__parameters"].items() if k not in NODE_ONLY}
+        offline = {k: v for k, v in section["ros__parameters"].items() if k in kind.model_fields or k not in NODE_ONLY}
+        parameters |= offline
     return checked(kind, parameters, str(path))
 
 
