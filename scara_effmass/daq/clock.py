@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,8 @@ BINS = 30
 LEAST_BINS = 8
 """With fewer, two late bins, as many as LATE_S makes, would spoil more than half of the slopes."""
 OFFSET_BINS = 5
-"""So many of the latest bins tell the offset, so that a wrong rate has little time to do harm."""
+"""So many of the latest bins tell the offset, so that a wrong rate has little time to do harm. With fewer, they say
+little about each other; how late reads usually are tells more."""
 SETTLED_READS = 10
 """By then at least one was early: all of ten are late by more than their mean delay once in 22 000 times (e^-10)."""
 START_UNCERTAINTY_S = 10e-3
@@ -57,8 +59,8 @@ class ClockFit:
         """Measured against ROS time [Hz]; nominal during the first seconds."""
         self.residual = START_UNCERTAINTY_S
         """What a stamp may be off [s]: nine of ten seconds have their earliest read within so much of the fit; at first
-        no less than 10 ms over the number of reads; after a jump no less than that, by a factor e less with each read;
-        and on top, how much of a backward move is yet to be made up."""
+        no less than 10 ms over the number of reads, nor than what half of the reads are late by; after a jump no less
+        than that, by a factor e less with each read; and on top, how much of a backward move is yet to be made up."""
         self.restarts = 0
         """How often a fit that had settled was given up because a clock had jumped."""
         self._reads = 0
@@ -91,7 +93,7 @@ class ClockFit:
             self._jump_s = jump_s
         self._reads += 1
         x = (last - self._origin) / self._nominal_rate
-        self._sort_in(x, (host_ns - self._origin_ns) / 1e9)
+        self._sort_in(_Point(x, (host_ns - self._origin_ns) / 1e9 - x))
         self._draw(last, x)
 
     def reset(self) -> None:
@@ -109,6 +111,7 @@ class ClockFit:
         self._bins: deque[_Point] = deque(maxlen=BINS)
         self._earliest = _Point(0.0, 0.0)
         self._bin_end = BIN_S
+        self._first_y: list[float] = []
         self._jump_s = 0.0
         self._late_reads = 0
         self._late_by_s = 0.0
@@ -127,8 +130,10 @@ class ClockFit:
             self._late_for_s += (last - self._anchor) / self._nominal_rate
         return self._late_reads >= SETTLED_READS and self._late_for_s >= LATE_S
 
-    def _sort_in(self, x: float, host_s: float) -> None:
-        point = _Point(x, host_s - x)
+    def _sort_in(self, point: _Point) -> None:
+        host_s = sum(point)
+        if len(self._bins) < OFFSET_BINS:
+            self._first_y.append(point.y)
         # By host time: when reads have been held up for long, all that come at once are one bin.
         if host_s < self._bin_end:
             self._earliest = min(self._earliest, point, key=self._above)
@@ -158,6 +163,8 @@ class ClockFit:
             behind_ns = max(0, self._anchor_ns - first_new_ns)
         self._anchor, self._anchor_ns = last, fit_ns + behind_ns
         unsettled_s = max(START_UNCERTAINTY_S / self._reads, self._jump_s * math.exp(1 - self._reads))
+        if len(self._bins) < OFFSET_BINS:
+            unsettled_s = max(unsettled_s, median(self._first_y) - self._offset())
         self.residual = max(self._scatter, unsettled_s) + behind_ns / 1e9
 
 

@@ -126,6 +126,16 @@ def test_the_residual_tells_what_stamps_are_off(seed: int) -> None:
     assert reads[0].residual == pytest.approx(10e-3)
 
 
+@pytest.mark.parametrize("delay_s", [1e-3, 10e-3, 30e-3])
+def test_at_the_start_the_residual_tells_how_busy_the_machine_is(delay_s: float) -> None:
+    covered = []
+    for seed in range(200):
+        delays = np.random.default_rng(seed).exponential(delay_s, 4 * SETTLED_READS)
+        reads = Device(50.0, -50.0).follow(ClockFit(12_800.0), delays)
+        covered += [abs(read.error) <= read.residual for read in reads[SETTLED_READS // 2 :]]
+    assert np.mean(covered) > 0.9
+
+
 @given(
     rate=st.floats(1.0, 1e6),
     ppm=st.floats(-100.0, 100.0),
