@@ -11,7 +11,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, Field
-from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 from scara_effmass_msgs.msg import ContactState, ForceBlock
@@ -95,8 +94,7 @@ class BenchNode(SuiteNode):
         self._joint_states = self.publisher(JointState, "joint_states", _STATES_QOS, warn)
         self._info = self.publisher(String, RECORDING_INFO, _INFO_QOS, warn)
         self._pace = SharedPace(self) if self._settings.clock else None
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.keep(self.create_timer(_PERIOD_S, self._publish_what_is_due, clock=steady), self.destroy_timer)
+        self.every(_PERIOD_S, self._publish_what_is_due)
 
     def start(self) -> None:
         """Put the robot at its start."""

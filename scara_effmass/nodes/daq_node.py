@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from pydantic import Field
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from scara_effmass_msgs.msg import ForceBlock, Impact
@@ -25,12 +23,14 @@ from scara_effmass.errors import DaqError, EffmassError, SettingsError
 from scara_effmass.impacts.detection import Detector
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.daq_health import DaqHealth
+from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.running import SuiteNode, run
 from scara_effmass.settings import READ_ONLY, BenchScene, DaqSettings, ForceSourceKind, checked
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from diagnostic_msgs.msg import DiagnosticStatus
     from rclpy.lifecycle import LifecyclePublisher
 
     from scara_effmass import values
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 _BLOCK_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=100)
 """Of the last ones only: a subscriber that cannot follow loses blocks, the acquisition does not wait for it."""
 _EVENT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
-_REPORT_S = 1.0
 _LOOK_S = 0.01
 _DELIVERED_S = 5.0
 """Fast DDS asks its readers every 3 s."""
@@ -93,12 +92,8 @@ class DaqNode(SuiteNode):
                 )
             )
         self._kept.callback(self._outputs.clear)
-        self._diagnostics = self.keep(
-            self.create_lifecycle_publisher(DiagnosticArray, "/diagnostics", 10), self.destroy_lifecycle_publisher
-        )
+        self._diagnostics = Diagnostics(self, self._statuses)
         self.keep(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.keep(self.create_timer(_REPORT_S, self._report, clock=steady), self.destroy_timer)
 
     def start(self) -> None:
         """Start to acquire. Raises DaqError, BagError or SettingsError."""
@@ -162,7 +157,7 @@ class DaqNode(SuiteNode):
         state = acquisition.statistics().state
         if state is not self._state:
             self._state = state
-            self._report()
+            self._diagnostics.report()
         if acquisition.failure is not None:
             raise acquisition.failure
         if acquisition.ended:
@@ -171,7 +166,7 @@ class DaqNode(SuiteNode):
     def _on_end(self) -> None:
         for output in self._outputs:
             output.finish()
-        self._report()
+        self._diagnostics.report()
         if not any(channel.samples for channel in self._signal.channels):
             raise DaqError(f"{self._source.description}: holds no usable sample; finite numbers would be right")
         self.get_logger().info(f"{self._source.description}: the end")
@@ -180,13 +175,11 @@ class DaqNode(SuiteNode):
                 output.wait_delivered()
             rclpy.try_shutdown()
 
-    def _report(self) -> None:
+    def _statuses(self) -> list[DiagnosticStatus]:
         if self._acquisition is None:
-            return
+            return []
         found = [(output.detector, output.impacts) for output in self._outputs]
-        array = DiagnosticArray(status=self._health.statuses(self._acquisition, self._signal, found))
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+        return self._health.statuses(self._acquisition, self._signal, found)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._acquisition is None or self._state is not AcquisitionState.RUNNING:

@@ -8,10 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -28,6 +26,7 @@ from scara_effmass.iso15066 import limits_for
 from scara_effmass.model.arm import Arm
 from scara_effmass.model.load import load_robot, robot_from_urdf
 from scara_effmass.nodes import parameters
+from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.monitor_health import MonitorHealth
 from scara_effmass.nodes.running import SuiteNode, incompatible, run
 from scara_effmass.safety import Monitor, without_robot
@@ -37,9 +36,9 @@ from scara_effmass.share import share
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from diagnostic_msgs.msg import DiagnosticStatus
     from rclpy.clock import TimeJump
     from rclpy.event_handler import QoSMessageLostInfo, QoSSubscriptionMatchedInfo
-    from rclpy.parameter import Parameter
     from rclpy.timer import Timer
 
     from scara_effmass.model.robot import Robot
@@ -54,7 +53,6 @@ _DESCRIPTION_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOC
 _NO_ROBOT = ContactStateEncoder("", "")
 _LOOKS_PER_TIMEOUT = 4
 _MOST_LOOKS_HZ = 1000.0
-_REPORT_S = 1.0
 _REPORTS_APART_NS = 100_000_000
 
 
@@ -70,12 +68,10 @@ class MonitorNode(SuiteNode):
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for one that cannot be used."""
         super().__init__("monitor")
-        values = parameters.declare(self, NodeSettings)
-        self.autostart = bool(values.pop("autostart"))
-        self._settings = checked(MonitorSettings, values, self.get_name())
+        self._settings = checked(NodeSettings, parameters.declare(self, NodeSettings), self.get_name())
+        self.autostart = self._settings.autostart
         limits_for(self._settings)
-        self.add_on_set_parameters_callback(self._judge_parameters)
-        self.add_post_set_parameters_callback(self._take_parameters)
+        parameters.follow(self, lambda: self._settings, self._take, limits_for)
         self._outputs: dict[str, Any] = {}
         self._monitor: Monitor | None = None
         self._watchdog: Timer | None = None
@@ -115,9 +111,7 @@ class MonitorNode(SuiteNode):
             self._watch(load_robot(path, self._settings))
         for kind, topic in ((ContactState, "contact_state"), (Float64, "allowable_speed"), (Float64, "speed_scaling")):
             self._outputs[topic] = self.publisher(kind, topic, _VERDICT_QOS, self._on_incompatible)
-        self._diagnostics = self.keep(
-            self.create_lifecycle_publisher(DiagnosticArray, "/diagnostics", 10), self.destroy_lifecycle_publisher
-        )
+        self._diagnostics = Diagnostics(self, self._statuses)
         self._joint_states = self.keep(
             self.create_subscription(
                 JointState,
@@ -135,12 +129,7 @@ class MonitorNode(SuiteNode):
             self.destroy_subscription,
         )
         self.keep(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
-        # Steady time: a paused or jumping /clock must not keep the watchdog from looking.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._watchdog = self.keep(
-            self.create_timer(self._watchdog_period_s(), self._on_watchdog, clock=steady), self.destroy_timer
-        )
-        self.keep(self.create_timer(_REPORT_S, self._report, clock=steady), self.destroy_timer)
+        self._watchdog = self.every(self._watchdog_period_s(), self._on_watchdog)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         jump = self.get_clock().create_jump_callback(backwards, post_callback=self._on_clock_jump)
         self._kept.callback(jump.unregister)
@@ -202,14 +191,12 @@ class MonitorNode(SuiteNode):
         shown = [contact.verdict for contact in decision.contacts]
         if shown != self._shown and time.monotonic_ns() - self._reported_ns > _REPORTS_APART_NS:
             self._shown = shown
-            self._report()
+            self._diagnostics.report()
 
-    def _report(self) -> None:
+    def _statuses(self) -> list[DiagnosticStatus]:
         self._reported_ns = time.monotonic_ns()
         publishers = self.count_publishers(self._joint_states.topic_name)
-        array = DiagnosticArray(status=self._health.statuses(self._monitor, self._decision, publishers))
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+        return self._health.statuses(self._monitor, self._decision, publishers)
 
     def _on_description(self, message: String) -> None:
         try:
@@ -249,24 +236,13 @@ class MonitorNode(SuiteNode):
         self._health.incompatible(line)
         self.get_logger().warning(line)
 
-    def _judge_parameters(self, changes: list[Parameter]) -> SetParametersResult:
-        try:
-            limits_for(self._changed(changes))
-        except EffmassError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-    def _take_parameters(self, changes: list[Parameter]) -> None:
-        self._settings = self._changed(changes)
+    def _take(self, settings: NodeSettings) -> None:
+        self._settings = settings
         if self._monitor is not None:
             self._monitor.apply(self._settings)
         if self._watchdog is not None:
             self._watchdog.timer_period_ns = self._watchdog_period_s() * 1e9
             self._watchdog.reset()  # it would wait for the end of the old period first
-
-    def _changed(self, changes: list[Parameter]) -> MonitorSettings:
-        values = {p.name: parameters.from_ros(p) for p in changes if p.name in MonitorSettings.model_fields}
-        return checked(MonitorSettings, {**self._settings.model_dump(), **values}, self.get_name())
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -6,17 +6,21 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, get_origin
 
 import annotated_types
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.parameter import Parameter
 
-from scara_effmass.errors import SettingsError
-from scara_effmass.settings.loading import flat_fields, nearest
+from scara_effmass.errors import EffmassError, SettingsError
+from scara_effmass.settings.loading import checked, flat_fields, nearest
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pydantic import BaseModel
     from pydantic.fields import FieldInfo
     from rclpy.node import Node
+
+    from scara_effmass.settings.loading import Settings
 
 _OF_EVERY_NODE = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
@@ -33,6 +37,34 @@ def declare(node: Node, settings: type[BaseModel]) -> dict[str, Any]:
     if unknown:
         raise SettingsError(f"{node.get_name()}: no parameter {unknown[0]!r}: {nearest(unknown[0], fields)}")
     return {name: from_ros(_declared(node, name, field, given.get(name))) for name, field in fields.items()}
+
+
+def follow(
+    node: Node,
+    current: Callable[[], Settings],
+    take: Callable[[Settings], None],
+    judge: Callable[[Settings], object] = lambda _: None,
+) -> None:
+    """Have `take` called with the `current` settings whenever parameters have changed in them.
+
+    A change at which the settings model or `judge` raises an EffmassError is refused, with that as its reason.
+    """
+
+    def changed(changes: list[Parameter]) -> Settings:
+        settings = current()
+        kind = type(settings)
+        values = {p.name: from_ros(p) for p in changes if p.name in kind.model_fields}
+        return checked(kind, {**settings.model_dump(), **values}, node.get_name())
+
+    def judged(changes: list[Parameter]) -> SetParametersResult:
+        try:
+            judge(changed(changes))
+        except EffmassError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(judged)
+    node.add_post_set_parameters_callback(lambda changes: take(changed(changes)))
 
 
 def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401  what ROS holds, before the settings model checks it

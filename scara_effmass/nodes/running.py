@@ -12,6 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from rclpy.executors import Executor
     from rclpy.lifecycle import LifecyclePublisher, State
     from rclpy.qos import QoSProfile
+    from rclpy.timer import Timer
 
 Endpoint = TypeVar("Endpoint")
 
@@ -113,6 +115,11 @@ class SuiteNode(LifecycleNode):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         return self.keep(publisher, self.destroy_lifecycle_publisher)
+
+    def every(self, period_s: float, callback: Callable[[], None]) -> Timer:
+        """Return a timer, kept, in steady time: a /clock that stands or jumps does not keep it from being called."""
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        return self.keep(self.create_timer(period_s, callback, clock=steady), self.destroy_timer)
 
     def fail(self, error: EffmassError) -> None:
         """End the process with `error` as its line: it cannot do what it is there for."""

@@ -8,10 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -26,6 +23,7 @@ from scara_effmass.impacts.detection import Detector
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.contact_messages import contact_from
+from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.running import SuiteNode, incompatible, run
 from scara_effmass.nodes.validator_health import ValidatorHealth
 from scara_effmass.settings import READ_ONLY, DetectionSettings, ValidatorSettings, checked
@@ -33,8 +31,8 @@ from scara_effmass.settings import READ_ONLY, DetectionSettings, ValidatorSettin
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from diagnostic_msgs.msg import DiagnosticStatus
     from rclpy.event_handler import QoSMessageLostInfo
-    from rclpy.parameter import Parameter
 
     from scara_effmass.impacts.result import Result
     from scara_effmass.values import ValidatedImpact
@@ -46,7 +44,6 @@ _INPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryP
 """Deep enough for the seconds in which a report is written."""
 _INFO_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _RESULT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
-_REPORT_S = 1.0
 _PLAIN = (
     *("predicted_force", "measured_force", "relative_error", "effective_mass", "reduced_mass", "speed", "stiffness"),
     *("conservative", "count", "correlation", "fitted_stiffness", "bias", "rmse", "non_conservative", "accepted"),
@@ -87,8 +84,7 @@ class ValidatorNode(SuiteNode):
         self.autostart = settings.autostart
         self._settings = settings
         self._write_report = write_report
-        self.add_on_set_parameters_callback(self._judge_parameters)
-        self.add_post_set_parameters_callback(self._take_parameters)
+        parameters.follow(self, lambda: self._settings, self._take)
         self._validator: Validator | None = None
 
     def set_up(self) -> None:
@@ -98,9 +94,7 @@ class ValidatorNode(SuiteNode):
         self._validator = Validator(settings)
         self._detector = Detector(settings.detection)
         self._result = self.publisher(ImpactValidation, "impact_validation", _RESULT_QOS, self._health.incompatible)
-        self._diagnostics = self.keep(
-            self.create_lifecycle_publisher(DiagnosticArray, "/diagnostics", 10), self.destroy_lifecycle_publisher
-        )
+        Diagnostics(self, self._statuses)
         self._subscribe(ContactState, "contact_state", self._on_contact_state, raw=False)
         if not settings.find_impacts:
             self._subscribe(Impact, "impact", self._on_impact, raw=True)
@@ -108,8 +102,6 @@ class ValidatorNode(SuiteNode):
         self.keep(self.create_subscription(String, RECORDING_INFO, self._on_info, _INFO_QOS), self.destroy_subscription)
         self.keep(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
         self.keep(self.create_service(Trigger, "~/write_report", self._on_write_report), self.destroy_service)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.keep(self.create_timer(_REPORT_S, self._report, clock=steady), self.destroy_timer)
 
     def _subscribe(self, kind: type, topic: str, callback: Callable[..., None], *, raw: bool) -> None:
         misfit = partial(incompatible, f"a publisher of {topic}", self._health.incompatible)
@@ -179,12 +171,8 @@ class ValidatorNode(SuiteNode):
             message.header.frame_id = impact.frame_id
             self._result.publish(message)
 
-    def _report(self) -> None:
-        if self._validator is None:
-            return
-        array = DiagnosticArray(status=self._health.statuses(self._validator.result()))
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+    def _statuses(self) -> list[DiagnosticStatus]:
+        return self._health.statuses(self._validator.result()) if self._validator is not None else []
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._validator is not None:
@@ -206,23 +194,12 @@ class ValidatorNode(SuiteNode):
             response.message = str(error)
         return response
 
-    def _judge_parameters(self, changes: list[Parameter]) -> SetParametersResult:
-        try:
-            self._changed(changes)
-        except EffmassError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-    def _take_parameters(self, changes: list[Parameter]) -> None:
-        self._settings = settings = self._changed(changes)
+    def _take(self, settings: NodeSettings) -> None:
+        self._settings = settings
         if self._validator is not None:
             self._validator.set_run(
                 self._now_ns(), obstacle_mass=settings.obstacle_mass, configuration=settings.configuration
             )
-
-    def _changed(self, changes: list[Parameter]) -> NodeSettings:
-        values = {p.name: parameters.from_ros(p) for p in changes if p.name in NodeSettings.model_fields}
-        return checked(NodeSettings, {**self._settings.model_dump(), **values}, self.get_name())
 
 
 def main(args: Sequence[str] | None = None, write_report: WriteReport | None = None) -> int:
