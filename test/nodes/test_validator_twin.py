@@ -40,7 +40,7 @@ def test_live_is_what_it_is_offline(new_cell: Callable[..., Cell], tmp_path: Pat
     node.create_subscription(ForceBlock, "force", lambda _: None, 100)
     environment = {**os.environ, "ROS_DOMAIN_ID": str(cell.domain), "ROS_LOG_DIR": str(tmp_path)}
     commands = (
-        [str(BIN / "monitor_node"), *SIMULATED],
+        [str(BIN / "monitor_node"), *SIMULATED, "-p", "timeout:=2.0"],
         [str(BIN / "daq_node"), *SIMULATED, *FORCE],
         [str(BIN / "validator_node"), *SIMULATED],
     )
@@ -50,7 +50,8 @@ def test_live_is_what_it_is_offline(new_cell: Callable[..., Cell], tmp_path: Pat
             running.callback(process.terminate)
         cell.until(lambda: all(node.count_publishers(t) for t in ("contact_state", "force", "impact_validation")))
         topics = ["/joint_states", "/scara_effmass/recording_info"]
-        words = [str(BIN / "scara-effmass"), "replay", str(BAG), "--topics", *topics]
+        # Slowly: of a state that is too old, on a busy machine, the monitor would say UNKNOWN.
+        words = [str(BIN / "scara-effmass"), "replay", str(BAG), "--rate", "0.25", "--topics", *topics]
         replay = running.enter_context(subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL))
         cell.until(lambda: heard, patience_s=60.0)
         assert replay.wait(timeout=30) == 0
