@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
-from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+from scara_effmass.impacts.faults import has_flat_run
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -23,27 +25,36 @@ _GAUSSIAN = 1.4826
 """Standard deviation over median absolute deviation, for Gaussian noise: 1 / Phi^-1(3/4)."""
 _QUANTISED = 0.7413
 """Largest standard deviation of Gaussian noise half of which is rounded to one value [steps]: 1 / (2 Phi^-1(3/4))."""
+LEAST_FLAT_RUN = 3
+"""Fewer equal samples in a row are never a drop-out."""
 _CHANCE_EQUAL = 1e-12
 """A run of equal samples is no chance when it is less probable than this: below 1e-4 an hour at 12.8 kS/s."""
 _CHANCE_ZERO = 1e-6
 """The same for exact zeros, which are looked at around contacts only and are how converters say nothing."""
 
 
-class Frame(NamedTuple):
-    """What is kept of one frame of samples."""
+class Frame:
+    """One frame of samples (n,) [N], which are between `low` and `high`."""
 
-    kept: FloatArray
-    samples: int
-    equal: int
-    """How many equal the sample before."""
-    zero: int
+    def __init__(self, samples: FloatArray) -> None:
+        self.samples = samples
+        self.low = float(samples.min())
+        self.high = float(samples.max())
 
-    @classmethod
-    def of(cls, samples: FloatArray) -> Frame:
-        """Return what is kept of `samples` (n,) [N]."""
-        equal = int(np.count_nonzero(samples[1:] == samples[:-1]))
-        zero = samples.size - int(np.count_nonzero(samples))
-        return cls(samples[:: -(-samples.size // _KEPT)].copy(), samples.size, equal, zero)
+    @property
+    def kept(self) -> FloatArray:
+        """Some of the samples, evenly spaced."""
+        return self.samples[:: -(-self.samples.size // _KEPT)]
+
+    @property
+    def equal(self) -> int:
+        """How many samples equal the one before."""
+        return int(np.count_nonzero(self.samples[1:] == self.samples[:-1]))
+
+    @property
+    def zero(self) -> int:
+        """How many samples are exactly zero."""
+        return self.samples.size - int(np.count_nonzero(self.samples))
 
 
 def median(samples: FloatArray) -> float:
@@ -80,37 +91,59 @@ def run_beyond_chance(share: float, chance: float) -> int:
 class Background:
     """Baseline and noise of the last quiet frames, and what follows from them. All in [N] as the sensor reads it.
 
-    `level` above the baseline there is a contact, `release` above it there is none any more. `flat_run` equal samples
-    in a row, or `zero_run` exact zeros, are a drop-out.
+    Each is found when it is asked for: while nothing happens, what the samples are between mostly says enough.
     """
 
-    def __init__(self, settings: DetectionSettings) -> None:
+    def __init__(self, settings: DetectionSettings, frames: Iterable[Frame] = ()) -> None:
         self._settings = settings
-        self._frames: deque[Frame] = deque(maxlen=FRAMES)
-        self.baseline = self.noise = 0.0
-        self.level = self.release = math.inf
-        self.flat_run = self.zero_run = sys.maxsize
+        self._frames = tuple(frames)[-FRAMES:]
 
-    def admit(self, frames: Iterable[Frame]) -> None:
-        """Add quiet `frames`; the oldest go."""
-        self._frames.extend(frames)
-        self.baseline, self.noise = centre_and_spread(np.concatenate([frame.kept for frame in self._frames]))
-        if self.noise == 0.0:  # judged frame by frame: a contact before the baseline is known is in the fewest
-            self.noise = median(np.array([rounded_spread(frame.kept, self.baseline) for frame in self._frames]))
-        self.level = self.level_of(self.noise)
-        self.release = 0.5 * self.level
-        samples = 1 + sum(frame.samples for frame in self._frames)
-        equal = (1 + sum(frame.equal for frame in self._frames)) / samples
-        self.flat_run = max(3, run_beyond_chance(equal, _CHANCE_EQUAL))
+    def followed_by(self, frames: Iterable[Frame]) -> Background:
+        """Return the background when quiet `frames` have come after these; the oldest go."""
+        return Background(self._settings, (*self._frames, *frames))
+
+    @property
+    def baseline(self) -> float:
+        """The force while nothing touches the sensor."""
+        return self._baseline_and_noise[0]
+
+    @property
+    def noise(self) -> float:
+        """Its robust standard deviation."""
+        return self._baseline_and_noise[1]
+
+    @cached_property
+    def level(self) -> float:
+        """So much above the baseline there is a contact."""
+        return self.level_of(self.noise) if self._frames else math.inf
+
+    @property
+    def release(self) -> float:
+        """So much above the baseline there is none any more."""
+        return 0.5 * self.level
+
+    @cached_property
+    def flat_run(self) -> int:
+        """So many equal samples in a row are a drop-out."""
+        equal = self._share(frame.equal for frame in self._frames)
+        return max(LEAST_FLAT_RUN, run_beyond_chance(equal, _CHANCE_EQUAL))
+
+    @cached_property
+    def zero_run(self) -> int:
+        """So many exact zeros in a row are a drop-out."""
         if abs(self.baseline) > self.level:
-            self.zero_run = 2  # zero is no force that the quiet sensor could read
-        else:
-            zero = (1 + sum(frame.zero for frame in self._frames)) / samples
-            self.zero_run = max(2, run_beyond_chance(zero, _CHANCE_ZERO))
+            return 2  # zero is no force that the quiet sensor could read
+        return max(2, run_beyond_chance(self._share(frame.zero for frame in self._frames), _CHANCE_ZERO))
 
     def level_of(self, noise: float) -> float:
         """Return what a contact has to exceed in `noise` [N], at least that of the background."""
         return max(self._settings.threshold, self._settings.noise_factor * max(noise, self.noise))
+
+    def is_quiet(self, frame: Frame) -> bool:
+        """Return whether nothing happens in `frame`: no contact, no pull, no drop-out."""
+        if not self._is_within_level(frame):
+            return False
+        return not (has_flat_run(frame.samples, LEAST_FLAT_RUN) and has_flat_run(frame.samples, self.flat_run))
 
     def steady(self, frames: Iterable[Frame], share: float = 1.0) -> bool:
         """Return whether at least `share` of `frames` are about one level: then that is the baseline.
@@ -120,3 +153,25 @@ class Background:
         centres, spreads = np.array([centre_and_spread(frame.kept.copy()) for frame in frames]).T
         tolerance = max(self._settings.threshold, 3.0 * median(spreads))
         return bool(np.mean(np.abs(centres - np.median(centres)) <= tolerance) >= share)
+
+    def _is_within_level(self, frame: Frame) -> bool:
+        # The baseline is one of the samples, or between two, and the level no less than the threshold: mostly that is
+        # enough, and neither has to be found.
+        threshold = self._settings.threshold
+        highest, lowest = max([each.high for each in self._frames]), min([each.low for each in self._frames])
+        if frame.low >= highest - threshold and frame.high <= lowest + threshold:
+            return True
+        return frame.low >= self.baseline - self.level and frame.high <= self.baseline + self.level
+
+    @cached_property
+    def _baseline_and_noise(self) -> tuple[float, float]:
+        if not self._frames:
+            return 0.0, 0.0
+        baseline, noise = centre_and_spread(np.concatenate([frame.kept for frame in self._frames]))
+        if noise == 0.0:  # judged frame by frame: a contact before the baseline is known is in the fewest
+            noise = median(np.array([rounded_spread(frame.kept, baseline) for frame in self._frames]))
+        return baseline, noise
+
+    def _share(self, counts: Iterable[int]) -> float:
+        """Return what share of the samples was counted, one more than there were."""
+        return (1 + sum(counts)) / (1 + sum(frame.samples.size for frame in self._frames))

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scara_effmass.impacts.background import FRAMES, Background, Frame, median
-from scara_effmass.impacts.faults import has_flat_run
 from scara_effmass.impacts.series import Series
 from scara_effmass.impacts.stream import Stream, finite_parts
 from scara_effmass.impacts.stretch import judge
@@ -145,7 +144,7 @@ class Detector:
             if self._settled:
                 found += self._watch(samples)
             else:
-                self._settle(Frame.of(samples))
+                self._settle(Frame(samples))
         needed = self._done - self._frame if self._settled else self._held - self._frame
         self._stream.forget_before(needed if self._stretch is None else min(needed, self._stretch))
         return found
@@ -163,8 +162,7 @@ class Detector:
 
     def _adopt(self, frames: Iterable[Frame]) -> None:
         """Take `frames` for the background, unless the signal is stuck: it was livelier before."""
-        background = Background(self._settings)
-        background.admit(frames)
+        background = Background(self._settings, frames)
         if background.noise > 0.0 or self._background.flat_run > FRAMES * self._frame:
             self._background = background
             self._settled = True
@@ -183,9 +181,10 @@ class Detector:
 
     def _watch(self, samples: FloatArray) -> list[Impact]:
         """Go on by one frame, of which `samples` are the last ones."""
-        quiet = self._is_quiet(samples)
+        frame = Frame(samples)
+        quiet = self._background.is_quiet(frame)
         if quiet and self._stretch is None:
-            self._learn(Frame.of(samples))
+            self._learn(frame)
             return []
         self._quiet_frames = 0
         if self._stretch is None:
@@ -204,19 +203,11 @@ class Detector:
             return self._divide(self._stretch)
         return []
 
-    def _is_quiet(self, samples: FloatArray) -> bool:
-        background = self._background
-        return bool(
-            samples.min() >= background.baseline - background.level
-            and samples.max() <= background.baseline + background.level
-            and not has_flat_run(samples, background.flat_run)
-        )
-
     def _learn(self, frame: Frame) -> None:
         """Admit the quiet frame before `frame` if those on both sides of it were quiet as well."""
         self._quiet_frames += 1
         if self._quiet_frames >= 3 and self._last_quiet is not None:
-            self._background.admit([self._last_quiet])
+            self._background = self._background.followed_by([self._last_quiet])
         self._last_quiet = frame
 
     def _divide(self, start: int) -> list[Impact]:
@@ -235,12 +226,12 @@ class Detector:
         found: list[Impact] = []
         rest = stream.samples(self._done, stream.end)
         if not self._settled:
-            frames = [*self._unsettled, *([Frame.of(rest)] if rest.size >= FRAME_SAMPLES else [])]
+            frames = [*self._unsettled, *([Frame(rest)] if rest.size >= FRAME_SAMPLES else [])]
             if frames and self._background.steady(frames, MOST_FRAMES if self._fresh else 1.0):
                 self._adopt(frames)
                 found += self._advance()
                 rest = stream.samples(self._done, stream.end)
-        if self._settled and (self._stretch is not None or (rest.size and not self._is_quiet(rest))):
+        if self._settled and (self._stretch is not None or (rest.size and not self._background.is_quiet(Frame(rest)))):
             start = max(self._done - self._frame, stream.first) if self._stretch is None else self._stretch
             found += self._report(self._judge(start, stream.end).contacts, start)
         return found

@@ -23,9 +23,12 @@ def runs(mask: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def has_flat_run(samples: FloatArray, length: int) -> bool:
     """Return whether `length` or more neighbours in `samples` (n,) are equal."""
-    equal = (samples[1:] == samples[:-1]).nonzero()[0]
+    equal = samples[1:] == samples[:-1]
+    if length > 2 and not np.count_nonzero(equal[1:] & equal[:-1]):
+        return False  # no three: soon told, and the usual case
+    index = equal.nonzero()[0]
     steps = length - 2
-    return equal.size > steps and bool((equal[steps:] - equal[: equal.size - steps] == steps).any())
+    return index.size > steps and bool((index[steps:] - index[: index.size - steps] == steps).any())
 
 
 def stuck_runs(

@@ -18,27 +18,30 @@ class Stream:
 
     def __init__(self, first_sample: int) -> None:
         self.first = self.end = first_sample
-        self._samples = np.empty(0)
         self._blocks: deque[ForceBlock] = deque()
 
     def append(self, block: ForceBlock) -> None:
         """Add the samples of the next block."""
-        samples = block.force + block.tare if block.tare else block.force
-        self._samples = np.concatenate((self._samples, samples))
         self._blocks.append(block)
-        self.end += samples.size
+        self.end += block.force.size
 
     def forget_before(self, index: int) -> None:
         """Drop what is older than sample `index`."""
-        if index > self.first:
-            self._samples = self._samples[index - self.first :]
-            self.first = index
+        self.first = max(self.first, index)
         while self._blocks and self._blocks[0].first_sample + self._blocks[0].force.size <= index:
             self._blocks.popleft()
 
     def samples(self, start: int, stop: int) -> FloatArray:
-        """Return the samples from `start` up to `stop` [N]; a view."""
-        return self._samples[start - self.first : stop - self.first]
+        """Return the samples from `start` up to `stop` [N], read-only; the newer they are, the sooner."""
+        parts: list[FloatArray] = []
+        for block in reversed(self._blocks):
+            first = block.first_sample
+            if first < stop:
+                force = block.force[max(start - first, 0) : stop - first]
+                parts.append(force + block.tare if block.tare else force)
+                if first <= start:
+                    break
+        return parts[0] if len(parts) == 1 else np.concatenate(parts[::-1] or [np.empty(0)])
 
     def saturated(self, start: int, stop: int) -> BoolArray:
         """Return which samples from `start` up to `stop` are at the end of the measuring range."""

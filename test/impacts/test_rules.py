@@ -41,8 +41,7 @@ def test_the_onset_is_between_the_last_sample_below_zero_and_the_first_contact(
 
 
 def test_what_pulls_more_than_it_pushes_is_no_contact() -> None:
-    background = Background(DetectionSettings())
-    background.admit([Frame.of(noise(FRAME)) for _ in range(FRAMES)])
+    background = Background(DetectionSettings(), [Frame(noise(FRAME)) for _ in range(FRAMES)])
     samples = noise(FRAME)
     samples[300:306] += [20.0, 20.0, -90.0, -90.0, 20.0, 20.0]
     marks = np.zeros(FRAME, dtype=np.bool_)
