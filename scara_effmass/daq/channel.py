@@ -14,7 +14,7 @@ from scara_effmass.settings import FilterKind
 from scara_effmass.values import ForceBlock
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -27,6 +27,8 @@ RANGE_TOLERANCE = 1e-3
 """A sample is at the end of the range so much below it: the last codes of a converter are not exactly at its limit."""
 MOST_LOST = 2**32 - 1
 """What `ForceBlock.lost_samples` can say."""
+NO_FORCE: FloatArray = np.empty(0)
+NO_FORCE.flags.writeable = False
 NONE_SATURATED: NDArray[np.uint32] = np.empty(0, np.uint32)
 NONE_SATURATED.flags.writeable = False
 
@@ -42,7 +44,7 @@ class ForceSignal:
         """Expect readings of `source`, which has been started. Raises SettingsError when it cannot be filtered so."""
         volts = source.unit is Unit.VOLT
         newton_per_unit = 1e3 / settings.sensor.sensitivity if volts else 1.0
-        limit = min(source.limit * newton_per_unit, settings.sensor.range) * (1.0 - RANGE_TOLERANCE)
+        self._limit = min(source.limit * newton_per_unit, settings.sensor.range) * (1.0 - RANGE_TOLERANCE)
         self._source = source
         self._scale = -newton_per_unit if settings.sensor.invert else newton_per_unit
         self._uncertainty = 0.0 if source.simulated else settings.sensor.sensitivity_uncertainty
@@ -53,7 +55,7 @@ class ForceSignal:
         """Of no use for recordings."""
         self.channels = tuple(
             # Each sensor has a place of its own; the first has the frame that was set.
-            ForceChannel(name, f"{settings.frame_id}_{name}" if i else settings.frame_id, limit, settings, source)
+            ForceChannel(name, f"{settings.frame_id}_{name}" if i else settings.frame_id, settings, source)
             for i, name in enumerate(source.channels)
         )
 
@@ -91,29 +93,30 @@ class ForceSignal:
         else:
             stamp_ns = reading.read_ns
         force = reading.samples * self._scale
+        common = ForceBlock(
+            stamp_ns=stamp_ns,
+            frame_id="",
+            first_sample=first,
+            sample_rate=sample_rate,
+            force=NO_FORCE,
+            lost_samples=lost,
+            saturated_samples=NONE_SATURATED,
+            clock_residual=residual,
+            filter_delay=self._source.filter_delay,
+            source=self._source.description,
+            simulated=self._source.simulated,
+            tare=0.0,
+            tare_stamp_ns=0,
+            relative_uncertainty=uncertainty,
+        )
+        beyond: Sequence[BoolArray | None] = [None] * len(self.channels)
+        # False with NaN, too, so this one comparison tells the usual case.
+        if reading.saturated is not None or not (n and -self._limit < force.min() and force.max() < self._limit):
+            marked = np.abs(force) >= self._limit
+            beyond = list(marked if reading.saturated is None else marked | reading.saturated)
         return [
-            list(
-                channel.blocks(
-                    ForceBlock(
-                        stamp_ns=stamp_ns,
-                        frame_id=channel.frame_id,
-                        first_sample=first,
-                        sample_rate=sample_rate,
-                        force=force[i],
-                        lost_samples=lost,
-                        saturated_samples=NONE_SATURATED,
-                        clock_residual=residual,
-                        filter_delay=self._source.filter_delay,
-                        source=self._source.description,
-                        simulated=self._source.simulated,
-                        tare=0.0,
-                        tare_stamp_ns=0,
-                        relative_uncertainty=uncertainty,
-                    ),
-                    None if reading.saturated is None else reading.saturated[i],
-                )
-            )
-            for i, channel in enumerate(self.channels)
+            list(channel.blocks(common, row, saturated))
+            for channel, row, saturated in zip(self.channels, force, beyond, strict=True)
         ]
 
 
@@ -125,8 +128,8 @@ class ForceChannel:
     read. A tare that is refused leaves things as they were, with the reason in `tare_problem`.
     """
 
-    def __init__(self, name: str, frame_id: str, limit: float, settings: DaqSettings, source: ForceSource) -> None:
-        """Expect samples of `source` whose magnitude stays below `limit` [N]."""
+    def __init__(self, name: str, frame_id: str, settings: DaqSettings, source: ForceSource) -> None:
+        """Expect samples of `source`."""
         self.name = name
         self.frame_id = frame_id
         self.samples = 0
@@ -138,7 +141,6 @@ class ForceChannel:
         self.tare_stamp_ns = 0
         self.tare_problem = ""
         """why the latest tare was refused; empty when it was not"""
-        self._limit = limit
         self._settings = settings
         self._sample_rate = source.sample_rate
         self._lowpass = _lowpass(settings, source.sample_rate)
@@ -167,32 +169,29 @@ class ForceChannel:
         self._tare = Tare(self._settings.tare, self._sample_rate)
         self.tare_problem = ""
 
-    def blocks(self, reading: ForceBlock, saturated: BoolArray | None) -> Iterator[ForceBlock]:
-        """Cut one reading, in [N] as the sensor gave it, into finished blocks; `saturated` (n,) as in `Reading`."""
-        force = reading.force
+    def blocks(self, reading: ForceBlock, force: FloatArray, saturated: BoolArray | None) -> Iterator[ForceBlock]:
+        """Cut one reading into finished blocks.
+
+        `reading` has what is the same for all channels, `force` (n,) is in [N] as the sensor gave it, `saturated` (n,)
+        marks samples at the end of the range; None when there is none, and none that is not finite.
+        """
         self._missing += reading.lost_samples
         end = 0
-        # False with NaN, too, so this one comparison tells the usual case.
-        if saturated is None and force.size and -self._limit < force.min() and force.max() < self._limit:
-            yield self._block(reading, 0, force.size, None)
-            end = force.size
-        else:
-            beyond = np.abs(force) >= self._limit
-            for start, stop in _finite_runs(force):
-                self._missing += start - end
-                yield self._block(reading, start, stop, beyond if saturated is None else beyond | saturated)
-                end = stop
+        for start, stop in [(0, force.size)] if saturated is None else _finite_runs(force):
+            self._missing += start - end
+            yield self._block(reading, start, force[start:stop], None if saturated is None else saturated[start:stop])
+            end = stop
         self._missing += force.size - end
 
-    def _block(self, reading: ForceBlock, start: int, stop: int, saturated: BoolArray | None) -> ForceBlock:
+    def _block(self, reading: ForceBlock, start: int, force: FloatArray, saturated: BoolArray | None) -> ForceBlock:
         first = reading.first_sample + start
         if self._missing or first != self._next:
             self._forget()
-        force = reading.force[start:stop]
         if self._lowpass:
             force = self._lowpass(force)
-        marks = self._marks(None if saturated is None else saturated[start:stop], stop - start)
+        marks = self._marks(saturated, force.size)
         block = reading._replace(
+            frame_id=self.frame_id,
             stamp_ns=reading.stamp_ns + round((start / reading.sample_rate - self._delay) * 1e9),
             first_sample=first,
             force=force - self.tare,
@@ -207,7 +206,7 @@ class ForceChannel:
         self._lost += self._missing
         self.saturated += marks.size
         self._missing = 0
-        self._next = reading.first_sample + stop
+        self._next = first + force.size
         if self._tare:
             self._go_on_taring(self._tare, force, block)
         return block
