@@ -122,6 +122,11 @@ class Acquisition:
         return self._backlog.take()
 
     @property
+    def state(self) -> AcquisitionState:
+        """How it is with it."""
+        return self._state
+
+    @property
     def failure(self) -> Exception | None:
         """What ended it, if an error did."""
         return self._failure

@@ -152,9 +152,13 @@ class DaqNode(SuiteNode):
         if acquisition is None or not self.active:
             return
         for reading in acquisition.take():
-            for output, blocks in zip(self._outputs, self._signal.blocks(reading), strict=True):
+            channels = list(zip(self._outputs, self._signal.blocks(reading), strict=True))
+            # One after the other: each is twice as fast when it has just been done for another channel.
+            for output, blocks in channels:
                 output.publish(blocks)
-        state = acquisition.statistics().state
+            for output, blocks in channels:
+                output.find_impacts(blocks)
+        state = acquisition.state
         if state is not self._state:
             self._state = state
             self._diagnostics.report()
@@ -214,12 +218,17 @@ class _Output:
         self.impacts = 0
 
     def publish(self, blocks: Sequence[values.ForceBlock]) -> None:
-        """Publish the blocks and what is found in them."""
+        """Publish the blocks, and the wrenches of them."""
+        wrenches = self._settings.wrench_rate and self._wrench.get_subscription_count()
         for block in blocks:
             self._force.publish(force_block_message(block))
-            self._publish_impacts(self.detector.feed(block))
-            if self._settings.wrench_rate and self._wrench.get_subscription_count():
+            if wrenches:
                 self._publish_wrenches(block)
+
+    def find_impacts(self, blocks: Sequence[values.ForceBlock]) -> None:
+        """Publish the impacts in the blocks."""
+        for block in blocks:
+            self._publish_impacts(self.detector.feed(block))
 
     def finish(self) -> None:
         """Publish what was still waiting for what follows."""
