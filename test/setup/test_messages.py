@@ -52,7 +52,7 @@ def test_every_message_is_in_the_contract() -> None:
 
 
 @pytest.fixture
-def node() -> Iterator[Node]:
+def node(own_domain: int) -> Iterator[Node]:  # noqa: ARG001 - where it is alone
     context = rclpy.Context()
     rclpy.init(context=context)
     node = rclpy.create_node("type_hashes", context=context)
