@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 _SLICE_S = 0.1
 """How often it looks for new topics, and whether it has been told to stop."""
+_QUEUED_S = 10.0
+"""How long it may take, at the end, to record what has come already."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -110,6 +112,9 @@ def record(
                 executor.spin_until_future_complete(Future(), timeout_sec=left_s)
                 seconds = time.monotonic() - began
                 progress(recording.report(), seconds)
+            if context.ok():
+                # What has come by now stands in a queue before this task.
+                executor.spin_until_future_complete(executor.create_task(lambda: None), timeout_sec=_QUEUED_S)
             report = recording.close()
         return RecordReport(
             report,
