@@ -54,6 +54,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="begin when so many listen to the joint states (default: 1)",
     )
+    parser.add_argument(
+        "--wait", type=float, default=10.0, metavar="S", help="how long to wait for them [s] (default: 10)"
+    )
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -71,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
         topics=tuple(args.topics),
         joint_states=args.topic or "",
         subscribers=args.subscribers,
+        subscriber_timeout_s=args.wait,
     )
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:.1f} s"))
     with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as progress:

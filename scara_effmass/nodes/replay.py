@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 LATE_NS = 10_000_000
 _PROGRESS_NS = 100_000_000
+_FIRST_WORD_NS = 3_000_000_000
 _NS = 1_000_000_000
 _DAY_S = 86400.0
 
@@ -255,6 +256,10 @@ class _Player:
             raise EffmassError(
                 f"{answers.topic}: nobody publishes it within {seconds:g} s; rate 0 needs a monitor that answers"
             )
+        if answers:
+            # A monitor soon says that all is silent: then it has found us too, as to find it does not mean. One that
+            # is patient with silence has nothing to say.
+            self._stage.spin_until(time.monotonic_ns() + _FIRST_WORD_NS, lambda: answers.begun)
         self._stage.settle()
 
     def _play_once(self, messages: Iterator[RawMessage], began_ns: int) -> None:

@@ -34,6 +34,7 @@ GIVE_UP = 10
 """So many unanswered in a row, of names that were answered before, mean that the monitor is gone."""
 SHORT_WAIT_NS = 10_000_000
 """While nothing has been answered at all, unexpected answers are still waited for this long, lest it be flooded."""
+_SLICE_NS = 100_000_000
 
 
 class Answers:
@@ -45,6 +46,8 @@ class Answers:
         self.unanswered = 0
         self.not_awaited = 0
         self.publishers = 0
+        self.begun = False
+        """Whether anything has come: then its publisher has found this node."""
         self._timeout_ns = round(timeout_s * 1e9)
         self._decoder = JointStateDecoder()
         self._heard: set[Names] = set()
@@ -81,7 +84,10 @@ class Answers:
             self.not_awaited += 1
             return
         patience_ns = self._timeout_ns if expected else SHORT_WAIT_NS
-        spin_until(time.monotonic_ns() + patience_ns, lambda: self._answer_is_here or not self.publishers)
+        # In slices: of a time in which the whole machine stood still, one counts.
+        slice_ns = min(patience_ns, _SLICE_NS)
+        for _ in range(round(patience_ns / slice_ns)):
+            spin_until(time.monotonic_ns() + slice_ns, lambda: self._answer_is_here or not self.publishers)
         if self._answer_is_here:
             self.answered += 1
             self._heard.add(names)
@@ -96,6 +102,7 @@ class Answers:
             raise EffmassError(f"{self.topic}: no answer to {GIVE_UP} joint states in a row; the monitor hangs")
 
     def _on_contact_state(self, data: bytes) -> None:
+        self.begun = True
         if self._awaited_ns is None or header_stamp_ns(data) == self._awaited_ns:
             self._answer_is_here = True
 

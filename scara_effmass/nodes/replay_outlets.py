@@ -63,8 +63,8 @@ class Outlet:
 
     def send(self, message: Any) -> None:  # noqa: ANN401 - a message of any class, or its bytes
         """Publish one message."""
+        self.sent += 1  # first: a signal may break in between, and what somebody has heard was sent
         self.publisher.publish(message)
-        self.sent += 1
 
     def _on_matched(self, info: QoSPublisherMatchedInfo) -> None:
         self.subscribers = info.current_count

@@ -1,12 +1,12 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from functools import partial
 from itertools import dropwhile, pairwise
 from typing import TYPE_CHECKING, Any, final
@@ -17,7 +17,7 @@ import rclpy
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.context import Context
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -35,8 +35,10 @@ from scara_effmass.bag_io.cdr import JointStateDecoder
 from scara_effmass.bag_io.messages import joint_state_message, serialized
 from scara_effmass.bag_io.writer import BagWriter
 from scara_effmass.errors import BagError, EffmassError, SettingsError
+from scara_effmass.nodes import replay_answers
 from scara_effmass.nodes.replay import ReplayOptions, replay
 from scara_effmass.nodes.replay_answers import IN_VAIN
+from scara_effmass.nodes.replay_outlets import Outlet
 from scara_effmass.nodes.replay_timeline import CLOCK_STEP_NS, timeline
 from scara_effmass.values import JointState
 
@@ -44,15 +46,19 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from scara_effmass.nodes.replay import ReplayProgress
+    from rclpy.event_handler import QoSPublisherMatchedInfo
+    from rclpy.publisher import Publisher
+
+    from scara_effmass.nodes.replay import ReplayProgress, ReplayReport
 
 START_NS = 1_767_225_600_000_000_000
 MS = 1_000_000
 TEXT = "std_msgs/msg/String"
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 DEEP = QoSProfile(depth=100_000)
 SHALLOW = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED_TOPICS = ("/robot_description",)
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 
 
@@ -60,10 +66,22 @@ def state(number: int, names: tuple[str, ...] = JOINTS) -> JointState:
     return JointState(START_NS + number * MS, names, np.arange(4.0) + number, np.full(4, number / 7.0))
 
 
-@pytest.fixture(autouse=True)
-def _own_domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(100 + os.getpid() % 100))
+pytestmark = pytest.mark.usefixtures("own_domain")
+
+
+Leap = Callable[[Callable[[], int]], None]
+
+
+@pytest.fixture
+def leap(monkeypatch: pytest.MonkeyPatch) -> Leap:
+    """Let steady time be an hour ahead for each of what a function counts: whatever waits then has waited enough."""
+    now_ns = time.monotonic_ns
+    monkeypatch.setattr(replay_answers, "_SLICE_NS", 1 << 62)  # it counts leaps in full
+
+    def by(hours: Callable[[], int]) -> None:
+        monkeypatch.setattr("time.monotonic_ns", lambda: now_ns() + hours() * 3600 * 10**9)
+
+    return by
 
 
 @pytest.fixture
@@ -94,6 +112,7 @@ class Listener:
         leaves_after: int | None = None,
     ) -> None:
         self.heard: dict[str, list[bytes]] = {topic: [] for topic in topics}
+        self.declined = 0
         self._slowness_s = slowness_s
         self._foreign = foreign
         self._leaves_after = leaves_after
@@ -104,14 +123,17 @@ class Listener:
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("listener", context=self._context)
-        self._answers = self._node.create_publisher(ContactState, "contact_state", DEEP) if answers else None
-        for topic in topics:
+        self._is_to_answer = answers
+        self._answers: Publisher | None = None
+        # A replay waits for whoever listens to the joint states: by then it has found the others, which it is told of
+        # before.
+        for topic in sorted(topics, key="/joint_states".__eq__):
             kind = self.TYPES.get(topic, String)
             self._node.create_subscription(
                 kind,
                 topic,
                 partial(self._hear, topic),
-                qos,
+                LATCHED if topic in LATCHED_TOPICS else qos,
                 raw=True,
                 event_callbacks=SubscriptionEventCallbacks(matched=self._on_matched),
             )
@@ -159,29 +181,46 @@ class Listener:
         self._executor.spin_until_future_complete(self._stop, timeout_sec=1e6)
 
     def _on_matched(self, _: object) -> None:
+        # A replay at rate 0 waits for whoever answers: by then this one hears it, also where nothing is repeated.
+        if self._is_to_answer and self._answers is None:
+            events = PublisherEventCallbacks(matched=self._say_that_all_is_silent)
+            self._answers = self._node.create_publisher(ContactState, "contact_state", DEEP, event_callbacks=events)
         self._matched.set()
+
+    def _say_that_all_is_silent(self, _: object) -> None:
+        if self._answers is not None:
+            self._answers.publish(ContactState(reason="no joint state yet"))
 
     def _hear(self, topic: str, data: bytes) -> None:
         with self._changed:
             self.heard[topic].append(data)
             self._changed.notify_all()
         if topic == "/joint_states" and self._answers is not None:
-            self._answer(data)
+            self._answer(self._answers, data)
 
-    def _answer(self, data: bytes) -> None:
+    def _answer(self, answers: Publisher, data: bytes) -> None:
         if len(self.heard["/joint_states"]) == self._leaves_after:
-            assert self._answers is not None
-            self._node.destroy_publisher(self._answers)
+            self._is_to_answer = False
+            self._node.destroy_publisher(answers)
             self._answers = None
             return
         time.sleep(self._slowness_s)  # this is the work that it takes so long for
         received = self._decoder.decode(data)
         if received.names == self._foreign:
+            self.declined += 1
             return
         message = ContactState()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(received.stamp_ns, 1_000_000_000)
-        assert self._answers is not None
-        self._answers.publish(message)
+        while not answers.get_subscription_count() and not self._stop.done():
+            threading.Event().wait(0.001)  # the replay has found this one, but not the other way round yet
+        answers.publish(message)
+
+
+def play(bag: Path, progress: Callable[[ReplayProgress], None] | None = None, **options: Any) -> ReplayReport:  # noqa: ANN401
+    """Replay, waiting for listeners and answers for as long as it takes."""
+    return replay(
+        ReplayOptions(bag, **{"subscriber_timeout_s": PATIENCE_S, "answer_timeout_s": PATIENCE_S, **options}), progress
+    )
 
 
 def same(received: list[JointState], sent: list[JointState]) -> bool:
@@ -194,7 +233,7 @@ def same(received: list[JointState], sent: list[JointState]) -> bool:
 
 def test_everything_arrives_once_in_order_and_unchanged(bag: Path) -> None:
     with Listener("/joint_states", "/remark", "/clock") as listener:
-        report = replay(ReplayOptions(bag, rate=2.0))
+        report = play(bag, rate=2.0)
         assert same(listener.states(100), [state(number) for number in range(100)])
         remarks = [deserialize_message(data, String).data for data in listener.wait("/remark", 4)]
     assert remarks == ["at 0", "at 25", "at 50", "at 75"]
@@ -205,7 +244,7 @@ def test_everything_arrives_once_in_order_and_unchanged(bag: Path) -> None:
 
 def test_the_clock_tells_every_log_time_and_does_not_go_back(bag: Path) -> None:
     with Listener("/joint_states", "/clock") as listener:
-        replay(ReplayOptions(bag, rate=2.0))
+        play(bag, rate=2.0)
         clock = listener.clock(100)
     assert clock == [START_NS + number * MS for number in range(100)]
 
@@ -213,7 +252,7 @@ def test_the_clock_tells_every_log_time_and_does_not_go_back(bag: Path) -> None:
 @pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
 def test_nothing_is_sent_before_it_is_due(bag: Path, rate: float) -> None:
     with Listener("/joint_states") as listener:
-        report = replay(ReplayOptions(bag, rate=rate))
+        report = play(bag, rate=rate)
         assert len(listener.states(100)) == 100
     assert report.replayed_s == pytest.approx(0.099)
     assert report.wall_s >= 0.099 / rate
@@ -223,7 +262,7 @@ def test_nothing_is_sent_before_it_is_due(bag: Path, rate: float) -> None:
 
 def test_start_and_duration_cut_the_recording(bag: Path) -> None:
     with Listener("/joint_states", "/clock") as listener:
-        report = replay(ReplayOptions(bag, start_s=0.0205, duration_s=0.03))
+        report = play(bag, start_s=0.0205, duration_s=0.03)
         assert same(listener.states(30), [state(number) for number in range(21, 51)])
         clock = listener.clock(31)
     assert clock[0] == START_NS + 20_500_000
@@ -236,20 +275,20 @@ def test_what_is_latched_before_the_start_is_there(tmp_path: Path) -> None:
     with BagWriter(path) as writer:
         writer.write("/robot_description", TEXT, START_NS, serialized(TEXT, {"data": "<robot/>"}))
         writer.write_joint_states("/joint_states", [state(number) for number in range(50)])
-    with Listener("/joint_states"), Listener("/robot_description", qos=LATCHED) as late:
-        report = replay(ReplayOptions(path, start_s=0.03))
+    with Listener("/joint_states", "/robot_description") as late:
+        report = play(path, start_s=0.03)
         assert len(late.wait("/robot_description", 1)) == 1
     assert report.sent == {"/joint_states": 20, "/robot_description": 1}
 
 
 def test_a_start_behind_the_end_is_refused(bag: Path) -> None:
     with pytest.raises(SettingsError, match=r"start = 5\.0 s: the recording is 0\.099 s long"):
-        replay(ReplayOptions(bag, start_s=5.0))
+        play(bag, start_s=5.0)
 
 
 def test_between_two_passes_the_clock_jumps_back(bag: Path) -> None:
     with Listener("/joint_states", "/clock") as listener:
-        report = replay(ReplayOptions(bag, rate=4.0, passes=2))
+        report = play(bag, rate=4.0, passes=2)
         once = [state(number) for number in range(100)]
         assert same(listener.states(200), once + once)
         clock = listener.clock(200)
@@ -260,21 +299,22 @@ def test_between_two_passes_the_clock_jumps_back(bag: Path) -> None:
 
 def test_at_rate_0_a_slow_node_with_a_queue_of_one_misses_nothing(bag: Path) -> None:
     with Listener("/joint_states", qos=SHALLOW, answers=True, slowness_s=0.003) as listener:
-        report = replay(ReplayOptions(bag, rate=0.0))
+        report = play(bag, rate=0.0)
         assert same(listener.states(100), [state(number) for number in range(100)])
     assert (report.answered, report.unanswered, report.not_awaited) == (100, 0, 0)
     assert report.wall_s >= 0.3
     assert (report.late, report.worst_lateness_s) == (0, 0.0)
 
 
-def test_at_rate_0_joint_states_of_other_devices_do_not_stop_it(tmp_path: Path) -> None:
+def test_at_rate_0_joint_states_of_other_devices_do_not_stop_it(tmp_path: Path, leap: Leap) -> None:
     gripper = ("finger1", "finger2", "finger3", "finger4")
     states = [state(number, JOINTS if number % 2 else gripper) for number in range(60)]
     path = tmp_path / "bag"
     with BagWriter(path) as writer:
         writer.write_joint_states("/joint_states", states)
     with Listener("/joint_states", answers=True, foreign=gripper) as listener:
-        report = replay(ReplayOptions(path, rate=0.0, answer_timeout_s=0.5))
+        leap(lambda: min(listener.declined, IN_VAIN))  # who waits for the answer to one that is not answered is through
+        report = play(path, rate=0.0)
         assert same(listener.states(60), states)
     assert report.answered == 30
     assert report.unanswered == IN_VAIN
@@ -286,7 +326,7 @@ def test_at_rate_0_a_monitor_that_leaves_ends_it(bag: Path) -> None:
         Listener("/joint_states", answers=True, leaves_after=7),
         pytest.raises(EffmassError, match="/contact_state: its publisher left after 6 answers"),
     ):
-        replay(ReplayOptions(bag, rate=0.0, answer_timeout_s=PATIENCE_S))
+        play(bag, rate=0.0)
 
 
 def test_at_rate_0_the_live_monitor_answers_everything(bag: Path) -> None:
@@ -294,7 +334,7 @@ def test_at_rate_0_the_live_monitor_answers_everything(bag: Path) -> None:
         [sys.executable, "-c", "import sys; from scara_effmass.nodes.monitor_node import main; sys.exit(main())"]
     )
     try:
-        report = replay(ReplayOptions(bag, rate=0.0, subscriber_timeout_s=PATIENCE_S, answer_timeout_s=PATIENCE_S))
+        report = play(bag, rate=0.0)
     finally:
         monitor.send_signal(signal.SIGTERM)
         assert monitor.wait(PATIENCE_S) == 0
@@ -303,15 +343,24 @@ def test_at_rate_0_the_live_monitor_answers_everything(bag: Path) -> None:
 
 def test_nobody_listening_is_an_error(bag: Path) -> None:
     with pytest.raises(EffmassError, match=r"/joint_states: nobody has subscribed within 0\.2 s"):
-        replay(ReplayOptions(bag, subscriber_timeout_s=0.2))
+        play(bag, subscriber_timeout_s=0.2)
 
 
-def test_rate_0_without_anybody_who_answers_is_an_error(bag: Path) -> None:
+def test_rate_0_without_anybody_who_answers_is_an_error(bag: Path, monkeypatch: pytest.MonkeyPatch, leap: Leap) -> None:
+    heard: list[str] = []
+    find = Outlet._on_matched
+
+    def note(self: Outlet, info: QoSPublisherMatchedInfo) -> None:
+        find(self, info)
+        heard.append(self.name)
+
+    monkeypatch.setattr(Outlet, "_on_matched", note)
+    leap(lambda: "/joint_states" in heard)
     with (
         Listener("/joint_states"),
-        pytest.raises(EffmassError, match="/contact_state: nobody publishes it within 2 s"),
+        pytest.raises(EffmassError, match="/contact_state: nobody publishes it within 120 s"),
     ):
-        replay(ReplayOptions(bag, rate=0.0, subscriber_timeout_s=2.0))
+        play(bag, rate=0.0)
 
 
 def test_types_that_are_not_installed_or_defined_otherwise_are_skipped_and_named(tmp_path: Path) -> None:
@@ -327,7 +376,7 @@ def test_types_that_are_not_installed_or_defined_otherwise_are_skipped_and_named
             writer.write("/point", "geometry_msgs/msg/Point", START_NS + number * MS, bytes(12))
             writer.write("/joint_states", "sensor_msgs/msg/JointState", *_logged(number))
     with Listener("/joint_states") as listener:
-        report = replay(ReplayOptions(path))
+        report = play(path)
         assert len(listener.states(10)) == 10
     assert report.sent == {"/joint_states": 10}
     assert report.skipped == {
@@ -347,7 +396,7 @@ def test_a_topic_of_two_types_is_skipped(tmp_path: Path) -> None:
         writer.write("/mixed", "std_msgs/msg/Float64", START_NS, serialized("std_msgs/msg/Float64", {"data": 1.0}))
         writer.write_joint_states("/joint_states", [state(1)])
     with Listener("/joint_states"):
-        report = replay(ReplayOptions(path))
+        report = play(path)
     assert report.sent == {"/joint_states": 1}
     assert report.skipped == {"/mixed": "it holds messages of more than one type"}
 
@@ -357,7 +406,7 @@ def test_a_span_without_messages_moves_only_the_clock(tmp_path: Path) -> None:
     with BagWriter(path) as writer:
         writer.write_joint_states("/joint_states", [state(0), state(1000)])
     with Listener("/joint_states", "/clock") as listener:
-        report = replay(ReplayOptions(path, rate=10.0, start_s=0.2, duration_s=0.5))
+        report = play(path, rate=10.0, start_s=0.2, duration_s=0.5)
         clock = listener.clock(50)
     assert report.sent == {"/joint_states": 0}
     assert clock == [START_NS + 200 * MS + step * 10 * MS for step in range(50)]
@@ -371,7 +420,7 @@ def test_what_live_nodes_publish_themselves_is_left_out_unless_asked_for(tmp_pat
         writer.write("/cell/allowable_speed", "std_msgs/msg/Float64", START_NS, number)
         writer.write_joint_states("/joint_states", [state(1)])
     with Listener("/joint_states"):
-        report = replay(ReplayOptions(path))
+        report = play(path)
     assert report.sent == {"/joint_states": 1}
     assert report.skipped == {
         "/cell/allowable_speed": "the live nodes publish it themselves",
@@ -379,7 +428,7 @@ def test_what_live_nodes_publish_themselves_is_left_out_unless_asked_for(tmp_pat
     }
     Listener.TYPES = {**Listener.TYPES, "/cell/allowable_speed": Float64}
     with Listener("/cell/allowable_speed") as listener:
-        report = replay(ReplayOptions(path, topics=("/cell/allowable_speed",)))
+        report = play(path, topics=("/cell/allowable_speed",))
         listener.wait("/cell/allowable_speed", 1)
     assert report.skipped["/joint_states"] == "not asked for"
 
@@ -390,7 +439,7 @@ def test_any_topic_of_joint_states_can_be_published_as_joint_states(tmp_path: Pa
         writer.write_joint_states("/joint_states", [state(number) for number in range(5)])
         writer.write_joint_states("/arm/joint_states", [state(number) for number in range(5, 9)])
     with Listener("/joint_states") as listener:
-        report = replay(ReplayOptions(path, joint_states="/arm/joint_states"))
+        report = play(path, joint_states="/arm/joint_states")
         assert same(listener.states(4), [state(number) for number in range(5, 9)])
     assert report.sent == {"/joint_states": 4}
     assert report.skipped == {"/joint_states": "/arm/joint_states is published in its place"}
@@ -398,7 +447,7 @@ def test_any_topic_of_joint_states_can_be_published_as_joint_states(tmp_path: Pa
 
 def test_rate_0_needs_joint_states_to_set_the_pace(bag: Path) -> None:
     with pytest.raises(SettingsError, match="rate = 0: nothing is published as /joint_states"):
-        replay(ReplayOptions(bag, rate=0.0, topics=("/remark",)))
+        play(bag, rate=0.0, topics=("/remark",))
 
 
 @pytest.mark.parametrize(
@@ -411,7 +460,7 @@ def test_rate_0_needs_joint_states_to_set_the_pace(bag: Path) -> None:
 )
 def test_topics_that_are_not_there_are_refused(bag: Path, options: dict[str, Any], message: str) -> None:
     with pytest.raises(BagError, match=message):
-        replay(ReplayOptions(bag, **options))
+        play(bag, **options)
 
 
 @pytest.mark.parametrize(
@@ -442,15 +491,15 @@ def test_header_stamps_from_another_clock_are_warned_of(tmp_path: Path) -> None:
             log_time_ns, data = _logged(number)
             writer.write("/joint_states", "sensor_msgs/msg/JointState", log_time_ns + 200_000 * MS * (number > 5), data)
     with Listener("/joint_states"):
-        report = replay(ReplayOptions(path, rate=4000.0))
+        report = play(path, rate=4000.0)
     (warning,) = report.warnings
     assert "4 of 10 joint states bear header stamps up to 200.000 s behind the time they were recorded at" in warning
 
 
 def test_progress_goes_from_the_start_towards_the_end(bag: Path) -> None:
     seen: list[ReplayProgress] = []
-    with Listener("/joint_states"):
-        replay(ReplayOptions(bag, rate=0.25), seen.append)
+    with Listener("/joint_states", answers=True, slowness_s=0.003):  # so it takes 0.3 s at least
+        play(bag, seen.append, rate=0.0)
     assert seen[0].time_s == 0.0
     assert len(seen) > 1
     assert all(a.time_s <= b.time_s and a.sent <= b.sent for a, b in pairwise(seen))
@@ -461,7 +510,7 @@ CHILD = """
 import json, sys
 from pathlib import Path
 from scara_effmass.nodes.replay import ReplayOptions, replay
-report = replay(ReplayOptions(Path(sys.argv[1]), passes=0))
+report = replay(ReplayOptions(Path(sys.argv[1]), passes=0, subscriber_timeout_s=600.0))
 print(json.dumps({"interrupted": report.interrupted, "sent": report.sent, "passes": report.passes}))
 """
 
@@ -491,7 +540,7 @@ def test_a_signal_ends_an_endless_replay_cleanly(endless: subprocess.Popen[str],
 
 
 def test_a_signal_ends_the_wait_for_somebody_who_listens(bag: Path) -> None:
-    code = CHILD.replace("passes=0", "subscriber_timeout_s=600.0")
+    code = CHILD.replace("passes=0", "passes=1")
     child = subprocess.Popen([sys.executable, "-c", code, str(bag)], stdout=subprocess.PIPE, text=True)
     with Listener("/remark") as listener:  # which finds the topic only once the replay waits
         listener.wait_matched()
