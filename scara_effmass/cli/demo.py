@@ -56,8 +56,8 @@ examples:
   scara-effmass demo --bag recording.bag --robot arm.urdf --topic /arm/joint_states --out out/arm
 """
 
-START_WITHIN_S = 20.0
-STRAGGLERS_S = 2.0
+START_WITHIN_S = 60.0
+STRAGGLERS_S = 10.0
 """How long after the end of the replay the last answers may take."""
 FORCE_ENDS_WITHIN_S = 3.0
 SUMMARY = "summary.json"
@@ -257,7 +257,7 @@ def _replay_words(args: argparse.Namespace, recording: Recording) -> list[str]:
     """Replay the joint states, once monitor and recorder listen."""
     words = ["replay", str(recording.path), "--topic", recording.topic, "--topics", recording.topic]
     words += ["--rate", str(args.rate), "--duration", str(args.duration)]
-    return [*words, "--subscribers", "2", "--json"]
+    return [*words, "--subscribers", "2", "--wait", str(START_WITHIN_S), "--json"]
 
 
 def _settled(args: argparse.Namespace) -> tuple[MonitorSettings, Arm, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -17,7 +18,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
 _PR_SET_PDEATHSIG = 1
-END_WITHIN_S = 10.0
+END_WITHIN_S = 30.0
+_DOMAINS = 101
+"""Up to 101 the ports of a domain lie below those that Linux hands out by itself."""
+_PARTICIPANTS = 8
 
 
 class Started:
@@ -107,5 +111,16 @@ def keep_to_this_machine() -> None:
     A recorded motion must never reach the nodes of a real cell.
     """
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    # Up to 101 the ports of a domain lie below those that Linux hands out by itself.
-    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 101)
+    domains = (1 + (os.getpid() + turn) % _DOMAINS for turn in range(_DOMAINS))
+    os.environ["ROS_DOMAIN_ID"] = str(next(filter(_is_free, domains), 1 + os.getpid() % _DOMAINS))
+
+
+def _is_free(domain: int) -> bool:
+    """Return whether nobody on this machine is in a ROS domain: whether its first ports are free."""
+    for participant in range(_PARTICIPANTS):
+        with socket.socket(type=socket.SOCK_DGRAM) as place:
+            try:
+                place.bind(("", 7400 + 250 * domain + 10 + 2 * participant))
+            except OSError:
+                return False
+    return True

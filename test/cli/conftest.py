@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,17 +57,16 @@ def long_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def cli(tmp_path: Path) -> Cli:
+def cli(tmp_path: Path, domain: dict[str, str]) -> Cli:
     """Run `python -m scara_effmass` with arguments, in an empty folder."""
 
     def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [sys.executable, "-m", "scara_effmass", *map(str, arguments)],
             cwd=tmp_path,
-            env=quiet_environment(),
+            env=domain,
             capture_output=True,
             text=True,
-            timeout=50,
             check=False,
         )
 
@@ -88,12 +88,21 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
 
 
 @pytest.fixture
-def domain() -> dict[str, str]:
-    """The environment of `cli`."""
-    return quiet_environment()
+def domain(own_domain: int) -> dict[str, str]:  # noqa: ARG001 - it is in there
+    """The environment of `cli`, and of this process: a ROS domain of this test, on this machine."""
+    return dict(os.environ)
 
 
-def quiet_environment() -> dict[str, str]:
-    """Return an environment that keeps ROS on this machine, in a domain of this test process."""
-    own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(1 + os.getpid() % 101)}
-    return {**os.environ, **own}
+@pytest.fixture
+def start(domain: dict[str, str]) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start `python -m scara_effmass` with arguments; what still runs at the end of the test is ended."""
+    with ExitStack() as running:
+
+        def run(*arguments: str | Path) -> subprocess.Popen[str]:
+            words = [sys.executable, "-m", "scara_effmass", *map(str, arguments)]
+            process = subprocess.Popen(words, env=domain, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            running.enter_context(process)
+            running.callback(process.kill)
+            return process
+
+        yield run

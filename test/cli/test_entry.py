@@ -36,7 +36,7 @@ print(json.dumps([name for name in {heavy!r} if name in sys.modules]), file=sys.
 @pytest.mark.parametrize("words", [["--help"], *([name, "--help"] for name in COMMANDS)], ids=" ".join)
 def test_help_loads_nothing_heavy(words: list[str]) -> None:
     code = LOADED_BY_HELP.format(heavy=HEAVY)
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=50, check=True)
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("usage: scara-effmass")
     assert json.loads(done.stderr) == []
 
@@ -61,7 +61,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_the_console_script_is_the_module() -> None:
     script = Path(sys.executable).with_name("scara-effmass")
-    done = subprocess.run([script, "--version"], capture_output=True, text=True, timeout=50, check=True)
+    done = subprocess.run([script, "--version"], capture_output=True, text=True, check=True)
     assert done.stdout == f"scara-effmass {__version__}\n"
 
 
@@ -149,7 +149,7 @@ def test_an_interrupted_command_leaves_nothing_behind(
             with suppress(subprocess.TimeoutExpired):
                 process.wait(0.02)
         process.send_signal(number)
-        output, errors = process.communicate(timeout=50)
+        output, errors = process.communicate()
     assert (output, errors) == (b"", b"")
     # Where the signal meets exec(), as in the making of a dataclass, CPython ends by the signal itself; a shell says
     # 130 to both.
@@ -166,4 +166,4 @@ def test_a_reader_that_has_gone_is_no_trouble() -> None:
     process.stdout.close()
     assert process.stderr.read() == b""
     process.stderr.close()
-    assert process.wait(50) == 1
+    assert process.wait() == 1

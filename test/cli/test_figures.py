@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-import pytest
 from matplotlib.image import imread
 
 from scara_effmass.share import share
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
 DRAWN = [f"figure_{number}" for number in (6, 7, 8, 9, 10, 11, 12, 14, 15, 17, 18, 19)]
 
 
-@pytest.mark.timeout(240)  # seventeen seconds of work, on a machine that may have other work
 def test_everything_is_written_and_said(here: Cli, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "figures"
     done = here("figures", "-o", folder, "--json")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
-import subprocess
-import sys
+import socket
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
@@ -16,12 +16,15 @@ from scara_effmass.bag_io.files import open_bag
 from scara_effmass.bag_io.writer import BagWriter
 from scara_effmass.cli import COMMANDS, main
 from scara_effmass.cli.options import node_arguments
+from scara_effmass.cli.processes import keep_to_this_machine
 from scara_effmass.share import share
 
 if TYPE_CHECKING:
+    import subprocess
     from collections.abc import Callable
 
     Cli = Callable[..., subprocess.CompletedProcess[str]]
+    Start = Callable[..., subprocess.Popen[str]]
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -56,24 +59,28 @@ def test_a_node_that_cannot_start_says_why_in_one_line(cli: Cli) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_the_monitor_ends_with_status_0_on_ctrl_c(domain: dict[str, str]) -> None:
-    words = [sys.executable, "-m", "scara_effmass", "monitor"]
-    with subprocess.Popen(words, env=domain, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        assert "watching omron_i4_550l" in process.stderr.readline()
-        process.send_signal(signal.SIGINT)
-        _, rest = process.communicate(timeout=30)
+def is_up(monitor: subprocess.Popen[str]) -> bool:
+    """Return whether a monitor says that it watches the robot, once it does."""
+    assert monitor.stderr is not None
+    return any("watching omron_i4_550l" in line for line in monitor.stderr)
+
+
+def test_the_monitor_ends_with_status_0_on_ctrl_c(start: Start) -> None:
+    process = start("monitor")
+    assert is_up(process)
+    process.send_signal(signal.SIGINT)
+    _, rest = process.communicate()
     assert process.returncode == 0
     assert "Traceback" not in rest
 
 
-def test_replay_feeds_the_monitor_and_says_what_it_sent(swing_bag: Path, cli: Cli, domain: dict[str, str]) -> None:
-    words = [sys.executable, "-m", "scara_effmass", "monitor", "--", "-p", "use_sim_time:=true"]
-    with subprocess.Popen(words, env=domain, stderr=subprocess.PIPE) as monitor:
-        done = cli("replay", swing_bag, "--rate", "0", "--start", "0.5", "--duration", "1", "--json")
-        printed = cli("replay", swing_bag, "--duration", "0.1", "--topics", "/joint_states")
-        monitor.send_signal(signal.SIGINT)
-        monitor.communicate(timeout=30)
+def test_replay_feeds_the_monitor_and_says_what_it_sent(swing_bag: Path, cli: Cli, start: Start) -> None:
+    monitor = start("monitor", "--", "-p", "use_sim_time:=true")
+    assert is_up(monitor)
+    done = cli("replay", swing_bag, "--rate", "0", "--start", "0.5", "--duration", "1", "--json")
+    printed = cli("replay", swing_bag, "--duration", "0.1", "--topics", "/joint_states")
+    monitor.send_signal(signal.SIGINT)
+    monitor.communicate()
     assert (done.returncode, done.stderr) == (0, "")
     report = json.loads(done.stdout)
     assert report["sent"] == {"/joint_states": 500}
@@ -141,16 +148,15 @@ def test_demo_counts_other_devices_apart_and_keeps_its_own_topic_name(
     assert result["generated"] is False
 
 
-def test_demo_ends_what_it_started_when_it_is_interrupted(domain: dict[str, str], tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "scara_effmass", "demo", "--out", str(tmp_path), "--bag", str(share("bags", "tour"))]
-    with subprocess.Popen(words, env=domain, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        line = next(line for line in process.stdout if " scaling " in line)
-        assert "tool: " in line
-        started = children_of(process.pid)
-        assert len(started) == 4  # monitor, force, recorder, replay
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=30)
+def test_demo_ends_what_it_started_when_it_is_interrupted(start: Start, tmp_path: Path) -> None:
+    process = start("demo", "--out", tmp_path, "--bag", share("bags", "tour"))
+    assert process.stdout is not None
+    line = next(line for line in process.stdout if " scaling " in line)
+    assert "tool: " in line
+    started = children_of(process.pid)
+    assert len(started) == 4  # monitor, force, recorder, replay
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate()
     assert (process.returncode, errors) == (130, "")
     assert not [pid for pid in started if Path(f"/proc/{pid}").exists()]
     assert list(tmp_path.iterdir()) == []
@@ -159,6 +165,20 @@ def test_demo_ends_what_it_started_when_it_is_interrupted(domain: dict[str, str]
 def children_of(pid: int) -> list[int]:
     tasks = Path(f"/proc/{pid}/task").iterdir()
     return [int(child) for task in tasks for child in (task / "children").read_text(encoding="utf-8").split()]
+
+
+def test_a_demo_goes_where_nobody_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
+    keep_to_this_machine()
+    first = os.environ["ROS_DOMAIN_ID"]
+    with socket.socket(type=socket.SOCK_DGRAM) as somebody:
+        somebody.bind(("", 7400 + 250 * int(first) + 10))
+        keep_to_this_machine()
+        second = os.environ["ROS_DOMAIN_ID"]
+    assert first != second
+    assert 1 <= int(second) <= 101
+    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
 
 
 def test_no_command_is_declared_that_does_not_exist() -> None:
