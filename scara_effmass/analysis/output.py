@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from scara_effmass.errors import OutputError
@@ -31,10 +31,7 @@ def completed(path: Path, *, overwrite: bool) -> Iterator[Path]:
     unfinished = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.touch(exist_ok=False)
-    except OSError as error:
-        raise _refused(path, error) from None
-    try:
+        unfinished.touch()
         yield unfinished
         require_free(path, overwrite=overwrite)
         unfinished.replace(path)
@@ -43,7 +40,8 @@ def completed(path: Path, *, overwrite: bool) -> Iterator[Path]:
     except OSError as error:
         raise _refused(path, error) from None
     finally:
-        unfinished.unlink(missing_ok=True)
+        with suppress(OSError):
+            unfinished.unlink()
 
 
 def _refused(path: Path, error: OSError) -> OutputError:

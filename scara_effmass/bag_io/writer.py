@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
@@ -44,15 +44,22 @@ class BagWriter:
         refuse_existing(path, overwrite=overwrite)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._unfinished = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-            self._content = self._unfinished / path.name
-            if not self._is_file:
-                self._content.mkdir()
-            mcap = self._content if self._is_file else self._content / f"{path.name}_0.mcap"
-            self._file = mcap.open("xb")
+            # It goes with this object, where a signal breaks in before the `with` has begun.
+            self._unfinished = tempfile.TemporaryDirectory(
+                prefix=f".{path.name}-", dir=path.parent, ignore_cleanup_errors=True
+            )
+            with ExitStack() as undoing:
+                undoing.callback(self._unfinished.cleanup)
+                self._content = Path(self._unfinished.name, path.name)
+                if not self._is_file:
+                    self._content.mkdir()
+                mcap = self._content if self._is_file else self._content / f"{path.name}_0.mcap"
+                self._file = mcap.open("xb")
+                undoing.callback(self._file.close)
+                self._part = PartWriter(mcap.name, self._file)
+                undoing.pop_all()
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
-        self._part = PartWriter(mcap.name, self._file)
 
     def write(self, topic: str, kind: str, log_time_ns: int, data: bytes) -> None:
         """Add one message, CDR bytes of type `kind` such as "sensor_msgs/msg/JointState".
@@ -83,7 +90,7 @@ class BagWriter:
                 write_metadata(self._content, [part])
             refuse_existing(self.path, overwrite=self._overwrite)
             if self.path.exists():
-                self.path.rename(self._unfinished / "replaced")
+                self.path.rename(Path(self._unfinished.name, "replaced"))
             self._content.rename(self.path)
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be written: {error.strerror or error}") from None
@@ -94,10 +101,10 @@ class BagWriter:
         """Leave nothing of an unfinished recording."""
         self._file.close()
         try:
-            shutil.rmtree(self._unfinished, ignore_errors=True)
+            self._unfinished.cleanup()
         finally:
             # A signal may have broken into that; it comes once.
-            shutil.rmtree(self._unfinished, ignore_errors=True)
+            self._unfinished.cleanup()
 
     def __enter__(self) -> BagWriter:
         return self

@@ -35,6 +35,17 @@ def test_an_unfinished_file_goes(error: BaseException, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_signal_that_breaks_in_at_the_start_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(path: Path) -> None:
+        path.write_bytes(b"")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pathlib.Path.touch", interrupted)
+    with pytest.raises(KeyboardInterrupt), completed(tmp_path / "c.txt", overwrite=False):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
     with (
         pytest.raises(OutputError, match=r"c\.txt: cannot be written: No space left"),

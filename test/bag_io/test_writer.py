@@ -201,6 +201,19 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         BagWriter(tmp_path / "file" / "bag")
 
 
+@pytest.mark.parametrize("name", ["bag", "bag.mcap"])
+def test_a_signal_that_breaks_in_at_the_start_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("scara_effmass.bag_io.writer.PartWriter", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        BagWriter(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_empty_recording_is_complete(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag"):
         pass
