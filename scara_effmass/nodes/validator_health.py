@@ -35,8 +35,8 @@ class ValidatorHealth:
         """Note a message that is not what its type says."""
         self._undecodable[line] += 1
 
-    def statuses(self, result: Result) -> list[DiagnosticStatus]:
-        """Return the statuses for one report."""
+    def statuses(self, result: Result, obstacle_mass: float) -> list[DiagnosticStatus]:
+        """Return the statuses for one report; `obstacle_mass` [kg] is that of the latest run, 0 where not known."""
         judged = next(each for each in result.models if each.model == result.model).overall
         trouble = result.clock or result.force_sign or "; ".join((*sorted(self._unmatched), *self._undecodable))
         unpaired = sum(result.unpaired.values())
@@ -47,6 +47,7 @@ class ValidatorHealth:
         values: dict[str, object] = {
             "model": result.model,
             "contact point": result.contact_point,
+            "obstacle mass [kg]": f"{obstacle_mass:.6g}",
             "impacts seen": result.seen,
             "impacts in the series": len(result.impacts),
             "impacts waiting": result.waiting,

@@ -172,7 +172,8 @@ class ValidatorNode(SuiteNode):
             self._result.publish(message)
 
     def _statuses(self) -> list[DiagnosticStatus]:
-        return self._health.statuses(self._validator.result()) if self._validator is not None else []
+        validator = self._validator
+        return self._health.statuses(validator.result(), validator.obstacle_mass) if validator is not None else []
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._validator is not None:

@@ -67,8 +67,9 @@ class Bench:
         self.cell = cell
         self.heard: list[ImpactValidation] = []
         node = cell.node
-        cell.listen()
+        # Before the diagnostics, of which a test waits for one: the validator has found this one too by then.
         node.create_subscription(ImpactValidation, "impact_validation", self.heard.append, DEEP)
+        cell.listen()
         self.states = node.create_publisher(ContactState, "contact_state", DEEP)
         self.impacts = node.create_publisher(Impact, "impact", DEEP)
         self.info = node.create_publisher(String, "/scara_effmass/recording_info", LATCHED)
@@ -77,14 +78,15 @@ class Bench:
             lambda: all(end.get_subscription_count() for end in ends) and node.count_publishers("impact_validation")
         )
 
-    def run(self, masses: tuple[float, ...]) -> None:
-        """Let the robot hit something of each mass; each is told before its impact."""
+    def run(self, masses: tuple[float, ...] = ()) -> None:
+        """Let the robot hit something of each mass; they are told before."""
         encoder = ContactStateEncoder("tool", "base_link")
-        for number, (mass, peak) in enumerate(zip(masses, PEAKS, strict=True)):
-            if mass:
-                begin_ns = START_NS + number * S
-                self.info.publish(String(data=json.dumps({"obstacle_mass": mass, "since_ns": begin_ns})))
-                self.cell.report("validator: series", "impacts seen", bool)  # a report later, it has come
+        for number, mass in enumerate(masses):
+            about = {"obstacle_mass": mass, "since_ns": START_NS + number * S}
+            self.info.publish(String(data=json.dumps(about)))
+        if masses:
+            self.cell.report("validator: series", "obstacle mass [kg]", f"{masses[-1]:g}".__eq__)
+        for number, peak in enumerate(PEAKS):
             for millisecond in range(number * 1000 + 400, number * 1000 + 600):
                 self.states.publish(encoder.encode(contact(millisecond)))
             self.impacts.publish(impact_message(impact(number, peak)))
@@ -94,7 +96,7 @@ class Bench:
 def bench(new_cell: Callable[..., Cell], tmp_path: Path) -> Bench:
     cell = new_cell(name="validator")
     # What is sent is of another time than the node's, all of it alike.
-    words = ["-p", "criterion.least_count:=2", "-p", f"report_folder:={tmp_path}"]
+    words = ["-p", "criterion.least_count:=2", "-p", "clock_tolerance:=60.0", "-p", f"report_folder:={tmp_path}"]
     cell.start("--ros-args", *words, command=[str(EXECUTABLE)])
     return Bench(cell)
 
@@ -118,7 +120,7 @@ def test_what_it_publishes_is_what_the_core_gives_offline(bench: Bench) -> None:
 
 
 def test_without_a_mass_an_impact_is_counted_and_not_predicted(bench: Bench) -> None:
-    bench.run((0.0, 0.0, 0.0, 0.0))
+    bench.run()
     assert bench.cell.report("validator: series", "impacts seen", lambda value: value == "4").startswith(
         "4 impacts could not be paired"
     )
@@ -161,7 +163,7 @@ def test_reset_begins_a_new_series(bench: Bench) -> None:
     ],
 )
 def test_a_parameter_it_cannot_use_is_named(
-    local: None,  # noqa: ARG001 - keeps it on this machine
+    own_domain: int,  # noqa: ARG001 - where it is alone
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
     argument: str,
@@ -181,6 +183,6 @@ def test_ends_with_0_when_told_to(bench: Bench) -> None:
     process = bench.cell.process
     assert process is not None
     process.send_signal(signal.SIGINT)
-    output, errors = process.communicate(timeout=25)
+    output, errors = process.communicate()
     assert process.returncode == 0
     assert "Traceback" not in output + errors
