@@ -6,9 +6,8 @@ import os
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from functools import partial
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -28,16 +27,15 @@ from std_msgs.msg import Float64
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+    from contextlib import AbstractContextManager
 
-PATIENCE_S = 25.0
+PATIENCE_S = 120.0
 """Longest wait for anything; whatever takes this long has failed."""
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 Q = (0.3, 1.2, 0.1, -0.4)
 QD = (0.1, -0.2, 0.05, 0.3)
 DEEP = QoSProfile(depth=20_000)
 EXECUTABLE = Path(sys.executable).with_name("monitor_node")
-
-_domains = count(os.getpid() * 13)
 
 
 def joint_state(
@@ -62,13 +60,14 @@ def stamp_ns(message: Any) -> int:  # noqa: ANN401 - any stamped message
 class Cell:
     """A domain of its own, a node process in it, and a test node that talks to that process."""
 
-    def __init__(self, directory: Path, name: str = "monitor", namespace: str = "") -> None:
-        self.domain = 1 + next(_domains) % 99
+    def __init__(self, domain: int, directory: Path, name: str = "monitor", namespace: str = "") -> None:
+        self.domain = domain
         self.directory = directory
         self.contacts: list[ContactState] = []
         self.numbers: dict[str, list[float]] = {"allowable_speed": [], "speed_scaling": []}
         self.reports: list[DiagnosticArray] = []
         self.process: subprocess.Popen[str] | None = None
+        self.may_end = False
         self._name = f"{namespace}/{name}"
         self._context = Context()
         rclpy.init(context=self._context, domain_id=self.domain, signal_handler_options=SignalHandlerOptions.NO)
@@ -79,12 +78,16 @@ class Cell:
 
     def close(self) -> None:
         """End the process and the test's node."""
-        if self.process is not None:
-            self.process.terminate()
-            self.process.communicate(timeout=PATIENCE_S)
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        try:
+            if self.process is not None:
+                self.process.terminate()
+                self.process.communicate(timeout=PATIENCE_S)
+        finally:
+            if self.process is not None:
+                self.process.kill()
+            self._executor.shutdown()
+            self.node.destroy_node()
+            self._context.try_shutdown()
 
     def start(self, *arguments: str, command: Sequence[str] = (str(EXECUTABLE),)) -> subprocess.Popen[str]:
         """Start the node with `arguments`; its output goes to a pipe."""
@@ -113,7 +116,7 @@ class Cell:
         due = began
         while not (result := condition()):
             assert now < began + patience_s, f"nothing came of it in {patience_s} s"
-            if self.process is not None and self.process.poll() is not None:
+            if self.process is not None and not self.may_end and self.process.poll() is not None:
                 raise AssertionError(f"the node has ended: {self.process.communicate()[1][-2000:]}")
             if again is not None and now >= due:
                 again()
@@ -149,11 +152,6 @@ class Cell:
             self._input = self.node.create_publisher(JointState, "joint_states", DEEP)
         self._input.publish(message)
 
-    def mute(self) -> None:
-        """Take the publisher of joint states away."""
-        self.node.destroy_publisher(self._input)
-        self._input = None
-
     def exchange(self, message: JointState | bytes) -> ContactState:
         """Publish `message` and return the answer to it."""
         self._forget()
@@ -167,7 +165,6 @@ class Cell:
 
     def good(self) -> ContactState:
         """Send good joint states, each stamped now, until one is found OK; return that answer."""
-        self._forget()
         sent: list[JointState] = []
 
         def send() -> None:
@@ -183,20 +180,23 @@ class Cell:
         return answer
 
     def settle(self) -> None:
-        """From when every wire is up: wait for a pause, and count from there."""
+        """Count what comes from here on, of a node whose every wire is up and that is sent good joint states only."""
+        self.good()
+        self.send(joint_state(names=()))
+
+        def refused() -> bool:
+            """Return whether the last on each wire is zero, as nothing was before: with it, all that was has come."""
+            return not any([self.contacts[-1].allowable_speed, *(heard[-1] for heard in self.numbers.values())])
+
+        self.until(refused)
+        self._clear()
+
+    def drain(self) -> None:
+        """Take what has come already, and forget it."""
         heard = -1
-
-        def paused() -> bool:
-            nonlocal heard
-            before, heard = heard, len(self.contacts) + sum(map(len, self.numbers.values()))
-            return before == heard
-
-        def spin() -> None:
-            # Together with the wait of `until`, shorter than the quarter of a second between two words on silence.
-            for _ in range(10):
-                self._executor.spin_once(timeout_sec=0.01)
-
-        self.until(paused, again=spin)
+        while heard != (heard := len(self.contacts) + sum(map(len, self.numbers.values()))):
+            for _ in range(20):
+                self._executor.spin_once(timeout_sec=0.0)
         self._clear()
 
     def report(self, status: str, key: str, value: Callable[[str], bool]) -> str:
@@ -240,17 +240,18 @@ def local() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def shared(local: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:  # noqa: ARG001
-    """One node for all tests that leave it as they found it: nothing is held, silence counts from a second on."""
-    cell = Cell(tmp_path_factory.mktemp("shared"))
-    try:
-        cell.start("--ros-args", "-p", "release_time:=0.0", "-p", "timeout:=1.0")
+def shared(
+    local: None,  # noqa: ARG001 - keeps it on this machine
+    reserve_domain: Callable[[], AbstractContextManager[int]],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Cell]:
+    """One node for all tests that leave it as they found it: nothing is held, and nothing is old before a minute."""
+    with reserve_domain() as domain, closing(Cell(domain, tmp_path_factory.mktemp("shared"))) as cell:
+        cell.start("--ros-args", "-p", "release_time:=0.0", "-p", "timeout:=60.0")
         cell.listen()
         cell.until(lambda: cell.contacts and all(cell.numbers.values()), again=lambda: cell.send(joint_state()))
         cell.settle()
         yield cell
-    finally:
-        cell.close()
 
 
 @pytest.fixture
@@ -261,13 +262,16 @@ def cell(shared: Cell) -> Cell:
 
 
 @pytest.fixture
-def new_cell(local: None, tmp_path: Path) -> Iterator[Callable[..., Cell]]:  # noqa: ARG001
+def new_cell(
+    local: None,  # noqa: ARG001 - keeps it on this machine
+    reserve_domain: Callable[[], AbstractContextManager[int]],
+    tmp_path: Path,
+) -> Iterator[Callable[..., Cell]]:
     """Make cells for nodes that a test starts, and ends, its own way."""
     with ExitStack() as stack:
 
         def make(*arguments: str, **options: Any) -> Cell:  # noqa: ANN401
-            cell = Cell(tmp_path, **options)
-            stack.callback(cell.close)
+            cell = stack.enter_context(closing(Cell(stack.enter_context(reserve_domain()), tmp_path, **options)))
             if arguments:
                 cell.start(*arguments)
             return cell

@@ -33,6 +33,7 @@ from scara_effmass.values import ForceBlock as Block
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from scara_effmass.values import Impact as FoundImpact
     from test.nodes.conftest import Cell
 
 EXECUTABLE = Path(sys.executable).with_name("daq_node")
@@ -41,7 +42,8 @@ RATE = 12_800.0
 S = 1_000_000_000
 SETTLED = 10
 """Blocks after which the clock fit has seen a read that was not late."""
-BENCH = ("-p", "source:=bench", "-p", "bench.impact_period:=0.5", "-p", "bench.seed:=7")
+BENCH = ("-p", "source:=bench", "-p", "bench.impact_period:=0.5", "-p", "bench.seed:=7", "-p", "backlog:=600.0")
+"""Nothing is dropped, however long a machine has other things to do."""
 
 
 class Heard:
@@ -56,6 +58,10 @@ class Heard:
         node.create_subscription(ForceBlock, f"force{below}", self.blocks.append, DEEP, raw=True)
         node.create_subscription(Impact, f"impact{below}", self.impacts.append, DEEP, raw=True)
         node.create_subscription(WrenchStamped, f"wrench{below}", self.wrenches.append, DEEP)
+
+
+def first_samples(heard: Heard) -> list[int]:
+    return [decode_force_block(data).first_sample for data in heard.blocks]
 
 
 def started(new_cell: Callable[..., Cell], *arguments: str) -> Cell:
@@ -104,31 +110,38 @@ def recording(folder: Path, pulses: Sequence[float] = (0.6, 1.1)) -> Path:
 
 
 def test_simulated_force_is_published_whole_and_called_simulated(new_cell: Callable[..., Cell]) -> None:
+    began_ns = time.time_ns()
     cell = started(new_cell, *BENCH)
     cell.listen()
     heard = Heard(cell)
     cell.until(lambda: len(heard.blocks) >= 20 and len(heard.impacts) >= 2 and heard.wrenches)
-    now_ns = time.time_ns()
+    cell.until(lambda: stamp(heard.wrenches[-1]) - stamp(heard.wrenches[0]) > 1.5 * S)
     blocks = [decode_force_block(data) for data in heard.blocks]
+    cell.until(lambda: stamp(heard.wrenches[-1]) >= blocks[-1].stamp_ns)
+    now_ns = time.time_ns()
     for before, after in pairwise(blocks):
         assert after.first_sample == before.first_sample + len(before.force) + after.lost_samples
     for before, after in pairwise(blocks[SETTLED:]):
         step_s = (after.stamp_ns - before.stamp_ns) / 1e9
-        assert step_s == pytest.approx(len(before.force) / before.sample_rate, abs=2e-3)
+        # As exact as it says it is, which depends on how late the reads are.
+        assert step_s == pytest.approx(
+            len(before.force) / before.sample_rate, abs=1e-3 + before.clock_residual + after.clock_residual
+        )
     last = blocks[-1]
     assert sum(block.lost_samples for block in blocks) == 0
     assert last.simulated
     assert "simulated" in last.source
     assert last.frame_id == "force_sensor"
-    assert 0.0 <= (now_ns - last.stamp_ns) / 1e9 - len(last.force) / last.sample_rate < 1.0
-    assert last.sample_rate == pytest.approx(RATE, rel=1e-3)
+    assert began_ns <= blocks[0].stamp_ns
+    assert last.stamp_ns + round(len(last.force) / last.sample_rate * S) <= now_ns
+    assert blocks[0].sample_rate == pytest.approx(RATE, rel=1e-3)
     assert all(decode_impact(data).simulated for data in heard.impacts)
     # Wrenches are samples of the blocks, 100 of them in a second.
     samples = {value for block in blocks for value in block.force.tolist()}
-    first = next(i for i, w in enumerate(heard.wrenches) if stamp(w) >= blocks[1].stamp_ns)
-    some = [w for w in heard.wrenches[first:] if stamp(w) < blocks[-1].stamp_ns]
+    first = next(i for i, block in enumerate(blocks) if block.stamp_ns > stamp(heard.wrenches[0]))
+    some = [w for w in heard.wrenches if blocks[first].stamp_ns <= stamp(w) < blocks[-1].stamp_ns]
     assert {w.wrench.force.z for w in some} <= samples
-    assert len(some) == pytest.approx(100 * (blocks[-1].stamp_ns - blocks[1].stamp_ns) / 1e9, rel=0.1)
+    assert len(some) == pytest.approx(100 * (blocks[-1].stamp_ns - blocks[first].stamp_ns) / 1e9, rel=0.1)
     assert cell.report("daq: source", "samples lost by the device", bool).endswith("0")
     assert cell.report("daq: source", "simulated", bool).endswith("True")
     assert float(cell.report("daq: channel bench0", "samples published", bool).rpartition(" ")[2]) > 0
@@ -146,11 +159,15 @@ def test_impacts_are_those_that_the_published_blocks_give_offline(new_cell: Call
     assert change(cell, Transition.TRANSITION_ACTIVATE)
     cell.until(lambda: len(heard.impacts) >= 5)
     assert change(cell, Transition.TRANSITION_DEACTIVATE)
-    detector = Detector(DetectionSettings())
-    found = [impact for data in heard.blocks for impact in detector.feed(decode_force_block(data))]
     live = [decode_impact(data) for data in heard.impacts]
-    assert decode_force_block(heard.blocks[0]).first_sample == 0
-    assert found[: len(live)] == live
+
+    def found() -> list[FoundImpact]:
+        detector = Detector(DetectionSettings())
+        return [impact for data in heard.blocks for impact in detector.feed(decode_force_block(data))]
+
+    cell.until(lambda: len(found()) >= len(live))  # the blocks come on a way of their own
+    assert first_samples(heard)[0] == 0
+    assert found()[: len(live)] == live
 
 
 def test_every_channel_has_topics_of_its_own(new_cell: Callable[..., Cell]) -> None:
@@ -181,16 +198,16 @@ def test_inactive_is_silent_and_does_not_acquire(new_cell: Callable[..., Cell]) 
     answer = cell.call(Trigger, "reset", Trigger.Request())
     assert (answer.success, answer.message) == (False, "nothing is being acquired")
     assert not heard.blocks
-    for _ in range(2):
+    for times in (1, 2):
         assert change(cell, Transition.TRANSITION_ACTIVATE)
-        cell.until(partial(has_begun, heard))
+        cell.until(partial(has_begun, heard, times))
         assert change(cell, Transition.TRANSITION_DEACTIVATE)
-        heard.blocks.clear()
 
 
-def has_begun(heard: Heard) -> bool:
-    """Whether blocks came, of which the first begins the numbering."""
-    return len(heard.blocks) >= 2 and decode_force_block(heard.blocks[0]).first_sample == 0
+def has_begun(heard: Heard, times: int) -> bool:
+    """Whether the numbering has begun so many times, and gone on since."""
+    numbers = first_samples(heard)
+    return numbers.count(0) == times and numbers[-1] > 0
 
 
 def test_a_recording_is_played_to_its_end_and_that_ends_the_process(
@@ -204,9 +221,9 @@ def test_a_recording_is_played_to_its_end_and_that_ends_the_process(
     assert change(cell, Transition.TRANSITION_CONFIGURE)
     cell.until(lambda: cell.node.count_publishers("force") and cell.node.count_publishers("impact"))
     assert change(cell, Transition.TRANSITION_ACTIVATE)
-    cell.process = None  # it may end from here on
+    cell.may_end = True
     cell.until(lambda: len(heard.blocks) == 15 and len(heard.impacts) == 2)
-    process.communicate(timeout=25)
+    process.communicate()
     assert process.returncode == 0
     blocks = [decode_force_block(data) for data in heard.blocks]
     assert [block.stamp_ns for block in blocks] == [1_800_000_000 * S + i * S // 10 for i in range(15)]
@@ -250,7 +267,7 @@ def test_a_subscriber_that_does_not_listen_costs_the_others_nothing(new_cell: Ca
     ],
 )
 def test_what_it_cannot_use_is_named_in_one_line(
-    local: None,  # noqa: ARG001 - keeps it on this machine
+    own_domain: int,  # noqa: ARG001 - where it is alone
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
     argument: str,
@@ -270,7 +287,7 @@ def test_what_it_cannot_use_is_named_in_one_line(
 def test_without_a_driver_it_ends_with_one_line_and_2(new_cell: Callable[..., Cell]) -> None:
     process = started(new_cell).process
     assert process is not None
-    output, errors = process.communicate(timeout=25)
+    output, errors = process.communicate()
     assert (process.returncode, output) == (2, "")
     (only,) = [line for line in errors.splitlines() if "[INFO]" not in line]
     assert only.startswith("the driver NI-DAQmx is not installed")
@@ -282,7 +299,7 @@ def test_a_recording_that_is_not_there_ends_it_with_one_line_and_2(
     missing = tmp_path / "missing.mcap"
     process = started(new_cell, "-p", "source:=bag", "-p", f"bag.path:={missing}").process
     assert process is not None
-    _, errors = process.communicate(timeout=25)
+    _, errors = process.communicate()
     assert process.returncode == 2
     assert errors.startswith(f"{missing}: ")
     assert len(errors.splitlines()) == 1
@@ -302,6 +319,6 @@ def test_ends_with_0_when_told_to(new_cell: Callable[..., Cell], number: signal.
     cell.until(lambda: heard.blocks)
     assert cell.process is not None
     cell.process.send_signal(number)
-    output, errors = cell.process.communicate(timeout=25)
+    output, errors = cell.process.communicate()
     assert cell.process.returncode == 0
     assert "Traceback" not in output + errors

@@ -99,7 +99,7 @@ def test_bad_input_is_unknown_until_good_input_returns(cell: Cell, fields: dict[
     [
         (0, "the header stamp is repeated"),
         (-MS, "the header stamp goes back by 0.001000 s"),
-        (2 * S, "the header stamp is "),
+        (3600 * S, "the header stamp is "),
         (-200 * S, "the joint state is 20"),
     ],
     ids=["repeated", "backwards", "in the future", "old"],
@@ -141,7 +141,7 @@ def test_silence_is_unknown_after_the_timeout(cell: Cell) -> None:
         assert stamp_of(silent) >= stamp_of(last)
         assert silent.input_age >= 0.05
     finally:
-        assert cell.set(timeout=1.0) == ""
+        assert cell.set(timeout=60.0) == ""
     cell.good()
 
 
@@ -265,5 +265,5 @@ def test_live_equals_offline_bit_for_bit(cell: Cell) -> None:
                 assert cell.numbers["speed_scaling"] == [decision.speed_scaling]
                 verdicts.add(int(live.verdict))
     finally:
-        assert cell.set(release_time=0.0, reference_speed=0.0, timeout=1.0, future_tolerance=0.02) == ""
+        assert cell.set(release_time=0.0, reference_speed=0.0, timeout=60.0, future_tolerance=0.02) == ""
     assert verdicts == {ContactState.UNKNOWN, ContactState.OK, ContactState.WARN, ContactState.VIOLATION}

@@ -50,7 +50,7 @@ def test_what_it_cannot_use_is_one_line_and_2(
 ) -> None:
     process = new_cell(*arguments.format(**paths).split()).process
     assert process is not None
-    output, errors = process.communicate(timeout=25)
+    output, errors = process.communicate()
     assert process.returncode == 2
     assert output == ""
     (only,) = errors.splitlines()
@@ -79,7 +79,7 @@ def test_what_it_cannot_use_is_one_line_and_2(
     ],
 )
 def test_a_parameter_it_cannot_use_is_named(
-    local: None,  # noqa: ARG001 - keeps it on this machine
+    own_domain: int,  # noqa: ARG001 - where it is alone
     monkeypatch: pytest.MonkeyPatch,
     paths: dict[str, Path],
     argument: str,
@@ -100,7 +100,7 @@ def test_a_parameter_it_cannot_use_is_named(
 def test_help_needs_no_ros(new_cell: Callable[..., Cell]) -> None:
     process = new_cell("--help").process
     assert process is not None
-    output, errors = process.communicate(timeout=25)
+    output, errors = process.communicate()
     assert (process.returncode, errors) == (0, "")
     assert output.startswith("usage: monitor_node [--ros-args ...]")
 
@@ -124,7 +124,7 @@ def test_ends_with_0_when_told_to(
     cell.until(lambda: cell.contacts)  # the silence of the first fifth of a second
     for number in signals:
         process.send_signal(number)
-    output, errors = process.communicate(timeout=25)
+    output, errors = process.communicate()
     assert process.returncode == 0
     assert "Traceback" not in output + errors
     assert "Exception ignored" not in output + errors
@@ -138,7 +138,7 @@ def test_ends_with_0_while_it_starts(new_cell: Callable[..., Cell]) -> None:
     assert "watching omron_i4_550l" in process.stderr.readline()
     process.send_signal(signal.SIGINT)
     errors = process.stderr.read()
-    assert process.wait(timeout=25) == 0
+    assert process.wait() == 0
     assert "Traceback" not in errors
 
 
