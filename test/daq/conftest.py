@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 START_NS = 1_767_225_600_000_000_000
 FASTEST = 12_800.0
 FULL_SCALE_V = 30.0
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 
 MESSAGES = {
     -200430: "I/O type of the physical channel cannot do that.",

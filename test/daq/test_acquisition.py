@@ -27,7 +27,7 @@ RATE = 1000.0
 BLOCK = 100
 NS = 1_000_000_000
 SETTINGS = DaqSettings(backlog=0.5, ni9230=Ni9230Settings(retry_time=0.001))
-WAIT_S = 20.0
+WAIT_S = 120.0
 
 
 class Scripted:
@@ -492,7 +492,7 @@ def test_reading_a_recording_has_no_latency() -> None:
 
 
 def test_the_simulated_converter_is_read_in_real_time() -> None:
-    settings = DaqSettings(source=ForceSourceKind.BENCH, block_time=0.005)
+    settings = DaqSettings(source=ForceSourceKind.BENCH, block_time=0.005, backlog=600.0)
     bell = Bell()
     made = Acquisition(SimulatedForce(settings, lambda: 42), settings, bell)
     made.start()

@@ -447,11 +447,11 @@ def test_close_ends_a_read_that_waits(ni_device: NiDevice, started: Open) -> Non
     source = started()
     ni_device.blocking = True
     answers: list[Reading | None] = []
-    reader = threading.Thread(target=lambda: answers.append(source.read(60.0)))
+    reader = threading.Thread(target=lambda: answers.append(source.read(600.0)))
     reader.start()
-    assert ni_device.waiting.wait(20.0)
+    assert ni_device.waiting.wait(120.0)
     source.close()
-    reader.join(20.0)
+    reader.join(120.0)
     assert answers == [None]
     assert not ni_device.tasks
     assert not source.ended

@@ -123,19 +123,19 @@ def test_it_waits_for_the_block_in_real_time() -> None:
     before = time.monotonic()
     source.start()
     for _ in range(5):
-        block(source, timeout_s=10.0)
-    assert 0.05 <= time.monotonic() - before < 5.0
+        block(source, timeout_s=120.0)
+    assert 0.05 <= time.monotonic() - before < 120.0
 
 
 def test_closing_ends_a_read_that_waits() -> None:
     source, clock = started()
     clock.asked.clear()
     answers: list[Reading | None] = []
-    reader = threading.Thread(target=lambda: answers.append(source.read(30.0)))
+    reader = threading.Thread(target=lambda: answers.append(source.read(600.0)))
     reader.start()
-    assert clock.asked.wait(10.0)
+    assert clock.asked.wait(120.0)
     source.close()
-    reader.join(timeout=10.0)
+    reader.join(timeout=120.0)
     assert not reader.is_alive()
     assert answers == [None]
 
