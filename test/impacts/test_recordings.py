@@ -100,9 +100,7 @@ def test_the_mass_of_the_cart(detect: Detect) -> None:
 
 def test_import_signal_and_detection_give_the_same(detect: Detect) -> None:
     """The example takes the files the way of `daq_node`, by its settings alone, and has tables of its own."""
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLE), str(FOLDER)], capture_output=True, text=True, timeout=50, check=True
-    )
+    done = subprocess.run([sys.executable, str(EXAMPLE), str(FOLDER)], capture_output=True, text=True, check=True)
     assert done.stderr == ""
     rows = list(csv.DictReader(done.stdout.splitlines()))
     assert [f"{row['file']} {row['run']}" for row in rows] == [run.name for run in RUNS]
