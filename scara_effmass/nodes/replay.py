@@ -233,7 +233,8 @@ class _Player:
         Raises EffmassError.
         """
         seconds = self._options.subscriber_timeout_s
-        deadline_ns = time.monotonic_ns() + round(seconds * _NS)
+        began_ns = time.monotonic_ns()
+        deadline_ns = began_ns + round(seconds * _NS)
         wanted = [self._joint_states] if self._joint_states else list(self._outlets.values())
         answers = self._answers
         least = self._options.subscribers
@@ -256,11 +257,12 @@ class _Player:
             raise EffmassError(
                 f"{answers.topic}: nobody publishes it within {seconds:g} s; rate 0 needs a monitor that answers"
             )
+        found_within_ns = time.monotonic_ns() - began_ns
         if answers:
             # A monitor soon says that all is silent: then it has found us too, as to find it does not mean. One that
             # is patient with silence has nothing to say.
             self._stage.spin_until(time.monotonic_ns() + _FIRST_WORD_NS, lambda: answers.begun)
-        self._stage.settle()
+        self._stage.settle(found_within_ns)
 
     def _play_once(self, messages: Iterator[RawMessage], began_ns: int) -> None:
         rate = self._options.rate

@@ -26,6 +26,7 @@ _SLICE_NS = 100_000_000
 SETTLE_NS = 300_000_000
 """DDS tells when a publisher knows a reader, not when that reader knows the publisher, and best-effort readers
 confirm nothing: both get this long."""
+LONGEST_SETTLE_NS = 3_000_000_000
 _ACKNOWLEDGED_NS = 10_000_000_000
 
 
@@ -54,9 +55,9 @@ class Stage:
                 return
             self._executor.spin_once(timeout_sec=min(left_ns, _SLICE_NS) / 1e9)
 
-    def settle(self) -> None:
-        """Give the other side the time that no event tells."""
-        self.spin_until(time.monotonic_ns() + SETTLE_NS)
+    def settle(self, found_within_ns: int = 0) -> None:
+        """Give the other side the time that no event tells: as long as this side took, which shows a busy machine."""
+        self.spin_until(time.monotonic_ns() + min(max(SETTLE_NS, found_within_ns), LONGEST_SETTLE_NS))
 
     def wait_acknowledged(self, outlets: Collection[Outlet]) -> list[str]:
         """Wait until all reliable readers have everything; return the topics of which some have not after 10 s.
