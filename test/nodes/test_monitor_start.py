@@ -135,7 +135,7 @@ def test_ends_with_0_while_it_starts(new_cell: Callable[..., Cell]) -> None:
     process = new_cell("--ros-args", "-p", "autostart:=true").process
     assert process is not None
     assert process.stderr is not None
-    assert "watching omron_i4_550l" in process.stderr.readline()
+    assert any("watching omron_i4_550l" in line for line in process.stderr)
     process.send_signal(signal.SIGINT)
     errors = process.stderr.read()
     assert process.wait() == 0
