@@ -15,8 +15,15 @@ if TYPE_CHECKING:
 
 NS = 1_000_000_000
 
-UNITS = {"N": (Unit.NEWTON, 1.0), "kN": (Unit.NEWTON, 1e3), "V": (Unit.VOLT, 1.0), "mV": (Unit.VOLT, 1e-3)}
-"""What a recording may be in, and what it takes to get from there to the unit of a source."""
+UNITS = {
+    "N": (Unit.NEWTON, 1.0),
+    "kN": (Unit.NEWTON, 1e3),
+    "lbf": (Unit.NEWTON, 4.4482216152605),
+    "kgf": (Unit.NEWTON, 9.80665),
+    "V": (Unit.VOLT, 1.0),
+    "mV": (Unit.VOLT, 1e-3),
+}
+"""What a recording may be in, and what it takes to get from there to the unit of a source (NIST SP 811, B.8)."""
 
 
 class RecordedBlock(NamedTuple):
@@ -58,9 +65,11 @@ def declared_unit(setting: str, written: str, origin: str) -> tuple[Unit, float]
     Either may be empty; raises SettingsError when both are, or they differ.
     """
     choices = ", ".join(UNITS)
+    if not setting and not written:
+        raise SettingsError(f"{origin}: does not say its unit; bag.unit = one of {choices} would be right")
     if not setting and written not in UNITS:
-        found = f"has the unit {written!r}" if written else "does not say its unit"
-        raise SettingsError(f"{origin}: {found}; bag.unit = one of {choices} would be right")
+        right = f"convert it to one of {choices}, or say with bag.unit which of these it is"
+        raise SettingsError(f"{origin}: has the unit {written!r}; {right}")
     if setting and written in UNITS and written != setting:
         raise SettingsError(f"{origin}: bag.unit = {setting}, but it is in {written}; leave bag.unit empty")
     return UNITS[setting or written]

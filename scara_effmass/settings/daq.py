@@ -207,8 +207,10 @@ class BagSettings(_Group):
     )
     unit: str = Field(
         "",
-        pattern="^(|N|kN|V|mV)$",
-        description="of the numbers in the recording: N, kN, V or mV; empty: as the recording says, N for messages",
+        pattern="^(|N|kN|lbf|kgf|V|mV)$",
+        description=(
+            "of the numbers in the recording: N, kN, lbf, kgf, V or mV; empty: as the recording says, N for messages"
+        ),
         json_schema_extra=READ_ONLY,
     )
     time_column: str = Field(
