@@ -130,6 +130,8 @@ def _samples(bag: Bag, topic: Topic, settings: BagSettings, block_time: float) -
     stream = stamped_samples(bag, topic, settings.axis)
     try:
         even = EvenBlocks(stream.samples, block_time, scale)
+    except BagError:
+        raise
     except ValueError as error:
         raise BagError("; ".join([f"{origin}: {error}", *bag.losses])) from None
     simulated = _is_generated(bag)
