@@ -45,7 +45,7 @@ class AcquisitionStatistics:
 
     state: AcquisitionState
     reason: str
-    """Why it is waiting or has failed."""
+    """Why it is waiting or has failed; of a recording that has ended, what of it could not be read."""
     samples_read: int
     samples_dropped: int
     samples_lost: int
@@ -166,6 +166,8 @@ class Acquisition:
         reason = ""
         try:
             over = self._read_all()
+            if over is AcquisitionState.ENDED and isinstance(self.source, RecordedForce):
+                reason = "; ".join(self.source.losses)
         except Exception as error:  # noqa: BLE001 - whatever it is, the consumer is told
             over = AcquisitionState.STOPPED
             # Closing a source under a read may be an error to its driver, but is none to us.

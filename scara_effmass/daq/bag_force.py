@@ -85,6 +85,7 @@ def _force_blocks(bag: Bag, topic: Topic, settings: BagSettings) -> Recording:
         start_ns=min(first.stamp_ns, bag.start_ns),
         end_ns=max(first.stamp_ns + bag.duration_ns, bag.end_ns),
         blocks=_continuous(chain([first], blocks), first.sample_rate, origin),
+        losses=lambda: bag.losses,
         close=bag.close,
     )
 
@@ -143,6 +144,7 @@ def _samples(bag: Bag, topic: Topic, settings: BagSettings, block_time: float) -
         start_ns=min(even.start_ns, bag.start_ns),
         end_ns=max(even.start_ns + bag.duration_ns, bag.end_ns),
         blocks=(block._replace(simulated=simulated) for block in even),
+        losses=lambda: bag.losses,
         close=bag.close,
     )
 

@@ -101,6 +101,11 @@ class RecordedForce:
         return self._ended
 
     @property
+    def losses(self) -> tuple[str, ...]:
+        """What of the open recording could not be read so far, a line each."""
+        return self._recording.losses() if self._recording else ()
+
+    @property
     def awaited(self) -> str:
         """What the next block is waiting for, for people."""
         begin_ns, block, at = self._begin_ns, self._block, f"it is at {self._latest_ns / NS:.3f} s"

@@ -45,8 +45,8 @@ def nothing() -> None:
 class Recording:
     """A recording that has been opened. Its `blocks` come in the order of their times, at a constant `sample_rate`.
 
-    It spans the times from `start_ns` to `end_ns`, of which the first sample may be later than the start. `close`
-    may be called at any time, but not while `blocks` are read.
+    It spans the times from `start_ns` to `end_ns`, of which the first sample may be later than the start. `losses`
+    says what could not be read so far, a line each. `close` may be called at any time, but not while `blocks` are read.
     """
 
     description: str
@@ -56,6 +56,7 @@ class Recording:
     start_ns: int
     end_ns: int
     blocks: Iterator[RecordedBlock]
+    losses: Callable[[], tuple[str, ...]] = tuple
     close: Callable[[], None] = nothing
 
 

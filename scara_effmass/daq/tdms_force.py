@@ -36,7 +36,8 @@ def open_tdms_force(settings: BagSettings, block_time: float) -> Recording:
     BagError or SettingsError.
     """
     path = Path(settings.path)
-    channel, name = _channel(path, settings.topic)
+    file = _read(path)
+    channel, name = _channel(path, file, settings.topic)
     origin = f"{path}: {name}"
     increment = _property(channel, "wf_increment", origin)
     if not 0.0 < increment * len(channel) < LONGEST_S:
@@ -50,6 +51,8 @@ def open_tdms_force(settings: BagSettings, block_time: float) -> Recording:
     start_ns += round(offset * NS)
     written = str(channel.properties.get("unit_string", ""))
     unit, scale = declared_unit(settings.unit, SPELLINGS.get(written.lower(), written), origin)
+    cut_off = file.file_status.incomplete_final_segment
+    losses = (f"{path}: is cut off in its last segment; what came there is lost",) if cut_off else ()
     with np.errstate(over="ignore"):  # infinite, then, which is no force
         samples = np.asarray(channel[:], np.float64) * scale
     return Recording(
@@ -60,6 +63,7 @@ def open_tdms_force(settings: BagSettings, block_time: float) -> Recording:
         start_ns=start_ns,
         end_ns=start_ns + round(len(samples) * increment * NS),
         blocks=_blocks(samples, start_ns, increment, max(1, round(block_time / increment))),
+        losses=lambda: losses,
     )
 
 
@@ -69,14 +73,17 @@ def _blocks(samples: FloatArray, start_ns: int, increment: float, size: int) -> 
         yield RecordedBlock(stamp_ns, samples[first : first + size], 0, 0.0)
 
 
-def _channel(path: Path, asked: str) -> tuple[Any, str]:
-    """Return the channel that is asked for, or the only one that can be force, and its name."""
+def _read(path: Path) -> Any:  # noqa: ANN401 - of a library without types
     try:
-        file = TdmsFile.read(path)
+        return TdmsFile.read(path)
     except OSError as error:
         raise BagError(f"{path}: cannot be read: {error.strerror or error}") from None
     except Exception as error:  # noqa: BLE001 - a damaged file shows itself in every error the library knows
         raise BagError(f"{path}: cannot be read: {' '.join(str(error).split()) or type(error).__name__}") from None
+
+
+def _channel(path: Path, file: Any, asked: str) -> tuple[Any, str]:  # noqa: ANN401 - of a library without types
+    """Return the channel that is asked for, or the only one that can be force, and its name."""
     channels = {
         f"{group.name}/{channel.name}": channel
         for group in file.groups()

@@ -54,7 +54,9 @@ class DaqHealth:
         level = _LEVELS.get(statistics.state, DiagnosticStatus.STALE)
         lost = statistics.samples_lost + statistics.samples_dropped
         message = statistics.reason or statistics.state.value
-        if level == DiagnosticStatus.OK and lost:
+        if level == DiagnosticStatus.OK and statistics.reason:
+            level = DiagnosticStatus.WARN
+        elif level == DiagnosticStatus.OK and lost:
             level, message = DiagnosticStatus.WARN, f"{lost} samples lost"
         elif level == DiagnosticStatus.OK and signal.clock.restarts:
             level, message = DiagnosticStatus.WARN, f"a clock has jumped {signal.clock.restarts} times: stamps with it"

@@ -165,15 +165,17 @@ class DaqNode(SuiteNode):
         if acquisition.failure is not None:
             raise acquisition.failure
         if acquisition.ended:
-            self._on_end()
+            self._on_end(acquisition.statistics().reason)
 
-    def _on_end(self) -> None:
+    def _on_end(self, not_read: str) -> None:
         for output in self._outputs:
             output.finish()
         self._diagnostics.report()
         if not any(channel.samples for channel in self._signal.channels):
             raise DaqError(f"{self._source.description}: holds no usable sample; finite numbers would be right")
         self.get_logger().info(f"{self._source.description}: the end")
+        if not_read:
+            self.get_logger().warning(not_read)
         if self._settings.stop_at_end:
             for output in self._outputs:
                 output.wait_delivered()

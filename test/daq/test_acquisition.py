@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from nptdms import ChannelObject, TdmsWriter
 
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.simulated import SimulatedForce
@@ -400,6 +401,23 @@ def test_a_recording_says_what_time_it_waits_for(tmp_path: Path) -> None:
         "waiting for samples",
         f"no samples within 0.01 s: {awaited}",
     )
+
+
+def test_a_recording_that_is_cut_off_ends_with_what_is_missing(tmp_path: Path) -> None:
+    path = tmp_path / "cell.tdms"
+    with TdmsWriter(path) as writer:
+        writer.write_segment([ChannelObject("g", "c", np.arange(100.0), {"wf_increment": 0.01, "unit_string": "N"})])
+    path.write_bytes(path.read_bytes()[:-80])
+    settings = DaqSettings(source=ForceSourceKind.BAG, bag=BagSettings(path=str(path), rate=0.0))
+    made = Acquisition(make_source(settings, lambda: NS), settings, bell := Bell())
+    made.start()
+    bell.until(over(made))
+    assert sum(reading.samples.shape[1] for reading in made.take()) == 90
+    statistics = made.statistics()
+    made.stop()
+    assert statistics.state is AcquisitionState.ENDED
+    assert statistics.reason == f"{path}: is cut off in its last segment; what came there is lost"
+    assert made.failure is None
 
 
 def test_the_runs_of_a_recording_that_was_set_back_are_told(tmp_path: Path) -> None:

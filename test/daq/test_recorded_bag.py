@@ -230,6 +230,21 @@ def test_disorder_is_put_right_gaps_are_counted_and_odd_stamps_left_out(tmp_path
     assert placed.tolist() == (right - right[0]).tolist()
 
 
+def test_what_is_cut_off_is_played_as_far_as_it_goes_and_said(tmp_path: Path) -> None:
+    noise = np.random.default_rng(5).normal(size=2000)
+    blocks = (block(2000 * n, 2000, force=noise + n) for n in range(100))
+    path = write(tmp_path / "run.mcap", block_messages(blocks))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(0.9 * len(whole))])
+    with opened(path) as recorded:
+        count = 0
+        while not recorded.ended:
+            count += recorded.read(0.0) is not None
+        assert 50 <= count < 100
+        assert all(loss.startswith(f"{path}: ") for loss in recorded.losses)
+        assert "cut off" in "; ".join(recorded.losses)
+
+
 @pytest.mark.parametrize("count", [1500, 12_000])
 def test_a_clock_that_was_set_while_recording_is_refused(tmp_path: Path, count: int) -> None:
     log_times_ns = T0 + np.arange(count) * MS

@@ -254,6 +254,18 @@ def test_units_of_channels(tmp_path: Path, written: str, unit: str, right: Unit,
     assert recorded.unit is right
 
 
+def test_what_is_cut_off_of_a_log_is_said(tmp_path: Path) -> None:
+    path = tdms(tmp_path / "run.tdms", {"g/c": (FORCE, TIMING)})
+    whole = path.read_bytes()
+    for length, losses in ((len(whole), []), (len(whole) - 8000, ["is cut off in its last segment; what"])):
+        path.write_bytes(whole[:length])
+        recorded = source(path)
+        assert samples(played(recorded)) == FORCE[: len(FORCE) - (len(whole) - length) // 8].tolist()
+        recorded.start()
+        assert [loss.removeprefix(f"{path}: ").partition(" came")[0] for loss in recorded.losses] == losses
+        recorded.close()
+
+
 def test_the_channel_in_a_unit_of_force_is_taken_and_offsets_count(tmp_path: Path) -> None:
     channels: dict[str, Any] = {
         "g/text": (np.array(["a", "b"]), {}),
