@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +26,7 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.daq_health import DaqHealth
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.running import SuiteNode, run
-from scara_effmass.settings import READ_ONLY, BenchScene, DaqSettings, ForceSourceKind, checked
+from scara_effmass.settings import READ_ONLY, BenchScene, DaqSettings, FilterKind, ForceSourceKind, checked
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -79,6 +80,8 @@ class DaqNode(SuiteNode):
         if self.get_parameter("use_sim_time").value and not on_ros_time:
             kind = settings.source.value
             raise SettingsError(f"{self.get_name()}: use_sim_time = true: {kind} measures now; false would be right")
+        if settings.filter.kind is not FilterKind.NONE:
+            import_module("scara_effmass.daq.lowpass")  # takes seconds the first time: now, not while samples come
         self._source: ForceSource = make_source(settings, self._now_ns)
         self._health = DaqHealth(self.get_name())
         for number, name in enumerate(self._source.channels):

@@ -284,6 +284,24 @@ def test_what_it_cannot_use_is_named_in_one_line(
     assert "\n" not in str(refusal.value)
 
 
+def test_what_the_filter_needs_is_loaded_before_samples_come(
+    local: None,  # noqa: ARG001 - keeps it on this machine
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    monkeypatch.delitem(sys.modules, "scara_effmass.daq.lowpass", raising=False)
+    words = ["--ros-args", *BENCH, "-p", "filter.kind:=causal", "-p", "autostart:=false"]
+    rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = DaqNode()
+        node.trigger_configure()
+        assert "scara_effmass.daq.lowpass" in sys.modules
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
 def test_without_a_driver_it_ends_with_one_line_and_2(new_cell: Callable[..., Cell]) -> None:
     process = started(new_cell).process
     assert process is not None
