@@ -145,7 +145,8 @@ class ForceChannel:
         self._sample_rate = source.sample_rate
         self._lowpass = _lowpass(settings, source.sample_rate)
         self._memory = self._lowpass.memory if self._lowpass else 0
-        self._delay = self._lowpass.delay / source.sample_rate if self._lowpass else 0.0
+        self.lowpass_delay = self._lowpass.delay / source.sample_rate if self._lowpass else 0.0
+        """[s], taken off the stamps"""
         self._next: int | None = None
         self._lost = 0
         self._missing = 0
@@ -192,12 +193,12 @@ class ForceChannel:
         marks = self._marks(saturated, force.size)
         block = reading._replace(
             frame_id=self.frame_id,
-            stamp_ns=reading.stamp_ns + round((start / reading.sample_rate - self._delay) * 1e9),
+            stamp_ns=reading.stamp_ns + round((start / reading.sample_rate - self.lowpass_delay) * 1e9),
             first_sample=first,
             force=force - self.tare,
             lost_samples=min(self._missing, MOST_LOST),
             saturated_samples=marks,
-            filter_delay=reading.filter_delay + self._delay,
+            filter_delay=reading.filter_delay + self.lowpass_delay,
             tare=self.tare,
             tare_stamp_ns=self.tare_stamp_ns,
         )
