@@ -51,14 +51,14 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.epilog = EXAMPLES
     add_robot(parser)
-    add_params(parser)
+    add_params(parser, "monitor_node and daq_node")
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Examine the installation, the environment and the robot."""
-    settings = settings_from(args)
+    settings = settings_from(args, others=("daq",))
     path = robot_path(settings)
     if not path.is_file():
         raise RobotError(f"{path}: there is no such file; a URDF or DH YAML file would be right")

@@ -14,7 +14,7 @@ from scara_effmass.share import share
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from scara_effmass.model.arm import Arm
 
@@ -67,9 +67,16 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="replace output that exists already")
 
 
-def settings_from(args: argparse.Namespace, **more: Any) -> MonitorSettings:  # noqa: ANN401 - any setting
-    """Return the settings of --params with the other options over them. Raises SettingsError."""
-    settings = load_settings(MonitorSettings, args.params, "monitor") if args.params else MonitorSettings()
+def settings_from(
+    args: argparse.Namespace,
+    others: Collection[str] = (),
+    **more: Any,  # noqa: ANN401 - any setting
+) -> MonitorSettings:
+    """Return the settings of --params, which may be for `others` alone, with the other options over them.
+
+    Raises SettingsError.
+    """
+    settings = load_settings(MonitorSettings, args.params, "monitor", others) if args.params else MonitorSettings()
     given = {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | more
     changes = {name: value for name, value in given.items() if value is not None}
     return checked(MonitorSettings, {**settings.model_dump(), **changes}, "options")

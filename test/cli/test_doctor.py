@@ -204,3 +204,10 @@ def test_the_channel_of_a_parameter_file_is_looked_for(tmp_path: Path, capsys: p
     file.write_text(monitor, encoding="utf-8")
     _, result = examined(capsys, "--params", str(file))
     assert "daq (or /**) would be right; what follows is about its defaults" in texts(result, "note")["daq_node"]
+
+
+@pytest.mark.usefixtures("driver")
+def test_a_parameter_file_of_the_force_node_alone_will_do(capsys: pytest.CaptureFixture[str]) -> None:
+    code, result = examined(capsys, "--params", str(share("config", "daq.yaml")))
+    assert code == 0
+    assert texts(result, "ok")["ni9230.channels"] == "cDAQ1Mod1/ai0: there"
