@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import math
 import re
+from array import array
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -21,19 +23,24 @@ DELIMITERS = ",;\t"
 TIME_UNITS = {"s": NS, "sec": NS, "ms": 1_000_000, "us": 1000, "µs": 1000, "ns": 1}
 """In [ns]."""
 
+HEAD = 4096
+"""In so many characters, what is no text shows itself."""
+
 FARTHEST_NS = 2**62
 """In 2116; twice that is too much for 64 bits."""
+MOST_DIGITS = 20
+"""Of the nanoseconds until then; a number that has more is far beyond."""
 
 BRACKETED = re.compile(r".*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*")
 SUFFIXED = re.compile(r".*_([A-Za-z]+)\s*")
 LOWER_CASE = {unit.lower(): unit for unit in (*UNITS, *TIME_UNITS)}
 
 
-class _Rows(NamedTuple):
-    """The rows of a file below its header, each with the number of its line."""
+class _Table(NamedTuple):
+    """A file: its header, and the rows below as they are read, each with the number of its line."""
 
     header: list[str]
-    rows: list[tuple[int, list[str]]]
+    rows: Iterator[tuple[int, list[str]]]
 
 
 def open_csv_force(settings: BagSettings, block_time: float) -> Recording:
@@ -55,9 +62,13 @@ def open_csv_force(settings: BagSettings, block_time: float) -> Recording:
         raise BagError(
             f"{path}: {header[time]} is in {written}; times in one of {', '.join(TIME_UNITS)} would be right"
         )
-    samples = list(_samples(path, header, rows, time, force, TIME_UNITS[written or "s"]))
+    # a long file has millions of rows: as arrays they take 16 bytes each
+    stamps_ns, values = array("q"), array("d")
+    for stamp_ns, value in _samples(path, header, rows, time, force, TIME_UNITS[written or "s"]):
+        stamps_ns.append(stamp_ns)
+        values.append(value)
     try:
-        even = EvenBlocks(samples, block_time, scale)
+        even = EvenBlocks(zip(stamps_ns, values, strict=True), block_time, scale)
     except ValueError as error:
         raise BagError(f"{origin}: {error}") from None
     return Recording(
@@ -66,38 +77,50 @@ def open_csv_force(settings: BagSettings, block_time: float) -> Recording:
         unit=unit,
         sample_rate=even.sample_rate,
         start_ns=even.start_ns,
-        end_ns=samples[-1][0],
+        end_ns=stamps_ns[-1],
         blocks=iter(even),
     )
 
 
-def _read(path: Path) -> _Rows:
-    try:
-        # the names of other columns may be in any encoding
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
-    except OSError as error:
-        raise BagError(f"{path}: cannot be read: {error.strerror}") from None
-    if "\0" in text:
-        raise BagError(f"{path}: is no text in UTF-8; a CSV file in that encoding would be right")
-    lines = text.split("\n")
-    start = next((number for number, line in enumerate(lines) if line.strip() and not line.startswith("#")), None)
-    if start is None:
+def _read(path: Path) -> _Table:
+    lines = _lines(path)
+    numbered = enumerate(lines)
+    start, first = next(((n, line) for n, line in numbered if line.strip() and not line.startswith("#")), (0, ""))
+    if not first:
         raise BagError(f"{path}: is empty; a header row and rows of numbers would be right")
-    counts = {each: len(next(csv.reader([lines[start]], delimiter=each))) for each in DELIMITERS}
+    counts = {each: len(next(csv.reader([first], delimiter=each))) for each in DELIMITERS}
     delimiter = max(counts, key=lambda each: counts[each])
-    reader = csv.reader(lines[start:], delimiter=delimiter)
-    try:
-        rows = [(start + reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
-    except csv.Error as error:
-        raise BagError(f"{path}: line {start + reader.line_num}: is no CSV: {error}") from None
-    _, header = rows[0]
+    rows = _rows(path, start, chain([first], lines), delimiter)
+    _, header = next(rows)
     if len(header) < 2:
         raise BagError(f"{path}: line {start + 1}: has one column; times and force, separated by , ; or tab are needed")
     if all(_is_number(name) for name in header if name):
         raise BagError(
             f"{path}: line {start + 1}: holds numbers; a header with the names of the columns would be right"
         )
-    return _Rows(header, rows[1:])
+    return _Table(header, rows)
+
+
+def _lines(path: Path) -> Iterator[str]:
+    try:
+        # the names of other columns may be in any encoding
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
+            if "\0" in file.read(HEAD):
+                raise BagError(f"{path}: is no text in UTF-8; a CSV file in that encoding would be right")
+            file.seek(0)
+            yield from file
+    except OSError as error:
+        raise BagError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _rows(path: Path, start: int, lines: Iterator[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    reader = csv.reader(lines, delimiter=delimiter)
+    try:
+        for row in reader:
+            if row:
+                yield start + reader.line_num, [cell.strip() for cell in row]
+    except csv.Error as error:
+        raise BagError(f"{path}: line {start + reader.line_num}: is no CSV: {error}") from None
 
 
 def _column(header: Sequence[str], name: str, key: str, path: Path) -> int:
@@ -125,7 +148,7 @@ def _unit(name: str) -> str:
 
 
 def _samples(
-    path: Path, header: Sequence[str], rows: Sequence[tuple[int, list[str]]], time: int, force: int, unit_ns: int
+    path: Path, header: Sequence[str], rows: Iterator[tuple[int, list[str]]], time: int, force: int, unit_ns: int
 ) -> Iterator[tuple[int, float]]:
     last = -math.inf
     for line, row in rows:
@@ -134,7 +157,8 @@ def _samples(
         origin = f"{path}: line {line}"
         value = _number(row[force], f"{origin}: {header[force]}")
         # a float has not enough digits for the date in nanoseconds
-        when = int(row[time]) if row[time].isdecimal() else _number(row[time], f"{origin}: {header[time]}")
+        whole = row[time].isdecimal() and len(row[time]) <= MOST_DIGITS
+        when = int(row[time]) if whole else _number(row[time], f"{origin}: {header[time]}")
         if not last <= when < math.inf:
             goes = f"{header[time]} = {row[time]} comes after {last:.15g}"
             raise BagError(f"{origin}: {goes}; times that rise would be right")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,6 +111,26 @@ def test_absolute_times_stay_and_nanoseconds_keep_all_their_digits(tmp_path: Pat
     readings = played(source(write(tmp_path / "cell.csv", text)))
     assert readings[0].stamp_ns == first_ns
     assert readings[0].samples.shape == (1, 1280)
+
+
+def test_a_long_table_takes_little_more_memory_than_its_numbers(tmp_path: Path) -> None:
+    rows = 50_000
+    path = write(tmp_path / "cell.csv", "t (s),f (N)\n" + "".join(f"{n / 1000:.3f},{n}\n" for n in range(rows)))
+    recorded = source(path)
+    tracemalloc.start()
+    try:
+        recorded.start()
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+        recorded.close()
+    assert most < 60 * rows  # 16 for stamp and value, the rest for what grows and for the head
+
+
+def test_a_date_of_absurd_length_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = write(tmp_path / "cell.csv", f"t (ns),f (N)\n{'9' * 5000},1\n")
+    with pytest.raises(BagError, match=r"cell.csv: line 2: t \(ns\) = 9+ .*would be right"):
+        source(path).start()
 
 
 def test_comments_blanks_and_missing_rows(tmp_path: Path) -> None:
