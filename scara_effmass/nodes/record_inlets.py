@@ -73,7 +73,7 @@ class Inlets:
         `say` is told what cannot be recorded.
         """
         self.refused: dict[str, str] = {}
-        """Topics that cannot be recorded, and why."""
+        """Topics that cannot be recorded, or not all of what is published there, and why."""
         self._node = node
         self._clock = node.get_clock()
         self._recording = recording
@@ -81,6 +81,7 @@ class Inlets:
         self._below = tuple(f"{name}/" for name in below)
         self._say = say
         self._numbers: dict[str, int] = {}
+        self._kinds: dict[str, str] = {}
         self._subscriptions: dict[str, Any] = {}
         self._unfit: set[str] = set()
         self._looks_in_vain = 0
@@ -101,6 +102,8 @@ class Inlets:
         for name, kinds in self._node.get_topic_names_and_types():
             if self._is_wanted(name):
                 self._add(name, kinds)
+            elif len(kinds) > 1 and name in self._kinds and name not in self.refused:
+                self._look_at_types(name)
         for name in self._unfit & self._subscriptions.keys():
             self._say(f"{name}: a publisher offers less than the others: subscribed anew, messages may be missing")
             self._node.destroy_subscription(self._subscriptions.pop(name))
@@ -133,13 +136,21 @@ class Inlets:
         self.refused[name] = reason
         self._say(f"{name}: not recorded: {reason}")
 
+    def _look_at_types(self, name: str) -> None:
+        """Say so if a publisher has come whose type is not that which is being recorded."""
+        kind = self._kinds[name]
+        others = {publisher.topic_type for publisher in self._node.get_publishers_info_by_topic(name)} - {kind}
+        if others:
+            self.refused[name] = f"it is published as {', '.join(sorted(others))}, too; only {kind} is recorded"
+            self._say(f"{name}: {self.refused[name]}")
+
     def _subscribe(self, name: str, kind: str, found: type, publishers: Sequence[TopicEndpointInfo]) -> None:
         """Subscribe with what all publishers offer. Raises BagError for a definition that is not theirs."""
         if name not in self._numbers:
             types = types_for(kind, str(publishers[0].topic_type_hash), message_text)
             offered = qos_text(_offered(publisher) for publisher in publishers)
             self._numbers[name] = self._recording.add_topic(name, kind, offered_qos=offered, types=types)
-        number = self._numbers[name]
+        number, self._kinds[name] = self._numbers[name], kind
         reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
         latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
         self._subscriptions[name] = self._node.create_subscription(

@@ -313,6 +313,26 @@ def test_a_topic_of_several_types_is_refused(make_cell: Callable[..., Cell]) -> 
     assert reason == "it has publishers of several types: sensor_msgs/msg/JointState, std_msgs/msg/String"
 
 
+def test_a_topic_that_gets_another_type_is_named_and_the_first_one_is_kept(make_cell: Callable[..., Cell]) -> None:
+    cell, other = make_cell(), make_cell()
+    number = cell.node.create_publisher(Float64, "load", LATCHED)
+    number.publish(Float64(data=1.0))
+
+    def script() -> Iterator[None]:
+        while cell.recorded() < 1:
+            yield
+        other.node.create_publisher(String, "load", DEEP)
+        while not cell.said:
+            yield
+
+    report = cell.record(script(), topics=("load",))
+    reason = "it is published as std_msgs/msg/String, too; only std_msgs/msg/Float64 is recorded"
+    assert report.refused == {"/load": reason}
+    assert cell.said == [f"/load: {reason}"]
+    assert report.unheard == ()
+    assert [topic for topic, _ in cell.read()] == ["/load"]
+
+
 def test_messages_that_the_middleware_lost_are_counted(cell: Cell) -> None:
     publisher = cell.node.create_publisher(String, "notes", DEEP)
     until(lambda: cell.node.get_publishers_info_by_topic("/notes"))
