@@ -41,10 +41,10 @@ def find_bags(path: Path) -> list[Path]:
     Raises BagError when there is none.
     """
     try:
-        if path.is_file() or _is_recording(path):
+        if path.is_file() or is_recording(path):
             return [path]
         inside = sorted(path.iterdir())
-        found = [child for child in inside if _is_recording(child) or (child.is_file() and child.suffix in SUFFIXES)]
+        found = [child for child in inside if is_recording(child) or (child.is_file() and child.suffix in SUFFIXES)]
     except FileNotFoundError:
         raise BagError(f"{path}: there is no such file or folder") from None
     except OSError as error:
@@ -74,7 +74,7 @@ def open_bag(path: Path) -> Bag:
     return Bag(first, source, losses)
 
 
-def _is_recording(folder: Path) -> bool:
+def is_recording(folder: Path) -> bool:
     """Whether a folder is one rosbag2 recording: it has the metadata, or the files of one that lost them."""
     if not folder.is_dir():
         return False

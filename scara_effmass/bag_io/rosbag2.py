@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
-from scara_effmass.bag_io.files import METADATA
+from scara_effmass.bag_io.disk_file import is_being_written
+from scara_effmass.bag_io.files import METADATA, data_files, is_recording
 from scara_effmass.errors import OutputError
 
 if TYPE_CHECKING:
@@ -143,15 +144,30 @@ def sync_folder(folder: Path) -> None:
 def refuse_existing(path: Path, *, overwrite: bool) -> None:
     """Refuse to record to `path` (a file if it ends in .mcap, else a folder) when something is there.
 
-    With `overwrite`, a recording of that kind may be there. Raises OutputError.
+    With `overwrite`, a recording of that kind may be there, also one whose recorder was killed, but none that is still
+    being made. Raises OutputError.
     """
     if not path.exists():
         return
     if not overwrite:
         raise OutputError(f"{path}: exists already; --force replaces it")
-    is_file = path.suffix == ".mcap"
-    if path.is_dir() is is_file or (path.is_dir() and not (path / METADATA).is_file()):
+    try:
+        replaceable = path.is_file() if path.suffix == ".mcap" else _is_recording_alone(path)
+        busy = replaceable and any(map(is_being_written, data_files(path) if path.is_dir() else [path]))
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be read: {error.strerror}") from None
+    if not replaceable:
         raise OutputError(f"{path}: exists and is no such recording; it is not replaced")
+    if busy:
+        raise OutputError(f"{path}: is being recorded; end the recorder first")
+
+
+def _is_recording_alone(folder: Path) -> bool:
+    """Whether a folder is a recording; one without metadata.yaml must hold nothing else. Raises OSError."""
+    if not is_recording(folder):
+        return False
+    seen = {child for child in folder.iterdir() if not child.name.startswith(".")}
+    return (folder / METADATA).is_file() or seen == set(data_files(folder))
 
 
 def _profiles(text: str) -> list[Any]:

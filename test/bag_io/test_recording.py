@@ -464,6 +464,26 @@ class TestBeginning:
         assert by_us(tmp_path / "bag") == [Message("/a", T0, text(1))]
         assert [path.name for path in tmp_path.iterdir()] == ["bag"]
 
+    def test_over_what_a_killed_recorder_left_replaces_it_unless_there_is_more(self, tmp_path: Path) -> None:
+        folder = tmp_path / "bag"
+        for others in ([], ["notes.txt"]):
+            Recording(folder, overwrite=True).close()
+            (folder / "metadata.yaml").unlink()
+            for name in others:
+                (folder / name).write_text("x")
+        with pytest.raises(OutputError, match="exists and is no such recording"):
+            Recording(folder, overwrite=True)
+        assert sorted(path.name for path in folder.iterdir()) == ["bag_0.mcap", "notes.txt"]
+
+    def test_over_one_that_is_being_made_is_refused(self, tmp_path: Path) -> None:
+        with Recording(tmp_path / "bag", RecordingOptions(part_ns=1)) as recording:
+            topic = recording.add_topic("/a", STRING)
+            recording.put(topic, T0, text(0))
+            recording.put(topic, T0 + 1, text(1))
+            with pytest.raises(OutputError, match=r"bag: is being recorded; end the recorder first"):
+                Recording(tmp_path / "bag", overwrite=True)
+        assert len(by_us(tmp_path / "bag")) == 2
+
     def test_without_room_is_refused_and_leaves_what_is_there(self, tmp_path: Path) -> None:
         Recording(tmp_path / "bag").close()
         with pytest.raises(OutputError, match="bag: the disk has less than 67 MB left"):
