@@ -2,40 +2,28 @@
 
 from __future__ import annotations
 
-import json
 from heapq import merge
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.analysis.assessment import cycles
 from scara_effmass.bag_io.definitions import FORCE_BLOCK, IMPACT, RECORDING_INFO, check_definition
 from scara_effmass.bag_io.force import decode_force_block, decode_impact
-from scara_effmass.errors import BagError, DecodeError
-from scara_effmass.impacts.pairing import HEAVIEST
+from scara_effmass.errors import BagError, DecodeError, SettingsError
+from scara_effmass.impacts.run_info import run_info
 
 if TYPE_CHECKING:
     from collections import Counter
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from scara_effmass.analysis.assessment import Cycle
     from scara_effmass.bag_io.bag import Bag
     from scara_effmass.bag_io.batches import Topic
+    from scara_effmass.impacts.run_info import RunInfo
     from scara_effmass.safety import Monitor
     from scara_effmass.values import ForceBlock, Impact
 
 USUAL = {FORCE_BLOCK: "force", IMPACT: "impact"}
 """Where the suite publishes what is measured, the surer kind first: impacts can be found anew in force blocks."""
-
-
-class RunInfo(NamedTuple):
-    """What a recording says of itself from `since_ns` on; None: it says nothing of that.
-
-    `obstacle_mass` is m_H [kg]; `about` is all that it says.
-    """
-
-    since_ns: int
-    obstacle_mass: float | None
-    configuration: str | None
-    about: Mapping[str, Any]
 
 
 class Measured(NamedTuple):
@@ -50,21 +38,22 @@ def run_infos(bag: Bag) -> list[RunInfo]:
 
     Else the first holds from the beginning on, each other one from when it was recorded.
 
-    Raises BagError for a mass that cannot be one. What is no JSON object says nothing.
+    Raises BagError for a value that cannot be one. What is no JSON object says nothing.
     """
     if all(topic.name != RECORDING_INFO for topic in bag.topics):
         return []
     infos: list[RunInfo] = []
     for message in bag.messages([RECORDING_INFO]):
         try:
-            about = json.loads(bag.deserialize(message).data)
-        except (DecodeError, AttributeError, ValueError, TypeError):
+            text = str(bag.deserialize(message).data)
+        except (DecodeError, AttributeError):
             continue
-        if isinstance(about, dict):
-            name = about.get("configuration")
-            told_ns = about.get("since_ns")
-            since_ns = told_ns if isinstance(told_ns, int) else message.log_time_ns if infos else 0
-            infos.append(RunInfo(since_ns, _obstacle_mass(bag, about), None if name is None else str(name), about))
+        try:
+            info = run_info(text, message.log_time_ns if infos else 0)
+        except SettingsError as error:
+            raise BagError(f"{bag.path}: {RECORDING_INFO}: {error}") from None
+        if info is not None:
+            infos.append(info)
     return infos
 
 
@@ -118,13 +107,3 @@ def measured(bag: Bag, topic: Topic, unreadable: Counter[str]) -> Iterator[Measu
 def in_order(states: Iterator[Cycle], forces: Iterator[Measured]) -> Iterator[Cycle | Measured]:
     """Yield both as they were recorded."""
     return merge(forces, states, key=lambda each: each.log_time_ns)
-
-
-def _obstacle_mass(bag: Bag, about: Mapping[str, Any]) -> float | None:
-    mass = about.get("obstacle_mass")
-    if mass is None:
-        return None
-    if isinstance(mass, bool) or not isinstance(mass, int | float) or not 0.0 <= mass <= HEAVIEST:
-        wanted = f"0 (not given) to {HEAVIEST:g} kg would be right"
-        raise BagError(f"{bag.path}: {RECORDING_INFO}: obstacle_mass = {mass!r}: {wanted}")
-    return float(mass)

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from scara_effmass.analysis.recorded_run import RunInfo
     from scara_effmass.bag_io.bag import Bag
     from scara_effmass.impacts.result import Result
+    from scara_effmass.impacts.run_info import RunInfo
     from scara_effmass.model.arm import Arm
     from scara_effmass.values import ForceBlock, RefusedImpact, ValidatedImpact
 

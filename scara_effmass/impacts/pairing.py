@@ -11,9 +11,9 @@ from bisect import bisect_right
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
-from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.clocks import ForceClock
 from scara_effmass.impacts.robot_track import NANOSECONDS, RobotTrack, Unusable
+from scara_effmass.impacts.run_info import obstacle_mass as checked_mass
 from scara_effmass.values import RefusedImpact
 
 if TYPE_CHECKING:
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from scara_effmass.settings import ValidatorSettings
     from scara_effmass.values import Impact
 
-HEAVIEST = 1000.0
-"""As `ValidatorSettings.obstacle_mass` has it [kg]."""
 APART = "force and contact states are seconds apart: their clocks differ"
 NO_OBSTACLE = "obstacle_mass is not given"
 
@@ -45,13 +43,10 @@ class Runs:
 
     def begin(self, since_ns: int, obstacle_mass: float | None, configuration: str | None) -> None:
         """Begin a run; what is None stays as it was. Raises SettingsError."""
-        if obstacle_mass is not None and not 0.0 <= obstacle_mass <= HEAVIEST:
-            wanted = f"0 (not given) to {HEAVIEST:g} kg would be right"
-            raise SettingsError(f"validator: obstacle_mass = {obstacle_mass!r}: {wanted}")
         before = self.at(since_ns)
         run = Run(
             max(since_ns, 0),
-            before.obstacle_mass if obstacle_mass is None else obstacle_mass,
+            before.obstacle_mass if obstacle_mass is None else checked_mass(obstacle_mass),
             before.configuration if configuration is None else configuration,
         )
         self._runs = sorted([other for other in self._runs if other.since_ns != run.since_ns] + [run])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +18,7 @@ from scara_effmass.bag_io.definitions import RECORDING_INFO
 from scara_effmass.bag_io.force import decode_force_block, decode_impact
 from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.run_info import run_info
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.contact_messages import contact_from
@@ -153,16 +152,17 @@ class ValidatorNode(SuiteNode):
 
     def _on_info(self, message: String) -> None:
         """Take the obstacle mass and the configuration from what a recording, or the bench, says of itself."""
-        with suppress(ValueError, TypeError, AttributeError):
-            about = json.loads(message.data)
-            mass, configuration = about.get("obstacle_mass"), about.get("configuration")
-            if self._validator is not None and (mass is not None or configuration is not None):
-                try:
-                    self._validator.set_run(
-                        int(about.get("since_ns", self._now_ns())), obstacle_mass=mass, configuration=configuration
-                    )
-                except SettingsError as error:
-                    self.get_logger().error(f"{RECORDING_INFO}: {error}")
+        if self._validator is None:
+            return
+        now_ns = self._now_ns()
+        try:
+            info = run_info(message.data, now_ns)
+        except SettingsError as error:
+            self.get_logger().error(f"{RECORDING_INFO}: {error}; until it is told, what is hit is not known")
+            self._validator.set_run(now_ns, obstacle_mass=0.0)
+            return
+        if info is not None:
+            self._validator.set_run(info.since_ns, obstacle_mass=info.obstacle_mass, configuration=info.configuration)
 
     def _publish(self, impacts: Iterable[ValidatedImpact]) -> None:
         for impact in impacts:

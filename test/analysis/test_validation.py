@@ -250,6 +250,15 @@ def test_a_recorded_mass_that_is_none(campaign: list[Path], arm: Arm, altered: A
         validate([path], arm, SETTINGS)
 
 
+@pytest.mark.parametrize(("key", "value"), [("since_ns", 1e300), ("configuration", "\ud800")])
+def test_what_is_said_of_a_run_and_cannot_be(
+    campaign: list[Path], arm: Arm, altered: Altered, key: str, value: object
+) -> None:
+    path = altered(campaign[0], info={key: value})
+    with pytest.raises(BagError, match=f"{path}: {RECORDING_INFO}: {key} = .* would be right"):
+        validate([path], arm, SETTINGS)
+
+
 def test_of_several_force_topics_one_must_be_named(campaign: list[Path], arm: Arm, tmp_path: Path) -> None:
     path = tmp_path / "two_channels"
     with open_bag(campaign[0]) as bag, BagWriter(path) as writer:

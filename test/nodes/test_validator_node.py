@@ -78,15 +78,19 @@ class Bench:
             lambda: all(end.get_subscription_count() for end in ends) and node.count_publishers("impact_validation")
         )
 
-    def run(self, masses: tuple[float, ...] = ()) -> None:
-        """Let the robot hit something of each mass; they are told before."""
+    def tell(self, mass: float, *infos: str) -> None:
+        """Say what is hit, and wait until `mass` [kg] is what is known of it."""
+        for info in infos:
+            self.info.publish(String(data=info))
+        self.cell.report("validator: series", "obstacle mass [kg]", f"{mass:g}".__eq__)
+
+    def run(self, *masses: float, first: int = 0) -> None:
+        """Let the robot hit something of each mass, told before unless it is 0."""
+        runs = [{"obstacle_mass": mass, "since_ns": START_NS + n * S} for n, mass in enumerate(masses, first) if mass]
+        if runs:
+            self.tell(masses[-1], *map(json.dumps, runs))
         encoder = ContactStateEncoder("tool", "base_link")
-        for number, mass in enumerate(masses):
-            about = {"obstacle_mass": mass, "since_ns": START_NS + number * S}
-            self.info.publish(String(data=json.dumps(about)))
-        if masses:
-            self.cell.report("validator: series", "obstacle mass [kg]", f"{masses[-1]:g}".__eq__)
-        for number, peak in enumerate(PEAKS):
+        for number, peak in enumerate(PEAKS[first : first + len(masses)], first):
             for millisecond in range(number * 1000 + 400, number * 1000 + 600):
                 self.states.publish(encoder.encode(contact(millisecond)))
             self.impacts.publish(impact_message(impact(number, peak)))
@@ -103,7 +107,7 @@ def bench(new_cell: Callable[..., Cell], tmp_path: Path) -> Bench:
 
 def test_what_it_publishes_is_what_the_core_gives_offline(bench: Bench) -> None:
     masses = (0.5, 2.39, 3.72, 2.39)
-    bench.run(masses)
+    bench.run(*masses)
     bench.cell.until(lambda: len(bench.heard) == 4)
     validator = Validator(ValidatorSettings.model_validate({"criterion": {"least_count": 2}}))
     expected = []
@@ -120,7 +124,7 @@ def test_what_it_publishes_is_what_the_core_gives_offline(bench: Bench) -> None:
 
 
 def test_without_a_mass_an_impact_is_counted_and_not_predicted(bench: Bench) -> None:
-    bench.run()
+    bench.run(0.0, 0.0, 0.0, 0.0)
     report = bench.cell.report("validator: series", "not paired: obstacle_mass is not given", "4".__eq__)
     assert report.startswith("4 impacts could not be paired")
     assert not bench.heard
@@ -128,8 +132,32 @@ def test_without_a_mass_an_impact_is_counted_and_not_predicted(bench: Bench) -> 
     assert bench.cell.set(obstacle_mass=2.39) == ""
 
 
+@pytest.mark.parametrize(
+    "told",
+    [
+        '{"obstacle_mass": 2.39, "since_ns": 1e999}',
+        '{"obstacle_mass": true}',
+        '{"obstacle_mass": "2.39"}',
+        '{"obstacle_mass": NaN}',
+        '{"configuration": "\\ud800"}',
+    ],
+)
+def test_what_is_hit_is_not_known_when_what_is_said_of_it_cannot_be(bench: Bench, told: str) -> None:
+    assert bench.cell.set(obstacle_mass=2.39) == ""
+    bench.tell(2.39, "[" * 100_000)  # no JSON object: says nothing
+    bench.run(0.0)
+    bench.cell.until(lambda: len(bench.heard) == 1)
+    bench.tell(0.0, told)
+    bench.run(0.0, first=1)
+    not_paired = "not paired: obstacle_mass is not given"
+    assert bench.cell.report("validator: series", not_paired, bool).endswith("| 1")
+    bench.tell(0.5, '{"obstacle_mass": 0.5, "configuration": [1]}')
+    bench.run(0.0, first=2)
+    bench.cell.until(lambda: len(bench.heard) == 2)
+
+
 def test_a_report_of_the_series_is_written_on_demand(bench: Bench) -> None:
-    bench.run((0.5, 2.39, 3.72, 2.39))
+    bench.run(0.5, 2.39, 3.72, 2.39)
     bench.cell.until(lambda: len(bench.heard) == 4)
     answer: Any = bench.cell.call(Trigger, "write_report", Trigger.Request())
     assert answer.success, answer.message
@@ -141,7 +169,7 @@ def test_a_report_of_the_series_is_written_on_demand(bench: Bench) -> None:
 
 
 def test_reset_begins_a_new_series(bench: Bench) -> None:
-    bench.run((0.5, 2.39, 3.72, 2.39))
+    bench.run(0.5, 2.39, 3.72, 2.39)
     bench.cell.until(lambda: len(bench.heard) == 4)
     answer: Any = bench.cell.call(Trigger, "reset", Trigger.Request())
     assert answer.success
