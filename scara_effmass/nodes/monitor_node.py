@@ -35,6 +35,7 @@ from scara_effmass.share import share
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from collections.abc import Set as AbstractSet
 
     from diagnostic_msgs.msg import DiagnosticStatus
     from rclpy.clock import TimeJump
@@ -236,7 +237,7 @@ class MonitorNode(SuiteNode):
         self._health.incompatible(line)
         self.get_logger().warning(line)
 
-    def _take(self, settings: NodeSettings) -> None:
+    def _take(self, settings: NodeSettings, _: AbstractSet[str]) -> None:
         self._settings = settings
         if self._monitor is not None:
             self._monitor.apply(self._settings)

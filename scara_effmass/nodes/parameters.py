@@ -15,6 +15,7 @@ from scara_effmass.settings.loading import checked, flat_fields, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from collections.abc import Set as AbstractSet
 
     from pydantic import BaseModel
     from pydantic.fields import FieldInfo
@@ -42,10 +43,10 @@ def declare(node: Node, settings: type[BaseModel]) -> dict[str, Any]:
 def follow(
     node: Node,
     current: Callable[[], Settings],
-    take: Callable[[Settings], None],
+    take: Callable[[Settings, AbstractSet[str]], None],
     judge: Callable[[Settings], object] = lambda _: None,
 ) -> None:
-    """Have `take` called with the `current` settings whenever parameters have changed in them.
+    """Have `take` called with the `current` settings, and the names of those that were set, whenever any are set.
 
     A change at which the settings model or `judge` raises an EffmassError is refused, with that as its reason.
     """
@@ -64,7 +65,7 @@ def follow(
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(judged)
-    node.add_post_set_parameters_callback(lambda changes: take(changed(changes)))
+    node.add_post_set_parameters_callback(lambda changes: take(changed(changes), {p.name for p in changes}))
 
 
 def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401  what ROS holds, before the settings model checks it

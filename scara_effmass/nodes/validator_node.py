@@ -29,6 +29,7 @@ from scara_effmass.settings import READ_ONLY, DetectionSettings, ValidatorSettin
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Set as AbstractSet
 
     from diagnostic_msgs.msg import DiagnosticStatus
     from rclpy.event_handler import QoSMessageLostInfo
@@ -195,12 +196,12 @@ class ValidatorNode(SuiteNode):
             response.message = str(error)
         return response
 
-    def _take(self, settings: NodeSettings) -> None:
+    def _take(self, settings: NodeSettings, given: AbstractSet[str]) -> None:
         self._settings = settings
-        if self._validator is not None:
-            self._validator.set_run(
-                self._now_ns(), obstacle_mass=settings.obstacle_mass, configuration=settings.configuration
-            )
+        # What was not set now may have been told since, by a recording or the bench.
+        told = {name: getattr(settings, name) for name in ("obstacle_mass", "configuration") if name in given}
+        if told and self._validator is not None:
+            self._validator.set_run(self._now_ns(), **told)
 
 
 def main(args: Sequence[str] | None = None, write_report: WriteReport | None = None) -> int:

@@ -156,6 +156,15 @@ def test_what_is_hit_is_not_known_when_what_is_said_of_it_cannot_be(bench: Bench
     bench.cell.until(lambda: len(bench.heard) == 2)
 
 
+def test_a_changed_configuration_leaves_the_mass_that_was_told(bench: Bench) -> None:
+    bench.tell('{"obstacle_mass": 0.5}')
+    assert bench.cell.set(configuration="elbow up") == ""
+    bench.run((0.0,))
+    bench.cell.until(lambda: len(bench.heard) == 1)
+    mass = bench.heard[0].effective_mass
+    assert bench.heard[0].reduced_mass == pytest.approx(mass * 0.5 / (mass + 0.5))
+
+
 def test_a_report_of_the_series_is_written_on_demand(bench: Bench) -> None:
     bench.run(0.5, 2.39, 3.72, 2.39)
     bench.cell.until(lambda: len(bench.heard) == 4)
