@@ -49,7 +49,7 @@ class Validator:
         self._others: set[str] = set()
         self._pairs: list[Paired] = []
         self._least = self._largest = 0.0
-        self._clock = ""
+        self._clock = self._sign = ""
 
     @property
     def obstacle_mass(self) -> float:
@@ -98,7 +98,8 @@ class Validator:
         The latest run holds until another one is set.
         """
         done = self.finish()
-        self._clock = self._clock_text()
+        self._clock, self._sign = self._clock_text(), self._force_sign()
+        self._least = self._largest = 0.0
         self._pairing.forget()
         return done
 
@@ -108,7 +109,7 @@ class Validator:
         self._pairs.clear()
         self._others.clear()
         self._least = self._largest = 0.0
-        self._clock = ""
+        self._clock = self._sign = ""
 
     def result(self) -> Result:
         """Return how the series stands."""
@@ -216,7 +217,7 @@ class Validator:
         return self._clock or self._pairing.clock.text(self._pairing.track)
 
     def _force_sign(self) -> str:
-        if self._least < -max(WRONG_SIGN_FORCE, WRONG_SIGN_RATIO * self._largest):
+        if not self._sign and self._least < -max(WRONG_SIGN_FORCE, WRONG_SIGN_RATIO * self._largest):
             least, largest = f"{self._least:.0f} N", f"{self._largest:.0f} N"
             return f"force goes to {least} and never above {largest}: compression is positive; set sensor.invert"
-        return ""
+        return self._sign

@@ -207,6 +207,15 @@ def test_the_wrong_sign_of_force(campaign: list[Path], arm: Arm, altered: Altere
     assert "compression is positive" in result.reason
 
 
+def test_the_wrong_sign_in_one_of_several_recordings(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+    wrong = altered(campaign[0], block=lambda b: b._replace(force=-b.force))
+    for paths in ([wrong, *campaign[1:]], [*campaign[1:], wrong]):
+        result = validate(paths, arm, SETTINGS).result
+        assert len(result.impacts) == 5
+        assert not result.accepted
+        assert "compression is positive" in result.reason
+
+
 def test_a_missing_mass_is_not_that_of_the_recording_before(campaign: list[Path], arm: Arm, altered: Altered) -> None:
     nameless = altered(campaign[1], info={"obstacle_mass": None, "configuration": None})
     result = validate([campaign[0], nameless], arm, SETTINGS).result
