@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 CONFIDENCE = 0.95
 LIMITS = 1.96
 """Standard deviations to either side of the bias that hold 95 % of normal differences (Bland and Altman 1986)."""
-SAME = 0.01
-"""Values of x within this share are one value: repetitions differ by that much, and correlating them says nothing."""
+SAME = 0.05
+"""Values of x within this share are one value: the speeds of repetitions scatter by 2 % to either side, and correlating
+that says nothing of the law."""
 ROUNDING = 1e-12
 """A prediction this share below the measured force is not below it: one impact fits its own stiffness exactly."""
 

@@ -63,6 +63,16 @@ def test_a_hertz_contact_has_the_exponent_three_fifths() -> None:
     assert 0.99 < found.correlation < 1.0
 
 
+def test_repetitions_of_one_impact_have_no_correlation() -> None:
+    """Their speeds scatter by 2 %, as those of the campaign do: that says nothing of the law."""
+    rng = np.random.default_rng(3)
+    x = 0.2 * rng.uniform(0.98, 1.02, 12)
+    found = agreement(x, 400.0 * x * (1.0 + rng.normal(0.0, 0.01, 12)))
+    assert found.correlation_reason == "all impacts are at the same v sqrt(mu)"
+    assert (found.correlation, found.correlation_interval, found.exponent) == (0.0, None, None)
+    assert found.fitted_stiffness == pytest.approx(1.6e5, rel=0.02)
+
+
 @given(SERIES)
 def test_equals_scipy_and_numpy(series: list[tuple[float, float]]) -> None:
     x, force = arrays(series)
