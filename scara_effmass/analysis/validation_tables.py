@@ -114,6 +114,9 @@ def recordings(validation: Validation) -> str:
 
 def _model_row(model: ModelResult) -> tuple[str, ...]:
     found = model.overall
+    accepted = "yes" if model.accepted else f"no: {model.reason}"
+    if not found.count:
+        return (model.model, "0", *["-"] * (len(MODEL_HEADS) - 3), accepted)
     r = (
         f"undefined: {found.correlation_reason}"
         if found.correlation_reason
@@ -132,7 +135,7 @@ def _model_row(model: ModelResult) -> tuple[str, ...]:
         f"{found.relative_rmse:.2%}",
         "-" if found.limits is None else f"{found.limits.low:+.2f} to {found.limits.high:+.2f}",
         f"{found.non_conservative} (largest {found.largest_shortfall:.2%}; {found.shortfalls} beyond tolerance)",
-        "yes" if model.accepted else f"no: {model.reason}",
+        accepted,
     )
 
 

@@ -43,6 +43,9 @@ def validation_lines(validation: Validation) -> Iterator[tuple[str, str]]:
     yield "impacts", f"{result.seen} found, {len(result.impacts)} in the series{simulated}"
     for model in result.models:
         found = model.overall
+        if not found.count:
+            yield model.model, "no impact to judge it by"
+            continue
         r = "r undefined" if found.correlation_reason else f"r {found.correlation:.5f}"
         exponent = "" if found.exponent is None else f", exponent {found.exponent:.3f}"
         error = f"bias {found.bias:+.2f} N, RMSE {found.rmse:.2f} N ({found.relative_rmse:.2%})"

@@ -69,6 +69,14 @@ def test_a_failed_criterion_exits_with_1_and_a_report(here: Cli, campaign: Path,
     assert {path.name for path in (tmp_path / "report").iterdir()} == FILES
 
 
+def test_without_impacts_there_are_no_numbers(here: Cli, campaign: Path, tmp_path: Path) -> None:
+    done = here("validate", campaign, "-o", "report", "--obstacle-mass", "0")
+    assert done.returncode == 1
+    assert "lumped          no impact to judge it by\n" in done.stdout
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "+0.00" not in page
+
+
 def test_mass_and_stiffness_can_be_given(here: Cli, campaign: Path) -> None:
     done = here("validate", campaign, "-o", "report", "--obstacle-mass", "2", "--stiffness", "1000", "--json")
     said = json.loads(done.stdout)
