@@ -13,10 +13,12 @@ from rich.progress import Progress
 
 from scara_effmass.cli.options import add_force, add_json, add_params, add_robot, add_topic, arm_from, printer
 from scara_effmass.cli.report import validation_lines
+from scara_effmass.errors import SettingsError
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings, checked, load_settings
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Sequence
 
     from scara_effmass.analysis.validation import ValidationSettings
 
@@ -78,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
     arm = arm_from(settings.monitor)
     require_room(args.output, overwrite=args.force)
     paths = [path for given in args.bags for path in find_bags(given)]
+    _require_different(paths)
     with Progress(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as progress:
         task = progress.add_task("recordings", total=len(paths))
         validation = validate(paths, arm, settings, lambda share: progress.advance(task, share))
@@ -91,6 +94,16 @@ def run(args: argparse.Namespace) -> int:
             console.print(f"{subject:<16}{text}")
         console.print(f"{'written':<16}{args.output / PAGE}")
     return 0 if validation.result.accepted else NOT_ACCEPTED
+
+
+def _require_different(paths: Sequence[Path]) -> None:
+    """Raise SettingsError for a recording that is given twice: its impacts would count as repetitions."""
+    places: set[Path] = set()
+    for path in paths:
+        place = path.resolve()
+        if place in places:
+            raise SettingsError(f"{path}: given twice; once would be right, its impacts count once")
+        places.add(place)
 
 
 def validation_settings(args: argparse.Namespace) -> ValidationSettings:

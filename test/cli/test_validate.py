@@ -133,6 +133,14 @@ def test_a_bag_with_half_of_it_is_named(here: Cli, campaign: Path, tmp_path: Pat
     assert not (tmp_path / "report").exists()
 
 
+def test_a_recording_counts_once(here: Cli, campaign: Path, tmp_path: Path) -> None:
+    again = campaign / ".." / campaign.name / "300_200_500g_1"
+    done = here("validate", campaign, again, "-o", "report")
+    assert done.returncode == 2
+    assert done.stderr == f"{again}: given twice; once would be right, its impacts count once\n"
+    assert not (tmp_path / "report").exists()
+
+
 @pytest.mark.parametrize(("option", "value"), [("--obstacle-mass", "-1"), ("--stiffness", "nan")])
 def test_an_option_that_cannot_be(here: Cli, campaign: Path, option: str, value: str) -> None:
     done = here("validate", campaign, "-o", "report", f"{option}={value}")
