@@ -79,5 +79,5 @@ def color(number: int, count: int) -> tuple[float, float, float, float]:
 
 
 def shown(configuration: str) -> str:
-    """Return what a configuration is called."""
-    return configuration or "not named"
+    """Return what a configuration is called in a figure, where dollars would begin a formula."""
+    return configuration.replace("$", r"\$") or "not named"

@@ -94,6 +94,15 @@ def test_the_page_is_whole_and_loads_nothing(validation: Validation, arm: Arm, t
     assert "@import" not in text
 
 
+def test_a_configuration_may_have_any_name_that_can_be_printed(
+    campaign: list[Path], arm: Arm, altered: Altered, tmp_path: Path
+) -> None:
+    name = "<b> $x_{$ & _"
+    named = validate([altered(campaign[0], info={"configuration": name})], arm, SETTINGS)
+    page = Page(written(named, arm, tmp_path / "report")["report.html"].decode())
+    assert name in page.texts
+
+
 def test_the_page_says_what_it_is_worth(validation: Validation, arm: Arm, tmp_path: Path) -> None:
     texts = Page(written(validation, arm, tmp_path / "report")["report.html"].decode()).texts
     assert "Accepted." in texts
