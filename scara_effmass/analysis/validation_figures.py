@@ -184,8 +184,8 @@ PLOTS = (
     Plot(
         "exponent",
         "Exponent of the law.",
-        "Logarithms of force and energy, judged model. Damping, friction, or a contact that is no linear spring turn "
-        "the line away from 0.5.",
+        "Logarithms of force and energy, judged model. Damping, friction, a contact that is no linear spring, or "
+        "masses that are off turn the line away from 0.5.",
         draw_exponent,
     ),
 )
