@@ -20,8 +20,8 @@ NO_PROOF = (
 )
 LAW = (
     "F = v √(μ k) holds for a free, linear, undamped contact. Damping, friction, and the reaction of the drives bend "
-    "it, and a mass that is off looks the same: the exponent and each group's own stiffness show by how much, not which "
-    "of them it is. A clamped contact is another case."
+    "it, and a mass that is off looks the same: the exponent and each group's own stiffness show by how much, not "
+    "which of them it is. A clamped contact is another case."
 )
 FITTED = (
     "Each model's stiffness is fitted to these very impacts. So the figures judge how the force varies with speed and "

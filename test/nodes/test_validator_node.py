@@ -106,7 +106,7 @@ def bench(new_cell: Callable[..., Cell], tmp_path: Path) -> Bench:
 
 
 def test_what_it_publishes_is_what_the_core_gives_offline(bench: Bench) -> None:
-    masses = (0.5, 2.39, 3.72, 2.39)
+    masses = (0.5, 2.39, 3.72, 7.35)
     bench.run(*masses)
     bench.cell.until(lambda: len(bench.heard) == 4)
     validator = Validator(ValidatorSettings.model_validate({"criterion": {"least_count": 2}}))
@@ -157,16 +157,16 @@ def test_what_is_hit_is_not_known_when_what_is_said_of_it_cannot_be(bench: Bench
 
 
 def test_a_changed_configuration_leaves_the_mass_that_was_told(bench: Bench) -> None:
-    bench.tell('{"obstacle_mass": 0.5}')
+    bench.tell(0.5, '{"obstacle_mass": 0.5}')
     assert bench.cell.set(configuration="elbow up") == ""
-    bench.run((0.0,))
+    bench.run(0.0)
     bench.cell.until(lambda: len(bench.heard) == 1)
     mass = bench.heard[0].effective_mass
     assert bench.heard[0].reduced_mass == pytest.approx(mass * 0.5 / (mass + 0.5))
 
 
 def test_a_report_of_the_series_is_written_on_demand(bench: Bench) -> None:
-    bench.run(0.5, 2.39, 3.72, 2.39)
+    bench.run(0.5, 2.39, 3.72, 7.35)
     bench.cell.until(lambda: len(bench.heard) == 4)
     answer: Any = bench.cell.call(Trigger, "write_report", Trigger.Request())
     assert answer.success, answer.message
@@ -178,7 +178,7 @@ def test_a_report_of_the_series_is_written_on_demand(bench: Bench) -> None:
 
 
 def test_reset_begins_a_new_series(bench: Bench) -> None:
-    bench.run(0.5, 2.39, 3.72, 2.39)
+    bench.run(0.5, 2.39, 3.72, 7.35)
     bench.cell.until(lambda: len(bench.heard) == 4)
     answer: Any = bench.cell.call(Trigger, "reset", Trigger.Request())
     assert answer.success
