@@ -74,6 +74,21 @@ def cli(tmp_path: Path, domain: dict[str, str]) -> Cli:
 
 
 @pytest.fixture
+def refused(cli: Cli, tmp_path: Path) -> Callable[..., str]:
+    """Run what must be refused, with one line and exit code 2 and nothing left behind; return that line."""
+
+    def run(*arguments: str) -> str:
+        done = cli(*arguments)
+        assert done.returncode == 2, done.stderr
+        (line,) = done.stderr.splitlines()
+        assert done.stdout == ""
+        assert list(tmp_path.iterdir()) == []
+        return line
+
+    return run
+
+
+@pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Cli:
     """Do the same as `cli` within this process, which is faster."""
 

@@ -25,9 +25,13 @@ from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from scara_effmass.errors import EffmassError
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from contextlib import AbstractContextManager
+
+    from scara_effmass.nodes.running import SuiteNode
 
 PATIENCE_S = 120.0
 """Longest wait for anything; whatever takes this long has failed."""
@@ -259,6 +263,28 @@ def cell(shared: Cell) -> Cell:
     """The shared node, found well."""
     shared.good()
     return shared
+
+
+@pytest.fixture
+def refusal_of(
+    own_domain: int,  # noqa: ARG001 - where it is alone
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> Callable[[Callable[[], SuiteNode], str], str]:
+    """Bring a node up in this process with a parameter that it cannot use, and return its one line."""
+
+    def refusal(make: Callable[[], SuiteNode], argument: str) -> str:
+        monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+        rclpy.init(args=["--ros-args", "-p", argument], signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            with pytest.raises(EffmassError) as refused:
+                make().bring_up()
+        finally:
+            rclpy.try_shutdown()
+        (line,) = str(refused.value).split("\n")
+        return line
+
+    return refusal
 
 
 @pytest.fixture

@@ -24,7 +24,6 @@ from std_srvs.srv import Trigger
 from scara_effmass.bag_io.definitions import FORCE_BLOCK
 from scara_effmass.bag_io.force import decode_force_block, decode_impact, force_block_message
 from scara_effmass.bag_io.writer import BagWriter
-from scara_effmass.errors import EffmassError
 from scara_effmass.impacts.detection import Detector
 from scara_effmass.nodes.daq_node import DaqNode
 from scara_effmass.settings import DetectionSettings
@@ -266,26 +265,12 @@ def test_a_subscriber_that_does_not_listen_costs_the_others_nothing(new_cell: Ca
         ("block_time:=0.1", "the driver NI-DAQmx is not installed: install it from ni.com/downloads"),
     ],
 )
-def test_what_it_cannot_use_is_named_in_one_line(
-    own_domain: int,  # noqa: ARG001 - where it is alone
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    argument: str,
-    line: str,
-) -> None:
-    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
-    rclpy.init(args=["--ros-args", "-p", argument], signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        with pytest.raises(EffmassError) as refusal:
-            DaqNode().bring_up()
-    finally:
-        rclpy.try_shutdown()
-    assert str(refusal.value).startswith(line)
-    assert "\n" not in str(refusal.value)
+def test_what_it_cannot_use_is_named_in_one_line(refusal_of: Callable[..., str], argument: str, line: str) -> None:
+    assert refusal_of(DaqNode, argument).startswith(line)
 
 
 def test_what_the_filter_needs_is_loaded_before_samples_come(
-    local: None,  # noqa: ARG001 - keeps it on this machine
+    own_domain: int,  # noqa: ARG001 - where it is alone
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:

@@ -9,10 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-import rclpy
-from rclpy.signals import SignalHandlerOptions
 
-from scara_effmass.errors import EffmassError
 from scara_effmass.nodes.monitor_node import MonitorNode
 from scara_effmass.share import share
 
@@ -79,22 +76,10 @@ def test_what_it_cannot_use_is_one_line_and_2(
     ],
 )
 def test_a_parameter_it_cannot_use_is_named(
-    own_domain: int,  # noqa: ARG001 - where it is alone
-    monkeypatch: pytest.MonkeyPatch,
-    paths: dict[str, Path],
-    argument: str,
-    line: str,
+    refusal_of: Callable[..., str], paths: dict[str, Path], argument: str, line: str
 ) -> None:
     paths["shipped"] = share("config", "omron_i4_550l.yaml")
-    monkeypatch.setenv("ROS_LOG_DIR", str(paths["missing"].parent))
-    rclpy.init(args=["--ros-args", "-p", argument.format(**paths)], signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        with pytest.raises(EffmassError) as refusal:
-            MonitorNode().bring_up()
-    finally:
-        rclpy.try_shutdown()
-    assert str(refusal.value).startswith(line.format(**paths))
-    assert "\n" not in str(refusal.value)
+    assert refusal_of(MonitorNode, argument.format(**paths)).startswith(line.format(**paths))
 
 
 def test_help_needs_no_ros(new_cell: Callable[..., Cell]) -> None:

@@ -9,16 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from scara_effmass_msgs.msg import ContactState, Impact, ImpactValidation
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from scara_effmass.bag_io.encode import ContactStateEncoder
 from scara_effmass.bag_io.force import impact_message
-from scara_effmass.errors import EffmassError
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.validator_node import ValidatorNode
 from scara_effmass.safety.monitor import blank
@@ -198,21 +195,8 @@ def test_reset_begins_a_new_series(bench: Bench) -> None:
         ("effective_mass_model:=none", "validator: effective_mass_model = 'none': Input should be 'lumped', "),
     ],
 )
-def test_a_parameter_it_cannot_use_is_named(
-    own_domain: int,  # noqa: ARG001 - where it is alone
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    argument: str,
-    line: str,
-) -> None:
-    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
-    rclpy.init(args=["--ros-args", "-p", argument], signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        with pytest.raises(EffmassError) as refusal:
-            ValidatorNode().bring_up()
-    finally:
-        rclpy.try_shutdown()
-    assert str(refusal.value).startswith(line)
+def test_a_parameter_it_cannot_use_is_named(refusal_of: Callable[..., str], argument: str, line: str) -> None:
+    assert refusal_of(ValidatorNode, argument).startswith(line)
 
 
 def test_ends_with_0_when_told_to(bench: Bench) -> None:
