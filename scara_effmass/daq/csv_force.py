@@ -142,7 +142,7 @@ def _only_force(header: Sequence[str], time: int, path: Path) -> str:
 def _unit(name: str) -> str:
     """Return the unit that the name of a column ends in, empty where there is none."""
     if found := BRACKETED.fullmatch(name):
-        return found[1]
+        return found[1].replace("\u03bc", "\u00b5")  # two characters that look the same: Greek mu, micro sign
     found = SUFFIXED.fullmatch(name)
     return LOWER_CASE.get(found[1].lower(), "") if found else ""
 

@@ -97,7 +97,7 @@ def test_units_are_those_of_the_header_or_the_setting(
     assert samples(readings) == [force * factor for _, force in ROWS]
 
 
-@pytest.mark.parametrize(("unit", "scale"), [("ms", 1e3), ("us", 1e6), ("µs", 1e6)])
+@pytest.mark.parametrize(("unit", "scale"), [("ms", 1e3), ("us", 1e6), ("\u00b5s", 1e6), ("\u03bcs", 1e6)])
 def test_times_may_be_in_other_units(tmp_path: Path, unit: str, scale: float) -> None:
     rows = [(time * scale, force) for time, force in ROWS]
     recorded = source(write(tmp_path / "cell.csv", table(f"Time ({unit}),Force (N)", rows)))
