@@ -35,7 +35,7 @@ FORCE_TOPIC_IS_LATE_S = 3.0
 INTRODUCTION = (
     ("simulated", "robot, carts and force: a virtual test bench (MuJoCo), no real robot, nothing is measured"),
     ("live", "monitor, force and validator nodes, their messages and verdicts: computed now, over DDS"),
-    ("its time", "simulated: real time at most, and it waits for nodes that fall behind"),
+    ("its time", "simulated: real time at most, and it waits for monitor and force node where they fall behind"),
     ("experiment", "an i4-550L drives into four carts (0.50 to 7.35 kg) in three configurations, at 0.25 m/s"),
 )
 
