@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
+
+from scipy.special import fdtri
+
+from scara_effmass.impacts.agreement import CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from scara_effmass.impacts.agreement import Agreement
     from scara_effmass.settings import CriterionSettings
-
-EQUALLY_GOOD = 1.1
-"""Models whose RMSE differ by less than this factor are not told apart: no series here is that long."""
 
 
 def criterion_hash(criterion: CriterionSettings) -> str:
@@ -83,12 +85,21 @@ def compare(found: Mapping[str, Agreement], *, same_mass: bool) -> Comparison:
     elif same_mass:
         text = f"all impacts at the same reduced mass: the models cannot be told apart; relative RMSE {numbers}"
     else:
-        best = [fit.model for fit in order if fit.relative_rmse <= EQUALLY_GOOD * order[0].relative_rmse]
+        best = [fit.model for fit in order if fit.relative_rmse <= _by_chance(count) * order[0].relative_rmse]
         if len(best) == 1:
             text = f"{best[0]} explains the forces best; relative RMSE {numbers}"
         else:
-            text = f"{' and '.join(best)} explain the forces equally well; relative RMSE {numbers}"
+            equally = f"equally well, as far as {count} impacts tell"
+            text = f"{' and '.join(best)} explain the forces {equally}; relative RMSE {numbers}"
     return Comparison(count, order, text)
+
+
+def _by_chance(count: int) -> float:
+    """Return the ratio of two RMSE, of errors of one size, that 95 % of series of `count` impacts stay below.
+
+    By Snedecor's F, for independent errors; those of models on the same impacts are alike, and differ less.
+    """
+    return math.sqrt(fdtri(count - 1, count - 1, (1.0 + CONFIDENCE) / 2.0))
 
 
 def _impacts(count: int) -> str:

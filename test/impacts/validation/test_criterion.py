@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.impacts.agreement import agreement
+from scara_effmass.impacts.agreement import Agreement, agreement
 from scara_effmass.impacts.criterion import compare, criterion_hash, shortcoming
 from scara_effmass.settings import CriterionSettings, ValidatorSettings, checked
 
@@ -95,7 +95,20 @@ def test_models_that_are_as_good_as_each_other() -> None:
     one = agreement(X, 450.0 * X * (1.0 + rng.normal(0.0, 0.02, X.size)))
     both = compare({"lumped": replace(one, relative_rmse=one.relative_rmse * 1.05), "full": one}, same_mass=False)
     assert [fit.model for fit in both.order] == ["full", "lumped"]
-    assert both.text.startswith("full and lumped explain the forces equally well; ")
+    assert both.text.startswith("full and lumped explain the forces equally well, as far as 20 impacts tell; ")
+
+
+@pytest.mark.parametrize("count", [3, 12, 36])
+def test_chance_makes_no_model_the_best(count: int) -> None:
+    """Two models with independent errors of one size: one of 20 series may tell them apart."""
+    rng = np.random.default_rng(count)
+    x = np.linspace(0.1, 0.4, count)
+
+    def scattered() -> Agreement:
+        return agreement(x, 450.0 * x + rng.normal(0.0, 1.0, count))
+
+    texts = [compare({"lumped": scattered(), "full": scattered()}, same_mass=False).text for _ in range(400)]
+    assert sum("explains the forces best" in text for text in texts) < 0.09 * len(texts)
 
 
 def test_nothing_to_compare() -> None:
