@@ -12,6 +12,7 @@ from scara_effmass.cli.live import Display
 from scara_effmass.cli.processes import keep_to_this_machine, require_running, started
 from scara_effmass.cli.report import validation_lines
 from scara_effmass.errors import EffmassError
+from scara_effmass.settings import ValidatorSettings
 
 if TYPE_CHECKING:
     import argparse
@@ -30,6 +31,8 @@ IMPACTS = 12
 """Three configurations with four masses each."""
 FIRST_AFTER_S = 4.0
 PER_IMPACT_S = 3.5
+RECORDED_LATE_S = 5.0
+"""Time waits for the nodes, not for the recorder: on a busy machine it hears of them so much later."""
 FORCE_TOPIC_IS_LATE_S = 3.0
 """An impact is told once its rebounds are over, and validated then."""
 INTRODUCTION = (
@@ -51,7 +54,10 @@ def run_bench(args: argparse.Namespace, arm: Arm, settings: MonitorSettings, con
         for subject, text in INTRODUCTION:
             console.print(f"{subject:<16}{text}")
     live, recorded = _run_live(args, arm, settings, console)
-    validation_settings = ValidationSettings(monitor=settings)
+    validation_settings = ValidationSettings(
+        monitor=settings.model_copy(update={"timeout": RECORDED_LATE_S}),
+        validator=ValidatorSettings(clock_tolerance=RECORDED_LATE_S),
+    )
     validation = validate([args.out / BAG], arm, validation_settings)
     write_report(validation, validation_settings, arm.robot, args.out, overwrite=args.force)
     result = validation.result
