@@ -20,7 +20,6 @@ from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 
 from scara_effmass.bag_io.definitions import known_types
 from scara_effmass.bag_io.recording import Recording
@@ -28,6 +27,7 @@ from scara_effmass.bag_io.recording_options import RecordingOptions
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.record_inlets import SUITE, SUITE_BELOW, Inlets, resolved
+from scara_effmass.nodes.running import spin_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -109,12 +109,12 @@ def record(
             while not told_to_stop and context.ok() and recording.running and seconds < options.duration_s:
                 inlets.look()
                 left_s = min(options.duration_s - seconds, _SLICE_S)
-                executor.spin_until_future_complete(Future(), timeout_sec=left_s)
+                spin_for(executor, left_s)
                 seconds = time.monotonic() - began
                 progress(recording.report(), seconds)
             if context.ok():
                 # What has come by now stands in a queue before this task.
-                executor.spin_until_future_complete(executor.create_task(lambda: None), timeout_sec=_QUEUED_S)
+                spin_for(executor, _QUEUED_S, executor.create_task(lambda: None).done)
             report = recording.close()
         return RecordReport(
             report,

@@ -7,6 +7,7 @@ import copy
 import gc
 import signal
 import sys
+import time
 from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
@@ -42,6 +43,17 @@ RCLError = rclpy_implementation.RCLError
 
 _ONE_SPIN_S = 1e6
 """EventsExecutor.spin() without a time-out keeps a core busy in rclpy 7.1; with one it sleeps."""
+
+
+def spin_for(executor: Executor, seconds: float, done: Callable[[], bool] = bool) -> None:
+    """Handle events for so long, or until `done`, which is asked after each of them.
+
+    The time-outs of an EventsExecutor hold for the wait for an event: while more come than it can handle, spinning
+    has no end in rclpy 7.1.
+    """
+    end = time.monotonic() + seconds
+    while not done() and (left_s := end - time.monotonic()) > 0.0:
+        executor.spin_once(timeout_sec=left_s)
 
 
 class SuiteNode(LifecycleNode):

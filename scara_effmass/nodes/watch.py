@@ -15,11 +15,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from scara_effmass_msgs.msg import ContactState, ImpactValidation
 from std_msgs.msg import Float64
 
 from scara_effmass.nodes.contact_messages import contact_from
+from scara_effmass.nodes.running import spin_for
 from scara_effmass.safety import SILENCE
 from scara_effmass.values import Verdict
 
@@ -81,6 +81,7 @@ class Watch:
             enable_rosout=False,
             parameter_overrides=[Parameter("use_sim_time", value=True)],
         )
+        self._node = node
         self._clock = node.get_clock()
         self._kept.callback(node.destroy_node)
         for kind, topic, callback in (
@@ -101,6 +102,11 @@ class Watch:
         """Whether a monitor publishes on every topic."""
         return len(self._matched) == _TOPICS
 
+    def has_ends(self, topic: str, publishers: int, subscribers: int) -> bool:
+        """Whether at least so many publish on `topic` and subscribe to it, this one included."""
+        node = self._node
+        return node.count_publishers(topic) >= publishers and node.count_subscribers(topic) >= subscribers
+
     @property
     def now_ns(self) -> int:
         """The time on /clock; 0 before it has begun."""
@@ -113,7 +119,7 @@ class Watch:
         """
         deadline = time.monotonic() + seconds
         while not (finished := done()) and (left := deadline - time.monotonic()) > 0.0:
-            self._executor.spin_until_future_complete(Future(), timeout_sec=min(left, _SLICE_S))
+            spin_for(self._executor, min(left, _SLICE_S))
             self._act_on_signals()
         return finished
 
