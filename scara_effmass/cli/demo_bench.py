@@ -35,6 +35,8 @@ RECORDED_LATE_S = 5.0
 """Time waits for the nodes, not for the recorder: on a busy machine it hears of them so much later."""
 FORCE_TOPIC_IS_LATE_S = 3.0
 """An impact is told once its rebounds are over, and validated then."""
+WIRES = (("contact_state", 1, 2), ("force", 1, 1), ("impact", 1, 1), ("impact_validation", 1, 1))
+"""Topics of the nodes, and how many publish and listen there, the demo included, before time begins."""
 INTRODUCTION = (
     ("simulated", "robot, carts and force: a virtual test bench (MuJoCo), no real robot, nothing is measured"),
     ("live", "monitor, force and validator nodes, their messages and verdicts: computed now, over DDS"),
@@ -97,8 +99,8 @@ def _run_live(
         "validator": ["validator", *SIMULATED_TIME],
         "monitor": monitor_words(args, settings),
         "record": record_words(args),
-        "bench": ["bench", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=2"],
     }
+    bench = ["bench", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=2"]
     heard: list[ImpactValidation] = []
     with ExitStack() as running:
         processes = {name: running.enter_context(started(each)) for name, each in words.items()}
@@ -118,6 +120,11 @@ def _run_live(
             return late or len(heard) >= IMPACTS or any(process.ended for process in processes.values())
 
         with Watch(arm.contact_points, on_cycle, on_validation) as watch, display:
+            if not watch.spin(START_WITHIN_S, lambda: all(watch.has_ends(*each) for each in WIRES) or over()):
+                raise EffmassError(f"the nodes have not come up within {START_WITHIN_S:g} s")
+            require_running(processes.values())
+            # With the first clock, which the bench gives, the recorder comes to them.
+            processes["bench"] = running.enter_context(started(bench))
             watch.spin(START_WITHIN_S + SLOWEST * span_s, over)
             require_running(processes.values())
             recorded: dict[str, Any] = json.loads(processes["record"].finish())

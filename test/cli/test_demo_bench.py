@@ -19,9 +19,10 @@ def test_every_impact_is_seen_live_and_found_again_in_the_recording(cli: Cli, tm
     done = cli("demo", "--duration", "4", "--out", tmp_path / "out", "--json")
     assert done.stderr == ""
     result = json.loads(done.stdout)
-    # One impact in four seconds, perhaps a second one before all have ended; a series has to have three.
-    assert 1 <= result["live"] == result["both"] <= result["offline"] < 3
-    assert (done.returncode, result["accepted"]) == (1, False)
+    # One impact in four seconds, perhaps more before all have ended; a series has to have three.
+    assert 1 <= result["live"] == result["both"] <= result["offline"]
+    assert result["accepted"] == (result["offline"] >= 3)
+    assert done.returncode == (not result["accepted"])
     assert result["recording"]["lost"] == 0
     impact = result["impacts"][0]
     assert impact["simulated"] is True
