@@ -145,11 +145,12 @@ def _print(output: Path, campaign: Campaign, steps: Sequence[CampaignStep]) -> N
     contact, console = campaign.contact, printer()
     kept = sum(step.kept for step in steps)
     cases = f"{len(campaign.configurations)} configurations, {len(campaign.obstacle_masses)} obstacle masses"
+    often = "once" if campaign.repetitions == 1 else f"{campaign.repetitions} times"
     unit, law = ("N/mm", "linear spring") if contact.exponent == 1.0 else ("N/mm^1.5", "Hertz contact")
     stiffness = f"{contact.stiffness / MM_PER_M**contact.exponent:g} {unit}"
     lines = [
         ("simulated", f"{len(steps)} impacts on the virtual test bench (MuJoCo); nothing was measured"),
-        ("cases", f"{cases}, {campaign.repetitions} times each"),
+        ("cases", f"{cases}, {often} each"),
         ("tip", f"{law} {stiffness}, damping {contact.damping:g} N s/m, friction {contact.friction:g}"),
         ("made", f"{len(steps) - kept}"),
     ]

@@ -55,7 +55,7 @@ class ValidatorHealth:
             "accepted": result.accepted,
             "reason": result.reason,
             "criterion hash": result.criterion_hash,
-            "correlation": f"{judged.correlation:.5f}",
+            "correlation": judged.correlation_reason or f"{judged.correlation:.5f}",
             "fitted stiffness [N/m]": f"{judged.fitted_stiffness:.6g}",
             "bias [N]": f"{judged.bias:.4g}",
             "rmse [N]": f"{judged.rmse:.4g}",
