@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from scara_effmass.analysis.assessment import cycles
 from scara_effmass.bag_io.definitions import FORCE_BLOCK, IMPACT, RECORDING_INFO, check_definition
 from scara_effmass.bag_io.force import decode_force_block, decode_impact
+from scara_effmass.bag_io.recording_info import recording_infos
 from scara_effmass.errors import BagError, DecodeError, SettingsError
 from scara_effmass.impacts.run_info import run_info
 
@@ -40,16 +41,10 @@ def run_infos(bag: Bag) -> list[RunInfo]:
 
     Raises BagError for a value that cannot be one. What is no JSON object says nothing.
     """
-    if all(topic.name != RECORDING_INFO for topic in bag.topics):
-        return []
     infos: list[RunInfo] = []
-    for message in bag.messages([RECORDING_INFO]):
+    for log_time_ns, text in recording_infos(bag):
         try:
-            text = str(bag.deserialize(message).data)
-        except (DecodeError, AttributeError):
-            continue
-        try:
-            info = run_info(text, message.log_time_ns if infos else 0)
+            info = run_info(text, log_time_ns if infos else 0)
         except SettingsError as error:
             raise BagError(f"{bag.path}: {RECORDING_INFO}: {error}") from None
         if info is not None:

@@ -287,16 +287,13 @@ def _recording(args: argparse.Namespace) -> Recording:
 
 def _making(bag: Bag) -> str:
     """Return what the recording says of how it was made, empty where it says nothing."""
-    from scara_effmass.bag_io.definitions import RECORDING_INFO  # noqa: PLC0415
+    from scara_effmass.bag_io.recording_info import recording_infos  # noqa: PLC0415
+    from scara_effmass.impacts.run_info import json_object  # noqa: PLC0415
 
-    if all(topic.name != RECORDING_INFO for topic in bag.topics):
-        return ""
-    message = next(bag.messages([RECORDING_INFO]))
-    try:
-        about = json.loads(bag.deserialize(message).data)
-        return f"generated, no real robot: {about['description']}" if about["generated"] else ""
-    except (ValueError, TypeError, LookupError):
-        return ""
+    _, text = next(recording_infos(bag), (0, ""))
+    about = json_object(text) or {}
+    told = about.get("generated") and "description" in about
+    return f"generated, no real robot: {about['description']}" if told else ""
 
 
 def _introduction(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from itertools import chain
 from pathlib import Path
@@ -10,13 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scara_effmass.bag_io.definitions import FLOAT64, FORCE_BLOCK, RECORDING_INFO, WRENCH, WRENCH_STAMPED
+from scara_effmass.bag_io.definitions import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
 from scara_effmass.bag_io.files import open_bag
+from scara_effmass.bag_io.recording_info import recording_infos
 from scara_effmass.daq.even_time import EvenBlocks
 from scara_effmass.daq.recording import NS, UNITS, RecordedBlock, Recording
 from scara_effmass.daq.source import Unit
 from scara_effmass.daq.stamped_topic import stamped_samples
-from scara_effmass.errors import BagError, DecodeError, SettingsError
+from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.impacts.run_info import json_object
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -151,9 +152,5 @@ def _samples(bag: Bag, topic: Topic, settings: BagSettings, block_time: float) -
 
 def _is_generated(bag: Bag) -> bool:
     """Whether the recording says that it was computed."""
-    if all(topic.name != RECORDING_INFO for topic in bag.topics):
-        return False
-    try:
-        return bool(json.loads(bag.deserialize(next(bag.messages([RECORDING_INFO]))).data)["generated"])
-    except (DecodeError, StopIteration, AttributeError, ValueError, TypeError, LookupError):
-        return False
+    _, text = next(recording_infos(bag), (0, ""))
+    return bool((json_object(text) or {}).get("generated"))

@@ -6,12 +6,11 @@ import json
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from scara_effmass.errors import SettingsError
+from scara_effmass.settings.validator import HEAVIEST
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-HEAVIEST = 1000.0
-"""As `ValidatorSettings.obstacle_mass` has it [kg]."""
 LATEST_NS = 2**63 - 1
 
 
@@ -27,16 +26,22 @@ class RunInfo(NamedTuple):
     about: Mapping[str, Any]
 
 
+def json_object(text: str) -> dict[str, Any] | None:
+    """Return the JSON object in `text`; None: it is none, and says nothing."""
+    try:
+        about = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return about if isinstance(about, dict) else None
+
+
 def run_info(text: str, said_ns: int) -> RunInfo | None:
     """Return what the JSON object `text` says, from `said_ns` on unless it says since when.
 
     None: it is no JSON object, and says nothing. Raises SettingsError for a value that cannot be one.
     """
-    try:
-        about = json.loads(text)
-    except (ValueError, RecursionError):
-        return None
-    if not isinstance(about, dict):
+    about = json_object(text)
+    if about is None:
         return None
     mass, name, since_ns = (about.get(key) for key in ("obstacle_mass", "configuration", "since_ns"))
     since_ns = said_ns if since_ns is None else since_ns

@@ -15,12 +15,11 @@ from scara_effmass.settings.daq import (
     Stamps,
     TareSettings,
 )
-from scara_effmass.settings.loading import NODE_ONLY, READ_ONLY, checked, load_settings
+from scara_effmass.settings.loading import READ_ONLY, checked, load_settings
 from scara_effmass.settings.monitor import Contact, MassModel, MonitorSettings
 from scara_effmass.settings.validator import CriterionSettings, ValidatorSettings
 
 __all__ = [
-    "NODE_ONLY",
     "READ_ONLY",
     "BagSettings",
     "BenchScene",

@@ -7,6 +7,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from scara_effmass.settings.loading import READ_ONLY
 from scara_effmass.settings.monitor import MassModel
 
+HEAVIEST = 1000.0
+"""Largest mass of what is hit [kg]."""
+
 
 class CriterionSettings(BaseModel):
     """When a series is accepted: fixed before it begins, and published as a hash with every result."""
@@ -68,7 +71,10 @@ class ValidatorSettings(BaseModel):
         json_schema_extra=READ_ONLY,
     )
     obstacle_mass: float = Field(
-        0.0, ge=0.0, le=1000.0, description="mass of what is hit, m_H [kg]; 0: not given, then nothing can be predicted"
+        0.0,
+        ge=0.0,
+        le=HEAVIEST,
+        description="mass of what is hit, m_H [kg]; 0: not given, then nothing can be predicted",
     )
     configuration: str = Field("", description="name of the robot's configuration, by which results are grouped")
     stiffness: float = Field(
