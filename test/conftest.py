@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import HealthCheck, settings
 
+from scara_effmass.cli.processes import DOMAINS, domain_is_free
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
@@ -25,10 +27,6 @@ settings.load_profile("same_every_time")
 # A shell starts what runs in its background with SIGINT ignored, and so would all that the tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-DOMAINS = 101
-"""Up to 101 the ports of a ROS domain lie below those that Linux hands out by itself."""
-PARTICIPANTS = 16
-"""So many of the first places of a domain are looked at."""
 _tried = count(os.getpid() * 13)
 
 
@@ -36,18 +34,15 @@ _tried = count(os.getpid() * 13)
 def _reserved_domain() -> Iterator[int]:
     for _ in range(10 * DOMAINS):
         domain = 1 + next(_tried) % DOMAINS
-        first_port = 7400 + 250 * domain
         # DDS takes UDP ports only; the TCP port is the flag by which the test runs of one machine keep apart.
         with socket.socket(type=socket.SOCK_STREAM) as flag:
             try:
-                flag.bind(("127.0.0.1", first_port))
-                for participant in range(PARTICIPANTS):
-                    with socket.socket(type=socket.SOCK_DGRAM) as place:
-                        place.bind(("", first_port + 10 + 2 * participant))
+                flag.bind(("127.0.0.1", 7400 + 250 * domain))
             except OSError:
                 continue
-            yield domain
-            return
+            if domain_is_free(domain):
+                yield domain
+                return
     raise RuntimeError("no ROS domain is free on this machine")
 
 

@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
 _PR_SET_PDEATHSIG = 1
 END_WITHIN_S = 30.0
-_DOMAINS = 101
+DOMAINS = 101
 """Up to 101 the ports of a domain lie below those that Linux hands out by itself."""
-_PARTICIPANTS = 8
+_PARTICIPANTS = 16
+"""So many of the first places of a domain are looked at."""
 
 
 class Started:
@@ -111,11 +112,11 @@ def keep_to_this_machine() -> None:
     A recorded motion must never reach the nodes of a real cell.
     """
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    domains = (1 + (os.getpid() + turn) % _DOMAINS for turn in range(_DOMAINS))
-    os.environ["ROS_DOMAIN_ID"] = str(next(filter(_is_free, domains), 1 + os.getpid() % _DOMAINS))
+    domains = (1 + (os.getpid() + turn) % DOMAINS for turn in range(DOMAINS))
+    os.environ["ROS_DOMAIN_ID"] = str(next(filter(domain_is_free, domains), 1 + os.getpid() % DOMAINS))
 
 
-def _is_free(domain: int) -> bool:
+def domain_is_free(domain: int) -> bool:
     """Return whether nobody on this machine is in a ROS domain: whether its first ports are free."""
     for participant in range(_PARTICIPANTS):
         with socket.socket(type=socket.SOCK_DGRAM) as place:
