@@ -38,7 +38,7 @@ bench: setup  ## time the core, the live nodes, the bag reader and the recorder
 	$(BIN)/python benchmarks/run.py
 
 bags: setup  ## make the shipped recordings again
-	$(BIN)/python -m scara_effmass.bench -o bags --force
+	$(BIN)/python -m scara_effmass.sim -o bags --force
 
 colcon: .venv-colcon/.requirements  ## build the tree as a ROS workspace and check what it installs
 	scripts/check_colcon.sh .venv-colcon build/colcon

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from rosbags.highlevel import AnyReader
 
-from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.writer import BagWriter
 from scara_effmass.values import JointState
 
 MESSAGES = 200_000

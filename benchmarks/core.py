@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from scara_effmass.model.arm import Arm
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
@@ -27,7 +27,7 @@ def measure() -> tuple[float, float]:
     """Return the median time per cycle [us] of the core and of the plain computation, timed in turn."""
     settings = MonitorSettings()
     robot = load_robot(share("config", "omron_i4_550l.yaml"), settings)
-    monitor = Monitor(Arm(robot), settings)
+    monitor = Monitor(RobotDynamics(robot), settings)
     states = _states()
     frame = robot.contact_frames["tool"]
     data = robot.model.createData()

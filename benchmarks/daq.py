@@ -17,9 +17,9 @@ from rclpy.task import Future
 from scara_effmass_msgs.msg import ForceBlock
 from usage import cpu_s, resident_mb
 
-from scara_effmass.bag_io.force import decode_force_block
 from scara_effmass.daq.source import make_source
 from scara_effmass.settings import BenchSettings, DaqSettings, ForceSourceKind
+from scara_effmass.wire.force import decode_force_block
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

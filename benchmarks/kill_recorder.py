@@ -26,11 +26,11 @@ import yaml
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from scara_effmass.bag_io.definitions import known_types
-from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bag_io.recording import Recording
-from scara_effmass.bag_io.recording_options import RecordingOptions
-from scara_effmass.bag_io.repair import repair
+from scara_effmass.bags.definitions import known_types
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.recording import BagRecorder
+from scara_effmass.bags.recording_options import RecordingOptions
+from scara_effmass.bags.repair import repair
 from scara_effmass.errors import BagError
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def _run(bag: Path, generator: random.Random) -> Outcome:
 def _record(bag: Path, options: RecordingOptions, send: int) -> NoReturn:
     """Record until killed, in the process of the run."""
     try:
-        recording = Recording(bag, options)
+        recording = BagRecorder(bag, options)
         numbers = [recording.add_topic(topic, STRING) for topic in TOPICS]
         count = 0
         while True:

@@ -23,11 +23,11 @@ from scara_effmass_msgs.msg import ForceBlock
 from sensor_msgs.msg import JointState as JointStateMessage
 from usage import cpu_s, resident_mb
 
-from scara_effmass.bag_io.definitions import JOINT_STATE, known_types
-from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bag_io.messages import joint_state_message
-from scara_effmass.bag_io.recording import Recording
-from scara_effmass.bag_io.recording_options import RecordingOptions
+from scara_effmass.bags.definitions import JOINT_STATE, known_types
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.messages import joint_state_message
+from scara_effmass.bags.recording import BagRecorder
+from scara_effmass.bags.recording_options import RecordingOptions
 from scara_effmass.values import JointState
 
 MESSAGES = 200_000
@@ -69,7 +69,7 @@ def _record(folder: Path, messages: list[bytes]) -> float:
     """Return how long it takes until everything is on the disk [s]."""
     options = RecordingOptions(queue_messages=MESSAGES, queue_bytes=1 << 30)
     started = time.perf_counter()
-    with Recording(folder, options) as recording:
+    with BagRecorder(folder, options) as recording:
         topic = recording.add_topic("/joint_states", JOINT_STATE)
         for number, data in enumerate(messages):
             recording.put(topic, START_NS + number * STEP_NS, data)

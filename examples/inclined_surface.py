@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from itertools import product
 
-from scara_effmass.bench.experiment import run_impact
-from scara_effmass.bench.impact_setup import CONFIGURATIONS, ImpactSetup
+from scara_effmass.sim.experiment import run_impact
+from scara_effmass.sim.impact_setup import CONFIGURATIONS, ImpactSetup
 
 OBSTACLE_KG = 2.39
 PLATES = {

@@ -9,7 +9,7 @@ from scara_effmass.errors import BagError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from scara_effmass.bag_io.bag import Bag
+    from scara_effmass.bags.bag import Bag
     from scara_effmass.safety import Monitor
     from scara_effmass.values import Decision, JointState
 

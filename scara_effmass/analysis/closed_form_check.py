@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.closed_form import largest_lumped_mass, lumped_mass
+from scara_effmass.model.scara_closed_form import largest_lumped_mass, lumped_mass
 
 if TYPE_CHECKING:
-    from scara_effmass.model.arm import Arm
+    from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.model.robot import Robot
     from scara_effmass.values import ContactAssessment, FloatArray, JointState
 
@@ -27,7 +27,7 @@ class ClosedFormCheck:
     1/m_n = (1 - n_z^2) / m(Eq. 28) + n_z^2 / m_z, and the worst direction has the larger of Eq. 30 and m_z.
     """
 
-    def __init__(self, arm: Arm, mass_cap: float) -> None:
+    def __init__(self, arm: RobotDynamics, mass_cap: float) -> None:
         """Prepare for `arm`; masses at `mass_cap` [kg] are compared as such. Raises RobotError if it is no SCARA."""
         if arm.lumped is None:
             raise RobotError(f"{arm.robot.origin}: no lumped mass ({arm.lumped_reason})")

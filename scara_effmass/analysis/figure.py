@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from scara_effmass.analysis.output import completed
-from scara_effmass.analysis.trace import Course, thinned, verdict_spans
+from scara_effmass.analysis.trace import TimeSeries, thinned, verdict_spans
 from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ _STYLE: dict[Any, Any] = {
 
 
 def draw_run(
-    course: Course, *, title: str, subtitle: str, mass_model: str, timeout: float, forces: Forces | None = None
+    course: TimeSeries, *, title: str, subtitle: str, mass_model: str, timeout: float, forces: Forces | None = None
 ) -> Figure:
     """Return the figure of one contact point's course; the verdict used the mass of `mass_model`.
 
@@ -103,7 +103,7 @@ def write(figure: Figure, png: Path, svg: Path) -> None:
     FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})  # type: ignore[no-untyped-call]
 
 
-def _with_gaps(course: Course, timeout: float) -> Course:
+def _with_gaps(course: TimeSeries, timeout: float) -> TimeSeries:
     """Break the lines where no joint state came: put NaN right after the last one before each gap."""
     gaps = np.flatnonzero(np.diff(course.time) > timeout) + 1
     if not len(gaps):
@@ -117,7 +117,7 @@ def _with_gaps(course: Course, timeout: float) -> Course:
         course.full_mass,
         course.iso_mass,
     )
-    return Course(
+    return TimeSeries(
         course.start_ns,
         np.insert(course.time, gaps, course.time[gaps - 1] + timeout),
         np.insert(course.verdict, gaps, Verdict.UNKNOWN),
@@ -125,7 +125,7 @@ def _with_gaps(course: Course, timeout: float) -> Course:
     )
 
 
-def _draw_verdicts(axes: Axes, course: Course, timeout: float) -> None:
+def _draw_verdicts(axes: Axes, course: TimeSeries, timeout: float) -> None:
     spans = verdict_spans(course, timeout)
     shortest = float(course.time[-1]) / COLUMNS
     for verdict in _ORDER:
@@ -142,7 +142,7 @@ def _draw_verdicts(axes: Axes, course: Course, timeout: float) -> None:
     axes.legend(handles=patches, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, ncols=2)
 
 
-def _draw_speeds(axes: Axes, course: Course) -> None:
+def _draw_speeds(axes: Axes, course: TimeSeries) -> None:
     _line(axes, course, course.allowable_speed, color="#0072B2", linewidth=1.6, label="allowable speed")
     _line(axes, course, course.speed, color="#000000", linewidth=1.2, label="speed")
     above = np.where(course.speed > course.allowable_speed, course.speed, np.nan)
@@ -153,7 +153,7 @@ def _draw_speeds(axes: Axes, course: Course) -> None:
     _legend(axes)
 
 
-def _draw_masses(axes: Axes, course: Course, mass_model: str) -> None:
+def _draw_masses(axes: Axes, course: TimeSeries, mass_model: str) -> None:
     for model, values, label, color, style in (
         ("lumped", course.lumped_mass, "lumped model", "#0072B2", ":"),
         ("full", course.full_mass, "full model", "#000000", "--"),
@@ -205,7 +205,7 @@ def _draw_forces(axes: Axes, forces: Forces, start_ns: int) -> None:
     _legend(axes)
 
 
-def _line(axes: Axes, course: Course, values: FloatArray, **style: object) -> None:
+def _line(axes: Axes, course: TimeSeries, values: FloatArray, **style: object) -> None:
     axes.plot(*thinned(course.time, values, COLUMNS), **style)  # type: ignore[arg-type]
 
 

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from scara_effmass.bag_io.definitions import FORCE_BLOCK, IMPACT
-from scara_effmass.bag_io.force import decode_impact
+from scara_effmass.bags.definitions import FORCE_BLOCK, IMPACT
+from scara_effmass.wire.force import decode_impact
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from scara_effmass.bag_io.bag import Bag
+    from scara_effmass.bags.bag import Bag
     from scara_effmass.values import FloatArray, Impact
 
 

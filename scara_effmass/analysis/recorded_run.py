@@ -6,19 +6,19 @@ from heapq import merge
 from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.analysis.assessment import cycles
-from scara_effmass.bag_io.definitions import FORCE_BLOCK, IMPACT, RECORDING_INFO, check_definition
-from scara_effmass.bag_io.force import decode_force_block, decode_impact
-from scara_effmass.bag_io.recording_info import recording_infos
+from scara_effmass.bags.definitions import FORCE_BLOCK, IMPACT, RECORDING_INFO, check_definition
+from scara_effmass.bags.recording_info import recording_infos
 from scara_effmass.errors import BagError, DecodeError, SettingsError
 from scara_effmass.impacts.run_info import run_info
+from scara_effmass.wire.force import decode_force_block, decode_impact
 
 if TYPE_CHECKING:
     from collections import Counter
     from collections.abc import Iterator
 
     from scara_effmass.analysis.assessment import Cycle
-    from scara_effmass.bag_io.bag import Bag
-    from scara_effmass.bag_io.batches import Topic
+    from scara_effmass.bags.bag import Bag
+    from scara_effmass.bags.batches import Topic
     from scara_effmass.impacts.run_info import RunInfo
     from scara_effmass.safety import Monitor
     from scara_effmass.values import ForceBlock, Impact

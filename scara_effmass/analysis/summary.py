@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from scara_effmass.safety.hold import severity
+from scara_effmass.safety.debounce import severity
 from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:

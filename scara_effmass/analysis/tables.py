@@ -13,12 +13,12 @@ from pyarrow import csv, parquet
 
 from scara_effmass import __version__
 from scara_effmass.analysis.output import completed
-from scara_effmass.bag_io.definitions import CONTACT_STATE, RECORDING_INFO
-from scara_effmass.bag_io.encode import ContactStateEncoder
-from scara_effmass.bag_io.messages import serialized
-from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.bags.definitions import CONTACT_STATE, RECORDING_INFO
+from scara_effmass.bags.messages import serialized
+from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
+from scara_effmass.wire.encode import ContactStateEncoder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class TimeSeries:
     """What was decided, over time (m,) since `start_ns` [s]; NaN where nothing is known [m/s, kg]."""
 
     start_ns: int
@@ -57,14 +57,14 @@ class Trace:
             )
         )
 
-    def course(self) -> Course:
+    def course(self) -> TimeSeries:
         """Return what came so far, in order of time."""
         at_ns = np.array(self._at_ns)
         order = np.argsort(at_ns, kind="stable")
         at_ns = at_ns[order]
         columns = np.array(self._values).reshape(-1, 6)[order].T
         start_ns = int(at_ns[0]) if len(at_ns) else 0
-        return Course(start_ns, (at_ns - start_ns) / 1e9, np.array(self._verdicts)[order], *columns)
+        return TimeSeries(start_ns, (at_ns - start_ns) / 1e9, np.array(self._verdicts)[order], *columns)
 
 
 def thinned(time: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
@@ -91,7 +91,7 @@ def thinned(time: FloatArray, values: FloatArray, columns: int) -> tuple[FloatAr
     return time[indices], values[indices]
 
 
-def verdict_spans(course: Course, timeout: float) -> list[tuple[float, float, Verdict]]:
+def verdict_spans(course: TimeSeries, timeout: float) -> list[tuple[float, float, Verdict]]:
     """Return runs of equal verdict as (from, to, verdict) [s]; silence beyond `timeout` [s] is UNKNOWN."""
     spans: list[tuple[float, float, Verdict]] = []
 

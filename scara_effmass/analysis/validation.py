@@ -18,7 +18,7 @@ from scara_effmass.analysis.recorded_run import (
     recorded_cycles,
     run_infos,
 )
-from scara_effmass.bag_io.files import open_bag
+from scara_effmass.bags.files import open_bag
 from scara_effmass.impacts.detection import Detector
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.safety import Monitor
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from scara_effmass.bag_io.bag import Bag
+    from scara_effmass.bags.bag import Bag
     from scara_effmass.impacts.result import Result
     from scara_effmass.impacts.run_info import RunInfo
-    from scara_effmass.model.arm import Arm
+    from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.values import ForceBlock, RefusedImpact, ValidatedImpact
 
 
@@ -92,7 +92,10 @@ class Validation(NamedTuple):
 
 
 def validate(
-    paths: Sequence[Path], arm: Arm, settings: ValidationSettings, advance: Callable[[float], object] = lambda _: None
+    paths: Sequence[Path],
+    arm: RobotDynamics,
+    settings: ValidationSettings,
+    advance: Callable[[float], object] = lambda _: None,
 ) -> Validation:
     """Return what the recordings at `paths`, each for `open_bag`, say of the models of `arm`, as one series.
 

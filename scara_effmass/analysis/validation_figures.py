@@ -10,7 +10,7 @@ import matplotlib.ticker
 import numpy as np
 from matplotlib.lines import Line2D
 
-from scara_effmass.analysis.paper.style import INK, ISO_RED, new_figure
+from scara_effmass.analysis.plot_style import INK, ISO_RED, new_figure
 from scara_effmass.analysis.validation_marks import GREY, Marks, color, shown
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import matplotlib as mpl
 from scara_effmass.analysis.figure import FORMATS, write
 from scara_effmass.analysis.output import completed, require_free
 from scara_effmass.analysis.page import Picture
-from scara_effmass.analysis.paper.style import STYLE
+from scara_effmass.analysis.plot_style import STYLE
 from scara_effmass.analysis.validation_figures import PLOTS
 from scara_effmass.analysis.validation_page import page
 from scara_effmass.analysis.validation_record import record

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from scara_effmass.analysis.closed_form_check import ClosedFormCheck
     from scara_effmass.analysis.summary import Summary
     from scara_effmass.analysis.tables import Sink
-    from scara_effmass.bag_io.bag import Bag
-    from scara_effmass.model.arm import Arm
+    from scara_effmass.bags.bag import Bag
+    from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.settings import MonitorSettings
 
 EXAMPLES = """\
@@ -49,7 +49,7 @@ examples:
 class Run:
     """All recordings of one call: what is counted beside the summary."""
 
-    def __init__(self, arm: Arm, settings: MonitorSettings) -> None:
+    def __init__(self, arm: RobotDynamics, settings: MonitorSettings) -> None:
         """Prepare; a robot that is no SCARA has no closed forms to check against."""
         from scara_effmass.analysis.closed_form_check import ClosedFormCheck  # noqa: PLC0415 - not needed for --help
         from scara_effmass.analysis.summary import Summary  # noqa: PLC0415
@@ -138,7 +138,7 @@ def run(args: argparse.Namespace) -> int:
     """Assess, write, and print what it comes down to."""
     from scara_effmass.analysis.assessment import joint_state_topic  # noqa: PLC0415
     from scara_effmass.analysis.tables import Provenance, sink  # noqa: PLC0415
-    from scara_effmass.bag_io.files import find_bags, open_bag  # noqa: PLC0415
+    from scara_effmass.bags.files import find_bags, open_bag  # noqa: PLC0415
     from scara_effmass.safety import Monitor  # noqa: PLC0415
 
     settings = settings_from(args)

@@ -32,7 +32,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the node until it is told to stop."""
-    from scara_effmass.nodes.bench_node import main  # noqa: PLC0415 - rclpy, only when the node runs
+    from scara_effmass.nodes.sim_node import main  # noqa: PLC0415 - rclpy, only when the node runs
 
     return main(
         node_arguments(None, {"start": args.start, "seed": args.seed, "clock": args.clock or None}, args.ros_arguments)

@@ -17,7 +17,7 @@ from scara_effmass.cli.options import add_force, add_json, printer
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from scara_effmass.bench.campaign import Campaign, CampaignStep
+    from scara_effmass.sim.campaign import Campaign, CampaignStep
 
 EXAMPLES = """\
 Nothing is measured: robot, cart and force sensor are simulated (MuJoCo), and every bag says so. DIR gets one bag per
@@ -69,8 +69,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate and record what is not there yet, and print what was done."""
-    from scara_effmass.bench.campaign import run_campaign  # noqa: PLC0415 - MuJoCo, not needed for --help
-    from scara_effmass.bench.experiment import cell_for  # noqa: PLC0415
+    from scara_effmass.sim.campaign import run_campaign  # noqa: PLC0415 - MuJoCo, not needed for --help
+    from scara_effmass.sim.experiment import cell_for  # noqa: PLC0415
 
     campaign = _campaign(args)
     for each in campaign.runs:
@@ -90,11 +90,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _campaign(args: argparse.Namespace) -> Campaign:
-    from scara_effmass.bench.campaign import Campaign  # noqa: PLC0415
-    from scara_effmass.bench.contact import HERTZ, LINEAR, POLYETHYLENE, Contact  # noqa: PLC0415
-    from scara_effmass.bench.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES  # noqa: PLC0415
-    from scara_effmass.bench.recordings import SEED  # noqa: PLC0415
     from scara_effmass.errors import SettingsError  # noqa: PLC0415
+    from scara_effmass.sim.campaign import Campaign  # noqa: PLC0415
+    from scara_effmass.sim.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES  # noqa: PLC0415
+    from scara_effmass.sim.recordings import SEED  # noqa: PLC0415
+    from scara_effmass.sim.spring_contact import HERTZ, LINEAR, POLYETHYLENE, SpringContact  # noqa: PLC0415
 
     known = {each.name: each for each in CONFIGURATIONS}
     for name in args.configuration or ():
@@ -109,7 +109,7 @@ def _campaign(args: argparse.Namespace) -> Campaign:
         configurations=tuple(known[name] for name in dict.fromkeys(args.configuration or known)),
         obstacle_masses=masses,
         repetitions=args.repetitions,
-        contact=Contact(
+        contact=SpringContact(
             stiffness=given * MM_PER_M**exponent, exponent=exponent, damping=args.damping, friction=args.friction
         ),
         seed=SEED if args.seed is None else args.seed,

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from scara_effmass.cli.live import Display
+from scara_effmass.cli.live import StatusLine
 from scara_effmass.cli.options import (
     add_force,
     add_json,
@@ -21,7 +21,7 @@ from scara_effmass.cli.options import (
     robot_path,
     settings_from,
 )
-from scara_effmass.cli.processes import keep_to_this_machine, require_running, started
+from scara_effmass.cli.processes import child_process, keep_to_this_machine, require_running
 from scara_effmass.cli.report import summary_lines
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.settings import MassModel
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from scara_effmass.analysis.forces import Forces
     from scara_effmass.analysis.summary import Summary
     from scara_effmass.analysis.trace import Trace
-    from scara_effmass.bag_io.bag import Bag
-    from scara_effmass.model.arm import Arm
-    from scara_effmass.nodes.watch import Watch
+    from scara_effmass.bags.bag import Bag
+    from scara_effmass.model.dynamics import RobotDynamics
+    from scara_effmass.nodes.monitor_client import MonitorClient
     from scara_effmass.settings import MonitorSettings
     from scara_effmass.values import ContactAssessment
 
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
     """Run it live, then summarise and draw."""
     from scara_effmass.analysis.figure import FORMATS  # noqa: PLC0415 - not needed for --help
     from scara_effmass.analysis.output import require_free  # noqa: PLC0415
-    from scara_effmass.bag_io.rosbag2 import refuse_existing  # noqa: PLC0415
+    from scara_effmass.bags.rosbag2 import refuse_existing  # noqa: PLC0415
 
     refuse_existing(args.out / BAG, overwrite=args.force)
     settings, arm, choice = _settled(args)
@@ -128,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _run_bench(args: argparse.Namespace, settings: MonitorSettings, arm: Arm, console: Console) -> int:
+def _run_bench(args: argparse.Namespace, settings: MonitorSettings, arm: RobotDynamics, console: Console) -> int:
     from scara_effmass.cli.demo_bench import run_bench  # noqa: PLC0415
 
     if args.robot or settings.robot:
@@ -152,7 +152,7 @@ def _all_or_nothing(folder: Path) -> Iterator[None]:
 class Live:
     """One run through the live monitor, and what came of it."""
 
-    def __init__(self, arm: Arm, settings: MonitorSettings) -> None:
+    def __init__(self, arm: RobotDynamics, settings: MonitorSettings) -> None:
         """Prepare for the contact points of `arm`."""
         from scara_effmass.analysis.summary import Summary  # noqa: PLC0415
         from scara_effmass.analysis.trace import Trace  # noqa: PLC0415
@@ -173,14 +173,14 @@ class Live:
     def run(self, args: argparse.Namespace, settings: MonitorSettings, recording: Recording, console: Console) -> None:
         """Start everything, and receive until the end. Raises EffmassError when a part of it fails."""
         keep_to_this_machine()
-        from scara_effmass.nodes.watch import Watch  # noqa: PLC0415 - reads the domain when it is made
+        from scara_effmass.nodes.monitor_client import MonitorClient  # noqa: PLC0415 - reads the domain when it is made
 
         with ExitStack() as running:
-            monitor = running.enter_context(started(monitor_words(args, settings)))
-            force = running.enter_context(started(_force_words(recording))) if recording.force_topic else None
-            recorder = running.enter_context(started(record_words(args)))
+            monitor = running.enter_context(child_process(monitor_words(args, settings)))
+            force = running.enter_context(child_process(_force_words(recording))) if recording.force_topic else None
+            recorder = running.enter_context(child_process(record_words(args)))
             nodes = [node for node in (monitor, force, recorder) if node]
-            display = Display(console, recording.span_s)
+            display = StatusLine(console, recording.span_s)
 
             def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
                 self._take(contacts, at_ns)
@@ -190,11 +190,11 @@ class Live:
             def broken() -> bool:
                 return any(node.ended for node in nodes)
 
-            with Watch(tuple(self.traces), on_cycle) as watch:
+            with MonitorClient(tuple(self.traces), on_cycle) as watch:
                 if not watch.spin(START_WITHIN_S, lambda: watch.connected or broken()):
                     raise EffmassError(f"the monitor has not come up within {START_WITHIN_S:g} s")
                 require_running(nodes)
-                with started(_replay_words(args, recording)) as replay, display:
+                with child_process(_replay_words(args, recording)) as replay, display:
                     nodes.remove(force) if force else None
                     watch.spin(math.inf, lambda: replay.ended or broken())
                     require_running(nodes)
@@ -209,7 +209,7 @@ class Live:
 
     def _look_back(self, recording: Recording, duration_s: float) -> None:
         """Find in the recording what no message tells: joint states of other devices, and the tightest one's pose."""
-        from scara_effmass.bag_io.files import open_bag  # noqa: PLC0415
+        from scara_effmass.bags.files import open_bag  # noqa: PLC0415
 
         tightest = self.summary.tightest
         with open_bag(recording.path) as bag:
@@ -222,7 +222,7 @@ class Live:
                     positions = dict(zip(block.names, block.position[row].tolist(), strict=True))
                     self.summary.tightest = tightest._replace(positions=positions)
 
-    def _await_stragglers(self, watch: Watch) -> None:
+    def _await_stragglers(self, watch: MonitorClient) -> None:
         watch.spin(STRAGGLERS_S, lambda: watch.cycles >= self.sent - self.foreign)
         self.cycles, self.silences = watch.cycles, watch.silences
 
@@ -260,7 +260,7 @@ def _replay_words(args: argparse.Namespace, recording: Recording) -> list[str]:
     return [*words, "--subscribers", "2", "--wait", str(START_WITHIN_S), "--json"]
 
 
-def _settled(args: argparse.Namespace) -> tuple[MonitorSettings, Arm, str]:
+def _settled(args: argparse.Namespace) -> tuple[MonitorSettings, RobotDynamics, str]:
     """Return settings, robot, and a line about a mass model that had to be chosen."""
     settings = settings_from(args)
     arm = arm_from(settings)
@@ -276,8 +276,8 @@ def _settled(args: argparse.Namespace) -> tuple[MonitorSettings, Arm, str]:
 
 def _recording(args: argparse.Namespace) -> Recording:
     from scara_effmass.analysis.assessment import joint_state_topic  # noqa: PLC0415
-    from scara_effmass.bag_io.definitions import FORCE_BLOCK  # noqa: PLC0415
-    from scara_effmass.bag_io.files import open_bag  # noqa: PLC0415
+    from scara_effmass.bags.definitions import FORCE_BLOCK  # noqa: PLC0415
+    from scara_effmass.bags.files import open_bag  # noqa: PLC0415
 
     with open_bag(args.bag) as bag:
         topic = joint_state_topic(bag, args.topic)
@@ -287,7 +287,7 @@ def _recording(args: argparse.Namespace) -> Recording:
 
 def _making(bag: Bag) -> str:
     """Return what the recording says of how it was made, empty where it says nothing."""
-    from scara_effmass.bag_io.recording_info import recording_infos  # noqa: PLC0415
+    from scara_effmass.bags.recording_info import recording_infos  # noqa: PLC0415
     from scara_effmass.impacts.run_info import json_object  # noqa: PLC0415
 
     _, text = next(recording_infos(bag), (0, ""))
@@ -297,7 +297,7 @@ def _making(bag: Bag) -> str:
 
 
 def _introduction(
-    recording: Recording, arm: Arm, settings: MonitorSettings, choice: str, rate: float
+    recording: Recording, arm: RobotDynamics, settings: MonitorSettings, choice: str, rate: float
 ) -> list[tuple[str, str]]:
     speed = f"{rate:g} times the original speed" if rate else "as fast as the monitor answers"
     lines = [
@@ -313,7 +313,7 @@ def _introduction(
 
 def _recorded_forces(path: Path) -> Forces | None:
     from scara_effmass.analysis.forces import forces_of  # noqa: PLC0415
-    from scara_effmass.bag_io.files import open_bag  # noqa: PLC0415
+    from scara_effmass.bags.files import open_bag  # noqa: PLC0415
 
     with open_bag(path) as bag:
         return forces_of(bag)
@@ -353,7 +353,7 @@ def _finish(
     args: argparse.Namespace,
     live: Live,
     recording: Recording,
-    arm: Arm,
+    arm: RobotDynamics,
     settings: MonitorSettings,
     console: Console,
 ) -> None:

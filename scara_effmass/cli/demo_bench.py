@@ -8,8 +8,8 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from scara_effmass.cli.demo import BAG, SIMULATED_TIME, monitor_words, record_words
-from scara_effmass.cli.live import Display
-from scara_effmass.cli.processes import keep_to_this_machine, require_running, started
+from scara_effmass.cli.live import StatusLine
+from scara_effmass.cli.processes import child_process, keep_to_this_machine, require_running
 from scara_effmass.cli.report import validation_lines
 from scara_effmass.errors import EffmassError
 from scara_effmass.settings import ValidatorSettings
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from scara_effmass_msgs.msg import ImpactValidation
 
-    from scara_effmass.model.arm import Arm
+    from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.settings import MonitorSettings
     from scara_effmass.values import ContactAssessment
 
@@ -45,7 +45,7 @@ INTRODUCTION = (
 )
 
 
-def run_bench(args: argparse.Namespace, arm: Arm, settings: MonitorSettings, console: Console) -> int:
+def run_bench(args: argparse.Namespace, arm: RobotDynamics, settings: MonitorSettings, console: Console) -> int:
     """Run it; return 0 when the series is accepted, else 1. Raises EffmassError."""
     from scara_effmass.analysis.validation import ValidationSettings, validate  # noqa: PLC0415
     from scara_effmass.analysis.validation_record import record  # noqa: PLC0415
@@ -85,11 +85,11 @@ def run_bench(args: argparse.Namespace, arm: Arm, settings: MonitorSettings, con
 
 
 def _run_live(
-    args: argparse.Namespace, arm: Arm, settings: MonitorSettings, console: Console
+    args: argparse.Namespace, arm: RobotDynamics, settings: MonitorSettings, console: Console
 ) -> tuple[list[ImpactValidation], dict[str, Any]]:
     """Start everything, watch until the impacts are over; return what the validator said and the recorder's report."""
     keep_to_this_machine()
-    from scara_effmass.nodes.watch import Watch  # noqa: PLC0415 - reads the domain when it is made
+    from scara_effmass.nodes.monitor_client import MonitorClient  # noqa: PLC0415 - reads the domain when it is made
 
     start_s = float(round(time.time()))
     span_s = min(args.duration, FIRST_AFTER_S + IMPACTS * PER_IMPACT_S)
@@ -103,8 +103,8 @@ def _run_live(
     bench = ["bench", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=2"]
     heard: list[ImpactValidation] = []
     with ExitStack() as running:
-        processes = {name: running.enter_context(started(each)) for name, each in words.items()}
-        display = Display(console, span_s)
+        processes = {name: running.enter_context(child_process(each)) for name, each in words.items()}
+        display = StatusLine(console, span_s)
 
         def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
             if not args.json:
@@ -119,12 +119,12 @@ def _run_live(
             late = watch.now_ns / 1e9 > start_s + span_s + FORCE_TOPIC_IS_LATE_S
             return late or len(heard) >= IMPACTS or any(process.ended for process in processes.values())
 
-        with Watch(arm.contact_points, on_cycle, on_validation) as watch, display:
+        with MonitorClient(arm.contact_points, on_cycle, on_validation) as watch, display:
             if not watch.spin(START_WITHIN_S, lambda: all(watch.has_ends(*each) for each in WIRES) or over()):
                 raise EffmassError(f"the nodes have not come up within {START_WITHIN_S:g} s")
             require_running(processes.values())
             # With the first clock, which the bench gives, the recorder comes to them.
-            processes["bench"] = running.enter_context(started(bench))
+            processes["bench"] = running.enter_context(child_process(bench))
             watch.spin(START_WITHIN_S + SLOWEST * span_s, over)
             require_running(processes.values())
             recorded: dict[str, Any] = json.loads(processes["record"].finish())

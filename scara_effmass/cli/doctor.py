@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from scara_effmass.daq.ni_driver import Device
-    from scara_effmass.model.arm import Arm
+    from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.settings import MonitorSettings
 
 EXAMPLES = """\
@@ -173,7 +173,7 @@ def _limits(settings: MonitorSettings) -> Iterator[Finding]:
         yield Finding("ok", "limits", f"{EDITION}; hash {TABLE_HASH}; {settings.contact.value}: {regions}")
 
 
-def _robot(arm: Arm, settings: MonitorSettings) -> Iterator[Finding]:
+def _robot(arm: RobotDynamics, settings: MonitorSettings) -> Iterator[Finding]:
     robot = arm.robot
     yield Finding("ok", "robot", f"{robot.name} ({robot.origin}), base frame {robot.base_frame}")
     yield Finding("ok", "contact points", ", ".join(arm.contact_points))
@@ -203,7 +203,7 @@ def _robot(arm: Arm, settings: MonitorSettings) -> Iterator[Finding]:
         yield Finding("note", "robot file", note)
 
 
-def _lumped(arm: Arm) -> str:
+def _lumped(arm: RobotDynamics) -> str:
     return (
         ""
         if arm.lumped is None
@@ -211,7 +211,7 @@ def _lumped(arm: Arm) -> str:
     )
 
 
-def _verdict_mass(arm: Arm, settings: MonitorSettings) -> Iterator[Finding]:
+def _verdict_mass(arm: RobotDynamics, settings: MonitorSettings) -> Iterator[Finding]:
     """Whether the mass that the verdict needs exists for this robot."""
     chosen = settings.effective_mass_model
     needed = {
@@ -234,7 +234,7 @@ def _verdict_mass(arm: Arm, settings: MonitorSettings) -> Iterator[Finding]:
     yield Finding("wrong", "effective_mass_model", text)
 
 
-def _joints(arm: Arm) -> list[dict[str, Any]]:
+def _joints(arm: RobotDynamics) -> list[dict[str, Any]]:
     model = arm.robot.model
     columns = (
         arm.robot.joint_names,

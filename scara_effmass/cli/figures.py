@@ -17,8 +17,8 @@ from scara_effmass.share import share
 if TYPE_CHECKING:
     import argparse
 
-    from scara_effmass.analysis.paper.album import Album
-    from scara_effmass.analysis.paper.plates import Material
+    from scara_effmass.paper.figure_set import FigureSet
+    from scara_effmass.paper.figure_specs import Material
 
 EXAMPLES = """\
 DIR gets every figure as PNG and SVG, index.html with the paper's claims beside what comes out here, and the
@@ -49,13 +49,13 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Draw, compare, write, and print what matches."""
-    from scara_effmass.analysis.paper.album import STEPS, make_album  # noqa: PLC0415 - not needed for --help
+    from scara_effmass.paper.figure_set import STEPS, make_figure_set  # noqa: PLC0415 - not needed for --help
 
     progress = Progress(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
     with progress:
         task = progress.add_task("figures", total=STEPS)
         material = _material(args.campaign or share("bags", "campaign"))
-        album = make_album(material, args.output, overwrite=args.force, advance=lambda: progress.advance(task))
+        album = make_figure_set(material, args.output, overwrite=args.force, advance=lambda: progress.advance(task))
     if args.json:
         printer().print_json(json.dumps({"output": str(args.output), **album.as_dict()}, allow_nan=False))
     else:
@@ -65,11 +65,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _material(campaign: Path) -> Material:
     """Return the shipped robot and the impacts in the folder `campaign`; one of them shows the tool's motion."""
-    from scara_effmass.analysis.paper.campaign_runs import campaign_runs  # noqa: PLC0415
-    from scara_effmass.analysis.paper.motion import tool_motion  # noqa: PLC0415
-    from scara_effmass.analysis.paper.plates import Material  # noqa: PLC0415
-    from scara_effmass.analysis.paper.protocol import POINT_OF_FIG_17, SHOWN_OBSTACLE_KG  # noqa: PLC0415
-    from scara_effmass.analysis.paper.scara import closed_form_of  # noqa: PLC0415
+    from scara_effmass.paper.campaign_runs import campaign_runs  # noqa: PLC0415
+    from scara_effmass.paper.figure_specs import Material  # noqa: PLC0415
+    from scara_effmass.paper.motion import tool_motion  # noqa: PLC0415
+    from scara_effmass.paper.protocol import POINT_OF_FIG_17, SHOWN_OBSTACLE_KG  # noqa: PLC0415
+    from scara_effmass.paper.scara import closed_form_of  # noqa: PLC0415
 
     arm = arm_from(MonitorSettings())
     scara = closed_form_of(arm)
@@ -84,8 +84,8 @@ def _material(campaign: Path) -> Material:
     return Material(arm, scara, motion, tuple(run.impact for run in runs))
 
 
-def _print(album: Album, output: Path) -> None:
-    from scara_effmass.analysis.paper.claim import Outcome  # noqa: PLC0415
+def _print(album: FigureSet, output: Path) -> None:
+    from scara_effmass.paper.claim import Outcome  # noqa: PLC0415
 
     console = printer()
     console.print(f"{'figures':<16}{len(album.figures)}")

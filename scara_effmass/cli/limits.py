@@ -23,7 +23,7 @@ from scara_effmass.iso15066 import (
 )
 
 if TYPE_CHECKING:
-    from scara_effmass.iso15066 import BodyPoint, BodyRegion, Ceiling, Limit
+    from scara_effmass.iso15066 import BodyPoint, BodyRegion, Limit, SpeedLimit
 
 EXAMPLES = """\
 Speeds are relative ones at nominal values: the monitor's uncertainty margins come on top.
@@ -116,8 +116,8 @@ def _region(region: BodyRegion) -> dict[str, Any]:
     }
 
 
-def _ceiling(mass: float, limit: Limit) -> Ceiling:
-    return SpeedLimits([limit]).ceiling(mass)
+def _ceiling(mass: float, limit: Limit) -> SpeedLimit:
+    return SpeedLimits([limit]).speed_limit(mass)
 
 
 def _speed(mass: float, limit: Limit) -> dict[str, Any]:
@@ -182,11 +182,11 @@ def _speeds_table(masses: list[float], limits: tuple[Limit, ...]) -> Table:
     if len(limits) > 1:
         tightest = SpeedLimits(limits)
         table.add_section()
-        table.add_row("tightest", *(_cell(tightest.ceiling(mass), named=True) for mass in masses), "")
+        table.add_row("tightest", *(_cell(tightest.speed_limit(mass), named=True) for mass in masses), "")
     return table
 
 
-def _cell(ceiling: Ceiling, *, named: bool = False) -> str:
+def _cell(ceiling: SpeedLimit, *, named: bool = False) -> str:
     what = f"{ceiling.limit.region}, {ceiling.criterion}" if named else ceiling.criterion
     return f"{1e3 * ceiling.allowable_speed:.0f} ({what})"
 

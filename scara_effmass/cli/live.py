@@ -30,7 +30,7 @@ _STYLES = {
 
 
 @final
-class Display:
+class StatusLine:
     """Shows the latest cycle; to be used in a `with`."""
 
     def __init__(self, console: Console, span_s: float) -> None:
@@ -53,7 +53,7 @@ class Display:
         else:
             self._live.update(self._drawn(contacts, time_s, speed_scaling), refresh=True)
 
-    def __enter__(self) -> Display:
+    def __enter__(self) -> StatusLine:
         if self._live:
             self._live.start()
         return self

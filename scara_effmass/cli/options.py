@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from scara_effmass.settings import Contact, MassModel, MonitorSettings, checked, load_settings
+from scara_effmass.settings import ContactType, MassModel, MonitorSettings, checked, load_settings
 from scara_effmass.share import share
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Collection, Mapping, Sequence
 
-    from scara_effmass.model.arm import Arm
+    from scara_effmass.model.dynamics import RobotDynamics
 
 PIPE_WIDTH = 160
 """Columns where no terminal sets them: enough for every table, so that none is cut in a file."""
@@ -48,7 +48,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         help="body region that can be hit; may be given several times (default: all with a limit)",
     )
     parser.add_argument(
-        "--contact", choices=[contact.value for contact in Contact], help="kind of contact (default: transient)"
+        "--contact", choices=[contact.value for contact in ContactType], help="kind of contact (default: transient)"
     )
 
 
@@ -99,12 +99,12 @@ def robot_path(settings: MonitorSettings) -> Path:
     return Path(settings.robot) if settings.robot else share("config", "omron_i4_550l.yaml")
 
 
-def arm_from(settings: MonitorSettings) -> Arm:
+def arm_from(settings: MonitorSettings) -> RobotDynamics:
     """Return the robot that `settings` mean, with its models. Raises RobotError."""
-    from scara_effmass.model.arm import Arm  # noqa: PLC0415 - not needed for --help
+    from scara_effmass.model.dynamics import RobotDynamics  # noqa: PLC0415 - not needed for --help
     from scara_effmass.model.load import load_robot  # noqa: PLC0415
 
-    return Arm(load_robot(robot_path(settings), settings))
+    return RobotDynamics(load_robot(robot_path(settings), settings))
 
 
 def printer() -> Console:

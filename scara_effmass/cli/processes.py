@@ -25,7 +25,7 @@ _PARTICIPANTS = 16
 """So many of the first places of a domain are looked at."""
 
 
-class Started:
+class ChildProcess:
     """A running `scara-effmass` command, whose output is kept."""
 
     def __init__(self, words: Sequence[str]) -> None:
@@ -89,7 +89,7 @@ def _end_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-def require_running(processes: Iterable[Started]) -> None:
+def require_running(processes: Iterable[ChildProcess]) -> None:
     """Raise EffmassError with the line of a command that has ended."""
     for process in processes:
         if process.ended:
@@ -97,9 +97,9 @@ def require_running(processes: Iterable[Started]) -> None:
 
 
 @contextmanager
-def started(words: Sequence[str]) -> Iterator[Started]:
+def child_process(words: Sequence[str]) -> Iterator[ChildProcess]:
     """Run a `scara-effmass` command beside a `with`, at whose end it is ended."""
-    process = Started(words)
+    process = ChildProcess(words)
     try:
         yield process
     finally:

@@ -17,8 +17,8 @@ from scara_effmass.errors import SettingsError
 if TYPE_CHECKING:
     import argparse
 
-    from scara_effmass.bag_io.recording_report import RecordingReport
-    from scara_effmass.bag_io.repair import RepairReport
+    from scara_effmass.bags.recording_report import RecordingReport
+    from scara_effmass.bags.repair import RepairReport
     from scara_effmass.nodes.record import RecordReport
 
 MB = 1_000_000
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _record(args: argparse.Namespace) -> int:
-    from scara_effmass.bag_io.recording_options import RecordingOptions  # noqa: PLC0415 - only when it runs
+    from scara_effmass.bags.recording_options import RecordingOptions  # noqa: PLC0415 - only when it runs
     from scara_effmass.nodes.record import RecordOptions, record  # noqa: PLC0415 - rclpy
 
     for option, value in (("--max-size", args.max_size), ("--max-duration", args.max_duration)):
@@ -132,7 +132,7 @@ def _print(report: RecordReport, *, named: bool) -> None:
 
 
 def _repair(args: argparse.Namespace) -> int:
-    from scara_effmass.bag_io.repair import repair  # noqa: PLC0415 - only when it runs
+    from scara_effmass.bags.repair import repair  # noqa: PLC0415 - only when it runs
 
     if args.topics:
         raise SettingsError(f"record: {args.topics[0]}: --repair takes no topics, it keeps all of them")

@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     from scara_effmass.analysis.validation import validate  # noqa: PLC0415 - not needed for --help
     from scara_effmass.analysis.validation_record import record  # noqa: PLC0415
     from scara_effmass.analysis.validation_report import PAGE, require_room, write_report  # noqa: PLC0415
-    from scara_effmass.bag_io.files import find_bags  # noqa: PLC0415
+    from scara_effmass.bags.files import find_bags  # noqa: PLC0415
 
     settings = validation_settings(args)
     arm = arm_from(settings.monitor)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, final
 
-from scara_effmass.daq.backlog import Backlog
-from scara_effmass.daq.pace import Pace
+from scara_effmass.daq.read_latency import ReadLatency
 from scara_effmass.daq.recorded import RecordedForce
+from scara_effmass.daq.sample_queue import SampleQueue
 from scara_effmass.errors import DaqError, DeviceLostError, DeviceMissingError, OverrunError
 from scara_effmass.settings import ForceSourceKind
 
@@ -87,7 +87,7 @@ class Acquisition:
         self._retry_s = settings.ni9230.retry_time
         self._timeout_s = 1.0 + 2.0 * settings.block_time
         self._backlog_s = settings.backlog
-        self._backlog = Backlog(patient=settings.source is ForceSourceKind.BAG and settings.bag.rate == 0.0)
+        self._backlog = SampleQueue(patient=settings.source is ForceSourceKind.BAG and settings.bag.rate == 0.0)
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
 
@@ -111,7 +111,7 @@ class Acquisition:
             raise RuntimeError("an acquisition starts once; make a new one")
         self.source.start()
         self._as_started = (self.source.channels, self.source.sample_rate)
-        self._pace = Pace(self.source.sample_rate)
+        self._pace = ReadLatency(self.source.sample_rate)
         self._due_ns = self._steady_ns()
         self._state = AcquisitionState.RUNNING
         self._thread = threading.Thread(target=self._acquire, name="acquisition", daemon=True)
@@ -240,7 +240,7 @@ class Acquisition:
             with self._lock:
                 self._run += 1
                 self._run_first = None
-                self._pace = Pace(self.source.sample_rate)
+                self._pace = ReadLatency(self.source.sample_rate)
             return
 
     def _enter(self, state: AcquisitionState, reason: str = "") -> None:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scara_effmass.bag_io.definitions import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
-from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bag_io.recording_info import recording_infos
+from scara_effmass.bags.definitions import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.recording_info import recording_infos
 from scara_effmass.daq.even_time import EvenBlocks
-from scara_effmass.daq.recording import NS, UNITS, RecordedBlock, Recording
+from scara_effmass.daq.force_file import NS, UNITS, ForceFile, RecordedBlock
 from scara_effmass.daq.source import Unit
 from scara_effmass.daq.stamped_topic import stamped_samples
 from scara_effmass.errors import BagError, SettingsError
@@ -22,8 +22,8 @@ from scara_effmass.impacts.run_info import json_object
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from scara_effmass.bag_io.bag import Bag
-    from scara_effmass.bag_io.batches import Topic
+    from scara_effmass.bags.bag import Bag
+    from scara_effmass.bags.batches import Topic
     from scara_effmass.settings import BagSettings
     from scara_effmass.values import ForceBlock
 
@@ -37,7 +37,7 @@ LARGEST_STEP_BACK_NS = NS
 """A block that is late by less is left out; if the stamps go further back, their clock was set."""
 
 
-def open_bag_force(settings: BagSettings, block_time: float) -> Recording:
+def open_bag_force(settings: BagSettings, block_time: float) -> ForceFile:
     """Open the force topic of a bag; blocks other than our own are cut to `block_time` [s].
 
     Raises BagError or SettingsError.
@@ -69,7 +69,7 @@ def _topic(bag: Bag, asked: str) -> Topic:
     raise BagError(f"{bag.path}: {said}; {right}")
 
 
-def _force_blocks(bag: Bag, topic: Topic, settings: BagSettings) -> Recording:
+def _force_blocks(bag: Bag, topic: Topic, settings: BagSettings) -> ForceFile:
     origin = f"{bag.path}: {topic.name}"
     if settings.unit not in {"", "N"}:
         raise SettingsError(f"{origin}: bag.unit = {settings.unit}, but a ForceBlock is in N; leave bag.unit empty")
@@ -78,7 +78,7 @@ def _force_blocks(bag: Bag, topic: Topic, settings: BagSettings) -> Recording:
     if first is None:
         raise BagError("; ".join([f"{origin}: holds no force that can be read", *bag.losses]))
     _check_block(first, first.sample_rate, origin)
-    return Recording(
+    return ForceFile(
         description=f"{bag.path.name}, {topic.name}" + (f", of {first.source}" if first.source else ""),
         channel=topic.name.rpartition("/")[2],
         unit=Unit.NEWTON,
@@ -126,7 +126,7 @@ def _check_block(block: ForceBlock, sample_rate: float, origin: str) -> None:
         raise BagError(f"{origin}: {changed}; a recording of one rate would be right")
 
 
-def _samples(bag: Bag, topic: Topic, settings: BagSettings, block_time: float) -> Recording:
+def _samples(bag: Bag, topic: Topic, settings: BagSettings, block_time: float) -> ForceFile:
     origin = f"{bag.path}: {topic.name}"
     unit, scale = UNITS[settings.unit or "N"]
     stream = stamped_samples(bag, topic, settings.axis)
@@ -137,7 +137,7 @@ def _samples(bag: Bag, topic: Topic, settings: BagSettings, block_time: float) -
     except ValueError as error:
         raise BagError("; ".join([f"{origin}: {error}", *bag.losses])) from None
     simulated = _is_generated(bag)
-    return Recording(
+    return ForceFile(
         description=f"{bag.path.name}, {topic.name}{stream.description}",
         channel=topic.name.rpartition("/")[2],
         unit=unit,

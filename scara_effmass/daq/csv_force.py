@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.daq.even_time import EvenBlocks
-from scara_effmass.daq.recording import NS, UNITS, Recording, declared_unit
+from scara_effmass.daq.force_file import NS, UNITS, ForceFile, declared_unit
 from scara_effmass.errors import BagError, SettingsError
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class _Table(NamedTuple):
     rows: Iterator[tuple[int, list[str]]]
 
 
-def open_csv_force(settings: BagSettings, block_time: float) -> Recording:
+def open_csv_force(settings: BagSettings, block_time: float) -> ForceFile:
     """Read a CSV file: the column `settings.topic` at the times in `settings.time_column`, cut to `block_time` [s].
 
     Fields are separated by comma, semicolon or tab; units stand in the header, as in "Force (N)" or "force_n", times
@@ -71,7 +71,7 @@ def open_csv_force(settings: BagSettings, block_time: float) -> Recording:
         even = EvenBlocks(zip(stamps_ns, values, strict=True), block_time, scale)
     except ValueError as error:
         raise BagError(f"{origin}: {error}") from None
-    return Recording(
+    return ForceFile(
         description=f"{path.name}, {header[force]}",
         channel=header[force],
         unit=unit,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from scara_effmass.daq.recording import NS, RecordedBlock
+from scara_effmass.daq.force_file import NS, RecordedBlock
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from scara_effmass.daq.recording import NS
+from scara_effmass.daq.force_file import NS
 from scara_effmass.daq.source import Reading, Unit
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import Stamps
@@ -18,7 +18,7 @@ from scara_effmass.settings import Stamps
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from scara_effmass.daq.recording import RecordedBlock, Recording
+    from scara_effmass.daq.force_file import ForceFile, RecordedBlock
     from scara_effmass.settings import DaqSettings
 
 CSV = "scara_effmass.daq.csv_force:open_csv_force"
@@ -82,7 +82,7 @@ class RecordedForce:
         self._now_ns = now_ns
         self._reading = threading.Lock()
         self._closing = threading.Event()
-        self._recording: Recording | None = None
+        self._recording: ForceFile | None = None
         self._block: RecordedBlock | None = None
         """The next one."""
         self._begin_ns: int | None = None
@@ -167,7 +167,7 @@ class RecordedForce:
         """Open the recording, and return its first block."""
         bag = self._settings.bag
         module, _, name = FORMATS.get(Path(bag.path).suffix.lower(), BAG).partition(":")
-        recording: Recording = getattr(import_module(module), name)(bag, self._settings.block_time)
+        recording: ForceFile = getattr(import_module(module), name)(bag, self._settings.block_time)
         self._recording = recording
         block = next(recording.blocks)
         self._moved = bag.stamps is Stamps.NOW or block.stamp_ns < RELATIVE_NS

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from scara_effmass.bench.force import RandomImpacts, SimulatedSignal
 from scara_effmass.daq.source import Reading, Unit
+from scara_effmass.sim.force import RandomImpacts, SimulatedSignal
 
 if TYPE_CHECKING:
     from collections.abc import Callable

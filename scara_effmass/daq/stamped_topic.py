@@ -7,15 +7,15 @@ from itertools import chain, islice
 from statistics import median_low
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from scara_effmass.bag_io.definitions import FLOAT64, WRENCH, WRENCH_STAMPED
-from scara_effmass.bag_io.primitives import NS
+from scara_effmass.bags.definitions import FLOAT64, WRENCH, WRENCH_STAMPED
 from scara_effmass.errors import BagError, DecodeError
+from scara_effmass.wire.primitives import NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from scara_effmass.bag_io.bag import Bag
-    from scara_effmass.bag_io.batches import Topic
+    from scara_effmass.bags.bag import Bag
+    from scara_effmass.bags.batches import Topic
 
 HEAD = 1000
 """Of so many messages it is seen by how much stamps differ from the times of recording."""

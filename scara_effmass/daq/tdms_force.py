@@ -10,7 +10,7 @@ import numpy as np
 from nptdms import TdmsFile
 from nptdms.log import log_manager
 
-from scara_effmass.daq.recording import NS, UNITS, RecordedBlock, Recording, declared_unit
+from scara_effmass.daq.force_file import NS, UNITS, ForceFile, RecordedBlock, declared_unit
 from scara_effmass.errors import BagError, SettingsError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ SPELLINGS = {"newton": "N", "newtons": "N", "kilonewton": "kN", "kilonewtons": "
 """How units are also written, in lower case."""
 
 
-def open_tdms_force(settings: BagSettings, block_time: float) -> Recording:
+def open_tdms_force(settings: BagSettings, block_time: float) -> ForceFile:
     """Read the channel `settings.topic` ("group/channel") of a TDMS file, cut to `block_time` [s].
 
     Its properties wf_increment, wf_start_time and wf_start_offset give the times, unit_string the unit. Raises
@@ -55,7 +55,7 @@ def open_tdms_force(settings: BagSettings, block_time: float) -> Recording:
     losses = (f"{path}: is cut off in its last segment; what came there is lost",) if cut_off else ()
     with np.errstate(over="ignore"):  # infinite, then, which is no force
         samples = np.asarray(channel[:], np.float64) * scale
-    return Recording(
+    return ForceFile(
         description=f"{path.name}, {name}",
         channel=name,
         unit=unit,

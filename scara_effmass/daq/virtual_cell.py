@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from scara_effmass.bench.converter import ForceSensor
-from scara_effmass.bench.live import LiveBench, LiveSettings
 from scara_effmass.daq.source import Reading, Unit
+from scara_effmass.sim.converter import ForceSensor
+from scara_effmass.sim.live import LiveBench, LiveSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from scara_effmass.bench.live import LiveOutput
     from scara_effmass.settings import DaqSettings
+    from scara_effmass.sim.live import LiveOutput
 
 NS = 1_000_000_000
 MS = 1_000_000

@@ -16,7 +16,7 @@ HALF = 0.5
 """...to this one."""
 
 
-class Contact(NamedTuple):
+class DetectedContact(NamedTuple):
     """One contact, in samples from the beginning of the stretch."""
 
     first: int
@@ -89,7 +89,7 @@ def _crossing(force: FloatArray, index: int, value: float) -> float:
     return index + (value - float(force[index])) / float(force[index + 1] - force[index])
 
 
-def measure(force: FloatArray, first: int, last: int, earliest: int, latest: int, *, whole: bool) -> Contact:
+def measure(force: FloatArray, first: int, last: int, earliest: int, latest: int, *, whole: bool) -> DetectedContact:
     """Return the contact from sample `first` to `last` of `force` (n,) [N] above baseline.
 
     Nothing before sample `earliest` or after `latest` belongs to it. Only a `whole` one, of which no sample is clipped
@@ -106,4 +106,4 @@ def measure(force: FloatArray, first: int, last: int, earliest: int, latest: int
     within = part[inside]
     ends = 0.5 * (within[0] * (inside.start - onset) + within[-1] * (end - (inside.stop - 1)))
     area = float(within.sum() - 0.5 * (within[0] + within[-1]) + ends)
-    return Contact(first, last, earliest + onset, earliest + end, peak, area, rise_seen and fall_seen)
+    return DetectedContact(first, last, earliest + onset, earliest + end, peak, area, rise_seen and fall_seen)

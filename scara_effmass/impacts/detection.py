@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scara_effmass.impacts.background import FRAMES, Background, Frame, median
+from scara_effmass.impacts.segment import classify
 from scara_effmass.impacts.series import Series
 from scara_effmass.impacts.stream import Stream, finite_parts
-from scara_effmass.impacts.stretch import judge
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from scara_effmass.impacts.contact import Contact
-    from scara_effmass.impacts.stretch import Stretch
+    from scara_effmass.impacts.contact import DetectedContact
+    from scara_effmass.impacts.segment import Segment
     from scara_effmass.settings import DetectionSettings
     from scara_effmass.values import FloatArray, ForceBlock, Impact
 
@@ -236,17 +236,17 @@ class Detector:
             found += self._report(self._judge(start, stream.end).contacts, start)
         return found
 
-    def _judge(self, start: int, stop: int) -> Stretch:
+    def _judge(self, start: int, stop: int) -> Segment:
         """Judge the samples from `start` up to `stop`, and count what is new in it."""
         stream = self._stream
         samples, saturated = stream.samples(start, stop), stream.saturated(start, stop)
         gap = max(round(GAP_TIME * stream.block_of(start).sample_rate), GAP_SAMPLES)
-        stretch = judge(samples, saturated, self._background, gap, self._frame)
+        stretch = classify(samples, saturated, self._background, gap, self._frame)
         self.dropouts += int(np.count_nonzero(stretch.dropouts + start >= self._counted))
         self.glitches += int(np.count_nonzero(stretch.glitches + start >= self._counted))
         self._series.count_pulls(stretch, start, self._counted, stream)
         self._counted = stop
         return stretch
 
-    def _report(self, contacts: Iterable[Contact], start: int) -> list[Impact]:
+    def _report(self, contacts: Iterable[DetectedContact], start: int) -> list[Impact]:
         return self._series.report(contacts, start, self._stream, self._background)

@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from scara_effmass.impacts.background import Background
-    from scara_effmass.impacts.contact import Contact
+    from scara_effmass.impacts.contact import DetectedContact
+    from scara_effmass.impacts.segment import Segment
     from scara_effmass.impacts.stream import Stream
-    from scara_effmass.impacts.stretch import Stretch
     from scara_effmass.settings import DetectionSettings
 
 ANSWER_TIME = 0.5
@@ -37,7 +37,9 @@ class Series:
         self._end = self._last = -math.inf
         self._rebound = 0
 
-    def report(self, contacts: Iterable[Contact], start: int, stream: Stream, background: Background) -> list[Impact]:
+    def report(
+        self, contacts: Iterable[DetectedContact], start: int, stream: Stream, background: Background
+    ) -> list[Impact]:
         """Return the impacts among `contacts`, which count from sample `start` of `stream`."""
         impacts: list[Impact] = []
         for contact in contacts:
@@ -48,7 +50,7 @@ class Series:
             self._last = start + contact.last
         return impacts
 
-    def count_pulls(self, stretch: Stretch, start: int, since: int, stream: Stream) -> None:
+    def count_pulls(self, stretch: Segment, start: int, since: int, stream: Stream) -> None:
         """Count the pulls that end at sample `since` or later in `stretch`, which counts from sample `start`."""
         for pull in stretch.pulls:
             if not pull.complete or start + pull.last < since:
@@ -58,12 +60,12 @@ class Series:
             rate = stream.block_of(start + pull.first).sample_rate
             self.negative += apart > ANSWER_TIME * rate and not self.is_push(pull, start, stream)
 
-    def is_push(self, contact: Contact, start: int, stream: Stream) -> bool:
+    def is_push(self, contact: DetectedContact, start: int, stream: Stream) -> bool:
         """Return whether `contact`, which counts from sample `start` of `stream`, lasts too long for an impact."""
         sample_rate = stream.block_of(start + contact.first).sample_rate
         return contact.last - contact.first >= round(self._settings.longest * sample_rate)
 
-    def _impact(self, contact: Contact, start: int, stream: Stream, background: Background) -> Impact:
+    def _impact(self, contact: DetectedContact, start: int, stream: Stream, background: Background) -> Impact:
         block = stream.block_of(start + math.floor(contact.onset))
         onset = start + contact.onset
         soon = onset - self._end <= self._settings.rebound_time * block.sample_rate

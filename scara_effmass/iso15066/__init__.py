@@ -3,9 +3,9 @@
 Source: ISO/TS 15066:2016, Annex A; `EDITION` says what is not confirmed about ISO 10218-2:2025.
 """
 
-from scara_effmass.iso15066.ceiling import LIGHTEST_MASS, Ceiling, SpeedLimits
 from scara_effmass.iso15066.contact import peak_force, reduced_mass, transferred_energy
 from scara_effmass.iso15066.limits import Criterion, Limit, limits_for
+from scara_effmass.iso15066.speed_limit import LIGHTEST_MASS, SpeedLimit, SpeedLimits
 from scara_effmass.iso15066.table import BODY_POINTS, BODY_REGIONS, EDITION, TABLE_HASH, BodyPoint, BodyRegion
 
 __all__ = [
@@ -16,9 +16,9 @@ __all__ = [
     "TABLE_HASH",
     "BodyPoint",
     "BodyRegion",
-    "Ceiling",
     "Criterion",
     "Limit",
+    "SpeedLimit",
     "SpeedLimits",
     "limits_for",
     "peak_force",

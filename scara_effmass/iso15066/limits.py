@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from scara_effmass.errors import LimitError
 from scara_effmass.iso15066.table import BODY_POINTS, BODY_REGIONS
-from scara_effmass.settings import Contact
+from scara_effmass.settings import ContactType
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ class Limit:
     """
 
     region: str
-    contact: Contact
+    contact: ContactType
     force_n: float
     force_points: tuple[BodyPoint, ...]
     pressure_n_cm2: float
@@ -72,8 +72,8 @@ def limits_for(settings: MonitorSettings) -> tuple[Limit, ...]:
     return tuple(_tightened(limit, settings) for limit in limits)
 
 
-def _chosen_regions(names: tuple[str, ...], contact: Contact) -> tuple[BodyRegion, ...]:
-    clamped = contact is Contact.QUASI_STATIC
+def _chosen_regions(names: tuple[str, ...], contact: ContactType) -> tuple[BodyRegion, ...]:
+    clamped = contact is ContactType.QUASI_STATIC
     covered = {point.region for point in BODY_POINTS if clamped or point.transient_factor is not None}
     for name in names:
         if name not in BODY_REGIONS:
@@ -89,8 +89,8 @@ def _chosen_regions(names: tuple[str, ...], contact: Contact) -> tuple[BodyRegio
     return tuple(region for region in BODY_REGIONS.values() if region.name in (names or covered))
 
 
-def _standard_limit(region: BodyRegion, contact: Contact, area_cm2: float) -> Limit:
-    clamped = contact is Contact.QUASI_STATIC
+def _standard_limit(region: BodyRegion, contact: ContactType, area_cm2: float) -> Limit:
+    clamped = contact is ContactType.QUASI_STATIC
     points = [point for point in BODY_POINTS if point.region == region.name]
     force, force_points = _strictest(
         {point: point.quasi_static_force_n if clamped else point.transient_force_n for point in points}

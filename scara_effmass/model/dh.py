@@ -12,8 +12,8 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.robot import PARALLEL, finished
-from scara_effmass.model.stated import StatedLink, principal_moments
+from scara_effmass.model.inertial_check import StatedLink, principal_moments
+from scara_effmass.model.robot import PARALLEL, build_robot
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -174,7 +174,7 @@ def _built(file: DhFile, origin: str, contact_points: Sequence[str]) -> Robot:
     for name in dict.fromkeys(contact_points):
         pose = placement * pin.SE3(np.eye(3), np.array(file.contact_points[name]))
         frames[name] = model.addFrame(pin.Frame(name, parent, 0, pose, pin.FrameType.OP_FRAME))
-    return finished(
+    return build_robot(
         model,
         origin,
         [StatedLink(link.name, link.mass, np.array(link.com), _tensor(link.inertia)) for link in file.links],

@@ -9,12 +9,12 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.stated import doubts_about
+from scara_effmass.model.inertial_check import check_inertials
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from scara_effmass.model.stated import StatedLink
+    from scara_effmass.model.inertial_check import StatedLink
     from scara_effmass.values import FloatArray, Vector3
 
 PARALLEL = 2e-3
@@ -90,7 +90,7 @@ class Robot:
         return np.asarray(lower + fractions * (upper - lower), dtype=np.float64)
 
 
-def finished(
+def build_robot(
     model: pin.Model, origin: str, links: Sequence[StatedLink], notes: Sequence[str], **facts: object
 ) -> Robot:
     """Return the Robot of a freshly read `model`, made of `links`, with what is to be doubted about them.
@@ -101,7 +101,7 @@ def finished(
         raise RobotError(f"{origin}: no joint moves, so there is nothing to watch")
     if not any(link.mass > 0.0 for link in links):
         raise RobotError(f"{origin}: the moving links have no mass: give each one its mass and centre of mass")
-    doubts = doubts_about(links)
+    doubts = check_inertials(links)
     bodies = zip(list(model.names)[1:], list(model.inertias)[1:], strict=True)
     light = [joint for joint, body in bodies if body.mass == 0.0]
     masses_reason = doubts.masses

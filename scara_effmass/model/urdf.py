@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.robot import finished
+from scara_effmass.model.robot import build_robot
 from scara_effmass.model.urdf_tree import read_urdf
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def parse_urdf(
         model.appendBodyToJoint(
             end.parentJoint, pin.Inertia(payload_mass, np.zeros(3), np.zeros((3, 3))), end.placement
         )
-    return finished(
+    return build_robot(
         model,
         origin,
         [link for link in tree.stated if model.frames[model.getBodyId(link.name)].parentJoint > 0],

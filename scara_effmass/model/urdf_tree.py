@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.stated import StatedLink, principal_moments
+from scara_effmass.model.inertial_check import StatedLink, principal_moments
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

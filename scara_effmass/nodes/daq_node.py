@@ -16,7 +16,6 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from scara_effmass_msgs.msg import ForceBlock, Impact
 from std_srvs.srv import Trigger
 
-from scara_effmass.bag_io.force import force_block_message, impact_message
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.channel import ForceSignal
 from scara_effmass.daq.source import make_source
@@ -25,8 +24,9 @@ from scara_effmass.impacts.detection import Detector
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.daq_health import DaqHealth
 from scara_effmass.nodes.diagnostics import Diagnostics
-from scara_effmass.nodes.running import SuiteNode, run
+from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.settings import READ_ONLY, BenchScene, DaqSettings, FilterKind, ForceSourceKind, checked
+from scara_effmass.wire.force import force_block_message, impact_message
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,7 +57,7 @@ class NodeSettings(DaqSettings):
     )
 
 
-class DaqNode(SuiteNode):
+class DaqNode(LifecycleBase):
     """Publishes `force`, `impact`, `wrench`, `/diagnostics`; each further channel has its own below these names."""
 
     def __init__(self) -> None:
@@ -96,7 +96,7 @@ class DaqNode(SuiteNode):
             )
         self._kept.callback(self._outputs.clear)
         self._diagnostics = Diagnostics(self, self._statuses)
-        self.keep(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
+        self.own(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
 
     def start(self) -> None:
         """Start to acquire. Raises DaqError, BagError or SettingsError."""

@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from scara_effmass.nodes.running import SuiteNode
+    from scara_effmass.nodes.lifecycle import LifecycleBase
 
 _PERIOD_S = 1.0
 
@@ -17,14 +17,14 @@ _PERIOD_S = 1.0
 class Diagnostics:
     """The statuses of a node, every second and when something has changed."""
 
-    def __init__(self, node: SuiteNode, statuses: Callable[[], list[DiagnosticStatus]]) -> None:
+    def __init__(self, node: LifecycleBase, statuses: Callable[[], list[DiagnosticStatus]]) -> None:
         """Publish for `node`, while it is configured, what `statuses` returns; nothing where that is nothing."""
         self._clock = node.get_clock()
         self._statuses = statuses
-        self._publisher = node.keep(
+        self._publisher = node.own(
             node.create_lifecycle_publisher(DiagnosticArray, "/diagnostics", 10), node.destroy_lifecycle_publisher
         )
-        node.every(_PERIOD_S, self.report)
+        node.create_steady_timer(_PERIOD_S, self.report)
 
     def report(self) -> None:
         """Publish now."""

@@ -14,7 +14,7 @@ from scara_effmass.values import Verdict
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from scara_effmass.model.arm import Arm
+    from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.safety import Monitor
     from scara_effmass.values import ContactAssessment, Decision
 
@@ -46,7 +46,7 @@ class MonitorHealth:
         self._unmatched.add(endpoint)
 
     @staticmethod
-    def missing_models(arm: Arm) -> Iterator[str]:
+    def missing_models(arm: RobotDynamics) -> Iterator[str]:
         """Return a line for each effective mass that this robot has none of."""
         if arm.lumped_reason:
             yield f"lumped mass: {arm.lumped_reason}"

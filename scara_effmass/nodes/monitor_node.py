@@ -19,19 +19,19 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
-from scara_effmass.bag_io.cdr import JointStateDecoder
-from scara_effmass.bag_io.encode import ContactStateEncoder, float64_message
 from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.iso15066 import limits_for
-from scara_effmass.model.arm import Arm
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot, robot_from_urdf
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
+from scara_effmass.nodes.lifecycle import LifecycleBase, incompatible, run
 from scara_effmass.nodes.monitor_health import MonitorHealth
-from scara_effmass.nodes.running import SuiteNode, incompatible, run
 from scara_effmass.safety import Monitor, without_robot
 from scara_effmass.settings import READ_ONLY, MonitorSettings, checked
 from scara_effmass.share import share
+from scara_effmass.wire.cdr import JointStateDecoder
+from scara_effmass.wire.encode import ContactStateEncoder, float64_message
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,7 +63,7 @@ class NodeSettings(MonitorSettings):
     autostart: bool = Field(default=True, description="configure and activate at start", json_schema_extra=READ_ONLY)
 
 
-class MonitorNode(SuiteNode):
+class MonitorNode(LifecycleBase):
     """Watches `joint_states`; publishes `contact_state`, `allowable_speed`, `speed_scaling`, `/diagnostics`."""
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ class MonitorNode(SuiteNode):
         self._settings = checked(NodeSettings, parameters.declare(self, NodeSettings), self.get_name())
         self.autostart = self._settings.autostart
         limits_for(self._settings)
-        parameters.follow(self, lambda: self._settings, self._take, limits_for)
+        parameters.on_parameters_changed(self, lambda: self._settings, self._take, limits_for)
         self._outputs: dict[str, Any] = {}
         self._monitor: Monitor | None = None
         self._watchdog: Timer | None = None
@@ -93,7 +93,7 @@ class MonitorNode(SuiteNode):
                 robot = self._settings.robot
                 raise SettingsError(f"{self.get_name()}: robot = {robot!r}: must be empty with await_robot_description")
             self._waiting = "no robot_description yet"
-            self.keep(
+            self.own(
                 self.create_subscription(
                     String,
                     "robot_description",
@@ -113,7 +113,7 @@ class MonitorNode(SuiteNode):
         for kind, topic in ((ContactState, "contact_state"), (Float64, "allowable_speed"), (Float64, "speed_scaling")):
             self._outputs[topic] = self.publisher(kind, topic, _VERDICT_QOS, self._on_incompatible)
         self._diagnostics = Diagnostics(self, self._statuses)
-        self._joint_states = self.keep(
+        self._joint_states = self.own(
             self.create_subscription(
                 JointState,
                 "joint_states",
@@ -129,8 +129,8 @@ class MonitorNode(SuiteNode):
             ),
             self.destroy_subscription,
         )
-        self.keep(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
-        self._watchdog = self.every(self._watchdog_period_s(), self._on_watchdog)
+        self.own(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
+        self._watchdog = self.create_steady_timer(self._watchdog_period_s(), self._on_watchdog)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         jump = self.get_clock().create_jump_callback(backwards, post_callback=self._on_clock_jump)
         self._kept.callback(jump.unregister)
@@ -147,7 +147,7 @@ class MonitorNode(SuiteNode):
 
     def _watch(self, robot: Robot) -> None:
         """Take over `robot`. Raises EffmassError."""
-        arm = Arm(robot)
+        arm = RobotDynamics(robot)
         self._monitor = Monitor(arm, self._settings)
         self._encoders = [ContactStateEncoder(name, robot.base_frame) for name in arm.contact_points]
         self._waiting = ""

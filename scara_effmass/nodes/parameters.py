@@ -40,7 +40,7 @@ def declare(node: Node, settings: type[BaseModel]) -> dict[str, Any]:
     return {name: from_ros(_declared(node, name, field, given.get(name))) for name, field in fields.items()}
 
 
-def follow(
+def on_parameters_changed(
     node: Node,
     current: Callable[[], Settings],
     take: Callable[[Settings, AbstractSet[str]], None],

@@ -21,20 +21,20 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from scara_effmass.bag_io.definitions import known_types
-from scara_effmass.bag_io.recording import Recording
-from scara_effmass.bag_io.recording_options import RecordingOptions
+from scara_effmass.bags.definitions import known_types
+from scara_effmass.bags.recording import BagRecorder
+from scara_effmass.bags.recording_options import RecordingOptions
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.record_inlets import SUITE, SUITE_BELOW, Inlets, resolved
-from scara_effmass.nodes.running import spin_for
+from scara_effmass.nodes.lifecycle import spin_for
+from scara_effmass.nodes.topic_recorder import SUITE, SUITE_BELOW, TopicRecorder, resolved
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
     from types import FrameType
 
-    from scara_effmass.bag_io.recording_report import RecordingReport
+    from scara_effmass.bags.recording_report import RecordingReport
 
 _SLICE_S = 0.1
 """How often it looks for new topics, and whether it has been told to stop."""
@@ -102,8 +102,8 @@ def record(
         executor = EventsExecutor(context=context)
         kept.callback(executor.shutdown)
         executor.add_node(node)
-        with Recording(options.folder, options.recording, overwrite=options.overwrite, say=say) as recording:
-            inlets = Inlets(node, recording, wanted, say, below)
+        with BagRecorder(options.folder, options.recording, overwrite=options.overwrite, say=say) as recording:
+            inlets = TopicRecorder(node, recording, wanted, say, below)
             began = time.monotonic()
             seconds = 0.0
             while not told_to_stop and context.ok() and recording.running and seconds < options.duration_s:

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 
-from scara_effmass.bag_io.batches import LATEST_NS
-from scara_effmass.bag_io.files import open_bag
+from scara_effmass.bags.batches import LATEST_NS
+from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import EffmassError, SettingsError
-from scara_effmass.nodes.replay_answers import Answers
-from scara_effmass.nodes.replay_outlets import JOINT_STATES, clock_outlet, outlets_of
-from scara_effmass.nodes.replay_stage import Interruption, Stage
+from scara_effmass.nodes.lockstep import Lockstep
+from scara_effmass.nodes.replay_node import Interruption, ReplayNode
+from scara_effmass.nodes.replay_publisher import JOINT_STATES, clock_publisher, replay_publishers
 from scara_effmass.nodes.replay_stamps import StampCheck
 from scara_effmass.nodes.replay_timeline import timeline
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-    from scara_effmass.bag_io.bag import Bag, RawMessage
+    from scara_effmass.bags.bag import Bag, RawMessage
 
 LATE_NS = 10_000_000
 _PROGRESS_NS = 100_000_000
@@ -135,7 +135,7 @@ def replay(options: ReplayOptions, progress: Callable[[ReplayProgress], None] | 
     SIGINT and SIGTERM end it early, with a report that says so. It runs in a ROS context of its own.
     Raises BagError for a recording that cannot be read, EffmassError when nobody listens or answers.
     """
-    with open_bag(options.bag) as bag, Interruption() as interruption, Stage() as stage:
+    with open_bag(options.bag) as bag, Interruption() as interruption, ReplayNode() as stage:
         player = _Player(options, bag, stage, progress or (lambda _: None))
         try:
             with interruption.allowed():
@@ -149,7 +149,7 @@ class _Player:
     """One replay: where it stands, and the endpoints it plays to."""
 
     def __init__(
-        self, options: ReplayOptions, bag: Bag, stage: Stage, progress: Callable[[ReplayProgress], None]
+        self, options: ReplayOptions, bag: Bag, stage: ReplayNode, progress: Callable[[ReplayProgress], None]
     ) -> None:
         self._options = options
         self._bag = bag
@@ -164,15 +164,15 @@ class _Player:
         if options.duration_s < longest_s:
             self._stop_ns = self._start_ns + round(options.duration_s * _NS)
         self._end_ns = min(self._stop_ns, bag.end_ns)
-        self._outlets, self._skipped = outlets_of(bag, stage.node, options.topics, options.joint_states)
-        self._clock = clock_outlet(stage.node)
+        self._outlets, self._skipped = replay_publishers(bag, stage.node, options.topics, options.joint_states)
+        self._clock = clock_publisher(stage.node)
         self._joint_states = next((o for o in self._outlets.values() if o.name == JOINT_STATES), None)
         if options.rate == 0.0 and self._joint_states is None:
             raise SettingsError(
                 f"{bag.path}: rate = 0: nothing is published as {JOINT_STATES}, whose answers set the pace; "
                 "name the topic that is to be, or a rate"
             )
-        self._answers = Answers(stage.node, options.answer_timeout_s) if options.rate == 0.0 else None
+        self._answers = Lockstep(stage.node, options.answer_timeout_s) if options.rate == 0.0 else None
         self._stamps = StampCheck()
         self._unacknowledged: list[str] = []
         self._passes = 0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from scara_effmass.bag_io.bag import RawMessage
+    from scara_effmass.bags.bag import RawMessage
 
 CLOCK_STEP_NS = 10_000_000
 """The clock of a replay never stands still for longer than this, in time of the recording."""

@@ -14,18 +14,18 @@ from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValid
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from scara_effmass.bag_io.definitions import RECORDING_INFO
-from scara_effmass.bag_io.force import decode_force_block, decode_impact
+from scara_effmass.bags.definitions import RECORDING_INFO
 from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.impacts.detection import Detector
 from scara_effmass.impacts.run_info import run_info
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.contact_messages import contact_from
 from scara_effmass.nodes.diagnostics import Diagnostics
-from scara_effmass.nodes.running import SuiteNode, incompatible, run
+from scara_effmass.nodes.lifecycle import LifecycleBase, incompatible, run
 from scara_effmass.nodes.validator_health import ValidatorHealth
 from scara_effmass.settings import READ_ONLY, DetectionSettings, ValidatorSettings, checked
+from scara_effmass.wire.contact_messages import contact_from
+from scara_effmass.wire.force import decode_force_block, decode_impact
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -74,7 +74,7 @@ class NodeSettings(ValidatorSettings):
     detection: DetectionSettings = DetectionSettings()
 
 
-class ValidatorNode(SuiteNode):
+class ValidatorNode(LifecycleBase):
     """Pairs `impact` (or what it finds in `force`) with `contact_state`; publishes `impact_validation`."""
 
     def __init__(self, write_report: WriteReport | None = None) -> None:
@@ -84,7 +84,7 @@ class ValidatorNode(SuiteNode):
         self.autostart = settings.autostart
         self._settings = settings
         self._write_report = write_report
-        parameters.follow(self, lambda: self._settings, self._take)
+        parameters.on_parameters_changed(self, lambda: self._settings, self._take)
         self._validator: Validator | None = None
 
     def set_up(self) -> None:
@@ -99,13 +99,13 @@ class ValidatorNode(SuiteNode):
         if not settings.find_impacts:
             self._subscribe(Impact, "impact", self._on_impact, raw=True)
         self._subscribe(ForceBlock, "force", self._on_force, raw=True)
-        self.keep(self.create_subscription(String, RECORDING_INFO, self._on_info, _INFO_QOS), self.destroy_subscription)
-        self.keep(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
-        self.keep(self.create_service(Trigger, "~/write_report", self._on_write_report), self.destroy_service)
+        self.own(self.create_subscription(String, RECORDING_INFO, self._on_info, _INFO_QOS), self.destroy_subscription)
+        self.own(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
+        self.own(self.create_service(Trigger, "~/write_report", self._on_write_report), self.destroy_service)
 
     def _subscribe(self, kind: type, topic: str, callback: Callable[..., None], *, raw: bool) -> None:
         misfit = partial(incompatible, f"a publisher of {topic}", self._health.incompatible)
-        self.keep(
+        self.own(
             self.create_subscription(
                 kind,
                 topic,

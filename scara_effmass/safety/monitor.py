@@ -6,14 +6,14 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.iso15066 import LIGHTEST_MASS, SpeedLimits, limits_for, peak_force, reduced_mass
-from scara_effmass.safety.hold import Hold, severity
-from scara_effmass.safety.intake import NANOSECONDS, Foreign, Intake
+from scara_effmass.safety.debounce import VerdictDebouncer, severity
+from scara_effmass.safety.joint_state_validator import NANOSECONDS, JointStateValidator, OtherDevice
 from scara_effmass.settings import MassModel
 from scara_effmass.values import NAN, ContactAssessment, Decision, Verdict
 
 if TYPE_CHECKING:
-    from scara_effmass.iso15066 import Ceiling
-    from scara_effmass.model.arm import Arm, Presented
+    from scara_effmass.iso15066 import SpeedLimit
+    from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
     from scara_effmass.settings import MonitorSettings
     from scara_effmass.values import JointState
 
@@ -34,12 +34,12 @@ class Cause(NamedTuple):
 class Monitor:
     """Decides, joint state by joint state. The same states give the same decisions, live and offline."""
 
-    def __init__(self, arm: Arm, settings: MonitorSettings) -> None:
+    def __init__(self, arm: RobotDynamics, settings: MonitorSettings) -> None:
         """Watch `arm` under `settings`. Raises LimitError where they ask for a limit the standard does not give."""
         self.arm = arm
-        self._intake = Intake(arm.robot)
+        self._intake = JointStateValidator(arm.robot)
         self._iso_mass = 0.0 if arm.robot.masses_reason else arm.robot.iso_mass
-        self._holds = {name: Hold() for name in arm.contact_points}
+        self._holds = {name: VerdictDebouncer() for name in arm.contact_points}
         self.first_cause: Cause | None = None
         self._understood = False
         self._counts = [0] * len(Verdict)
@@ -88,7 +88,7 @@ class Monitor:
             self.clock_went_back()
             previous_ns = 0
         motion = intake.check(state, now_ns)
-        if isinstance(motion, Foreign):
+        if isinstance(motion, OtherDevice):
             self.foreign += 1
             return None
         age = (now_ns - state.stamp_ns) / 1e9 if state.stamp_ns > 0 else 0.0
@@ -96,11 +96,11 @@ class Monitor:
             return self.refuse(motion, state.stamp_ns, age)
         if previous_ns and state.stamp_ns - previous_ns > intake.timeout_ns:
             for hold in self._holds.values():
-                hold.lapse(f"no joint state for {(state.stamp_ns - previous_ns) / 1e9:.3f} s")
-        presented = self.arm.presented(motion.q, motion.qd, self.settings.speed_threshold)
+                hold.mark_stale(f"no joint state for {(state.stamp_ns - previous_ns) / 1e9:.3f} s")
+        effective_masses = self.arm.effective_masses(motion.q, motion.qd, self.settings.speed_threshold)
         contacts = [
             self._judged(name, hold, p, state.stamp_ns, age)
-            for (name, hold), p in zip(self._holds.items(), presented, strict=True)
+            for (name, hold), p in zip(self._holds.items(), effective_masses, strict=True)
         ]
         return self._decided(tuple(contacts))
 
@@ -108,7 +108,7 @@ class Monitor:
         """Return the decision for a joint state that cannot be used for `reason`, such as unreadable bytes."""
         self.refused += 1
         for hold in self._holds.values():
-            hold.lapse(reason)
+            hold.mark_stale(reason)
         return self._decided(tuple(self._unknown(name, reason, stamp_ns, age) for name in self._holds))
 
     def silence(self, elapsed_ns: int) -> Decision:
@@ -146,7 +146,9 @@ class Monitor:
             return 0.0
         return 1.0 if wanted <= allowable else allowable / wanted
 
-    def _judged(self, name: str, hold: Hold, p: Presented, stamp_ns: int, age: float) -> ContactAssessment:
+    def _judged(
+        self, name: str, hold: VerdictDebouncer, p: EffectiveMasses, stamp_ns: int, age: float
+    ) -> ContactAssessment:
         settings = self.settings
         mass, worst, trouble = self._mass_of_verdict(p)
         if trouble:
@@ -154,7 +156,7 @@ class Monitor:
             region = criterion = ""
             verdict, reason = Verdict.UNKNOWN, trouble
         else:
-            ceiling = self._limits.ceiling(mass * self._mass_factor, self._stiffness_factor)
+            ceiling = self._limits.speed_limit(mass * self._mass_factor, self._stiffness_factor)
             limit, criterion = ceiling.limit, ceiling.criterion
             region, stiffness, obstacle_mass = limit.region, limit.stiffness_n_m, limit.obstacle_mass_kg
             mu = min(reduced_mass(mass, obstacle_mass), settings.mass_cap)
@@ -163,7 +165,7 @@ class Monitor:
             force = peak_force(p.speed + settings.person_speed, mu, stiffness)
             allowable = max(0.0, ceiling.allowable_speed - self._closing_speed)
             verdict, reason = self._verdict(p, mass, ceiling, allowable)
-        verdict, reason = hold.shown(verdict, reason, stamp_ns)
+        verdict, reason = hold.update(verdict, reason, stamp_ns)
         if verdict is Verdict.UNKNOWN:
             allowable = 0.0
         cap = settings.mass_cap
@@ -195,7 +197,7 @@ class Monitor:
             p.smallest_singular_value,
         )
 
-    def _verdict(self, p: Presented, mass: float, ceiling: Ceiling, allowable: float) -> tuple[Verdict, str]:
+    def _verdict(self, p: EffectiveMasses, mass: float, ceiling: SpeedLimit, allowable: float) -> tuple[Verdict, str]:
         """Return the verdict on this joint state alone, and why it is not OK."""
         settings = self.settings
         verdict, reason = Verdict.OK, ""
@@ -211,7 +213,7 @@ class Monitor:
             return max(verdict, Verdict.WARN), f"{reason}; {lighter}" if reason else lighter
         return verdict, reason
 
-    def _mass_of_verdict(self, p: Presented) -> tuple[float, float, str]:
+    def _mass_of_verdict(self, p: EffectiveMasses) -> tuple[float, float, str]:
         """Return the effective mass that counts, that of its worst direction, and why there is none."""
         model = self.settings.effective_mass_model
         reason = self.arm.robot.masses_reason
@@ -271,7 +273,7 @@ def blank(name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessmen
     )
 
 
-def _allowed(ceiling: Ceiling, allowable: float) -> str:
+def _allowed(ceiling: SpeedLimit, allowable: float) -> str:
     return f"the {allowable:.3f} m/s that the {ceiling.criterion} limit of {ceiling.limit.region} allows"
 
 

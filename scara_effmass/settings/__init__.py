@@ -16,7 +16,7 @@ from scara_effmass.settings.daq import (
     TareSettings,
 )
 from scara_effmass.settings.loading import READ_ONLY, checked, load_settings
-from scara_effmass.settings.monitor import Contact, MassModel, MonitorSettings
+from scara_effmass.settings.monitor import ContactType, MassModel, MonitorSettings
 from scara_effmass.settings.validator import CriterionSettings, ValidatorSettings
 
 __all__ = [
@@ -24,7 +24,7 @@ __all__ = [
     "BagSettings",
     "BenchScene",
     "BenchSettings",
-    "Contact",
+    "ContactType",
     "Coupling",
     "CriterionSettings",
     "DaqSettings",

@@ -19,7 +19,7 @@ class MassModel(str, Enum):
     LARGEST = "largest"
 
 
-class Contact(str, Enum):
+class ContactType(str, Enum):
     """Free impact, or clamped between robot and a fixed part (ISO/TS 15066, 5.5.5.2)."""
 
     TRANSIENT = "transient"
@@ -121,7 +121,7 @@ class MonitorSettings(BaseModel):
     body_regions: tuple[str, ...] = Field(
         (), description=("body regions that can be hit; empty: every region with a limit for this contact")
     )
-    contact: Contact = Field(Contact.TRANSIENT, description="transient (free impact) or quasi_static (clamped)")
+    contact: ContactType = Field(ContactType.TRANSIENT, description="transient (free impact) or quasi_static (clamped)")
     contact_area: float = Field(1.0, gt=0.0, le=1000.0, description="contact area for the pressure limit [cm2]")
     max_force: float = Field(
         0.0, ge=0.0, description="own force limit, which may only tighten the standard's [N]; 0: none"

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
-from scara_effmass.bag_io.definitions import FORCE_BLOCK, RECORDING_INFO
-from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bag_io.force import decode_force_block, force_block_message
-from scara_effmass.bag_io.messages import serialized
-from scara_effmass.bag_io.writer import BagWriter
-from scara_effmass.bench.campaign import Campaign, run_campaign
-from scara_effmass.model.arm import Arm
+from scara_effmass.bags.definitions import FORCE_BLOCK, RECORDING_INFO
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.messages import serialized
+from scara_effmass.bags.writer import BagWriter
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
+from scara_effmass.sim.campaign import Campaign, run_campaign
+from scara_effmass.wire.force import decode_force_block, force_block_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,8 +46,8 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.fixture(scope="session")
-def arm() -> Arm:
-    return Arm(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
+def arm() -> RobotDynamics:
+    return RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
 
 
 @pytest.fixture

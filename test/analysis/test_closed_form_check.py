@@ -10,7 +10,7 @@ import yaml
 
 from scara_effmass.analysis.closed_form_check import ClosedFormCheck
 from scara_effmass.errors import RobotError
-from scara_effmass.model.arm import Arm
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
@@ -27,7 +27,7 @@ SETTINGS = MonitorSettings()
 SHIPPED = share("config", "omron_i4_550l.yaml")
 
 
-def random_contacts(arm: Arm, count: int = 400) -> Iterator[tuple[JointState, tuple[ContactAssessment, ...]]]:
+def random_contacts(arm: RobotDynamics, count: int = 400) -> Iterator[tuple[JointState, tuple[ContactAssessment, ...]]]:
     """Yield joint states spread over the ranges, every tenth at rest, with what a monitor says of them.
 
     They are a second apart, so that they are not taken for one motion.
@@ -44,14 +44,14 @@ def random_contacts(arm: Arm, count: int = 400) -> Iterator[tuple[JointState, tu
         yield state, decision.contacts
 
 
-def variant(path: Path, **changes: float) -> Arm:
+def variant(path: Path, **changes: float) -> RobotDynamics:
     """Return the shipped robot with its first two joints turned and its elbow axis turned over."""
     file = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
     for key, value in changes.items():
         name, _, joint = key.rpartition("_")
         file["joints"][int(joint) - 1][name] = value
     path.write_text(yaml.safe_dump(file, sort_keys=False), encoding="utf-8")
-    return Arm(load_robot(path, SETTINGS))
+    return RobotDynamics(load_robot(path, SETTINGS))
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_every_row_agrees(changes: dict[str, float], tmp_path: Path) -> None:
 
 
 def test_a_wrong_mass_is_noticed() -> None:
-    arm = Arm(load_robot(SHIPPED, SETTINGS))
+    arm = RobotDynamics(load_robot(SHIPPED, SETTINGS))
     check = ClosedFormCheck(arm, SETTINGS.mass_cap)
     for number, (state, contacts) in enumerate(random_contacts(arm, 50)):
         wrong = contacts[0]._replace(lumped_mass=contacts[0].lumped_mass * (1.001 if number == 25 else 1.0))
@@ -90,7 +90,7 @@ def test_a_wrong_mass_is_noticed() -> None:
 
 
 def test_joints_are_found_by_name() -> None:
-    arm = Arm(load_robot(SHIPPED, SETTINGS))
+    arm = RobotDynamics(load_robot(SHIPPED, SETTINGS))
     check = ClosedFormCheck(arm, SETTINGS.mass_cap)
     for state, contacts in random_contacts(arm, 50):
         shuffled = state._replace(

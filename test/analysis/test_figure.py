@@ -10,7 +10,7 @@ from matplotlib.image import imread
 
 from scara_effmass.analysis.figure import draw_run, save
 from scara_effmass.analysis.forces import Forces
-from scara_effmass.analysis.trace import Course
+from scara_effmass.analysis.trace import TimeSeries
 from scara_effmass.errors import OutputError
 from scara_effmass.values import Impact, Verdict
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def run(seconds: float = 10.0, *, largest: float = 3.0, full: bool = True, gap: bool = False) -> Course:
+def run(seconds: float = 10.0, *, largest: float = 3.0, full: bool = True, gap: bool = False) -> TimeSeries:
     """Return a course at 1 kHz with a spike of a single cycle in speed and mass."""
     t = np.arange(0.0, seconds, 1e-3)
     speed = 0.5 + 0.3 * np.sin(t)
@@ -31,10 +31,10 @@ def run(seconds: float = 10.0, *, largest: float = 3.0, full: bool = True, gap: 
     course = (t, verdict, speed, allowable, mass, mass, 0.9 * mass if full else mass * np.nan, np.full(len(t), 2.77))
     keep = (t < 4.0) | (t > 6.0) if gap else t >= 0.0
     time, decided, *values = (column[keep] for column in course)
-    return Course(0, time, decided.astype(np.int64), *values)
+    return TimeSeries(0, time, decided.astype(np.int64), *values)
 
 
-def drawn(course: Course, model: str = "lumped") -> Figure:
+def drawn(course: TimeSeries, model: str = "lumped") -> Figure:
     return draw_run(course, title="a robot: a bag", subtitle="generated", mass_model=model, timeout=0.2)
 
 
@@ -80,7 +80,7 @@ def test_a_model_that_does_not_exist_is_not_in_the_legend() -> None:
 
 def test_a_single_cycle_and_nothing_known_can_be_drawn(tmp_path: Path) -> None:
     nothing = np.array([np.nan])
-    course = Course(0, np.array([0.0]), np.array([Verdict.UNKNOWN]), *(nothing for _ in range(6)))
+    course = TimeSeries(0, np.array([0.0]), np.array([Verdict.UNKNOWN]), *(nothing for _ in range(6)))
     save(drawn(course), tmp_path, "run", overwrite=False)
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.analysis.trace import Course, Trace, thinned, verdict_spans
+from scara_effmass.analysis.trace import TimeSeries, Trace, thinned, verdict_spans
 from scara_effmass.safety.monitor import blank
 from scara_effmass.values import Verdict
 
@@ -18,9 +18,9 @@ known = blank("tool", "", 1, 0.0)._replace(
 )
 
 
-def course(times: list[float], verdicts: list[Verdict]) -> Course:
+def course(times: list[float], verdicts: list[Verdict]) -> TimeSeries:
     nothing = np.full(len(times), np.nan)
-    return Course(0, np.array(times), np.array(verdicts, np.int64), *(nothing for _ in range(6)))
+    return TimeSeries(0, np.array(times), np.array(verdicts, np.int64), *(nothing for _ in range(6)))
 
 
 def test_a_trace_keeps_what_was_decided_in_order_of_time() -> None:

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from scara_effmass.analysis.validation import ValidationSettings, validate
-from scara_effmass.bag_io.definitions import FORCE_BLOCK, IMPACT, JOINT_STATE, RECORDING_INFO
-from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bag_io.force import impact_message
-from scara_effmass.bag_io.messages import joint_state_message
-from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.bags.definitions import FORCE_BLOCK, IMPACT, JOINT_STATE, RECORDING_INFO
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.messages import joint_state_message
+from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detection import Detector
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MassModel, ValidatorSettings
 from scara_effmass.values import JointState
+from scara_effmass.wire.force import impact_message
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from scara_effmass.analysis.validation import Validation
     from scara_effmass.impacts.result import Result
-    from scara_effmass.model.arm import Arm
+    from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.values import ForceBlock
 
     class Altered(Protocol):
@@ -40,7 +40,7 @@ S = 1_000_000_000
 
 
 @pytest.fixture(scope="session")
-def validation(campaign: list[Path], arm: Arm) -> Validation:
+def validation(campaign: list[Path], arm: RobotDynamics) -> Validation:
     return validate(campaign, arm, SETTINGS)
 
 
@@ -51,7 +51,7 @@ def about(path: Path) -> dict[str, Any]:
         return said
 
 
-def by_hand(paths: list[Path], arm: Arm) -> Result:
+def by_hand(paths: list[Path], arm: RobotDynamics) -> Result:
     """Feed the cores, all joint states of a recording before all of its force."""
     validator = Validator(SETTINGS.validator)
     for path in paths:
@@ -77,7 +77,7 @@ def by_hand(paths: list[Path], arm: Arm) -> Result:
     return validator.result()
 
 
-def test_it_is_what_the_cores_say(campaign: list[Path], arm: Arm, validation: Validation) -> None:
+def test_it_is_what_the_cores_say(campaign: list[Path], arm: RobotDynamics, validation: Validation) -> None:
     # As text, in which NaN equals itself.
     assert repr(validation.result) == repr(by_hand(campaign, arm))
 
@@ -118,13 +118,13 @@ def test_every_recording_has_its_own_impact(campaign: list[Path], validation: Va
     assert refused == len(validation.result.refused) == sum(validation.result.excluded.values()) > 0
 
 
-def test_progress_is_told(campaign: list[Path], arm: Arm) -> None:
+def test_progress_is_told(campaign: list[Path], arm: RobotDynamics) -> None:
     shares: list[float] = []
     validate(campaign[:2], arm, SETTINGS, shares.append)
     assert sum(shares) == pytest.approx(2.0)
 
 
-def test_the_given_mass_goes_before_the_recorded_one(campaign: list[Path], arm: Arm) -> None:
+def test_the_given_mass_goes_before_the_recorded_one(campaign: list[Path], arm: RobotDynamics) -> None:
     given = validate(campaign[:1], arm, replace(SETTINGS, obstacle_mass=3.0)).result
     assert [impact.obstacle_mass for impact in given.impacts] == [3.0]
     settings = replace(SETTINGS, validator=ValidatorSettings(obstacle_mass=3.0, configuration="mine"))
@@ -133,7 +133,7 @@ def test_the_given_mass_goes_before_the_recorded_one(campaign: list[Path], arm: 
 
 
 def test_recorded_impacts_serve_where_there_is_no_force(
-    campaign: list[Path], arm: Arm, tmp_path: Path, validation: Validation
+    campaign: list[Path], arm: RobotDynamics, tmp_path: Path, validation: Validation
 ) -> None:
     path = tmp_path / "impacts"
     detector = Detector(SETTINGS.detection)
@@ -151,7 +151,7 @@ def test_recorded_impacts_serve_where_there_is_no_force(
         assert getattr(impact, name) == getattr(expected, name)
 
 
-def test_the_largest_mass_can_be_judged(campaign: list[Path], arm: Arm) -> None:
+def test_the_largest_mass_can_be_judged(campaign: list[Path], arm: RobotDynamics) -> None:
     settings = replace(SETTINGS, validator=ValidatorSettings(effective_mass_model=MassModel.LARGEST))
     result = validate(campaign, arm, settings).result
     assert [model.model for model in result.models] == ["lumped", "full", "iso", "largest"]
@@ -161,27 +161,27 @@ def test_the_largest_mass_can_be_judged(campaign: list[Path], arm: Arm) -> None:
 # What is wrong with a series is said in its result.
 
 
-def test_no_impacts(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+def test_no_impacts(campaign: list[Path], arm: RobotDynamics, altered: Altered) -> None:
     quiet = altered(campaign[0], block=lambda block: block._replace(force=1e-3 * block.force))
     result = validate([quiet], arm, SETTINGS).result
     assert (result.seen, result.accepted) == (0, False)
     assert "no impacts" in result.reason
 
 
-def test_one_impact(campaign: list[Path], arm: Arm) -> None:
+def test_one_impact(campaign: list[Path], arm: RobotDynamics) -> None:
     result = validate(campaign[:1], arm, SETTINGS).result
     assert len(result.impacts) == 1
     assert result.reason == "1 impact, at least 3 are required"
     assert result.models[0].overall.correlation_reason == "fewer than two impacts"
 
 
-def test_all_at_the_same_reduced_mass(campaign: list[Path], arm: Arm) -> None:
+def test_all_at_the_same_reduced_mass(campaign: list[Path], arm: RobotDynamics) -> None:
     result = validate(campaign[:1] * 3, arm, SETTINGS).result
     assert len(result.impacts) == 3
     assert result.reason == "correlation undefined: all impacts are at the same v sqrt(mu)"
 
 
-def test_clocks_seconds_apart(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+def test_clocks_seconds_apart(campaign: list[Path], arm: RobotDynamics, altered: Altered) -> None:
     late = [altered(path, block=lambda block: block._replace(stamp_ns=block.stamp_ns + 5 * S)) for path in campaign[:3]]
     result = validate(late, arm, SETTINGS).result
     assert result.impacts == ()
@@ -190,7 +190,7 @@ def test_clocks_seconds_apart(campaign: list[Path], arm: Arm, altered: Altered) 
     assert "their clocks differ" in result.reason
 
 
-def test_saturated_peaks_are_counted(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+def test_saturated_peaks_are_counted(campaign: list[Path], arm: RobotDynamics, altered: Altered) -> None:
     def saturated(block: ForceBlock) -> ForceBlock:
         beyond = np.flatnonzero(block.force >= 150.0).astype(np.uint32)
         return block._replace(force=np.minimum(block.force, 150.0), saturated_samples=beyond)
@@ -201,13 +201,15 @@ def test_saturated_peaks_are_counted(campaign: list[Path], arm: Arm, altered: Al
     assert result.excluded["clipped: the force reached the end of the measuring range"] == 1
 
 
-def test_the_wrong_sign_of_force(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+def test_the_wrong_sign_of_force(campaign: list[Path], arm: RobotDynamics, altered: Altered) -> None:
     result = validate([altered(campaign[0], block=lambda b: b._replace(force=-b.force))], arm, SETTINGS).result
     assert not result.accepted
     assert "compression is positive" in result.reason
 
 
-def test_the_wrong_sign_in_one_of_several_recordings(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+def test_the_wrong_sign_in_one_of_several_recordings(
+    campaign: list[Path], arm: RobotDynamics, altered: Altered
+) -> None:
     wrong = altered(campaign[0], block=lambda b: b._replace(force=-b.force))
     for paths in ([wrong, *campaign[1:]], [*campaign[1:], wrong]):
         result = validate(paths, arm, SETTINGS).result
@@ -216,7 +218,9 @@ def test_the_wrong_sign_in_one_of_several_recordings(campaign: list[Path], arm: 
         assert "compression is positive" in result.reason
 
 
-def test_a_missing_mass_is_not_that_of_the_recording_before(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+def test_a_missing_mass_is_not_that_of_the_recording_before(
+    campaign: list[Path], arm: RobotDynamics, altered: Altered
+) -> None:
     nameless = altered(campaign[1], info={"obstacle_mass": None, "configuration": None})
     result = validate([campaign[0], nameless], arm, SETTINGS).result
     assert len(result.impacts) == 1
@@ -229,19 +233,21 @@ def test_a_missing_mass_is_not_that_of_the_recording_before(campaign: list[Path]
 # What cannot be validated at all is refused.
 
 
-def test_a_recording_without_joint_states(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+def test_a_recording_without_joint_states(campaign: list[Path], arm: RobotDynamics, altered: Altered) -> None:
     path = altered(campaign[0], without="/joint_states")
     with pytest.raises(BagError, match=f"{path}: no topic holds joint states"):
         validate([path], arm, SETTINGS)
 
 
-def test_a_recording_without_force(campaign: list[Path], arm: Arm, altered: Altered) -> None:
+def test_a_recording_without_force(campaign: list[Path], arm: RobotDynamics, altered: Altered) -> None:
     path = altered(campaign[0], without="/force")
     with pytest.raises(BagError, match=f"{path}: holds neither force blocks nor impacts"):
         validate([path], arm, SETTINGS)
 
 
-def test_joint_states_of_another_robot(campaign: list[Path], arm: Arm, altered: Altered, tmp_path: Path) -> None:
+def test_joint_states_of_another_robot(
+    campaign: list[Path], arm: RobotDynamics, altered: Altered, tmp_path: Path
+) -> None:
     path = tmp_path / "other"
     foreign = JointState(0, ("wheel",), np.zeros(1), np.zeros(1))
     with open_bag(altered(campaign[0], without="/joint_states")) as bag, BagWriter(path) as writer:
@@ -253,7 +259,7 @@ def test_joint_states_of_another_robot(campaign: list[Path], arm: Arm, altered: 
 
 
 @pytest.mark.parametrize("mass", ["2.39", -1.0, True, 1e4])
-def test_a_recorded_mass_that_is_none(campaign: list[Path], arm: Arm, altered: Altered, mass: object) -> None:
+def test_a_recorded_mass_that_is_none(campaign: list[Path], arm: RobotDynamics, altered: Altered, mass: object) -> None:
     path = altered(campaign[0], info={"obstacle_mass": mass})
     with pytest.raises(BagError, match=f"{path}: {RECORDING_INFO}: obstacle_mass = {mass!r}: .* would be right"):
         validate([path], arm, SETTINGS)
@@ -261,14 +267,14 @@ def test_a_recorded_mass_that_is_none(campaign: list[Path], arm: Arm, altered: A
 
 @pytest.mark.parametrize(("key", "value"), [("since_ns", 1e300), ("configuration", "\ud800")])
 def test_what_is_said_of_a_run_and_cannot_be(
-    campaign: list[Path], arm: Arm, altered: Altered, key: str, value: object
+    campaign: list[Path], arm: RobotDynamics, altered: Altered, key: str, value: object
 ) -> None:
     path = altered(campaign[0], info={key: value})
     with pytest.raises(BagError, match=f"{path}: {RECORDING_INFO}: {key} = .* would be right"):
         validate([path], arm, SETTINGS)
 
 
-def test_of_several_force_topics_one_must_be_named(campaign: list[Path], arm: Arm, tmp_path: Path) -> None:
+def test_of_several_force_topics_one_must_be_named(campaign: list[Path], arm: RobotDynamics, tmp_path: Path) -> None:
     path = tmp_path / "two_channels"
     with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
         for message in bag.messages():
@@ -283,7 +289,7 @@ def test_of_several_force_topics_one_must_be_named(campaign: list[Path], arm: Ar
         validate([path], arm, replace(SETTINGS, force_topic="up"))
 
 
-def test_what_cannot_be_decoded_is_told(campaign: list[Path], arm: Arm, tmp_path: Path) -> None:
+def test_what_cannot_be_decoded_is_told(campaign: list[Path], arm: RobotDynamics, tmp_path: Path) -> None:
     path = tmp_path / "cut"
     with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
         for message in bag.messages():

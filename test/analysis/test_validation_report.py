@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from scara_effmass.analysis.validation import Validation
-    from scara_effmass.model.arm import Arm
+    from scara_effmass.model.dynamics import RobotDynamics
 
     class Altered(Protocol):
         def __call__(self, path: Path, **changes: object) -> Path: ...
@@ -55,12 +55,12 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="session")
-def validation(campaign: list[Path], arm: Arm) -> Validation:
+def validation(campaign: list[Path], arm: RobotDynamics) -> Validation:
     return validate(campaign, arm, SETTINGS)
 
 
 def written(
-    validation: Validation, arm: Arm, folder: Path, settings: ValidationSettings = SETTINGS
+    validation: Validation, arm: RobotDynamics, folder: Path, settings: ValidationSettings = SETTINGS
 ) -> dict[str, bytes]:
     write_report(validation, settings, arm.robot, folder, overwrite=False)
     return {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -74,7 +74,7 @@ def numbers(value: Any) -> list[float]:  # noqa: ANN401 - whatever JSON holds
     return [value] if isinstance(value, float) else []
 
 
-def test_all_files_are_the_same_every_time(validation: Validation, arm: Arm, tmp_path: Path) -> None:
+def test_all_files_are_the_same_every_time(validation: Validation, arm: RobotDynamics, tmp_path: Path) -> None:
     first, second = (written(validation, arm, tmp_path / folder) for folder in ("one", "two"))
     assert set(first) == set(NAMES)
     assert first == second
@@ -85,7 +85,7 @@ def test_all_files_are_the_same_every_time(validation: Validation, arm: Arm, tmp
             assert height > 500
 
 
-def test_the_page_is_whole_and_loads_nothing(validation: Validation, arm: Arm, tmp_path: Path) -> None:
+def test_the_page_is_whole_and_loads_nothing(validation: Validation, arm: RobotDynamics, tmp_path: Path) -> None:
     text = written(validation, arm, tmp_path / "report")["report.html"].decode()
     page = Page(text)
     assert page.open == []
@@ -95,7 +95,7 @@ def test_the_page_is_whole_and_loads_nothing(validation: Validation, arm: Arm, t
 
 
 def test_a_configuration_may_have_any_name_that_can_be_printed(
-    campaign: list[Path], arm: Arm, altered: Altered, tmp_path: Path
+    campaign: list[Path], arm: RobotDynamics, altered: Altered, tmp_path: Path
 ) -> None:
     name = "<b> $x_{$ & _"
     named = validate([altered(campaign[0], info={"configuration": name})], arm, SETTINGS)
@@ -103,7 +103,7 @@ def test_a_configuration_may_have_any_name_that_can_be_printed(
     assert name in page.texts
 
 
-def test_the_page_says_what_it_is_worth(validation: Validation, arm: Arm, tmp_path: Path) -> None:
+def test_the_page_says_what_it_is_worth(validation: Validation, arm: RobotDynamics, tmp_path: Path) -> None:
     texts = Page(written(validation, arm, tmp_path / "report")["report.html"].decode()).texts
     assert "Accepted." in texts
     assert "lumped model, simulated impacts; nothing was measured on a robot." in texts
@@ -119,7 +119,7 @@ def test_the_page_says_what_it_is_worth(validation: Validation, arm: Arm, tmp_pa
         assert any(text.startswith(f"{model.overall.correlation:.5f} (") for text in texts)
 
 
-def test_the_record_is_all_of_it_in_finite_numbers(validation: Validation, arm: Arm, tmp_path: Path) -> None:
+def test_the_record_is_all_of_it_in_finite_numbers(validation: Validation, arm: RobotDynamics, tmp_path: Path) -> None:
     files = written(validation, arm, tmp_path / "report")
     said = json.loads(files["report.json"])
     assert said == record(validation, SETTINGS, arm.robot)
@@ -134,7 +134,7 @@ def test_the_record_is_all_of_it_in_finite_numbers(validation: Validation, arm: 
     assert set(said["excluded"]) == {"rebound of an earlier impact"}
 
 
-def test_a_report_of_nothing(campaign: list[Path], arm: Arm, altered: Altered, tmp_path: Path) -> None:
+def test_a_report_of_nothing(campaign: list[Path], arm: RobotDynamics, altered: Altered, tmp_path: Path) -> None:
     quiet = altered(campaign[0], block=lambda block: block._replace(force=1e-3 * block.force))
     empty = validate([quiet], arm, SETTINGS)
     files = written(empty, arm, tmp_path / "report")
@@ -148,14 +148,14 @@ def test_a_report_of_nothing(campaign: list[Path], arm: Arm, altered: Altered, t
     )
 
 
-def test_a_report_of_one_impact(campaign: list[Path], arm: Arm, tmp_path: Path) -> None:
+def test_a_report_of_one_impact(campaign: list[Path], arm: RobotDynamics, tmp_path: Path) -> None:
     files = written(validate(campaign[:1], arm, SETTINGS), arm, tmp_path / "report")
     texts = Page(files["report.html"].decode()).texts
     assert "undefined: fewer than two impacts" in texts
     assert "Not accepted: 1 impact, at least 3 are required." in texts
 
 
-def test_a_given_stiffness_is_said(campaign: list[Path], arm: Arm, tmp_path: Path) -> None:
+def test_a_given_stiffness_is_said(campaign: list[Path], arm: RobotDynamics, tmp_path: Path) -> None:
     settings = ValidationSettings(validator=ValidatorSettings(stiffness=2000.0))
     found = validate(campaign, arm, settings)
     files = written(found, arm, tmp_path / "report", settings)
@@ -164,7 +164,7 @@ def test_a_given_stiffness_is_said(campaign: list[Path], arm: Arm, tmp_path: Pat
 
 
 def test_nothing_is_overwritten_and_nothing_half_written(
-    validation: Validation, arm: Arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    validation: Validation, arm: RobotDynamics, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "report"
     folder.mkdir()

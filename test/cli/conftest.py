@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.bags.writer import BagWriter
 from scara_effmass.cli import main
 from scara_effmass.values import JointState
 

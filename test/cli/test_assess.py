@@ -16,16 +16,16 @@ from pyarrow import parquet
 
 from scara_effmass import __version__
 from scara_effmass.analysis.tables import SCHEMA
-from scara_effmass.bag_io.cdr import JointStateDecoder
-from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.writer import BagWriter
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
-from scara_effmass.model.arm import Arm
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import Verdict
+from scara_effmass.wire.cdr import JointStateDecoder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,7 +42,7 @@ UNITS = ("", "_m_s", "_kg", "_n_m", "_n", "_s")
 def decided(path: Path, settings: MonitorSettings | None = None) -> list[ContactAssessment]:
     """Return what the core decides for every joint state of a recording, straight from `safety.Monitor`."""
     settings = settings or MonitorSettings()
-    monitor = Monitor(Arm(load_robot(share("config", "omron_i4_550l.yaml"), settings)), settings)
+    monitor = Monitor(RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), settings)), settings)
     decoder = JointStateDecoder()
     contacts: list[ContactAssessment] = []
     with open_bag(path) as bag:

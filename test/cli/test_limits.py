@@ -9,7 +9,7 @@ import pytest
 
 from scara_effmass.cli import main
 from scara_effmass.iso15066 import BODY_POINTS, BODY_REGIONS, EDITION, TABLE_HASH, SpeedLimits, limits_for
-from scara_effmass.settings import Contact, MonitorSettings
+from scara_effmass.settings import ContactType, MonitorSettings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,14 +32,14 @@ def test_the_whole_table_is_there(capsys: pytest.CaptureFixture[str]) -> None:
     assert table["allowable_speeds"] == []
 
 
-@pytest.mark.parametrize("contact", Contact)
-def test_speeds_are_those_of_the_limits(contact: Contact, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("contact", ContactType)
+def test_speeds_are_those_of_the_limits(contact: ContactType, capsys: pytest.CaptureFixture[str]) -> None:
     speeds = result(capsys, "--mass", "0.97", "--mass", "2.77", "--contact", contact.value)["allowable_speeds"]
     limits = limits_for(MonitorSettings(contact=contact))
     assert len(speeds) == 2 * len(limits)
     for row in speeds:
         (limit,) = (limit for limit in limits if limit.region == row["region"])
-        ceiling = SpeedLimits([limit]).ceiling(row["effective_mass_kg"])
+        ceiling = SpeedLimits([limit]).speed_limit(row["effective_mass_kg"])
         assert row["allowable_speed_m_s"] == ceiling.allowable_speed
         assert row["criterion"] == ceiling.criterion
         assert row["clause"] == limit.clause

@@ -12,8 +12,8 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.writer import BagWriter
 from scara_effmass.cli import COMMANDS, main
 from scara_effmass.cli.options import node_arguments
 from scara_effmass.cli.processes import keep_to_this_machine

@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
-from scara_effmass.bag_io.files import open_bag
+from scara_effmass.bags.files import open_bag
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

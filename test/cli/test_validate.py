@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bag_io.writer import BagWriter
-from scara_effmass.bench.campaign import Campaign, run_campaign
-from scara_effmass.bench.impact_setup import CONFIGURATIONS
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.writer import BagWriter
+from scara_effmass.sim.campaign import Campaign, run_campaign
+from scara_effmass.sim.impact_setup import CONFIGURATIONS
 
 if TYPE_CHECKING:
     import subprocess

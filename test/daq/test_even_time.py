@@ -10,10 +10,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.daq.even_time import CHUNK, EvenBlocks
-from scara_effmass.daq.recording import NS
+from scara_effmass.daq.force_file import NS
 
 if TYPE_CHECKING:
-    from scara_effmass.daq.recording import RecordedBlock
+    from scara_effmass.daq.force_file import RecordedBlock
 
 T0 = 1_700_000_000 * NS
 

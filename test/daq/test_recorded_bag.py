@@ -13,7 +13,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from scara_effmass.bag_io.definitions import (
+from scara_effmass.bags.definitions import (
     FLOAT64,
     FORCE_BLOCK,
     RECORDING_INFO,
@@ -21,15 +21,15 @@ from scara_effmass.bag_io.definitions import (
     WRENCH_STAMPED,
     known_types,
 )
-from scara_effmass.bag_io.encode import float64_message
-from scara_effmass.bag_io.force import force_block_message
-from scara_effmass.bag_io.messages import header, message, serialized
-from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.bags.messages import header, message, serialized
+from scara_effmass.bags.writer import BagWriter
 from scara_effmass.daq.recorded import RecordedForce
 from scara_effmass.daq.source import Unit
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.settings import BagSettings, DaqSettings
 from scara_effmass.values import ForceBlock
+from scara_effmass.wire.encode import float64_message
+from scara_effmass.wire.force import force_block_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

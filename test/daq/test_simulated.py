@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.bench.force import RandomImpacts, SimulatedSignal
 from scara_effmass.daq.simulated import SimulatedForce
 from scara_effmass.daq.source import Unit, make_source
 from scara_effmass.settings import BenchSettings, DaqSettings, ForceSourceKind, SensorSettings
+from scara_effmass.sim.force import RandomImpacts, SimulatedSignal
 
 if TYPE_CHECKING:
     from scara_effmass.daq.source import Reading

@@ -10,7 +10,7 @@ import pytest
 from scara_effmass.impacts.background import FRAMES, Background, Frame
 from scara_effmass.impacts.contact import rise
 from scara_effmass.impacts.detection import Detector
-from scara_effmass.impacts.stretch import judge
+from scara_effmass.impacts.segment import classify
 from scara_effmass.settings import DetectionSettings
 
 if TYPE_CHECKING:
@@ -45,9 +45,9 @@ def test_what_pulls_more_than_it_pushes_is_no_contact() -> None:
     samples = noise(FRAME)
     samples[300:306] += [20.0, 20.0, -90.0, -90.0, 20.0, 20.0]
     marks = np.zeros(FRAME, dtype=np.bool_)
-    assert not judge(samples, marks, background, 4, 0).contacts
+    assert not classify(samples, marks, background, 4, 0).contacts
     samples[302:304] += 85.0
-    assert len(judge(samples, marks, background, 4, 0).contacts) == 1
+    assert len(classify(samples, marks, background, 4, 0).contacts) == 1
 
 
 def test_frames_beside_a_contact_do_not_enter_the_noise(detect: Detect, add_pulse: AddPulse) -> None:

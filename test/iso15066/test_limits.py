@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from scara_effmass.errors import LimitError
 from scara_effmass.iso15066 import BODY_REGIONS, limits_for
-from scara_effmass.settings import Contact, MonitorSettings
+from scara_effmass.settings import ContactType, MonitorSettings
 
 if TYPE_CHECKING:
     from scara_effmass.iso15066 import Limit
 
 TRANSIENT_REGIONS = tuple(name for name in BODY_REGIONS if name not in {"skull_forehead", "face"})
 
-contacts = st.sampled_from(Contact)
+contacts = st.sampled_from(ContactType)
 selections = st.lists(st.sampled_from(TRANSIENT_REGIONS), unique=True).map(tuple)
 
 
@@ -37,7 +37,7 @@ def test_clamped_covers_the_head_too() -> None:
 
 
 @given(selections, contacts)
-def test_a_selection_is_that_part_of_the_default(names: tuple[str, ...], contact: Contact) -> None:
+def test_a_selection_is_that_part_of_the_default(names: tuple[str, ...], contact: ContactType) -> None:
     default = limits(contact=contact)
     assert limits(contact=contact, body_regions=names) == {n: default[n] for n in default if not names or n in names}
 
@@ -72,7 +72,7 @@ def test_criterion_changes_with_the_contact_area() -> None:
     stiffness=st.floats(0.0, 200.0),
     obstacle_mass=st.floats(0.0, 100.0),
 )
-def test_settings_tighten_or_are_refused(contact: Contact, names: tuple[str, ...], **own: float) -> None:
+def test_settings_tighten_or_are_refused(contact: ContactType, names: tuple[str, ...], **own: float) -> None:
     standard = limits(contact=contact, body_regions=names)
     loosest = {
         "max_force": max(limit.force_n for limit in standard.values()),

@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.arm import Arm
 from scara_effmass.model.dh import load_dh
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.urdf import parse_urdf
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from scara_effmass.model.arm import Presented
+    from scara_effmass.model.dynamics import EffectiveMasses
     from scara_effmass.model.robot import Robot
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -39,8 +39,8 @@ def omron() -> Robot:
 
 
 @pytest.fixture(scope="session")
-def omron_arm(omron: Robot) -> Arm:
-    return Arm(omron)
+def omron_arm(omron: Robot) -> RobotDynamics:
+    return RobotDynamics(omron)
 
 
 @pytest.fixture
@@ -63,16 +63,16 @@ def from_rows(tmp_path: Path) -> Callable[[object], Robot]:
 
 
 @pytest.fixture(scope="session")
-def along() -> Callable[..., Presented]:
+def along() -> Callable[..., EffectiveMasses]:
     """Ask an arm for the masses along `n`, by moving its first contact point that way."""
 
-    def ask(arm: Arm, q: ArrayLike, n: ArrayLike) -> Presented:
+    def ask(arm: RobotDynamics, q: ArrayLike, n: ArrayLike) -> EffectiveMasses:
         q = np.asarray(q, dtype=float)
         frame = next(iter(arm.robot.contact_frames.values()))
         qd = np.linalg.pinv(arm.jacobian(q, frame)) @ np.asarray(n, dtype=float)
-        (presented,) = arm.presented(q, qd, 1e-6)
-        assert np.allclose(presented.direction, np.asarray(n) / np.linalg.norm(n), atol=1e-6)
-        return presented
+        (effective_masses,) = arm.effective_masses(q, qd, 1e-6)
+        assert np.allclose(effective_masses.direction, np.asarray(n) / np.linalg.norm(n), atol=1e-6)
+        return effective_masses
 
     return ask
 
@@ -97,14 +97,16 @@ def refused_or_finite() -> Callable[[Callable[[], Robot]], None]:
 
     def require(load: Callable[[], Robot]) -> None:
         try:
-            arm = Arm(load())
+            arm = RobotDynamics(load())
         except RobotError as error:
             message = str(error)
             assert "\n" not in message
             return
-        for presented in arm.presented(arm.robot.sample_configurations()[0], np.ones(arm.robot.model.nv), 0.005):
-            assert np.isfinite(presented.speed)
-            assert presented.full > 0.0 or arm.full_reason
-            assert presented.lumped > 0.0 or presented.lumped_reason
+        for effective_masses in arm.effective_masses(
+            arm.robot.sample_configurations()[0], np.ones(arm.robot.model.nv), 0.005
+        ):
+            assert np.isfinite(effective_masses.speed)
+            assert effective_masses.full > 0.0 or arm.full_reason
+            assert effective_masses.lumped > 0.0 or effective_masses.lumped_reason
 
     return require

@@ -14,8 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.arm import Arm
 from scara_effmass.model.dh import load_dh
+from scara_effmass.model.dynamics import RobotDynamics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -147,7 +147,7 @@ def test_link_without_mass_leaves_no_model_believed(
     omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
 ) -> None:
     omron_rows["links"][1]["mass"] = 0.0
-    arm = Arm(from_rows(omron_rows))
+    arm = RobotDynamics(from_rows(omron_rows))
     for reason in (arm.robot.masses_reason, arm.lumped_reason, arm.full_reason):
         assert reason.startswith("no mass behind joint2")
 
@@ -156,7 +156,7 @@ def test_inertia_of_no_body_leaves_the_lumped_model(
     omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
 ) -> None:
     omron_rows["links"][1]["inertia"] = [0.001, 0.001, 0.0227, 0.0, 0.0, 0.0]
-    arm = Arm(from_rows(omron_rows))
+    arm = RobotDynamics(from_rows(omron_rows))
     assert "the inertia of link2 cannot belong to a body" in arm.full_reason
     assert arm.lumped is not None
 
@@ -194,7 +194,7 @@ def test_placeholders_are_recognised(omron_rows: dict[str, Any], from_rows: Call
     assert "placeholders" in robot.masses_reason
     assert robot.coms_reason
     assert robot.inertias_reason
-    assert Arm(robot).lumped is None
+    assert RobotDynamics(robot).lumped is None
 
 
 def test_centres_of_mass_at_the_origins_are_placeholders(
@@ -202,7 +202,7 @@ def test_centres_of_mass_at_the_origins_are_placeholders(
 ) -> None:
     for link in omron_rows["links"]:
         link["com"] = [0.0, 0.0, 0.0]
-    arm = Arm(from_rows(omron_rows))
+    arm = RobotDynamics(from_rows(omron_rows))
     assert "placeholders" in arm.lumped_reason
     assert "placeholders" in arm.full_reason
     assert arm.robot.masses_reason == ""
@@ -241,6 +241,6 @@ def test_tensors_of_some_links_only_are_no_full_model(
     omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
 ) -> None:
     del omron_rows["links"][1]["inertia"]
-    arm = Arm(from_rows(omron_rows))
+    arm = RobotDynamics(from_rows(omron_rows))
     assert arm.full_reason == "no inertia tensor for link2, while other links have one"
     assert not arm.lumped_reason

@@ -13,14 +13,14 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.arm import Arm
-from scara_effmass.model.closed_form import lumped_mass
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.lumping import is_scara, lump
+from scara_effmass.model.scara_closed_form import lumped_mass
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from scara_effmass.model.arm import Presented
+    from scara_effmass.model.dynamics import EffectiveMasses
     from scara_effmass.model.lumping import LumpedModel
     from scara_effmass.model.robot import Robot
 
@@ -34,7 +34,7 @@ def centres_kept(lumped: LumpedModel, robot: Robot) -> bool:
     )
 
 
-def test_structure_of_table_2(omron_arm: Arm) -> None:
+def test_structure_of_table_2(omron_arm: RobotDynamics) -> None:
     lumped = omron_arm.lumped
     assert lumped is not None
     assert [link.kappa2 for link in lumped.links] == pytest.approx([0.08029 / 0.275, 0.05775 / 0.275, 0.5, 0.5])
@@ -85,25 +85,27 @@ class TestCentreOfMassOutsideTheSlab:
     ) -> None:
         # M2 = -1e-4 kg: M(q) is indefinite only for |q2| below half a degree, where no sample lies.
         omron_rows["links"][0]["com"][0] = -(2.0 * (1.0 - 0.05775 / 0.275) + 1e-4) * 0.275 / 2.74
-        arm = Arm(from_rows(omron_rows))
+        arm = RobotDynamics(from_rows(omron_rows))
         assert arm.lumped is None
         assert "axis 2 would be -0.0001 kg: the centre of mass lies outside the slab" in arm.lumped_reason
         assert "joint1" in arm.lumped_reason
-        (presented,) = arm.presented(np.array([0.2, 0.0, 0.1, 0.0]), np.ones(4), 0.005)
-        assert math.isnan(presented.lumped)
-        assert presented.full > 0.0
+        (effective_masses,) = arm.effective_masses(np.array([0.2, 0.0, 0.1, 0.0]), np.ones(4), 0.005)
+        assert math.isnan(effective_masses.lumped)
+        assert effective_masses.full > 0.0
 
     def test_counterweight_on_the_forearm_is_carried_by_the_coaxial_tool(
-        self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], along: Callable[..., Presented]
+        self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], along: Callable[..., EffectiveMasses]
     ) -> None:
         omron_rows["links"][1]["com"][0] = -0.03
         robot = from_rows(omron_rows)
-        arm = Arm(robot)
+        arm = RobotDynamics(robot)
         assert arm.lumped is not None
         assert arm.lumped.aggregated[2] < 0.0
         m2, m3 = arm.lumped.planar_masses(robot)
-        presented = along(arm, [0.4, 1.2, 0.1, 0.0], [0.6, 0.8, 0.0])
-        assert presented.lumped == pytest.approx(float(lumped_mass(0.4, 1.2, math.atan2(0.8, 0.6), m2, m3)), rel=1e-9)
+        effective_masses = along(arm, [0.4, 1.2, 0.1, 0.0], [0.6, 0.8, 0.0])
+        assert effective_masses.lumped == pytest.approx(
+            float(lumped_mass(0.4, 1.2, math.atan2(0.8, 0.6), m2, m3)), rel=1e-9
+        )
 
 
 class TestCentreOfMassBesideThePlaneOfTheAxes:
@@ -141,7 +143,7 @@ class TestCentreOfMassBesideThePlaneOfTheAxes:
         assert (link.kappa1, link.kappa2) == (1.0, 0.0)
         assert link.point1 == pytest.approx((0.03, 0.02, 0.1))
 
-    def test_axes_of_the_file_are_kept_where_they_do(self, omron_arm: Arm) -> None:
+    def test_axes_of_the_file_are_kept_where_they_do(self, omron_arm: RobotDynamics) -> None:
         assert omron_arm.lumped is not None
         assert omron_arm.lumped.links[1].point2 == pytest.approx((0.275, 0.0, 0.0))
 
@@ -160,12 +162,14 @@ def test_axes_that_are_not_parallel_are_refused(
 
 
 def test_pi_written_as_3_14_is_parallel(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: Arm
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: RobotDynamics
 ) -> None:
     omron_rows["joints"][1]["alpha"] = 3.14
-    sloppy = Arm(from_rows(omron_rows))
+    sloppy = RobotDynamics(from_rows(omron_rows))
     for q in sloppy.robot.sample_configurations():
-        (exact,), (rough,) = (arm.presented(q, np.array([1.0, 0.3, 0.0, 0.0]), 0.0) for arm in (omron_arm, sloppy))
+        (exact,), (rough,) = (
+            arm.effective_masses(q, np.array([1.0, 0.3, 0.0, 0.0]), 0.0) for arm in (omron_arm, sloppy)
+        )
         assert rough.lumped == pytest.approx(exact.lumped, rel=0.01)
 
 
@@ -175,18 +179,20 @@ def test_recorded_scara_lumps_although_it_writes_pi_as_3_14(recorded: Callable[.
 
 
 def test_six_axis_arm_is_refused(recorded: Callable[..., Robot]) -> None:
-    arm = Arm(recorded("ur5_robot.urdf"))
+    arm = RobotDynamics(recorded("ur5_robot.urdf"))
     assert arm.lumped is None
     assert "shoulder_pan_joint: its axes are not parallel" in arm.lumped_reason
     assert arm.full_reason == ""
 
 
-def test_base_offset_and_turned_base_change_nothing(omron_arm: Arm, along: Callable[..., Presented]) -> None:
+def test_base_offset_and_turned_base_change_nothing(
+    omron_arm: RobotDynamics, along: Callable[..., EffectiveMasses]
+) -> None:
     q, n = np.array([0.4, 1.2, 0.1, 0.3]), np.array([0.6, 0.8, 0.0])
     model = omron_arm.robot.model.copy()
     base = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.9), np.array([1.0, 2.0, 3.0]))
     model.jointPlacements[1] = base * model.jointPlacements[1]
-    moved = Arm(replace(omron_arm.robot, model=model))
+    moved = RobotDynamics(replace(omron_arm.robot, model=model))
     here, there = along(omron_arm, q, n), along(moved, q, base.rotation @ n)
     assert there.lumped == pytest.approx(here.lumped, rel=1e-9)
     assert there.full == pytest.approx(here.full, rel=1e-9)
@@ -200,7 +206,7 @@ def test_base_offset_and_turned_base_change_nothing(omron_arm: Arm, along: Calla
 def test_any_scara_is_its_planar_masses(
     omron_rows: dict[str, Any],
     from_rows: Callable[[object], Robot],
-    along: Callable[..., Presented],
+    along: Callable[..., EffectiveMasses],
     first: float,
     second: float,
     share1: float,
@@ -211,15 +217,15 @@ def test_any_scara_is_its_planar_masses(
     ):
         row["a"], link["com"][0] = length, share * length
     robot = from_rows(omron_rows)
-    arm = Arm(robot)
+    arm = RobotDynamics(robot)
     assert arm.lumped is not None
     m2, m3 = arm.lumped.planar_masses(robot)
     assert m2 == pytest.approx(2.74 * share1 + 2.0 * (1.0 - share2))
     assert m3 == pytest.approx(2.0 * share2 + 0.55)
     q1, q2, phi = 0.4, 1.2, 0.9
     assume(abs(math.sin(q2)) > 0.1)
-    presented = along(arm, [q1, q2, 0.1, 0.0], [math.cos(phi), math.sin(phi), 0.0])
-    assert presented.lumped == pytest.approx(float(lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
+    effective_masses = along(arm, [q1, q2, 0.1, 0.0], [math.cos(phi), math.sin(phi), 0.0])
+    assert effective_masses.lumped == pytest.approx(float(lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
 
 
 def test_robot_that_is_no_scara_has_no_planar_masses(
@@ -233,16 +239,16 @@ def test_robot_that_is_no_scara_has_no_planar_masses(
 
 
 def test_masses_are_needed_but_inertias_are_not(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: Arm
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: RobotDynamics
 ) -> None:
     for body in (*omron_rows["links"], omron_rows["payload"]):
         del body["inertia"]
-    arm = Arm(from_rows(omron_rows))
+    arm = RobotDynamics(from_rows(omron_rows))
     assert arm.full_reason == "the file gives no inertia tensors"
     assert omron_arm.lumped is not None
     assert arm.lumped is not None
     assert arm.lumped.aggregated == omron_arm.lumped.aggregated
-    (presented,) = arm.presented(np.array([0.4, 1.2, 0.1, 0.3]), np.ones(4), 0.005)
-    assert math.isnan(presented.full)
-    assert math.isnan(presented.worst_full)
-    assert math.isfinite(presented.lumped)
+    (effective_masses,) = arm.effective_masses(np.array([0.4, 1.2, 0.1, 0.3]), np.ones(4), 0.005)
+    assert math.isnan(effective_masses.full)
+    assert math.isnan(effective_masses.worst_full)
+    assert math.isfinite(effective_masses.lumped)

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from scara_effmass.model.arm import Arm
+from scara_effmass.model.dynamics import RobotDynamics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -135,7 +135,7 @@ def test_jacobian_is_the_derivative_of_the_position(
     spatial_rows: dict[str, Any], from_rows: Callable[[object], Robot]
 ) -> None:
     robot = from_rows(spatial_rows)
-    arm = Arm(robot)
+    arm = RobotDynamics(robot)
     tool = np.array([*spatial_rows["contact_points"]["tool"], 1.0])
     for q in robot.sample_configurations()[:16]:
         columns = [
@@ -148,7 +148,7 @@ def test_jacobian_is_the_derivative_of_the_position(
 def test_lumped_mass_matrix_is_eq_14(omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> None:
     for link in omron_rows["links"]:
         link["com"][2] = 0.07  # heights count for nothing on parallel axes, and must not do harm
-    arm = Arm(from_rows(omron_rows))
+    arm = RobotDynamics(from_rows(omron_rows))
     assert arm.lumped is not None
     model = arm.lumped.model
     data = model.createData()
@@ -167,7 +167,7 @@ def test_lumped_mass_matrix_is_eq_14(omron_rows: dict[str, Any], from_rows: Call
         np.testing.assert_allclose(pin.crba(model, data, q), matrix, atol=1e-8)
 
 
-def test_two_masses_keep_mass_and_centre_of_mass_of_every_link(omron_arm: Arm) -> None:
+def test_two_masses_keep_mass_and_centre_of_mass_of_every_link(omron_arm: RobotDynamics) -> None:
     assert omron_arm.lumped is not None
     for link, body in zip(omron_arm.lumped.links, list(omron_arm.robot.model.inertias)[1:], strict=True):
         centre = link.kappa1 * np.array(link.point1) + link.kappa2 * np.array(link.point2)
@@ -177,12 +177,12 @@ def test_two_masses_keep_mass_and_centre_of_mass_of_every_link(omron_arm: Arm) -
 
 
 def test_armature_adds_to_the_diagonal_of_both_models(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: Arm
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: RobotDynamics
 ) -> None:
     rotors = np.array([0.31, 0.17, 4.0, 0.02])
     for row, rotor in zip(omron_rows["joints"], rotors, strict=True):
         row["armature"] = float(rotor)
-    geared = Arm(from_rows(omron_rows))
+    geared = RobotDynamics(from_rows(omron_rows))
     assert geared.lumped is not None
     assert omron_arm.lumped is not None
     for q in geared.robot.sample_configurations()[:8]:
@@ -195,29 +195,29 @@ def test_armature_adds_to_the_diagonal_of_both_models(
 
 
 def test_armature_makes_the_robot_heavier(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: Arm
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: RobotDynamics
 ) -> None:
     omron_rows["joints"][1]["armature"] = 0.1
-    geared = Arm(from_rows(omron_rows))
+    geared = RobotDynamics(from_rows(omron_rows))
     for q in geared.robot.sample_configurations():
-        heavy, light = (arm.presented(q, np.array([1.0, 0.0, 0.0, 0.0]), 0.0)[0] for arm in (geared, omron_arm))
+        heavy, light = (arm.effective_masses(q, np.array([1.0, 0.0, 0.0, 0.0]), 0.0)[0] for arm in (geared, omron_arm))
         assert heavy.lumped >= light.lumped * (1.0 - 1e-12)
         assert heavy.full >= light.full * (1.0 - 1e-12)
 
 
 def test_only_the_moment_about_the_axes_counts_for_a_scara(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: Arm
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: RobotDynamics
 ) -> None:
     for body in omron_rows["links"]:
         izz = body["inertia"]
         body["inertia"] = [0.9 * izz, 0.8 * izz, izz, 0.1 * izz, 0.0, 0.0]
-    other = Arm(from_rows(omron_rows))
+    other = RobotDynamics(from_rows(omron_rows))
     for q in other.robot.sample_configurations():
         here, there = (pin.crba(arm.robot.model, arm.robot.model.createData(), q) for arm in (omron_arm, other))
         np.testing.assert_allclose(there, here, atol=1e-12)
 
 
-def test_inverse_that_the_live_path_uses_is_the_inverse_of_crba(omron_arm: Arm) -> None:
+def test_inverse_that_the_live_path_uses_is_the_inverse_of_crba(omron_arm: RobotDynamics) -> None:
     assert omron_arm.lumped is not None
     for model in (omron_arm.robot.model, omron_arm.lumped.model):
         data = model.createData()

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from scara_effmass.model.closed_form import ScaraInertia, full_mass, largest_lumped_mass, lumped_mass
+from scara_effmass.model.scara_closed_form import ScaraInertia, full_mass, largest_lumped_mass, lumped_mass
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from scara_effmass.model.arm import Arm, Presented
+    from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
     from scara_effmass.model.robot import Robot
     from scara_effmass.values import FloatArray
 
@@ -60,7 +60,7 @@ def placed(x: float, y: float, elbow: float) -> tuple[float, float]:
     return float(np.arctan2(y, x) - q2 / 2.0), float(q2)
 
 
-def test_equivalent_masses_come_out_of_the_construction(omron: Robot, omron_arm: Arm) -> None:
+def test_equivalent_masses_come_out_of_the_construction(omron: Robot, omron_arm: RobotDynamics) -> None:
     assert omron_arm.lumped is not None
     m2, m3 = omron_arm.lumped.planar_masses(omron)
     assert m2 == pytest.approx(M2, abs=0.005)
@@ -82,18 +82,18 @@ def test_reduced_mass_of_the_standard(omron: Robot, obstacle: float, mu: float) 
 
 @given(q1=q1_values, q2=q2_values, phi=directions)
 def test_matrix_path_gives_eqs_27_and_28(
-    omron: Robot, omron_arm: Arm, along: Callable[..., Presented], q1: float, q2: float, phi: float
+    omron: Robot, omron_arm: RobotDynamics, along: Callable[..., EffectiveMasses], q1: float, q2: float, phi: float
 ) -> None:
     assume(abs(np.sin(q2)) > 1e-3)
     assert omron_arm.lumped is not None
-    presented = along(omron_arm, [q1, q2, 0.1, 0.3], [np.cos(phi), np.sin(phi), 0.0])
+    effective_masses = along(omron_arm, [q1, q2, 0.1, 0.3], [np.cos(phi), np.sin(phi), 0.0])
     m2, m3 = omron_arm.lumped.planar_masses(omron)
-    assert presented.lumped == pytest.approx(float(lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
-    assert presented.full == pytest.approx(float(full_mass(q1, q2, phi, FITTED)), rel=1e-6)
+    assert effective_masses.lumped == pytest.approx(float(lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
+    assert effective_masses.full == pytest.approx(float(full_mass(q1, q2, phi, FITTED)), rel=1e-6)
 
 
 def test_matrix_path_gives_eqs_27_and_28_on_thousands_of_cases(
-    omron: Robot, omron_arm: Arm, along: Callable[..., Presented]
+    omron: Robot, omron_arm: RobotDynamics, along: Callable[..., EffectiveMasses]
 ) -> None:
     assert omron_arm.lumped is not None
     rng = np.random.default_rng(15066)
@@ -181,7 +181,7 @@ def test_errors_of_the_simplified_model_on_the_grid_of_50_by_50() -> None:
         assert (np.abs(mu - reduced(simplified, obstacle)) / mu).max() == pytest.approx(worst, abs=1e-4)
 
 
-def test_impact_point_of_figure_17(omron_arm: Arm, along: Callable[..., Presented]) -> None:
+def test_impact_point_of_figure_17(omron_arm: RobotDynamics, along: Callable[..., EffectiveMasses]) -> None:
     q1, q2 = placed(0.3, 0.2, elbow=1.0)
     assert np.degrees([q1, q2]) == pytest.approx([-15.35, 98.08], abs=0.005)
     right = along(omron_arm, [q1, q2, 0.0, 0.0], [1.0, 0.0, 0.0])

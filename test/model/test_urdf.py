@@ -12,17 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.arm import Arm
-from scara_effmass.model.closed_form import ScaraInertia, full_mass
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import robot_from_urdf
 from scara_effmass.model.lumping import is_scara
+from scara_effmass.model.scara_closed_form import ScaraInertia, full_mass
 from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.settings import MonitorSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from scara_effmass.model.arm import Presented
+    from scara_effmass.model.dynamics import EffectiveMasses
     from scara_effmass.model.robot import Robot
 
 
@@ -85,9 +85,9 @@ class TestRecordedRobots:
         assert robot.iso_mass == pytest.approx(moving_mass / 2.0, abs=5e-4)
         assert ("placeholders" in robot.inertias_reason) == bool(doubt)
         assert doubt in robot.inertias_reason
-        arm = Arm(robot)
-        (presented,) = arm.presented(robot.sample_configurations()[5], np.ones(joints), 0.005)
-        assert np.isnan(presented.full) == bool(doubt)
+        arm = RobotDynamics(robot)
+        (effective_masses,) = arm.effective_masses(robot.sample_configurations()[5], np.ones(joints), 0.005)
+        assert np.isnan(effective_masses.full) == bool(doubt)
 
     def test_wx200_grippers_are_held_and_dummy_inertias_are_noted(self, recorded: Callable[..., Robot]) -> None:
         robot = recorded("wx200.urdf")
@@ -105,10 +105,10 @@ class TestRecordedRobots:
             recorded("panda.urdf", locked_joints=(), contact_points=("panda_rightfinger",))
 
 
-def test_urdf_agrees_with_eq_27(along: Callable[..., Presented]) -> None:
+def test_urdf_agrees_with_eq_27(along: Callable[..., EffectiveMasses]) -> None:
     robot = parse_urdf(SCARA, "scara.urdf", payload_mass=0.25)
     assert is_scara(robot)
-    arm = Arm(robot)
+    arm = RobotDynamics(robot)
     scara = ScaraInertia(0.275, 0.275, 2.74, 2.0, 0.2, 0.35, 0.08029, 0.05775, 0.02952, 0.02272, 1e-4, 2e-4)
     for q in robot.sample_configurations():
         n = [np.cos(0.7), np.sin(0.7), 0.0]
@@ -159,9 +159,10 @@ class TestLockedAndUnneededJoints:
         # What the elbow presents depends on how the forearm lies, so q2 must stay in the model.
         robot = parse_urdf(SCARA, "scara.urdf", contact_points=("fore",), payload_mass=0.25)
         assert robot.joint_names == ("j1", "j2", "j3", "j4")
-        arm = Arm(robot)
+        arm = RobotDynamics(robot)
         stretched, folded = (
-            arm.presented(np.array([0.3, q2, 0.1, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]), 0.0)[0] for q2 in (0.0, 1.5)
+            arm.effective_masses(np.array([0.3, q2, 0.1, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]), 0.0)[0]
+            for q2 in (0.0, 1.5)
         )
         assert stretched.full != pytest.approx(folded.full, rel=0.05)
         assert arm.lumped is not None
@@ -279,8 +280,8 @@ def test_axis_of_any_length_is_a_direction() -> None:
     robot, plain = parse_urdf(text, "scara.urdf"), parse_urdf(SCARA, "scara.urdf")
     np.testing.assert_allclose(robot.axis_in_joint_frame(1), [0.0, 0.0, -1.0], atol=1e-12)
     q = np.array([0.3, 0.4, 0.1, 0.2])
-    (turned,) = Arm(robot).presented(q * [-1.0, 1.0, 1.0, 1.0], np.array([-1.0, 0.5, 0.0, 0.0]), 0.005)
-    (straight,) = Arm(plain).presented(q, np.array([1.0, 0.5, 0.0, 0.0]), 0.005)
+    (turned,) = RobotDynamics(robot).effective_masses(q * [-1.0, 1.0, 1.0, 1.0], np.array([-1.0, 0.5, 0.0, 0.0]), 0.005)
+    (straight,) = RobotDynamics(plain).effective_masses(q, np.array([1.0, 0.5, 0.0, 0.0]), 0.005)
     assert turned.full == pytest.approx(straight.full)
     assert turned.lumped == pytest.approx(straight.lumped)
 
@@ -355,4 +356,6 @@ def test_an_arm_that_is_locked_throughout_says_so() -> None:
 def test_tensors_of_some_links_only_are_no_full_model() -> None:
     text = SCARA.replace('izz="0.02272"', 'izz="0"').replace('ixx="0.02" iyy="0.02" izz="0"', 'ixx="0" iyy="0" izz="0"')
     assert text != SCARA
-    assert Arm(parse_urdf(text, "scara")).full_reason == "no inertia tensor for fore, while other links have one"
+    assert (
+        RobotDynamics(parse_urdf(text, "scara")).full_reason == "no inertia tensor for fore, while other links have one"
+    )

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from contextlib import AbstractContextManager
 
-    from scara_effmass.nodes.running import SuiteNode
+    from scara_effmass.nodes.lifecycle import LifecycleBase
 
 PATIENCE_S = 120.0
 """Longest wait for anything; whatever takes this long has failed."""
@@ -270,10 +270,10 @@ def refusal_of(
     own_domain: int,  # noqa: ARG001 - where it is alone
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
-) -> Callable[[Callable[[], SuiteNode], str], str]:
+) -> Callable[[Callable[[], LifecycleBase], str], str]:
     """Bring a node up in this process with a parameter that it cannot use, and return its one line."""
 
-    def refusal(make: Callable[[], SuiteNode], argument: str) -> str:
+    def refusal(make: Callable[[], LifecycleBase], argument: str) -> str:
         monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
         rclpy.init(args=["--ros-args", "-p", argument], signal_handler_options=SignalHandlerOptions.NO)
         try:

@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState as JointStateMessage
 
-from scara_effmass.model.arm import Arm
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
@@ -241,7 +241,7 @@ def test_live_equals_offline_bit_for_bit(cell: Cell) -> None:
     # Stamps 10 ms apart, whatever the time between the messages: they run ahead of the clock.
     changed = {"release_time": 0.05, "reference_speed": 0.4, "timeout": 60.0, "future_tolerance": 10.0}
     settings = MonitorSettings.model_validate(changed)
-    offline = Monitor(Arm(load_robot(share("config", "omron_i4_550l.yaml"), settings)), settings)
+    offline = Monitor(RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), settings)), settings)
     q = np.array(Q)
     bad = [fields for fields, _ in BAD.values() if "stamp_ns" not in fields]
     verdicts = set()

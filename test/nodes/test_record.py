@@ -23,14 +23,14 @@ from scara_effmass_msgs.msg import ForceBlock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
-from scara_effmass.bag_io.files import open_bag
-from scara_effmass.bag_io.recorded_topic import Lost
-from scara_effmass.bag_io.recording import Recording
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.recorded_topic import Lost
+from scara_effmass.bags.recording import BagRecorder
 from scara_effmass.errors import OutputError, SettingsError
-from scara_effmass.nodes import record_inlets
-from scara_effmass.nodes.message_types import message_class, message_text
+from scara_effmass.nodes import topic_recorder
 from scara_effmass.nodes.record import RecordOptions, record
-from scara_effmass.nodes.record_inlets import Inlets
+from scara_effmass.nodes.topic_recorder import TopicRecorder
+from scara_effmass.wire.message_types import message_class, message_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from rclpy.publisher import Publisher
 
-    from scara_effmass.bag_io.recording_report import RecordingReport
+    from scara_effmass.bags.recording_report import RecordingReport
     from scara_effmass.nodes.record import RecordReport
 
 PATIENCE_S = 120.0
@@ -283,7 +283,7 @@ def test_a_topic_that_cannot_be_recorded_is_named_and_the_others_are(
     def installed(kind: str) -> type | None:
         return None if kind == "std_msgs/msg/Float64" else message_class(kind)
 
-    monkeypatch.setattr(record_inlets, "message_class", installed)
+    monkeypatch.setattr(topic_recorder, "message_class", installed)
 
     def script() -> Iterator[None]:
         number = cell.node.create_publisher(Float64, "number", DEEP)
@@ -306,8 +306,8 @@ def test_a_topic_of_several_types_is_refused(make_cell: Callable[..., Cell]) -> 
     cell, other = make_cell(), make_cell()
     publishers = cell.node.create_publisher(String, "two", DEEP), other.node.create_publisher(JointState, "two", DEEP)
     until(lambda: len(cell.node.get_publishers_info_by_topic("/two")) == len(publishers))
-    with Recording(cell.bag) as recording:
-        inlets = Inlets(cell.node, recording, ["/two"], cell.said.append)
+    with BagRecorder(cell.bag) as recording:
+        inlets = TopicRecorder(cell.node, recording, ["/two"], cell.said.append)
         inlets.look()
     (reason,) = inlets.refused.values()
     assert reason == "it has publishers of several types: sensor_msgs/msg/JointState, std_msgs/msg/String"
@@ -336,8 +336,8 @@ def test_a_topic_that_gets_another_type_is_named_and_the_first_one_is_kept(make_
 def test_messages_that_the_middleware_lost_are_counted(cell: Cell) -> None:
     publisher = cell.node.create_publisher(String, "notes", DEEP)
     until(lambda: cell.node.get_publishers_info_by_topic("/notes"))
-    with Recording(cell.bag) as recording:
-        inlets = Inlets(cell.node, recording, ["/notes"], cell.said.append)
+    with BagRecorder(cell.bag) as recording:
+        inlets = TopicRecorder(cell.node, recording, ["/notes"], cell.said.append)
         inlets.look()
         for change in (3, 2):
             inlets._on_lost(0, SimpleNamespace(total_count=9, total_count_change=change))

@@ -30,17 +30,17 @@ from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import Float64, String
 
-from scara_effmass.bag_io.bag import RawMessage
-from scara_effmass.bag_io.cdr import JointStateDecoder
-from scara_effmass.bag_io.messages import joint_state_message, serialized
-from scara_effmass.bag_io.writer import BagWriter
+from scara_effmass.bags.bag import RawMessage
+from scara_effmass.bags.messages import joint_state_message, serialized
+from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, EffmassError, SettingsError
-from scara_effmass.nodes import replay_answers
+from scara_effmass.nodes import lockstep
+from scara_effmass.nodes.lockstep import IN_VAIN
 from scara_effmass.nodes.replay import ReplayOptions, replay
-from scara_effmass.nodes.replay_answers import IN_VAIN
-from scara_effmass.nodes.replay_outlets import Outlet
+from scara_effmass.nodes.replay_publisher import ReplayPublisher
 from scara_effmass.nodes.replay_timeline import CLOCK_STEP_NS, timeline
 from scara_effmass.values import JointState
+from scara_effmass.wire.cdr import JointStateDecoder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -76,7 +76,7 @@ Leap = Callable[[Callable[[], int]], None]
 def leap(monkeypatch: pytest.MonkeyPatch) -> Leap:
     """Let steady time be an hour ahead for each of what a function counts: whatever waits then has waited enough."""
     now_ns = time.monotonic_ns
-    monkeypatch.setattr(replay_answers, "_SLICE_NS", 1 << 62)  # it counts leaps in full
+    monkeypatch.setattr(lockstep, "_SLICE_NS", 1 << 62)  # it counts leaps in full
 
     def by(hours: Callable[[], int]) -> None:
         monkeypatch.setattr("time.monotonic_ns", lambda: now_ns() + hours() * 3600 * 10**9)
@@ -348,13 +348,13 @@ def test_nobody_listening_is_an_error(bag: Path) -> None:
 
 def test_rate_0_without_anybody_who_answers_is_an_error(bag: Path, monkeypatch: pytest.MonkeyPatch, leap: Leap) -> None:
     heard: list[str] = []
-    find = Outlet._on_matched
+    find = ReplayPublisher._on_matched
 
-    def note(self: Outlet, info: QoSPublisherMatchedInfo) -> None:
+    def note(self: ReplayPublisher, info: QoSPublisherMatchedInfo) -> None:
         find(self, info)
         heard.append(self.name)
 
-    monkeypatch.setattr(Outlet, "_on_matched", note)
+    monkeypatch.setattr(ReplayPublisher, "_on_matched", note)
     leap(lambda: "/joint_states" in heard)
     with (
         Listener("/joint_states"),

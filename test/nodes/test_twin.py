@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rclpy.serialization import deserialize_message
 from scara_effmass_msgs.msg import ContactState
 
-from scara_effmass.bag_io.files import open_bag
+from scara_effmass.bags.files import open_bag
 from scara_effmass.safety import SILENCE
 from scara_effmass.share import share
 

@@ -14,14 +14,14 @@ from scara_effmass_msgs.msg import ContactState, Impact, ImpactValidation
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from scara_effmass.bag_io.encode import ContactStateEncoder
-from scara_effmass.bag_io.force import impact_message
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.validator_node import ValidatorNode
 from scara_effmass.safety.monitor import blank
 from scara_effmass.settings import ValidatorSettings
 from scara_effmass.values import Impact as FoundImpact
 from scara_effmass.values import Verdict
+from scara_effmass.wire.encode import ContactStateEncoder
+from scara_effmass.wire.force import impact_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from scara_effmass_msgs.msg import ForceBlock, ImpactValidation
 
 from scara_effmass.analysis.validation import ValidationSettings, validate
-from scara_effmass.model.arm import Arm
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
@@ -55,7 +55,7 @@ def test_live_is_what_it_is_offline(new_cell: Callable[..., Cell], tmp_path: Pat
         replay = running.enter_context(subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL))
         cell.until(lambda: heard)
         assert replay.wait() == 0
-    arm = Arm(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
+    arm = RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
     (expected,) = validate([BAG], arm, ValidationSettings()).result.impacts
     (message,) = heard
     assert message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec == expected.stamp_ns

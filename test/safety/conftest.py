@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from scara_effmass.model.arm import Arm
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
@@ -19,29 +19,29 @@ if TYPE_CHECKING:
 SHIPPED = share("config", "omron_i4_550l.yaml")
 
 
-def variant(directory: Path, change: Callable[[dict[str, Any]], object]) -> Arm:
+def variant(directory: Path, change: Callable[[dict[str, Any]], object]) -> RobotDynamics:
     """Return the shipped SCARA with its file changed by `change`."""
     file = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
     change(file)
     path = directory / "robot.yaml"
     path.write_text(yaml.safe_dump(file, sort_keys=False), encoding="utf-8")
-    return Arm(load_robot(path, MonitorSettings()))
+    return RobotDynamics(load_robot(path, MonitorSettings()))
 
 
 @pytest.fixture(scope="session")
-def scara() -> Arm:
+def scara() -> RobotDynamics:
     """The shipped SCARA, one contact point on the tool axis."""
-    return Arm(load_robot(SHIPPED, MonitorSettings()))
+    return RobotDynamics(load_robot(SHIPPED, MonitorSettings()))
 
 
 @pytest.fixture(scope="session")
-def offset_scara(tmp_path_factory: pytest.TempPathFactory) -> Arm:
+def offset_scara(tmp_path_factory: pytest.TempPathFactory) -> RobotDynamics:
     """The SCARA with a second contact point beside the tool axis, which joint 4 moves."""
     return variant(tmp_path_factory.mktemp("offset"), lambda file: file["contact_points"].update(rim=[0.05, 0.0, 0.0]))
 
 
 @pytest.fixture(scope="session")
-def bare_scara(tmp_path_factory: pytest.TempPathFactory) -> Arm:
+def bare_scara(tmp_path_factory: pytest.TempPathFactory) -> RobotDynamics:
     """The SCARA of which no inertia is known: there is no full model of it."""
 
     def strip(file: dict[str, Any]) -> None:
@@ -52,7 +52,7 @@ def bare_scara(tmp_path_factory: pytest.TempPathFactory) -> Arm:
 
 
 @pytest.fixture(scope="session")
-def skew_arm(tmp_path_factory: pytest.TempPathFactory) -> Arm:
+def skew_arm(tmp_path_factory: pytest.TempPathFactory) -> RobotDynamics:
     """An arm whose second axis is tilted out of the first link's plane of mass: it cannot be lumped."""
 
     def tilt(file: dict[str, Any]) -> None:

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from scara_effmass.errors import LimitError
 from scara_effmass.iso15066 import BODY_REGIONS, limits_for
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import Contact, MassModel, MonitorSettings
+from scara_effmass.settings import ContactType, MassModel, MonitorSettings
 from scara_effmass.values import JointState, Verdict
 
 if TYPE_CHECKING:
-    from scara_effmass.model.arm import Arm
+    from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.values import ContactAssessment
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
@@ -36,7 +36,7 @@ def settings_of(**settings: object) -> MonitorSettings:
     return MonitorSettings.model_validate({"release_time": 0.0, **settings})
 
 
-def judged(arm: Arm, q: Vector, qd: Vector, settings: MonitorSettings) -> list[ContactAssessment]:
+def judged(arm: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings) -> list[ContactAssessment]:
     """Return the assessments of the first joint state that a fresh monitor sees."""
     decision = Monitor(arm, settings).assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
     assert decision is not None
@@ -44,7 +44,7 @@ def judged(arm: Arm, q: Vector, qd: Vector, settings: MonitorSettings) -> list[C
     return list(decision.contacts)
 
 
-def one(arm: Arm, q: Vector, qd: Vector, **settings: object) -> ContactAssessment:
+def one(arm: RobotDynamics, q: Vector, qd: Vector, **settings: object) -> ContactAssessment:
     (contact,) = judged(arm, q, qd, settings_of(**settings))
     return contact
 
@@ -68,20 +68,22 @@ any_settings = st.builds(
     warn_ratio=st.floats(0.01, 1.0),
     mass_cap=st.floats(100.0, 1000.0),
     body_regions=st.lists(st.sampled_from(TRANSIENT), unique=True).map(tuple),
-    contact=st.sampled_from(Contact),
+    contact=st.sampled_from(ContactType),
     contact_area=st.floats(0.05, 10.0),
 )
 
 
 @given(positions, velocities, any_settings)
-def test_is_what_the_masses_and_limits_say(scara: Arm, q: Vector, qd: Vector, settings: MonitorSettings) -> None:
+def test_is_what_the_masses_and_limits_say(
+    scara: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings
+) -> None:
     (contact,) = judged(scara, q, qd, settings)
-    (presented,) = scara.presented(np.array(q), np.array(qd), settings.speed_threshold)
+    (effective_masses,) = scara.effective_masses(np.array(q), np.array(qd), settings.speed_threshold)
     masses = {
-        MassModel.LUMPED: presented.lumped,
-        MassModel.FULL: presented.full,
+        MassModel.LUMPED: effective_masses.lumped,
+        MassModel.FULL: effective_masses.full,
         MassModel.ISO: scara.robot.iso_mass,
-        MassModel.LARGEST: max(presented.lumped, presented.full),
+        MassModel.LARGEST: max(effective_masses.lumped, effective_masses.full),
     }
     mass = masses[settings.effective_mass_model]
     cautious = mass * (1.0 + settings.mass_uncertainty)
@@ -113,13 +115,15 @@ def test_is_what_the_masses_and_limits_say(scara: Arm, q: Vector, qd: Vector, se
     if speed > expected * (1.0 + 1e-9) + 1e-12:
         assert contact.verdict is Verdict.VIOLATION
     elif speed < settings.warn_ratio * expected * (1.0 - 1e-9) - 1e-12:
-        lighter = mass < min(presented.full, settings.mass_cap) * (1.0 - settings.model_margin)
+        lighter = mass < min(effective_masses.full, settings.mass_cap) * (1.0 - settings.model_margin)
         assert contact.verdict is (Verdict.WARN if lighter else Verdict.OK)
     assert bool(contact.reason) == (contact.verdict is not Verdict.OK)
 
 
 @given(positions, velocities, any_settings)
-def test_the_sign_of_the_margin_is_the_verdict(scara: Arm, q: Vector, qd: Vector, settings: MonitorSettings) -> None:
+def test_the_sign_of_the_margin_is_the_verdict(
+    scara: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings
+) -> None:
     (contact,) = judged(scara, q, qd, settings)
     if contact.margin < 0.0:
         assert contact.verdict is Verdict.VIOLATION
@@ -129,7 +133,7 @@ def test_the_sign_of_the_margin_is_the_verdict(scara: Arm, q: Vector, qd: Vector
 
 @given(positions, velocities, any_settings)
 def test_nothing_but_missing_masses_is_not_finite(
-    offset_scara: Arm, q: Vector, qd: Vector, settings: MonitorSettings
+    offset_scara: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings
 ) -> None:
     for contact in judged(offset_scara, q, qd, settings):
         for name, value in contact._asdict().items():
@@ -140,7 +144,7 @@ def test_nothing_but_missing_masses_is_not_finite(
         assert length == 0.0 if contact.worst_direction_used else length == pytest.approx(1.0)
 
 
-def test_a_direction_beside_the_one_without_mass_has_a_finite_worst(offset_scara: Arm) -> None:
+def test_a_direction_beside_the_one_without_mass_has_a_finite_worst(offset_scara: RobotDynamics) -> None:
     """Straight down: joint 4, which carries no lumped inertia, moves the rim, but not along this direction."""
     rim = judged(offset_scara, (0.3, 1.2, 0.1, 0.4), (1e-15, 1e-15, 0.1, 1e-15), settings_of())[1]
     assert rim.lumped_mass == pytest.approx(0.55)
@@ -149,21 +153,21 @@ def test_a_direction_beside_the_one_without_mass_has_a_finite_worst(offset_scara
 
 @given(positions, velocities, st.sampled_from(["mass_uncertainty", "stiffness_uncertainty"]), fractions, fractions)
 def test_more_uncertainty_never_allows_more(
-    scara: Arm, q: Vector, qd: Vector, name: str, less: float, more: float
+    scara: RobotDynamics, q: Vector, qd: Vector, name: str, less: float, more: float
 ) -> None:
     less, more = sorted((less, more))
     assert one(scara, q, qd, **{name: more}).allowable_speed <= one(scara, q, qd, **{name: less}).allowable_speed
 
 
 @given(positions, velocities, st.sampled_from(["person_speed", "speed_uncertainty"]), st.floats(0.0, 2.0))
-def test_a_closing_speed_is_taken_off(scara: Arm, q: Vector, qd: Vector, name: str, closing: float) -> None:
+def test_a_closing_speed_is_taken_off(scara: RobotDynamics, q: Vector, qd: Vector, name: str, closing: float) -> None:
     alone, closer = one(scara, q, qd), one(scara, q, qd, **{name: closing})
     assert closer.allowable_speed == max(0.0, alone.allowable_speed - closing)
     assert closer.predicted_force >= alone.predicted_force
     assert (closer.predicted_force > alone.predicted_force) == (name == "person_speed" and closing > 1e-12)
 
 
-def test_a_person_faster_than_every_limit_is_a_violation_at_rest(scara: Arm) -> None:
+def test_a_person_faster_than_every_limit_is_a_violation_at_rest(scara: RobotDynamics) -> None:
     decision = Monitor(scara, settings_of(person_speed=5.0)).assess(
         JointState(NOW, JOINTS, np.array([0.3, 1.2, 0.1, 0.0]), np.full(4, 1e-9)), NOW
     )
@@ -173,7 +177,7 @@ def test_a_person_faster_than_every_limit_is_a_violation_at_rest(scara: Arm) -> 
 
 
 @given(positions, velocities)
-def test_the_verdict_gets_no_better_with_speed(scara: Arm, q: Vector, qd: Vector) -> None:
+def test_the_verdict_gets_no_better_with_speed(scara: RobotDynamics, q: Vector, qd: Vector) -> None:
     slower = one(scara, q, qd, speed_threshold=1e-9)
     factor = 1.5 * slower.allowable_speed / slower.speed
     assume(all(abs(factor * v) < limit for v, limit in zip(qd, (12.6, 12.6, 3.0, 50.0), strict=True)))
@@ -183,7 +187,7 @@ def test_the_verdict_gets_no_better_with_speed(scara: Arm, q: Vector, qd: Vector
 
 
 @given(positions, velocities)
-def test_the_largest_mass_allows_the_least(scara: Arm, q: Vector, qd: Vector) -> None:
+def test_the_largest_mass_allows_the_least(scara: RobotDynamics, q: Vector, qd: Vector) -> None:
     lumped, full, largest = (
         one(scara, q, qd, effective_mass_model=model) for model in (MassModel.LUMPED, MassModel.FULL, MassModel.LARGEST)
     )
@@ -196,7 +200,7 @@ def test_the_largest_mass_allows_the_least(scara: Arm, q: Vector, qd: Vector) ->
 
 
 @given(positions, velocities)
-def test_below_the_threshold_the_worst_direction_counts(scara: Arm, q: Vector, qd: Vector) -> None:
+def test_below_the_threshold_the_worst_direction_counts(scara: RobotDynamics, q: Vector, qd: Vector) -> None:
     contact = one(scara, q, qd, speed_threshold=1.0)
     assume(contact.speed < 1.0)
     assert contact.worst_direction_used
@@ -207,7 +211,9 @@ def test_below_the_threshold_the_worst_direction_counts(scara: Arm, q: Vector, q
 
 
 @given(st.floats(-2.3, 2.3), velocities, st.sampled_from([0.0, 1e-12, -1e-9, 1e-7]), st.sampled_from(MassModel))
-def test_a_stretched_arm_is_capped_and_flagged(scara: Arm, q1: float, qd: Vector, q2: float, model: MassModel) -> None:
+def test_a_stretched_arm_is_capped_and_flagged(
+    scara: RobotDynamics, q1: float, qd: Vector, q2: float, model: MassModel
+) -> None:
     still: Vector = (1e-9, 1e-9, 1e-9, 1e-9)
     for velocity in (still, qd):
         contact = one(scara, (q1, q2, 0.1, 0.0), velocity, effective_mass_model=model)
@@ -225,13 +231,13 @@ def test_a_stretched_arm_is_capped_and_flagged(scara: Arm, q1: float, qd: Vector
         assert contact.allowable_speed > 0.0
 
 
-def test_clamped_contact_has_no_obstacle_mass(scara: Arm) -> None:
+def test_clamped_contact_has_no_obstacle_mass(scara: RobotDynamics) -> None:
     contact = one(scara, (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1), contact="quasi_static")
     assert contact.obstacle_mass == 0.0
     assert contact.reduced_mass == contact.effective_mass
 
 
-def test_a_light_lumped_mass_is_a_warning(scara: Arm) -> None:
+def test_a_light_lumped_mass_is_a_warning(scara: RobotDynamics) -> None:
     """The shipped lumped model is the heavier one; ISO's constant is not, in a fifth of the workspace."""
     q, qd = (0.0, -1.2, 0.1, 0.0), (0.0005, 0.0005, 0.01, 0.001)
     light = one(scara, q, qd, effective_mass_model="iso", speed_threshold=0.1)
@@ -243,7 +249,9 @@ def test_a_light_lumped_mass_is_a_warning(scara: Arm) -> None:
 
 
 @pytest.mark.parametrize("model", MassModel)
-def test_a_model_that_does_not_exist_is_never_replaced(bare_scara: Arm, skew_arm: Arm, model: MassModel) -> None:
+def test_a_model_that_does_not_exist_is_never_replaced(
+    bare_scara: RobotDynamics, skew_arm: RobotDynamics, model: MassModel
+) -> None:
     q, qd = (0.3, 1.2, 0.1, 0.0), (0.01, 0.01, 0.01, 0.01)
     bare, skew = (one(arm, q, qd, effective_mass_model=model) for arm in (bare_scara, skew_arm))
     assert math.isnan(bare.full_mass)
@@ -264,7 +272,7 @@ def test_a_model_that_does_not_exist_is_never_replaced(bare_scara: Arm, skew_arm
 
 
 @given(positions, velocities)
-def test_the_tightest_of_several_contact_points_governs(offset_scara: Arm, q: Vector, qd: Vector) -> None:
+def test_the_tightest_of_several_contact_points_governs(offset_scara: RobotDynamics, q: Vector, qd: Vector) -> None:
     settings = settings_of(effective_mass_model="full", reference_speed=1.0)
     decision = Monitor(offset_scara, settings).assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
     assert decision is not None
@@ -274,7 +282,7 @@ def test_the_tightest_of_several_contact_points_governs(offset_scara: Arm, q: Ve
     assert decision.speed_scaling == min(1.0, decision.allowable_speed)
 
 
-def test_one_unknown_contact_point_stops_the_robot(offset_scara: Arm) -> None:
+def test_one_unknown_contact_point_stops_the_robot(offset_scara: RobotDynamics) -> None:
     settings = settings_of(effective_mass_model="lumped")
     decision = Monitor(offset_scara, settings).assess(
         JointState(NOW, JOINTS, np.array([0.3, 1.2, 0.1, 0.0]), np.array([0.1, 0.1, 0.01, 0.5])), NOW
@@ -287,7 +295,7 @@ def test_one_unknown_contact_point_stops_the_robot(offset_scara: Arm) -> None:
 
 @given(positions, velocities, st.floats(0.0, 5.0))
 def test_scaling_brings_the_reference_speed_to_the_allowable_one(
-    scara: Arm, q: Vector, qd: Vector, reference: float
+    scara: RobotDynamics, q: Vector, qd: Vector, reference: float
 ) -> None:
     monitor = Monitor(scara, settings_of(reference_speed=reference))
     decision = monitor.assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
@@ -299,7 +307,7 @@ def test_scaling_brings_the_reference_speed_to_the_allowable_one(
         assert decision.speed_scaling * wanted == pytest.approx(decision.allowable_speed)
 
 
-def test_changed_settings_hold_from_the_next_joint_state_on(scara: Arm) -> None:
+def test_changed_settings_hold_from_the_next_joint_state_on(scara: RobotDynamics) -> None:
     monitor = Monitor(scara, settings_of())
     seen = []
     for i, model in enumerate(("lumped", "full", "iso")):
@@ -315,7 +323,7 @@ def test_changed_settings_hold_from_the_next_joint_state_on(scara: Arm) -> None:
     assert len(set(seen)) == 3
 
 
-def test_a_setting_that_loosens_a_limit_changes_nothing(scara: Arm) -> None:
+def test_a_setting_that_loosens_a_limit_changes_nothing(scara: RobotDynamics) -> None:
     monitor = Monitor(scara, settings_of(max_force=100.0))
     before = monitor.settings
     with pytest.raises(LimitError):

@@ -1,0 +1,81 @@
+"""MCAP recordings, one file or the parts of a split one, read as one."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+
+from scara_effmass.bags.batches import Topic, in_log_time_order
+from scara_effmass.bags.definitions import types_of
+from scara_effmass.bags.mcap_file import McapFile
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+    from pathlib import Path
+
+    from rosbags.typesys.store import Typestore
+
+    from scara_effmass.bags.batches import Losses, MessageBatch
+
+ENCODINGS = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionFormat.IDL}
+
+
+class McapSource:
+    """The MCAP files of one recording, read as one."""
+
+    def __init__(self, paths: Sequence[Path], losses: Losses) -> None:
+        self._definitions: dict[str, MessageDefinition] = {}
+        with ExitStack() as stack:
+            self._files = [McapFile(path, stack.enter_context(path.open("rb")), losses) for path in paths]
+            self._stack = stack.pop_all()
+        counts: dict[tuple[str, str], int] = {}
+        hashes: dict[tuple[str, str], str] = {}
+        for file in self._files:
+            for channel in file.channels.values():
+                key = file.topic_and_type(channel)
+                if channel.message_encoding != "cdr":
+                    encoding = channel.message_encoding
+                    losses.add(f"{file.path}: {key[0]}: its encoding {encoding!r} is not read, only cdr is")
+                    continue
+                counts[key] = counts.get(key, 0) + file.counts.get(channel.id, 0)
+                hashes.setdefault(key, channel.metadata.get("topic_type_hash", ""))
+                schema = file.schemas.get(channel.schema_id)
+                if schema is not None and schema.encoding in ENCODINGS and schema.data:
+                    text = schema.data.decode("utf-8", "replace")
+                    self._definitions.setdefault(key[1], MessageDefinition(ENCODINGS[schema.encoding], text))
+        self.topics = tuple(Topic(*key, count, hashes[key]) for key, count in sorted(counts.items()))
+        numbers = {(topic.name, topic.type): number for number, topic in enumerate(self.topics)}
+        for file in self._files:
+            file.number_topics(numbers)
+        self._segments = sorted(
+            ((segment, file) for file in self._files for segment in file.segments), key=lambda pair: pair[0].start_ns
+        )
+        self.start_ns = min((segment.start_ns for segment, _ in self._segments), default=0)
+        self.end_ns = max((segment.end_ns for segment, _ in self._segments), default=0)
+
+    @cached_property
+    def types(self) -> Typestore:
+        """See `Source`."""
+        return types_of(self._definitions)
+
+    def batches(self, topics: Collection[int], start_ns: int, stop_ns: int) -> Iterator[MessageBatch]:
+        """See `Source`."""
+        wanted = [(s, f) for s, f in self._segments if s.end_ns >= start_ns and s.start_ns < stop_ns]
+        horizons = [*[segment.start_ns for segment, _ in wanted], stop_ns][1:]
+        chosen = np.array(sorted(topics), np.int64)
+
+        def read() -> Iterator[tuple[MessageBatch, int]]:
+            for (segment, file), horizon_ns in zip(wanted, horizons, strict=True):
+                batch = file.read(segment)
+                inside = (batch.log_time_ns >= start_ns) & (batch.log_time_ns < stop_ns)
+                yield batch.pick(inside & np.isin(batch.topic, chosen)), horizon_ns
+
+        return in_log_time_order(read())
+
+    def close(self) -> None:
+        """See `Source`."""
+        self._stack.close()

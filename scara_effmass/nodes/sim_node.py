@@ -1,0 +1,194 @@
+"""`bench_node`: the robot of the virtual test bench, live; `daq_node`, source bench, scene cell, has its force."""
+
+from __future__ import annotations
+
+import json
+import struct
+import time
+from array import array
+from collections import deque
+from functools import partial
+from typing import TYPE_CHECKING
+
+from pydantic import BaseModel, ConfigDict, Field
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock as ClockMessage
+from scara_effmass_msgs.msg import ContactState, ForceBlock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from scara_effmass.bags.definitions import RECORDING_INFO
+from scara_effmass.errors import SettingsError
+from scara_effmass.nodes import parameters
+from scara_effmass.nodes.lifecycle import LifecycleBase, run
+from scara_effmass.settings import READ_ONLY, checked
+from scara_effmass.sim.live import LiveBench, LiveSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from scara_effmass import values
+    from scara_effmass.sim.live import PlacedCart
+
+_NS = 1_000_000_000
+_MS = 1_000_000
+_PERIOD_S = 0.001
+_AHEAD_NS = 20 * _MS
+"""So far the cell is computed ahead of time, so that its impacts, which take longer, hold nothing up."""
+_STATES_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
+_CLOCK_QOS = QoSProfile(depth=10)
+_STAMP = struct.Struct("<iI")
+_BEHIND_NS = {"contact_state": 50 * _MS, "force": 400 * _MS}
+"""How far behind the clock the latest stamp may be. That of a block is its first sample's; blocks last 0.1 s."""
+_STANDING_NS = 50 * _MS
+_NEVER_NS = 2**62
+_INFO_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class NodeSettings(BaseModel):
+    """What makes a cell the same as that of the force node."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    autostart: bool = Field(default=True, description="configure and activate at start", json_schema_extra=READ_ONLY)
+    start: float = Field(
+        0.0,
+        ge=0.0,
+        le=1e10,
+        description="ROS time at which the cell begins, the same as bench.start of daq_node [s]; 0: now",
+        json_schema_extra=READ_ONLY,
+    )
+    seed: int = Field(0, ge=0, description="the same as bench.seed of daq_node", json_schema_extra=READ_ONLY)
+    clock: bool = Field(
+        default=False,
+        description="publish /clock, at most at real time, and wait for monitor and force node where they fall behind",
+        json_schema_extra=READ_ONLY,
+    )
+    listeners: int = Field(
+        1,
+        ge=0,
+        description="with clock: how many have to listen to the joint states before it begins",
+        json_schema_extra=READ_ONLY,
+    )
+
+
+class SimNode(LifecycleBase):
+    """Publishes `joint_states` at 1 kHz, and says on `recording_info` which cart waits, and that all is simulated.
+
+    Its time is ROS time; with `clock`, it makes that time, and lets it stand while others fall behind.
+    """
+
+    def __init__(self) -> None:
+        """Declare the parameters. Raises SettingsError for one that cannot be used."""
+        super().__init__("bench")
+        self._settings = checked(NodeSettings, parameters.declare(self, NodeSettings), self.get_name())
+        self.autostart = self._settings.autostart
+        if self._settings.clock and self.get_parameter("use_sim_time").value:
+            raise SettingsError(f"{self.get_name()}: clock = true: it makes the time; use_sim_time = false")
+        self._states: deque[values.JointState] = deque()
+        self._carts: deque[PlacedCart] = deque()
+
+    def set_up(self) -> None:
+        """Create the endpoints."""
+        warn = self.get_logger().warning
+        self._joint_states = self.publisher(JointState, "joint_states", _STATES_QOS, warn)
+        self._info = self.publisher(String, RECORDING_INFO, _INFO_QOS, warn)
+        self._pace = SimClock(self) if self._settings.clock else None
+        self.create_steady_timer(_PERIOD_S, self._publish_what_is_due)
+
+    def start(self) -> None:
+        """Put the robot at its start."""
+        start_ns = round(self._settings.start * 1e3) * _MS or int(self.get_clock().now().nanoseconds)
+        self._bench = LiveBench(LiveSettings(seed=self._settings.seed), start_ns)
+        self._states.clear()
+        self._carts.clear()
+        if self._pace is not None:
+            self._pace.begin(start_ns)
+
+    def _publish_what_is_due(self) -> None:
+        if not self.active:
+            return
+        if self._pace is None:
+            now_ns = int(self.get_clock().now().nanoseconds)
+        elif self._joint_states.get_subscription_count() >= self._settings.listeners:
+            now_ns = self._pace.advance()
+        else:
+            self._pace.stand()
+            return
+        output = self._bench.advance_to(now_ns + _AHEAD_NS)
+        self._states += output.joint_states
+        self._carts += output.carts
+        while self._carts and self._carts[0].stamp_ns <= now_ns:
+            self._info.publish(String(data=json.dumps(_about(self._carts.popleft(), self._settings.seed))))
+        while self._states and self._states[0].stamp_ns <= now_ns:
+            self._joint_states.publish(_message(self._states.popleft()))
+
+
+class SimClock:
+    """Simulated time on /clock: real time, less what others need to follow."""
+
+    def __init__(self, node: LifecycleBase) -> None:
+        """Publish the clock with `node`, and listen to what the others have done."""
+        self._clock = node.own(node.create_publisher(ClockMessage, "/clock", _CLOCK_QOS), node.destroy_publisher)
+        self._done_ns: dict[str, int] = {}
+        for topic, kind in (("contact_state", ContactState), ("force", ForceBlock)):
+            node.own(
+                node.create_subscription(kind, topic, partial(self._on_done, topic), _STATES_QOS, raw=True),
+                node.destroy_subscription,
+            )
+
+    def begin(self, start_ns: int) -> None:
+        """Let time begin there."""
+        self._now_ns = self._told_ns = start_ns
+        self._steady_ns = time.monotonic_ns()
+        self._done_ns.clear()
+
+    def stand(self) -> None:
+        """Let no time go by."""
+        steady_ns = time.monotonic_ns()
+        if steady_ns - self._steady_ns > _STANDING_NS:
+            self._steady_ns = steady_ns
+            self._tell()
+
+    def advance(self) -> int:
+        """Let the time go by that went by in truth, as far as the others follow; return it."""
+        steady_ns = time.monotonic_ns()
+        follows_ns = [done_ns + _BEHIND_NS[topic] for topic, done_ns in self._done_ns.items()]
+        self._now_ns = max(self._now_ns, min(self._now_ns + steady_ns - self._steady_ns, *follows_ns, _NEVER_NS))
+        self._steady_ns = steady_ns
+        self._tell()
+        return self._now_ns
+
+    def _tell(self) -> None:
+        message = ClockMessage()
+        message.clock.sec, message.clock.nanosec = divmod(self._now_ns, _NS)
+        self._clock.publish(message)
+
+    def _on_done(self, topic: str, data: bytes) -> None:
+        # Both begin with the stamp, behind the 4 bytes that tell the encoding.
+        sec, nanosec = _STAMP.unpack_from(data, 4)
+        self._done_ns[topic] = max(self._done_ns.get(topic, 0), sec * _NS + nanosec)
+
+
+def _about(cart: PlacedCart, seed: int) -> dict[str, object]:
+    return {
+        "generated": True,
+        "description": "simulated: virtual test bench (MuJoCo), the robot drives into a cart",
+        "generator": "bench_node",
+        "seed": seed,
+        "configuration": cart.configuration,
+        "obstacle_mass": cart.obstacle_mass,
+        "since_ns": cart.stamp_ns,
+    }
+
+
+def _message(state: values.JointState) -> JointState:
+    message = JointState(name=list(state.names))
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(state.stamp_ns, _NS)
+    message.position, message.velocity = array("d", state.position), array("d", state.velocity)
+    return message
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node with ROS arguments `args`, or those of the process."""
+    return run(SimNode, args)

@@ -1,0 +1,87 @@
+"""Figs. 17, 18 and 19: the impact tests."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from scara_effmass.analysis.plot_style import CYCLE, ISO_RED, MARKERS, new_figure
+from scara_effmass.paper.protocol import OBSTACLES_KG, POINTS, SHOWN_OBSTACLE_KG, point_name
+from scara_effmass.paper.recorded_impact import mass_at, mean_peaks, origin, points_by_mass, root_reduced_mass
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from scara_effmass.paper.motion import ToolMotion
+    from scara_effmass.paper.recorded_impact import RecordedImpact
+    from scara_effmass.paper.scara import Scara
+
+
+def figure_17(motion: ToolMotion) -> Figure:
+    """Position and velocity of the tool along x, and the instant of impact."""
+    figure = new_figure(10.5, 4.2, f"Fig. 17  Tool along x, {motion.about}")
+    position, velocity = figure.subplots(1, 2)
+    for axes, values, name, label in (
+        (position, motion.x_m, "(a) position", "x [mm]"),
+        (velocity, motion.speed_m_s, "(b) velocity", "velocity along x [mm/s]"),
+    ):
+        axes.plot(motion.time_s, 1e3 * values, color=CYCLE[0], linewidth=1.6)
+        axes.axvline(motion.contact_s, color=ISO_RED, linestyle="--", zorder=1.5, label=motion.contact)
+        axes.set(xlabel="time [s]", ylabel=label, title=name, xlim=(0.0, motion.time_s[-1]))
+        axes.grid(alpha=0.3)
+    figure.legend(*position.get_legend_handles_labels(), loc="outside lower left")
+    return figure
+
+
+def figure_18(scara: Scara, runs: Sequence[RecordedImpact]) -> Figure:
+    """Force over time for each configuration with one obstacle mass; every repetition is a line."""
+    runs = [run for run in runs if run.obstacle_mass_kg == SHOWN_OBSTACLE_KG]
+    title = f"Fig. 18  Impact force, {origin(runs)}, $m_H$ = {SHOWN_OBSTACLE_KG:g} kg"
+    figure = new_figure(8.5, 4.8, title)
+    axes = figure.subplots()
+    for point, color in zip(points_by_mass(scara, runs), CYCLE, strict=False):
+        label = f"{point_name(point)} mm, $m_{{n,s}}$ = {mass_at(scara, point):.2f} kg"
+        for run in (run for run in runs if run.point == point):
+            axes.plot(1e3 * run.time_s, run.force_n, color=color, linewidth=1.2, label=label)
+            label = ""
+    axes.set(xlabel="time since the onset [ms]", ylabel="force [N]")
+    axes.grid(alpha=0.3)
+    axes.legend(title="tool at the impact")
+    return figure
+
+
+def figure_19(scara: Scara, runs: Sequence[RecordedImpact]) -> Figure:
+    """Mean peak forces (only where there are runs), and sqrt(mu) of the simplified model, by configuration."""
+    points = points_by_mass(scara, runs) if runs else sorted(POINTS, key=lambda point: mass_at(scara, point))
+    title = "Fig. 19  Peak force and $\\sqrt{\\mu}$" if runs else "Fig. 19 (b)  $\\sqrt{\\mu}$, simplified model"
+    figure = new_figure(10.5 if runs else 6.5, 4.8, title)
+    panels = list(figure.subplots(1, 2 if runs else 1, squeeze=False)[0])
+    root = "$\\sqrt{\\mu}$ [$\\sqrt{\\mathrm{kg}}$]"
+    if runs:
+        peaks = mean_peaks(runs)
+        _draw_curves(panels[0], scara, points, lambda point, mass: peaks.get((point, mass)))
+        panels[0].set(ylabel="mean peak force [N]", title=f"(a) {origin(runs)}")
+    _draw_curves(panels[-1], scara, points, lambda point, mass: root_reduced_mass(scara, point, mass))
+    panels[-1].set(ylabel=root, title="(b) simplified model")
+    panels[-1].legend(title="$m_H$ [kg]", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def _draw_curves(
+    axes: Axes,
+    scara: Scara,
+    points: Sequence[tuple[float, float]],
+    law: Callable[[tuple[float, float], float], float | None],
+) -> None:
+    """Draw one curve per obstacle mass over the configurations; what `law` does not know stays out."""
+    for mass, color, marker in reversed(list(zip(OBSTACLES_KG, CYCLE, MARKERS, strict=True))):
+        known = [(place, value) for place, point in enumerate(points) if (value := law(point, mass)) is not None]
+        if known:
+            axes.plot(*zip(*known, strict=True), marker=marker, color=color, linewidth=1.8, label=f"{mass:.2f}")
+    names = [f"{point_name(point)} mm\n{mass_at(scara, point):.2f} kg" for point in points]
+    axes.set_xticks(range(len(points)), names)
+    axes.set(xlabel="tool at the impact, its effective mass $m_{n,s}$", xlim=(-0.3, len(points) - 0.7))
+    axes.set_ylim(bottom=0.0)
+    axes.grid(alpha=0.3)

@@ -1,0 +1,1 @@
+"""The wire format: CDR, message conversion, topics and QoS."""

@@ -1,0 +1,137 @@
+"""What the force measurement says, to CDR bytes and back: `ForceBlock.msg` and `Impact.msg`.
+
+The samples of a block are copied as bytes. A test holds both layouts against rclpy's own and against rosbags.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+
+from scara_effmass.values import ForceBlock, Impact
+from scara_effmass.wire.primitives import LITTLE_ENDIAN, Cursor, padded, sec_and_nanosec, with_text
+
+_STAMP = struct.Struct("<iI")
+_BLOCK_START = struct.Struct("<QdI")
+"""From first_sample to the length of force."""
+_LARGEST_LOSS = 2**32 - 1
+_BLOCK_LOSSES = struct.Struct("<I?3xI")
+"""From lost_samples to the length of saturated_samples."""
+_BLOCK_CLOCK = struct.Struct("<dd")
+_BLOCK_END = struct.Struct("<diId")
+"""From tare on."""
+_IMPACT_NUMBERS = struct.Struct("<dddd??2xIddd")
+"""From peak_force to clock_residual."""
+
+
+def force_block_message(block: ForceBlock) -> bytes:
+    """Return a scara_effmass_msgs/ForceBlock; it counts no more lost samples than its field can hold."""
+    force = np.ascontiguousarray(block.force, "<f8").tobytes()
+    saturated = np.ascontiguousarray(block.saturated_samples, "<u4").tobytes()
+    start = _BLOCK_START.pack(block.first_sample, block.sample_rate, len(block.force))
+    losses = _BLOCK_LOSSES.pack(min(block.lost_samples, _LARGEST_LOSS), bool(saturated), len(block.saturated_samples))
+    clock = _BLOCK_CLOCK.pack(block.clock_residual, block.filter_delay)
+    end = _BLOCK_END.pack(block.tare, *sec_and_nanosec(block.tare_stamp_ns), block.relative_uncertainty)
+    return b"".join(
+        (
+            LITTLE_ENDIAN,
+            _header(block.stamp_ns, block.frame_id),
+            # an empty sequence has no gap behind its length
+            padded(start) if force else start,
+            force,
+            padded(losses + saturated) if force else padded(start + losses + saturated)[len(start) :],
+            padded(with_text(clock, block.source) + bytes((block.simulated,))),
+            end,
+        )
+    )
+
+
+def decode_force_block(data: bytes) -> ForceBlock:
+    """Return the ForceBlock in `data`, CDR of either byte order; raises DecodeError.
+
+    A sender may say `saturated` without the samples: then it is taken to be true of all of them.
+    """
+    cursor = Cursor(data, "ForceBlock")
+    stamp_ns, frame_id = cursor.header()
+    first_sample = cursor.integer("first_sample", 8)
+    sample_rate = cursor.float64("sample_rate")
+    force = cursor.array("force", np.float64)
+    lost_samples = cursor.integer("lost_samples", 4)
+    saturated = cursor.flag("saturated")
+    saturated_samples = cursor.array("saturated_samples", np.uint32)
+    if len(saturated_samples):
+        if not saturated:
+            raise cursor.error(
+                f"saturated is false with {len(saturated_samples)} saturated_samples; true would be right"
+            )
+        if (largest := int(saturated_samples.max())) >= len(force):
+            raise cursor.error(f"saturated_samples holds {largest}, but force has only {len(force)} samples")
+    elif saturated:
+        saturated_samples = np.arange(len(force), dtype=np.uint32)
+        saturated_samples.flags.writeable = False
+    block = ForceBlock(
+        stamp_ns,
+        frame_id,
+        first_sample,
+        sample_rate,
+        force,
+        lost_samples,
+        saturated_samples,
+        cursor.float64("clock_residual"),
+        cursor.float64("filter_delay"),
+        cursor.text("source"),
+        cursor.flag("simulated"),
+        cursor.float64("tare"),
+        cursor.stamp_ns("tare_stamp"),
+        cursor.float64("relative_uncertainty"),
+    )
+    cursor.end("relative_uncertainty")
+    return block
+
+
+def impact_message(impact: Impact) -> bytes:
+    """Return a scara_effmass_msgs/Impact."""
+    numbers = _IMPACT_NUMBERS.pack(
+        impact.peak_force,
+        impact.duration,
+        impact.impulse,
+        impact.onset_sample,
+        impact.clipped,
+        impact.incomplete,
+        impact.rebound,
+        impact.baseline,
+        impact.noise,
+        impact.clock_residual,
+    )
+    end = with_text(numbers, impact.source) + bytes((impact.simulated,))
+    return LITTLE_ENDIAN + _header(impact.stamp_ns, impact.frame_id) + end
+
+
+def decode_impact(data: bytes) -> Impact:
+    """Return the Impact in `data`, CDR of either byte order; raises DecodeError."""
+    cursor = Cursor(data, "Impact")
+    stamp_ns, frame_id = cursor.header()
+    impact = Impact(
+        stamp_ns,
+        frame_id,
+        cursor.float64("peak_force"),
+        cursor.float64("duration"),
+        cursor.float64("impulse"),
+        cursor.float64("onset_sample"),
+        cursor.flag("clipped"),
+        cursor.flag("incomplete"),
+        cursor.integer("rebound", 4),
+        cursor.float64("baseline"),
+        cursor.float64("noise"),
+        cursor.float64("clock_residual"),
+        cursor.text("source"),
+        cursor.flag("simulated"),
+    )
+    cursor.end("simulated")
+    return impact
+
+
+def _header(stamp_ns: int, frame_id: str) -> bytes:
+    """Return a std_msgs/Header, filled up to where a float64 can stand."""
+    return padded(with_text(_STAMP.pack(*sec_and_nanosec(stamp_ns)), frame_id))

@@ -1,0 +1,50 @@
+"""Reading takes the memory of a few chunks, however long the recording."""
+
+from __future__ import annotations
+
+import tracemalloc
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.messages import joint_state_message
+from scara_effmass.bags.writer import BagWriter
+from scara_effmass.values import JointState
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+COUNT = 60_000
+JOINTS = 24
+NAMES = tuple(f"joint{number}" for number in range(JOINTS))
+CHUNK_BYTES = 1 << 20
+
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Generated: one message 60 000 times, 45 MB before compression."""
+    path = tmp_path_factory.mktemp("bags") / "long.mcap"
+    data = joint_state_message(JointState(0, NAMES, np.zeros(JOINTS), np.ones(JOINTS)))
+    with BagWriter(path) as writer:
+        for number in range(COUNT):
+            writer.write("/joint_states", "sensor_msgs/msg/JointState", number, data)
+    return path
+
+
+@pytest.mark.parametrize("what", ["blocks", "messages"])
+def test_memory_does_not_grow_with_the_recording(long: Path, what: str) -> None:
+    with open_bag(long) as bag:
+        assert "sensor_msgs/msg/JointState" in bag.types.types  # made once, and not what this is about
+        tracemalloc.start()
+        try:
+            if what == "blocks":
+                count = sum(len(block) for block in bag.joint_state_blocks())
+            else:
+                count = sum(1 for _ in bag.messages())
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert count == COUNT
+    assert peak < 12 * CHUNK_BYTES

@@ -1,0 +1,242 @@
+"""New recordings: read back by us and by others, never over something else, never half."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import yaml
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from scara_effmass.bags.definitions import CONTACT_STATE, JOINT_STATE, known_types, own_types
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.messages import joint_state_message
+from scara_effmass.bags.writer import BagWriter
+from scara_effmass.errors import BagError, OutputError
+from scara_effmass.values import ContactAssessment, JointState, Verdict
+from scara_effmass.wire.encode import ContactStateEncoder
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+T0 = 1_700_000_000_123_456_789
+STATES = [
+    JointState(T0 + i * 1_000_000, ("joint1", "joint2"), np.array([0.1 * i, math.nan]), np.array([-0.0, 2.0]))
+    for i in range(500)
+]
+CONTACT = ContactAssessment(
+    stamp_ns=T0,
+    contact_point="tool",
+    direction=(0.6, 0.0, -0.8),
+    speed=0.25,
+    effective_mass=2.38,
+    lumped_mass=math.nan,
+    full_mass=2.4,
+    iso_mass=6.0,
+    worst_direction_mass=3.0,
+    obstacle_mass=4.4,
+    reduced_mass=1.5,
+    stiffness=25000.0,
+    predicted_force=48.4,
+    allowable_speed=1.4,
+    margin=1.15,
+    body_region="face",
+    criterion="force",
+    verdict=Verdict.WARN,
+    reason="because",
+    input_age=0.001,
+    worst_direction_used=True,
+    mass_capped=False,
+    smallest_singular_value=0.12,
+)
+
+
+def write(path: Path) -> Path:
+    with BagWriter(path) as writer:
+        writer.write_joint_states("/joint_states", STATES, "base_link")
+        writer.write("/contact_state", CONTACT_STATE, T0 + 5, ContactStateEncoder("tool", "base_link").encode(CONTACT))
+    return path
+
+
+def interrupted(path: Path, *, overwrite: bool = False) -> None:
+    with BagWriter(path, overwrite=overwrite) as writer:
+        writer.write_joint_states("/other", STATES)
+        raise ZeroDivisionError
+
+
+def only(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture(params=["bag", "bag.mcap"])
+def written(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    return write(tmp_path / "new" / request.param)
+
+
+def test_reads_back_to_the_last_bit(written: Path) -> None:
+    with open_bag(written) as bag:
+        states = [state for block in bag.joint_state_blocks() for state in block.states()]
+        assert [(s.stamp_ns, s.names) for s in states] == [(s.stamp_ns, s.names) for s in STATES]
+        for state, right in zip(states, STATES, strict=True):
+            assert state.position.tobytes() == right.position.tobytes()
+            assert state.velocity.tobytes() == right.velocity.tobytes()
+        assert bag.losses == ()
+    assert only(written.parent) == [written.name]
+
+
+def test_contact_state_carries_every_field(written: Path) -> None:
+    with open_bag(written) as bag:
+        (raw,) = bag.messages(["/contact_state"])
+        message = bag.deserialize(raw)
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == CONTACT.stamp_ns
+    assert message.header.frame_id == "base_link"
+    assert (message.direction.x, message.direction.y, message.direction.z) == CONTACT.direction
+    for field in set(ContactAssessment._fields) - {"stamp_ns", "direction"}:
+        assert getattr(message, field) == pytest.approx(getattr(CONTACT, field), abs=0, nan_ok=True), field
+
+
+def test_rosbags_reads_it_with_equal_type_hashes(written: Path) -> None:
+    """`AnyReader` computes each type's hash from the embedded definition and compares."""
+    with AnyReader([written]) as reader:
+        counts = {connection.topic: connection.msgcount for connection in reader.connections}
+        assert counts == {"/joint_states": 500, "/contact_state": 1}
+        for connection, time, raw in reader.messages():
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            assert time in {T0 + 5, message.header.stamp.sec * 10**9 + message.header.stamp.nanosec}
+    if written.is_dir():
+        assert all(connection.digest.startswith("RIHS01_") for connection in reader.connections)
+
+
+def test_the_library_of_the_format_finds_nothing_to_object_to(written: Path) -> None:
+    path = written / "bag_0.mcap" if written.is_dir() else written
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        assert sum(1 for _ in reader.iter_messages()) == 501
+        summary = reader.get_summary()
+    assert summary is not None
+    assert {chunk.compression for chunk in summary.chunk_indexes} == {"zstd"}
+    assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
+
+
+def test_the_metadata_are_those_of_rosbag2(tmp_path: Path) -> None:
+    folder = write(tmp_path / "bag")
+    assert only(folder) == ["bag_0.mcap", "metadata.yaml"]
+    about = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert about["storage_identifier"] == "mcap"
+    assert about["relative_file_paths"] == ["bag_0.mcap"]
+    assert about["message_count"] == 501
+    assert about["starting_time"] == {"nanoseconds_since_epoch": T0}
+    assert about["duration"] == {"nanoseconds": 499_000_000}
+    assert [t["topic_metadata"]["name"] for t in about["topics_with_message_count"]] == [
+        "/joint_states",
+        "/contact_state",
+    ]
+
+
+class TestExisting:
+    @pytest.mark.parametrize("name", ["bag", "bag.mcap"])
+    def test_is_kept(self, tmp_path: Path, name: str) -> None:
+        path = write(tmp_path / name)
+        with pytest.raises(OutputError, match=f"{name}: exists already"):
+            BagWriter(path)
+        assert only(tmp_path) == [name]
+
+    def test_is_replaced_when_asked(self, written: Path) -> None:
+        with BagWriter(written, overwrite=True) as writer:
+            writer.write_joint_states("/other", STATES[:3])
+        with open_bag(written) as bag:
+            assert [(topic.name, topic.count) for topic in bag.topics] == [("/other", 3)]
+        assert only(written.parent) == [written.name]
+
+    def test_is_kept_when_the_new_one_fails(self, written: Path) -> None:
+        with pytest.raises(ZeroDivisionError):
+            interrupted(written, overwrite=True)
+        with open_bag(written) as bag:
+            assert len(bag.topics) == 2
+        assert only(written.parent) == [written.name]
+
+    def test_is_kept_when_it_is_no_recording(self, tmp_path: Path) -> None:
+        folder = tmp_path / "thesis"
+        folder.mkdir()
+        (folder / "chapter1").write_text("x")
+        with pytest.raises(OutputError, match="exists and is no such recording"):
+            BagWriter(folder, overwrite=True)
+        (tmp_path / "folder.mcap").mkdir()
+        with pytest.raises(OutputError, match="exists and is no such recording"):
+            BagWriter(tmp_path / "folder.mcap", overwrite=True)
+        assert only(folder) == ["chapter1"]
+
+    def test_is_kept_when_it_came_meanwhile(self, tmp_path: Path) -> None:
+        writer = BagWriter(tmp_path / "bag.mcap")
+        writer.write_joint_states("/joint_states", STATES)
+        (tmp_path / "bag.mcap").write_text("mine")
+        with pytest.raises(OutputError, match="exists already"):
+            writer.close()
+        assert (tmp_path / "bag.mcap").read_text() == "mine"
+        assert only(tmp_path) == ["bag.mcap"]
+
+
+def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError):
+        interrupted(tmp_path / "bag")
+    assert only(tmp_path) == []
+
+
+def test_an_unknown_type_is_named_and_leaves_nothing(tmp_path: Path) -> None:
+    with (
+        pytest.raises(BagError, match="/x: type lab_msgs/msg/Nope has no definition here"),
+        BagWriter(tmp_path / "bag") as writer,
+    ):
+        writer.write("/x", "lab_msgs/msg/Nope", T0, b"")
+    assert only(tmp_path) == []
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(OutputError, match=r"file/bag: cannot be written: "):
+        BagWriter(tmp_path / "file" / "bag")
+
+
+@pytest.mark.parametrize("name", ["bag", "bag.mcap"])
+def test_a_signal_that_breaks_in_at_the_start_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("scara_effmass.bags.writer.PartWriter", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        BagWriter(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_recording_is_complete(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag"):
+        pass
+    with AnyReader([tmp_path / "bag" / "bag_0.mcap"]) as reader:
+        assert reader.message_count == 0
+
+
+def test_all_own_messages_are_known() -> None:
+    assert {name.rpartition("/")[2] for name in own_types()} == {
+        "ContactState",
+        "ForceBlock",
+        "Impact",
+        "ImpactValidation",
+    }
+    assert own_types().keys() <= known_types().fielddefs.keys()
+
+
+def test_own_messages_have_the_fields_of_the_values() -> None:
+    fields = [name for name, _ in known_types().fielddefs[CONTACT_STATE][1]]
+    assert fields == ["header", *ContactAssessment._fields[1:]]
+
+
+def test_a_joint_state_without_velocity_stays_without() -> None:
+    data = joint_state_message(STATES[0]._replace(velocity=np.empty(0)))
+    message: Any = known_types().deserialize_cdr(data, JOINT_STATE)
+    assert (len(message.position), len(message.velocity), len(message.effort)) == (2, 0, 0)

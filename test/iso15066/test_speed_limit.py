@@ -1,0 +1,171 @@
+"""The allowable speed: reference figures, the pruning against all limits, and how it depends on its inputs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scara_effmass.errors import LimitError
+from scara_effmass.iso15066 import (
+    BODY_REGIONS,
+    LIGHTEST_MASS,
+    SpeedLimits,
+    limits_for,
+    peak_force,
+    reduced_mass,
+    transferred_energy,
+)
+from scara_effmass.settings import ContactType, MonitorSettings
+
+if TYPE_CHECKING:
+    from scara_effmass.iso15066 import (
+        Limit,
+    )
+
+masses = st.floats(1e-3, 1e3) | st.sampled_from([LIGHTEST_MASS, 1e6, math.inf])
+factors = st.floats(1.0, 3.0)
+regions = st.sampled_from([name for name in BODY_REGIONS if name not in {"skull_forehead", "face"}])
+
+EXAMPLE = limits_for(MonitorSettings())[0]
+any_limit = st.builds(
+    lambda force, stiffness, mass: replace(
+        EXAMPLE, force_n=force, pressure_n_cm2=1e6, stiffness_n_m=stiffness, obstacle_mass_kg=mass
+    ),
+    force=st.floats(10.0, 500.0),
+    stiffness=st.floats(1e3, 1e6),
+    mass=st.floats(0.1, 100.0) | st.just(math.inf),
+)
+
+
+def speed_limits(**settings: object) -> SpeedLimits:
+    return SpeedLimits(limits_for(MonitorSettings.model_validate(settings)))
+
+
+def smallest_speed(limits: tuple[Limit, ...], mass: float, factor: float) -> float:
+    """Return the smallest v_max of all limits, straight from the standard's formula."""
+    inverse_robot = 1.0 / mass
+    speeds = []
+    for limit in limits:
+        inverse_mu = inverse_robot + 1.0 / limit.obstacle_mass_kg
+        force = min(limit.force_n, limit.pressure_n_cm2 * limit.contact_area_cm2)
+        speeds.append(force * math.sqrt(inverse_mu / (factor * limit.stiffness_n_m)))
+    return min(speeds)
+
+
+@pytest.mark.parametrize(
+    ("contact", "region", "light", "heavy", "criterion"),
+    [
+        ("transient", "hand_fingers", 1.679, 1.456, "force"),
+        ("transient", "lower_leg", 1.085, 0.649, "force"),
+        ("transient", "chest", 1.560, 0.943, "pressure"),
+        ("quasi_static", "hand_fingers", 0.519, 0.307, "force"),
+        ("quasi_static", "lower_leg", 0.539, 0.319, "force"),
+    ],
+)
+def test_reference_speeds(contact: str, region: str, light: float, heavy: float, criterion: str) -> None:
+    """Worked figures for 0.97 and 2.77 kg at 1 cm2 [m/s]."""
+    limits = speed_limits(contact=contact, body_regions=[region])
+    for mass, expected in ((0.97, light), (2.77, heavy)):
+        ceiling = limits.speed_limit(mass)
+        assert ceiling.allowable_speed == pytest.approx(expected, abs=0.0005)
+        assert (ceiling.limit.region, ceiling.criterion) == (region, criterion)
+
+
+@given(st.lists(any_limit, min_size=1, max_size=8).map(tuple), masses, factors)
+def test_pruning_changes_nothing(limits: tuple[Limit, ...], mass: float, factor: float) -> None:
+    expected = smallest_speed(limits, mass, factor)
+    assert SpeedLimits(limits).speed_limit(mass, factor).allowable_speed == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@given(st.sampled_from(ContactType), st.floats(0.05, 10.0), masses, factors)
+def test_pruning_changes_nothing_in_the_standards_table(
+    contact: ContactType, area: float, mass: float, factor: float
+) -> None:
+    limits = speed_limits(contact=contact, contact_area=area)
+    expected = smallest_speed(limits.limits, mass, factor)
+    assert limits.speed_limit(mass, factor).allowable_speed == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_what_governs_all_regions_together() -> None:
+    assert [limit.region for limit in speed_limits().governing] == ["hand_fingers", "lower_leg"]
+    assert [limit.region for limit in speed_limits(contact="quasi_static").governing] == ["face"]
+
+
+@given(regions, masses.filter(math.isfinite), factors)
+def test_at_the_ceiling_the_force_is_the_limit(region: str, mass: float, factor: float) -> None:
+    speed, limit, _, mu = speed_limits(body_regions=[region]).speed_limit(mass, factor)
+    stiffness = factor * limit.stiffness_n_m
+    assert mu == reduced_mass(mass, limit.obstacle_mass_kg)
+    assert peak_force(speed, mu, stiffness) == pytest.approx(limit.permissible_force_n)
+    assert transferred_energy(speed, mu) == pytest.approx(limit.permissible_force_n**2 / (2.0 * stiffness))
+
+
+@given(st.sampled_from(ContactType), masses, masses, factors, factors)
+def test_heavier_or_stiffer_is_never_faster(
+    contact: ContactType, mass: float, other_mass: float, factor: float, other_factor: float
+) -> None:
+    limits = speed_limits(contact=contact)
+    gentle = limits.speed_limit(min(mass, other_mass), min(factor, other_factor)).allowable_speed
+    harsh = limits.speed_limit(max(mass, other_mass), max(factor, other_factor)).allowable_speed
+    assert harsh <= gentle * (1 + 1e-12)
+
+
+@given(masses, st.floats(0.01, 100.0), st.floats(0.01, 100.0))
+def test_a_larger_area_is_never_slower(mass: float, area: float, other_area: float) -> None:
+    small, large = (speed_limits(contact_area=a).speed_limit(mass) for a in sorted((area, other_area)))
+    assert small.allowable_speed <= large.allowable_speed * (1 + 1e-12)
+
+
+@given(masses, regions, st.floats(1.0, 4.0))
+def test_tighter_settings_are_never_faster(mass: float, region: str, tighter: float) -> None:
+    standard = speed_limits(body_regions=[region])
+    (limit,) = standard.limits
+    for key, value in (
+        ("max_force", limit.force_n / tighter),
+        ("max_pressure", limit.pressure_n_cm2 / tighter),
+        ("stiffness", BODY_REGIONS[region].stiffness_n_m / 1e3 * tighter),
+        ("obstacle_mass", BODY_REGIONS[region].mass_kg * tighter),
+    ):
+        own = speed_limits(body_regions=[region], **{key: value})
+        assert own.speed_limit(mass).allowable_speed <= standard.speed_limit(mass).allowable_speed * (1 + 1e-12)
+
+
+@given(masses, regions)
+def test_more_regions_are_never_faster(mass: float, region: str) -> None:
+    every = speed_limits().speed_limit(mass).allowable_speed
+    assert every <= speed_limits(body_regions=[region]).speed_limit(mass).allowable_speed * (1 + 1e-12)
+
+
+@given(masses, regions)
+def test_clamped_is_never_faster_than_free(mass: float, region: str) -> None:
+    clamped, free = (speed_limits(contact=c, body_regions=[region]) for c in ("quasi_static", "transient"))
+    assert clamped.speed_limit(mass).allowable_speed <= 0.5 * free.speed_limit(mass).allowable_speed * (1 + 1e-12)
+
+
+def test_an_infinite_mass_leaves_the_body_part_or_nothing() -> None:
+    free = speed_limits(body_regions=["lower_leg"]).speed_limit(math.inf)
+    assert free.reduced_mass == pytest.approx(75.0)
+    assert free.allowable_speed == pytest.approx(260.0 / math.sqrt(75.0 * 60e3))
+    assert speed_limits(contact="quasi_static").speed_limit(math.inf).allowable_speed == 0.0
+
+
+@pytest.mark.parametrize("mass", [0.0, -1.0, math.nan, -math.inf, 5e-324, LIGHTEST_MASS / 2])
+def test_a_mass_that_cannot_be_is_refused(mass: float) -> None:
+    with pytest.raises(LimitError, match="effective_mass"):
+        speed_limits().speed_limit(mass)
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.99, -1.0, math.nan])
+def test_a_factor_that_loosens_is_refused(factor: float) -> None:
+    with pytest.raises(LimitError, match="stiffness_factor"):
+        speed_limits().speed_limit(1.0, factor)
+
+
+def test_no_limit_is_no_permission() -> None:
+    with pytest.raises(LimitError, match="at least one body region"):
+        SpeedLimits(())

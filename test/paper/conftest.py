@@ -1,0 +1,60 @@
+"""The paper's robot, its shipped recording, and made-up impacts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.load import load_robot
+from scara_effmass.paper.figure_specs import Material
+from scara_effmass.paper.motion import tool_motion
+from scara_effmass.paper.protocol import OBSTACLES_KG, POINTS, REPETITIONS, SPEED
+from scara_effmass.paper.recorded_impact import RecordedImpact, root_reduced_mass
+from scara_effmass.paper.scara import closed_form_of
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    from scara_effmass.paper.motion import ToolMotion
+    from scara_effmass.paper.scara import Scara
+
+STIFFNESS = 1e6
+
+
+@pytest.fixture(scope="session")
+def arm() -> RobotDynamics:
+    return RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
+
+
+@pytest.fixture(scope="session")
+def scara(arm: RobotDynamics) -> Scara:
+    return closed_form_of(arm)
+
+
+@pytest.fixture(scope="session")
+def motion(scara: Scara) -> ToolMotion:
+    return tool_motion(share("bags", "straight_300_200"), scara, ("joint1", "joint2"), "generated", contact_x=0.3)
+
+
+@pytest.fixture(scope="session")
+def material(arm: RobotDynamics, scara: Scara, motion: ToolMotion) -> Material:
+    return Material(arm, scara, motion)
+
+
+@pytest.fixture(scope="session")
+def runs(scara: Scara) -> tuple[RecordedImpact, ...]:
+    """Return half-sine impacts of two masses and a linear spring, for every case of the paper."""
+    time = np.arange(0.0, 0.006, 1.0 / 12_800.0)
+    made = []
+    for point in POINTS:
+        for mass in OBSTACLES_KG:
+            root = root_reduced_mass(scara, point, mass)
+            peak, duration = SPEED * root * STIFFNESS**0.5, np.pi * root / STIFFNESS**0.5
+            force = np.where(time < duration, peak * np.sin(np.pi * time / duration), 0.0)
+            for repetition in range(REPETITIONS):
+                scatter = 1.0 + 0.01 * (repetition - 1)
+                made.append(RecordedImpact(point, mass, SPEED, scatter * peak, time, scatter * force, simulated=True))
+    return tuple(made)

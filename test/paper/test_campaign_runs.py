@@ -1,0 +1,107 @@
+"""A campaign's recordings give the impacts that truly happened, and the motion up to them."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from scara_effmass.bags.definitions import RECORDING_INFO
+from scara_effmass.bags.files import find_bags, open_bag
+from scara_effmass.bags.messages import serialized
+from scara_effmass.bags.writer import BagWriter
+from scara_effmass.errors import BagError
+from scara_effmass.paper.campaign_runs import LEAD_S, SHOWN_S, campaign_runs
+from scara_effmass.settings import DetectionSettings
+from scara_effmass.share import share
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from scara_effmass.paper.campaign_runs import CampaignRun
+    from scara_effmass.paper.scara import Scara
+
+JOINTS = ("joint1", "joint2")
+TEXT = "std_msgs/msg/String"
+ONE = "300_0_500g_1"
+
+
+@pytest.fixture(scope="module")
+def shipped(scara: Scara) -> list[CampaignRun]:
+    return campaign_runs(share("bags", "campaign"), scara, JOINTS, DetectionSettings())
+
+
+def said(bag: Path) -> dict[str, object]:
+    with open_bag(bag) as opened:
+        (message,) = opened.messages([RECORDING_INFO])
+        about: dict[str, object] = json.loads(opened.deserialize(message).data)
+    return about
+
+
+def copied(path: Path, changes: dict[str, object], blocks: int = 1000) -> Path:
+    """Write the shipped run ONE to `path`, with `changes` of what it says (None: says no more), and so many blocks."""
+    source = share("bags", "campaign", ONE)
+    about = {key: value for key, value in {**said(source), **changes}.items() if value is not None}
+    with open_bag(source) as bag, BagWriter(path) as copy:
+        for message in bag.messages():
+            data = message.data
+            if message.topic == RECORDING_INFO:
+                data = serialized(TEXT, {"data": json.dumps(about)})
+            if message.topic == "/force":
+                blocks -= 1
+                if blocks < 0:
+                    continue
+            copy.write(message.topic, message.type, message.log_time_ns, data)
+    return path
+
+
+def test_the_impacts_are_the_true_ones(shipped: list[CampaignRun]) -> None:
+    bags = find_bags(share("bags", "campaign"))
+    assert len(shipped) == len(bags) == 12
+    for bag, (impact, motion) in zip(bags, shipped, strict=True):
+        about = said(bag)
+        truth = about["truth"]
+        assert isinstance(truth, dict)
+        assert [*impact.point] == about["point"]
+        assert impact.obstacle_mass_kg == about["obstacle_mass"]
+        assert impact.simulated
+        assert impact.peak_force_n == pytest.approx(truth["peak_force"], rel=5e-3)
+        assert impact.speed_m_s == pytest.approx(truth["speed"], rel=2e-3)
+        assert motion.contact_x_m == pytest.approx(impact.point[0], abs=1.2e-3)
+        assert motion.about == f"simulated run {bag.name}"
+
+
+def test_the_force_begins_before_the_onset_and_rises_from_there(shipped: list[CampaignRun]) -> None:
+    for impact, _ in shipped:
+        assert -LEAD_S <= impact.time_s[0] < 0.0
+        assert SHOWN_S - 1e-4 < impact.time_s[-1] <= SHOWN_S
+        assert np.abs(impact.force_n[impact.time_s < -1e-4]).max() < 1.5
+        assert impact.force_n.max() == pytest.approx(impact.peak_force_n, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"point": None}, "point"),
+        ({"obstacle_mass": None}, "obstacle_mass"),
+        ({"direction": [0.0, 1.0, 0.0]}, "direction"),
+        ({"point": "somewhere"}, "point"),
+        ({"point": [1.0]}, "point"),
+    ],
+)
+def test_a_recording_that_does_not_say_what_was_set_is_refused(
+    scara: Scara, tmp_path: Path, changes: dict[str, object], named: str
+) -> None:
+    path = copied(tmp_path / "run", changes)
+    with pytest.raises(BagError, match=named) as caught:
+        campaign_runs(tmp_path, scara, JOINTS, DetectionSettings())
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(("blocks", "named"), [(0, "ForceBlock"), (4, "0 impacts")])
+def test_a_recording_without_an_impact_is_refused(scara: Scara, tmp_path: Path, blocks: int, named: str) -> None:
+    copied(tmp_path / "run", {}, blocks)
+    with pytest.raises(BagError, match=named):
+        campaign_runs(tmp_path, scara, JOINTS, DetectionSettings())

@@ -1,0 +1,44 @@
+"""The distribution of Fig. 8, against numbers found by other means."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from scara_effmass.paper.density import Distribution, at_positions, over_workspace, peaks
+
+if TYPE_CHECKING:
+    from scara_effmass.paper.scara import Scara
+
+
+def test_the_whole_workspace_along_x_and_y(scara: Scara) -> None:
+    along_x, along_y = over_workspace(scara), over_workspace(scara, np.pi / 2.0)
+    assert along_x.below(2.77) == pytest.approx(0.709, abs=1e-3)
+    assert along_x.mean == pytest.approx(2.359, abs=2e-3)
+    assert along_x.median == pytest.approx(1.7725, abs=1e-3)
+    assert along_y.below(2.77) == pytest.approx(0.773, abs=1e-3)
+    assert along_y.median == pytest.approx(1.427, abs=1e-3)
+
+
+def test_2500_positions_stand_for_it(scara: Scara) -> None:
+    few, whole = at_positions(scara), over_workspace(scara)
+    assert few.mass.size == 2500
+    assert few.below(2.77) == pytest.approx(whole.below(2.77), abs=5e-3)
+    assert few.median == pytest.approx(whole.median, abs=0.02)
+
+
+def test_density_and_peaks() -> None:
+    rng = np.random.default_rng(8)
+    mass = np.concatenate((rng.normal(1.5, 0.1, 4000), rng.normal(4.0, 0.1, 6000)))
+    spread = Distribution(mass, np.full(mass.size, 1.0 / mass.size))
+    edges = np.linspace(0.0, 8.0, 81)
+    assert np.sum(spread.density(edges)) * 0.1 == pytest.approx(1.0)
+    assert any(abs(peak - 1.5) < 0.2 for peak in peaks(spread))
+    assert any(abs(peak - 4.0) < 0.2 for peak in peaks(spread))
+    assert spread.median == pytest.approx(float(np.median(mass)), abs=1e-3)
+
+
+def test_the_papers_two_peaks(scara: Scara) -> None:
+    np.testing.assert_allclose(peaks(over_workspace(scara)), [1.0, 3.35], atol=0.1)

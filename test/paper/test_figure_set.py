@@ -1,0 +1,108 @@
+"""Figures, page and claims appear together, the same every time, and the page loads nothing."""
+
+from __future__ import annotations
+
+import json
+from html.parser import HTMLParser
+from typing import TYPE_CHECKING
+
+import pytest
+
+from scara_effmass.errors import OutputError
+from scara_effmass.paper.figure_set import make_figure_set
+from scara_effmass.paper.figure_specs import FIGURE_SPECS, FigureSpec
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
+
+    from scara_effmass.paper.figure_specs import Material
+
+FEW = [plate for plate in FIGURE_SPECS if plate.number in {18, 19}]
+FILES = {"figure_19.png", "figure_19.svg", "index.html", "claims.json"}
+
+
+def made(
+    material: Material, folder: Path, *, overwrite: bool = False, plates: Sequence[FigureSpec] = FEW
+) -> dict[str, bytes]:
+    make_figure_set(material, folder, overwrite=overwrite, advance=lambda: None, plates=plates)
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+class Page(HTMLParser):
+    """What a page holds: tags still open, addresses it names, pictures, rows of its table."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+        self.pictures: list[dict[str, str | None]] = []
+        self.rows = 0
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        named = dict(attrs)
+        self.addresses += [value or "" for name, value in attrs if name in {"src", "href", "srcset", "data", "action"}]
+        self.rows += tag == "tr"
+        if tag == "img":
+            self.pictures.append(named)
+        if tag not in {"meta", "img"}:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_all_files_are_the_same_every_time(material: Material, tmp_path: Path) -> None:
+    plates = [FIGURE_SPECS[0], *FEW]
+    first, second = (made(material, tmp_path / folder, plates=plates) for folder in ("one", "two"))
+    assert set(first) == FILES | {"figure_6.png", "figure_6.svg"}
+    assert first == second
+
+
+def test_the_page_is_whole_and_loads_nothing(material: Material, tmp_path: Path) -> None:
+    files = made(material, tmp_path)
+    text = files["index.html"].decode()
+    page = Page()
+    page.feed(text)
+    page.close()
+    assert page.open == []
+    assert [address[:22] for address in page.addresses] == ["data:image/png;base64,"]
+    assert all(picture["alt"] for picture in page.pictures)
+    assert "url(" not in text
+    assert "@import" not in text
+    result = json.loads(files["claims.json"])
+    assert page.rows == len(result["claims"]) + 1
+    assert result["figures"] == ["figure_19"]
+    assert result["left_out"] == [
+        "Fig. 18: no recorded impacts were given",
+        "Fig. 19 (a): no recorded impacts were given",
+    ]
+    assert all(line in text for line in result["left_out"])
+    assert sum(result["counts"].values()) == len(result["claims"])
+    assert max(result["closed_form_check"][f"{model}_relative_difference"] for model in ("lumped", "full")) < 1e-9
+
+
+def test_nothing_is_replaced_unasked(material: Material, tmp_path: Path) -> None:
+    (tmp_path / "claims.json").write_text("mine")
+    with pytest.raises(OutputError, match=r"claims\.json: exists already"):
+        made(material, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["claims.json"]
+    assert (tmp_path / "claims.json").read_text() == "mine"
+    assert made(material, tmp_path, overwrite=True)["claims.json"] != b"mine"
+
+
+def test_nothing_is_left_when_drawing_fails(material: Material, tmp_path: Path) -> None:
+    def fail(_: Material) -> Figure:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_figure_set(
+            material,
+            tmp_path,
+            overwrite=False,
+            advance=lambda: None,
+            plates=[*FEW, FigureSpec(99, "Never drawn.", fail)],
+        )
+    assert list(tmp_path.iterdir()) == []

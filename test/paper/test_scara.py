@@ -1,0 +1,73 @@
+"""The closed forms have the parameters of the file, and agree with the mass matrices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import yaml
+
+from scara_effmass.errors import RobotError
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.load import load_robot
+from scara_effmass.paper.scara import agreement, closed_form_of, matrix_masses
+from scara_effmass.paper.workspace import spread_positions
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.share import share
+from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from scara_effmass.paper.scara import Scara
+
+
+def test_parameters_are_those_of_the_file(scara: Scara) -> None:
+    rows = yaml.safe_load(share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8"))
+    assert (scara.inertia.l1, scara.inertia.l2) == pytest.approx([joint["a"] for joint in rows["joints"][:2]])
+    links = rows["links"]
+    first, second, third, fourth = (link["mass"] for link in links)
+    tool = rows["payload"]["mass"]
+    inertia = scara.inertia
+    assert (inertia.m1, inertia.m2, inertia.m3, inertia.m4) == pytest.approx((first, second, third, fourth + tool))
+    assert (inertia.r1, inertia.r2) == pytest.approx([link["com"][0] for link in links[:2]])
+    assert inertia.i2 == pytest.approx(links[1]["inertia"])
+    assert scara.iso_mass == pytest.approx((first + second + third + fourth) / 2.0 + tool)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.9, np.pi / 2.0, -2.0])
+def test_closed_forms_agree_with_the_mass_matrices(arm: RobotDynamics, scara: Scara, phi: float) -> None:
+    check = agreement(arm, scara, *spread_positions(scara, count=12), phi)
+    assert check.poses == 144
+    assert max(check.lumped, check.full) < 1e-9
+
+
+def test_a_wrong_parameter_is_noticed(arm: RobotDynamics, scara: Scara) -> None:
+    poses = spread_positions(scara, count=8)
+    heavier = replace(scara, m2=1.01 * scara.m2, inertia=replace(scara.inertia, i2=1.01 * scara.inertia.i2))
+    check = agreement(arm, heavier, *poses)
+    assert check.lumped > 1e-3
+    assert check.full > 1e-5
+
+
+def test_matrix_masses_do_not_depend_on_the_quill(arm: RobotDynamics, scara: Scara) -> None:
+    poses = spread_positions(scara, count=4)
+    low, high = (np.concatenate(matrix_masses(arm, *poses, 0.5, q3)) for q3 in (0.0, 0.45))
+    np.testing.assert_allclose(low, high, rtol=1e-12)
+
+
+def test_tool_is_where_the_benchs_inverse_kinematics_puts_it(scara: Scara) -> None:
+    xy = np.array([[0.3, 0.2], [0.1, -0.4], [-0.3, 0.3]])
+    q = inverse(xy, ElbowConfig.RIGHT)
+    np.testing.assert_allclose(np.stack(scara.tool(q[:, 0], q[:, 1]), axis=1), xy, atol=1e-12)
+
+
+def test_another_robot_is_refused(tmp_path: Path) -> None:
+    rows = yaml.safe_load(share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8"))
+    rows["joints"][2]["a"] = 0.05
+    path = tmp_path / "robot.yaml"
+    path.write_text(yaml.safe_dump(rows, sort_keys=False), encoding="utf-8")
+    with pytest.raises(RobotError):
+        closed_form_of(RobotDynamics(load_robot(path, MonitorSettings())))

@@ -1,0 +1,89 @@
+"""The debounce against its definition: the worst that was seen within the release time."""
+
+from __future__ import annotations
+
+from itertools import accumulate
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scara_effmass.safety.debounce import VerdictDebouncer, severity
+from scara_effmass.values import Verdict
+
+RELEASE_NS = 100
+
+verdicts = st.sampled_from(Verdict)
+steps = st.lists(st.tuples(st.integers(1, 60), verdicts), min_size=1, max_size=40)
+
+
+def hold(release_ns: int = RELEASE_NS) -> VerdictDebouncer:
+    made = VerdictDebouncer()
+    made.release_ns = release_ns
+    return made
+
+
+def reason(verdict: Verdict, stamp_ns: int) -> str:
+    return "" if verdict is Verdict.OK else f"{verdict.name} at {stamp_ns}"
+
+
+@given(steps, st.sampled_from([0, 1, RELEASE_NS, 10_000]))
+def test_shows_the_worst_within_the_release_time(sequence: list[tuple[int, Verdict]], release_ns: int) -> None:
+    debounced = hold(release_ns)
+    history: list[tuple[int, Verdict]] = []
+    for stamp_ns, verdict in zip(accumulate(gap for gap, _ in sequence), (v for _, v in sequence), strict=True):
+        history.append((stamp_ns, verdict))
+        held = [seen for at, seen in history if stamp_ns - at < release_ns]
+        shown, why = debounced.update(verdict, reason(verdict, stamp_ns), stamp_ns)
+        assert shown is max([verdict, *held], key=severity)
+        assert bool(why) == (shown is not Verdict.OK)
+
+
+@given(steps)
+def test_gets_worse_at_once_with_the_reason_of_the_moment(sequence: list[tuple[int, Verdict]]) -> None:
+    debounced = hold()
+    shown, stamp_ns = Verdict.OK, 0
+    for gap, verdict in sequence:
+        stamp_ns += gap
+        before, (shown, why) = shown, debounced.update(verdict, reason(verdict, stamp_ns), stamp_ns)
+        if severity(verdict) >= severity(before):
+            assert (shown, why) == (verdict, reason(verdict, stamp_ns))
+
+
+def test_improves_exactly_when_the_release_time_is_over() -> None:
+    debounced = hold()
+    assert debounced.update(Verdict.VIOLATION, "too fast", 1000) == (Verdict.VIOLATION, "too fast")
+    assert debounced.update(Verdict.OK, "", 1000 + RELEASE_NS - 1) == (Verdict.VIOLATION, "held after: too fast")
+    assert debounced.update(Verdict.OK, "", 1000 + RELEASE_NS) == (Verdict.OK, "")
+
+
+def test_improves_step_by_step() -> None:
+    debounced = hold()
+    debounced.update(Verdict.VIOLATION, "too fast", 1000)
+    assert debounced.update(Verdict.WARN, "near", 1090)[0] is Verdict.VIOLATION
+    assert debounced.update(Verdict.OK, "", 1110) == (Verdict.WARN, "held after: near")
+    assert debounced.update(Verdict.OK, "", 1190)[0] is Verdict.OK
+
+
+def test_a_lapse_counts_from_the_joint_state_that_ends_it() -> None:
+    debounced = hold()
+    debounced.update(Verdict.OK, "", 1000)
+    debounced.mark_stale("no names")
+    assert debounced.update(Verdict.OK, "", 5000) == (Verdict.UNKNOWN, "held after: no names")
+    assert debounced.update(Verdict.VIOLATION, "too fast", 5050) == (Verdict.UNKNOWN, "held after: no names")
+    assert debounced.update(Verdict.OK, "", 5100) == (Verdict.VIOLATION, "held after: too fast")
+
+
+def test_without_release_time_nothing_is_held() -> None:
+    debounced = hold(0)
+    debounced.mark_stale("no names")
+    assert debounced.update(Verdict.OK, "", 5000) == (Verdict.OK, "")
+    debounced.update(Verdict.VIOLATION, "too fast", 5001)
+    assert debounced.update(Verdict.OK, "", 5002) == (Verdict.OK, "")
+
+
+def test_clear_forgets_everything() -> None:
+    debounced = hold()
+    debounced.update(Verdict.VIOLATION, "too fast", 1000)
+    debounced.mark_stale("no names")
+    debounced.clear()
+    assert debounced.update(Verdict.OK, "", 1001) == (Verdict.OK, "")

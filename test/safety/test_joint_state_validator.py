@@ -1,0 +1,372 @@
+"""What a joint state must be: every kind of bad one is refused with its reason, whatever else it holds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import JointState, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from scara_effmass.model.dynamics import RobotDynamics
+    from scara_effmass.values import Decision
+
+JOINTS = ("joint1", "joint2", "joint3", "joint4")
+Q = (0.3, 1.2, 0.1, -0.4)
+QD = (0.1, -0.2, 0.05, 0.3)
+NOW = 1_700_000_000_000_000_000
+MS = 1_000_000
+NAN, INF = math.nan, math.inf
+
+
+def state(
+    stamp_ns: int = NOW,
+    names: Sequence[str] = JOINTS,
+    position: Sequence[float] = Q,
+    velocity: Sequence[float] = QD,
+) -> JointState:
+    return JointState(stamp_ns, tuple(names), np.array(position, float), np.array(velocity, float))
+
+
+def monitor(arm: RobotDynamics, **settings: object) -> Monitor:
+    return Monitor(arm, MonitorSettings.model_validate({"release_time": 0.0, **settings}))
+
+
+@dataclass
+class Feed:
+    """A sender of joint states, one millisecond apart, to one monitor."""
+
+    monitor: Monitor
+    now_ns: int = NOW
+    decision: Decision | None = field(default=None, init=False)
+
+    def __call__(self, joint_state: JointState | None = None, step_ns: int = MS) -> tuple[Verdict, str]:
+        """Send `joint_state`, or a good one, stamped now; return verdict and reason."""
+        self.now_ns += step_ns
+        self.decision = self.monitor.assess((joint_state or state())._replace(stamp_ns=self.now_ns), self.now_ns)
+        assert self.decision is not None
+        (contact,) = self.decision.contacts
+        return contact.verdict, contact.reason
+
+
+BAD = {
+    "no names": (state(names=(), position=(), velocity=()), "the joint state has no names"),
+    "no names, but numbers": (state(names=()), "the joint state has no names"),
+    "an empty name": (state(names=("joint1", "", "joint3", "joint4")), "name 1 of the joint state is empty"),
+    "only empty names": (state(names=("", "", "", "")), "name 0 of the joint state is empty"),
+    "a name twice": (state(names=("joint1", "joint2", "joint2", "joint4")), "joint joint2 is named twice"),
+    "a foreign name twice": (
+        state(names=(*JOINTS, "x", "x"), position=(*Q, 0.0, 0.0), velocity=(*QD, 0.0, 0.0)),
+        "joint x is named twice",
+    ),
+    "a missing joint": (state(names=JOINTS[:3], position=Q[:3], velocity=QD[:3]), "joint joint4 is missing"),
+    "too few positions": (state(position=Q[:3]), "3 positions for 4 names"),
+    "too many positions": (state(position=(*Q, 0.0)), "5 positions for 4 names"),
+    "no position": (state(position=()), "0 positions for 4 names"),
+    "too few velocities": (state(velocity=QD[:1]), "1 velocities for 4 names"),
+    "too many velocities": (state(velocity=(*QD, 0.0)), "5 velocities for 4 names"),
+    "no velocity": (state(velocity=()), "the velocity is empty"),
+    "NaN velocity": (state(velocity=(0.1, NAN, 0.0, 0.0)), "the velocity of joint2 is nan"),
+    "infinite velocity": (state(velocity=(0.1, 0.1, -INF, 0.1)), "the velocity of joint3 is -inf"),
+    "NaN position": (state(position=(NAN, 0.0, 0.1, 0.0)), "the position of joint1 is nan"),
+    "infinite position": (state(position=(0.0, 0.0, 0.1, INF)), "the position of joint4 is inf"),
+    "beyond a limit": (state(position=(0.0, 2.7, 0.1, 0.0)), "joint2 at 2.7000 rad lies outside its limits"),
+    "below a limit": (state(position=(0.0, 0.0, -0.1, 0.0)), "joint3 at -0.1000 m lies outside its limits"),
+    "too fast for a joint": (state(velocity=(0.1, 0.1, -4.0, 0.1)), "joint3 at -4.0000 m/s is faster than it can be"),
+}
+
+
+@pytest.mark.parametrize(("bad", "reason"), BAD.values(), ids=BAD.keys())
+def test_a_bad_joint_state_is_unknown_and_the_next_good_one_is_not(
+    scara: RobotDynamics, bad: JointState, reason: str
+) -> None:
+    feed = Feed(monitor(scara))
+    assert feed() == (Verdict.OK, "")
+    verdict, why = feed(bad)
+    assert verdict is Verdict.UNKNOWN
+    assert why.startswith(reason)
+    assert feed.decision is not None
+    assert (feed.decision.allowable_speed, feed.decision.speed_scaling) == (0.0, 0.0)
+    assert feed() == (Verdict.OK, "")
+    assert feed.monitor.refused == 1
+
+
+@pytest.mark.parametrize(
+    ("stamp_ns", "reason"),
+    [
+        (0, "the header stamp is zero"),
+        (-5, "the header stamp is zero"),
+        (NOW, "the header stamp is repeated"),
+        (NOW - 50 * MS, "the header stamp goes back by 0.050000 s"),
+        (NOW + 32 * MS, "the header stamp is 0.031 s in the future"),
+        (NOW + 10**15, "the header stamp is 999999.999 s in the future"),
+        (NOW - 200 * MS, "the joint state is 0.201 s old"),
+        (1, "the joint state is 1700000000.001 s old"),
+    ],
+)
+def test_a_bad_stamp_is_unknown_and_the_next_good_one_is_not(scara: RobotDynamics, stamp_ns: int, reason: str) -> None:
+    watched = monitor(scara)
+    for stamp, now, expected in (
+        (NOW, NOW, (Verdict.OK, "")),
+        (stamp_ns, NOW + MS, (Verdict.UNKNOWN, reason)),
+        (NOW + 2 * MS, NOW + 2 * MS, (Verdict.OK, "")),
+    ):
+        decision = watched.assess(state(stamp), now)
+        assert decision is not None
+        assert [(c.verdict, c.reason) for c in decision.contacts] == [expected]
+
+
+def test_ages_at_the_limit_are_believed(scara: RobotDynamics) -> None:
+    for age_ns in (-20 * MS, 0, 200 * MS):
+        decision = monitor(scara).assess(state(NOW - age_ns), NOW)
+        assert decision is not None
+        assert decision.contacts[0].verdict is Verdict.OK
+        assert decision.contacts[0].input_age == age_ns / 1e9
+
+
+def test_joints_of_another_device_are_counted_and_left_alone(scara: RobotDynamics) -> None:
+    watched = monitor(scara)
+    gripper = state(names=("left_finger", "right_finger"), position=(0.0, 0.0), velocity=())
+    for _ in range(3):
+        assert watched.assess(gripper, NOW) is None
+    assert (watched.foreign, watched.refused, watched.first_cause) == (3, 0, None)
+    assert "(3 named none of the robot's joints)" in watched.silence(10**9).contacts[0].reason
+
+
+@given(
+    order=st.permutations(range(7)),
+    position=st.tuples(*[st.floats(-1.0, 1.0)] * 2, st.floats(0.0, 0.4), st.floats(-3.0, 3.0)),
+    velocity=st.tuples(*[st.floats(0.01, 1.0)] * 4),
+    others=st.tuples(*[st.floats()] * 3),
+)
+def test_order_and_extra_joints_change_no_bit(
+    scara: RobotDynamics,
+    order: list[int],
+    position: tuple[float, ...],
+    velocity: tuple[float, ...],
+    others: tuple[float, ...],
+) -> None:
+    names = (*JOINTS, "gripper", "rail", "wheel")
+    mixed = state(
+        NOW,
+        [names[i] for i in order],
+        [(*position, *others)[i] for i in order],
+        [(*velocity, *others)[i] for i in order],
+    )
+    plain = state(NOW, JOINTS, position, velocity)
+    assert repr(monitor(scara).assess(mixed, NOW)) == repr(monitor(scara).assess(plain, NOW))
+
+
+class TestVelocityOfZero:
+    """A velocity of exactly zero is believed only of a joint that is seen to stand still."""
+
+    def test_all_zero_while_moving_is_never_believed(self, scara: RobotDynamics) -> None:
+        feed = Feed(monitor(scara))
+        seen = [feed(state(position=(0.3 + 0.002 * i, *Q[1:]), velocity=(0.0,) * 4), 4 * MS) for i in range(300)]
+        assert {verdict for verdict, _ in seen} == {Verdict.UNKNOWN}
+        assert any("joint1 moved" in reason for _, reason in seen)
+
+    def test_moving_again_after_rest_is_noticed(self, scara: RobotDynamics) -> None:
+        feed = Feed(monitor(scara))
+        for _ in range(200):
+            verdict, _ = feed(state(velocity=(0.0,) * 4))
+        assert verdict is Verdict.OK
+        seen = [feed(state(position=(0.3 + 0.001 * i, *Q[1:]), velocity=(0.0,) * 4)) for i in range(1, 60)]
+        moved = next(i for i, (verdict, _) in enumerate(seen) if verdict is Verdict.UNKNOWN)
+        assert moved <= 25  # milliseconds at 1 rad/s: still_speed times the window of half a second
+        assert seen[moved][1].startswith("joint1 moved")
+        assert {verdict for verdict, _ in seen[moved:]} == {Verdict.UNKNOWN}
+
+    def test_a_robot_that_stands_still_is_confirmed_within_a_tenth_of_a_second(self, scara: RobotDynamics) -> None:
+        feed = Feed(monitor(scara))
+        verdicts = [feed(state(velocity=(0.0,) * 4))[0] for _ in range(110)]
+        assert set(verdicts[:100]) == {Verdict.UNKNOWN}
+        assert set(verdicts[100:]) == {Verdict.OK}
+
+    def test_one_joint_at_rest_needs_its_own_confirmation(self, scara: RobotDynamics) -> None:
+        feed = Feed(monitor(scara))
+        verdict, reason = feed(state(velocity=(0.1, 0.0, 0.1, 0.1)))
+        assert (verdict, reason) == (
+            Verdict.UNKNOWN,
+            "the velocity of joint2 reads zero, not yet confirmed by its position",
+        )
+
+    def test_a_joint_that_was_seen_moving_may_stop(self, scara: RobotDynamics) -> None:
+        feed = Feed(monitor(scara))
+        feed()
+        assert feed(state(velocity=(0.0,) * 4)) == (Verdict.OK, "")
+
+    @pytest.mark.parametrize("speed", [0.06, 0.3, 2.0])
+    def test_slow_motion_under_zero_velocity_is_noticed_too(self, scara: RobotDynamics, speed: float) -> None:
+        feed = Feed(monitor(scara))
+        feed()
+        seen = set()
+        for i in range(1, 600):
+            q = (0.3 + speed * i * 1e-3, 1.2, 0.1, -0.4)
+            seen.add(feed(state(position=q, velocity=(0.0, 0.1, 0.1, 0.1)))[0])
+        assert Verdict.UNKNOWN in seen
+
+    def test_drift_of_an_encoder_is_tolerated(self, scara: RobotDynamics) -> None:
+        feed = Feed(monitor(scara))
+        feed()
+        for i in range(3000):
+            q = (0.3 + 1e-5 * i + 0.0005 * (-1) ** i, 1.2, 0.1, -0.4)
+            assert feed(state(position=q, velocity=(0.0,) * 4))[0] is Verdict.OK
+
+
+class TestTravelBeyondTheVelocity:
+    def test_a_leap_is_never_ok(self, scara: RobotDynamics) -> None:
+        """Two senders at different poses on one topic, or an encoder that leaps: faster than any joint."""
+        feed = Feed(monitor(scara))
+        feed()
+        for i in range(1, 100):
+            verdict, reason = feed(state(position=(0.3 + 1.2 * (i % 2), *Q[1:])))
+            assert verdict is Verdict.UNKNOWN
+            assert "where its velocity accounts for" in reason
+        assert feed(state(position=(1.5, *Q[1:])))[0] is Verdict.OK
+
+    def test_a_velocity_that_is_far_too_small_is_found_out(self, scara: RobotDynamics) -> None:
+        feed = Feed(monitor(scara, release_time=0.2))
+        seen = [feed(state(position=(0.002 * i, *Q[1:]), velocity=(0.001, *QD[1:])))[0] for i in range(500)]
+        assert set(seen[30:]) == {Verdict.UNKNOWN}
+
+    def test_standing_still_at_a_velocity_is_believed_because_it_errs_to_the_safe_side(
+        self, scara: RobotDynamics
+    ) -> None:
+        feed = Feed(monitor(scara))
+        assert {feed()[0] for _ in range(2000)} == {Verdict.OK}
+
+    @given(
+        amplitude=st.floats(0.0, 1.0),
+        rate=st.floats(0.1, 5.0),
+        step_ms=st.integers(1, 150),
+        noise=st.floats(0.0, 0.002),
+    )
+    def test_honest_motion_is_believed(
+        self, scara: RobotDynamics, amplitude: float, rate: float, step_ms: int, noise: float
+    ) -> None:
+        """Sampled a little late, and with the steps of a coarse encoder."""
+        feed = Feed(monitor(scara))
+        for i in range(100):
+            t = i * step_ms / 1e3
+            q = amplitude * math.sin(rate * t) + noise * (-1) ** i
+            qd = amplitude * rate * math.cos(rate * (t - 0.005)) + 1e-6
+            verdict, reason = feed(state(position=(q, *Q[1:]), velocity=(qd, *QD[1:])), step_ms * MS)
+            assert "accounts for" not in reason
+            assert verdict is not Verdict.UNKNOWN
+
+
+class TestDifferentiation:
+    """Where the velocity may be taken from positions, it is taken over header time."""
+
+    def test_equals_the_velocity_that_was_sent(self, scara: RobotDynamics) -> None:
+        """Powers of two throughout, so that the difference quotient is exact."""
+        step_ns = 15_625_000
+        start = NOW - NOW % step_ns
+        sent, taken = monitor(scara), monitor(scara, differentiate_velocity=True)
+        qd = (0.5, -0.25, 0.125, 1.0)
+        for i in range(4):
+            q = tuple(x + v * i / 64.0 for x, v in zip((0.25, 1.25, 0.125, -0.5), qd, strict=True))
+            now = start + i * step_ns
+            given_decision = sent.assess(state(now, position=q, velocity=qd), now)
+            decision = taken.assess(state(now, position=q, velocity=()), now)
+            assert decision is not None
+            if i:
+                assert repr(decision) == repr(given_decision)
+            else:
+                assert decision.contacts[0].reason.startswith("the velocity is empty, and one joint state alone")
+
+    def test_a_gap_cannot_be_differentiated(self, scara: RobotDynamics) -> None:
+        feed = Feed(monitor(scara, differentiate_velocity=True))
+        feed(state(velocity=()))
+        verdict, reason = feed(state(velocity=()), 201 * MS)
+        assert verdict is Verdict.UNKNOWN
+        assert "cannot be differentiated" in reason
+
+    def test_a_position_that_is_no_number_gives_no_velocity_either(self, scara: RobotDynamics) -> None:
+        feed = Feed(monitor(scara, differentiate_velocity=True))
+        feed(state(velocity=()))
+        assert feed(state(position=(NAN, *Q[1:]), velocity=())) == (
+            Verdict.UNKNOWN,
+            "the position of joint1 is nan",
+        )
+        assert feed(state(velocity=()))[0] is Verdict.UNKNOWN
+        assert feed(state(velocity=()))[1].startswith("the velocity of joint1 reads zero")
+
+    def test_wrong_lengths_are_refused_all_the_same(self, scara: RobotDynamics) -> None:
+        feed = Feed(monitor(scara, differentiate_velocity=True))
+        assert feed(state(velocity=QD[:2])) == (Verdict.UNKNOWN, "2 velocities for 4 names")
+
+
+def believable(joint_state: JointState, now_ns: int, last_ns: int) -> bool:
+    """Whether a joint state may lead to a verdict, said a second time and as plainly as possible."""
+    names = list(joint_state.names)
+    if "" in names or len(set(names)) < len(names) or not set(JOINTS) <= set(names):
+        return False
+    if not len(names) == len(joint_state.position) == len(joint_state.velocity):
+        return False
+    if not max(last_ns + 1, 1, now_ns - 200 * MS) <= joint_state.stamp_ns <= now_ns + 20 * MS:
+        return False
+    pairs = dict(zip(names, zip(joint_state.position, joint_state.velocity, strict=True), strict=True))
+    ranges = ((-2.3736, 2.3736, 12.6), (-2.5831, 2.5831, 12.6), (0.0, 0.45, 3.0), (-6.2832, 6.2832, 50.0))
+    return all(
+        lower - 0.020001 <= pairs[joint][0] <= upper + 0.020001 and abs(pairs[joint][1]) <= 1.100001 * fastest
+        for joint, (lower, upper, fastest) in zip(JOINTS, ranges, strict=True)
+    )
+
+
+numbers = st.one_of(st.floats(), st.floats(-3.0, 3.0), st.sampled_from([0.0, NAN, INF, -INF, 1e308, -1e308, 5e-324]))
+wild_names = st.lists(st.sampled_from([*JOINTS, "gripper", "", "joint1 ", "\N{GREEK SMALL LETTER MU}"]), max_size=7)
+stamps = st.one_of(
+    st.integers(-(2**63), 2**63 - 1), st.integers(NOW - 300 * MS, NOW + 50 * MS), st.sampled_from([0, NOW])
+)
+garbage = st.builds(state, stamps, wild_names, st.lists(numbers, max_size=7), st.lists(numbers, max_size=7))
+nearly_good = st.builds(
+    state,
+    st.integers(NOW - 250 * MS, NOW + 30 * MS),
+    st.one_of(st.just(JOINTS), st.permutations(JOINTS)),
+    st.lists(st.one_of(st.floats(-0.1, 0.5), numbers), min_size=4, max_size=4),
+    st.lists(st.one_of(st.floats(-3.0, 3.0), numbers), min_size=4, max_size=4),
+)
+
+
+@given(st.lists(st.one_of(garbage, nearly_good, st.just(state())), min_size=1, max_size=6), st.booleans())
+@example([state(velocity=(1e-300,) * 4)], False)  # noqa: FBT003 - positional for hypothesis
+def test_nothing_that_comes_in_raises_or_leaks_or_is_believed_wrongly(
+    scara: RobotDynamics,
+    states: list[JointState],
+    differentiate: bool,  # noqa: FBT001
+) -> None:
+    watched = monitor(scara, differentiate_velocity=differentiate)
+    last_ns = 0
+    for joint_state in states:
+        good = believable(joint_state, NOW, last_ns)
+        decision = watched.assess(joint_state, NOW)
+        if decision is None:
+            assert not set(joint_state.names) & set(JOINTS)
+            continue
+        (contact,) = decision.contacts
+        for name, value in contact._asdict().items():
+            if isinstance(value, float) and name not in {"lumped_mass", "full_mass"}:
+                assert math.isfinite(value), name
+        assert math.isfinite(math.hypot(*contact.direction))
+        assert 0.0 <= decision.speed_scaling <= 1.0
+        assert 0.0 <= decision.allowable_speed < INF
+        assert contact.stamp_ns >= 0
+        if contact.verdict is Verdict.UNKNOWN:
+            assert contact.reason
+            assert (contact.allowable_speed, decision.allowable_speed, decision.speed_scaling) == (0.0, 0.0, 0.0)
+        elif not (differentiate and not len(joint_state.velocity)):
+            assert good
+        if good:
+            last_ns = joint_state.stamp_ns

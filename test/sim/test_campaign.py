@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from scara_effmass.bags.definitions import RECORDING_INFO
+from scara_effmass.bags.files import open_bag
+from scara_effmass.errors import OutputError
+from scara_effmass.sim.campaign import APART_NS, Campaign, record, run_campaign
+from scara_effmass.sim.experiment import run_impact
+from scara_effmass.sim.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES
+from scara_effmass.sim.topics import FORCE_TOPIC
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from scara_effmass.sim.experiment import ImpactRun
+
+SMALL = Campaign(configurations=CONFIGURATIONS[:1], obstacle_masses=(0.5, 7.35), repetitions=1)
+
+
+def checksums(folder: Path) -> dict[str, str]:
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("campaign")
+    steps = list(run_campaign(folder, SMALL))
+    assert [(step.number, step.total, step.kept) for step in steps] == [(1, 2, False), (2, 2, False)]
+    assert [step.path.name for step in steps] == ["300_200_500g_1", "300_200_7350g_1"]
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run() -> ImpactRun:
+    return run_impact(SMALL.runs[1].setup)
+
+
+def test_the_paper_s_experiment_is_complete() -> None:
+    runs = Campaign().runs
+    assert len(runs) == len({run.name for run in runs}) == 36
+    which = {(run.setup.configuration.name, run.setup.obstacle_mass, run.repetition) for run in runs}
+    assert which == set(product((c.name for c in CONFIGURATIONS), OBSTACLE_MASSES, (1, 2, 3)))
+    assert len({run.setup.seed for run in runs}) == 36
+    assert np.all(np.diff([run.setup.start_ns for run in runs]) == APART_NS)
+
+
+def test_runs_differ_a_little() -> None:
+    setups = [run.setup for run in Campaign().runs]
+    speeds = [setup.speed for setup in setups]
+    assert 0.245 < min(speeds) < 0.247
+    assert 0.253 < max(speeds) < 0.255
+    assert len({(setup.offset, setup.rest, setup.sensor.clock_error) for setup in setups}) == 36
+    assert max(abs(setup.offset) for setup in setups) < 1e-3
+    assert max(abs(setup.sensor.clock_error) for setup in setups) < 50e-6
+
+
+def test_a_bag_holds_what_the_run_gave(made: Path, run: ImpactRun) -> None:
+    with open_bag(made / "300_200_7350g_1") as bag:
+        assert bag.losses == ()
+        assert bag.joint_state_topics == ("/joint_states",)
+        states = [state for block in bag.joint_state_blocks() for state in block.states()]
+        blocks = list(bag.force_blocks(FORCE_TOPIC))
+        order = [message.log_time_ns for message in bag.messages()]
+    assert order == sorted(order)
+    assert len(states) == len(run.joint_states)
+    for one, other in zip(states, run.joint_states, strict=True):
+        assert (one.stamp_ns, one.names) == (other.stamp_ns, other.names)
+        assert np.array_equal(one.position, other.position)
+        assert np.array_equal(one.velocity, other.velocity)
+    empty, none = np.empty(0), np.empty(0, np.uint32)
+    for block, whole in zip(blocks, run.force_blocks, strict=True):
+        assert np.array_equal(block.force, whole.force)
+        assert block._replace(force=empty, saturated_samples=none) == whole._replace(
+            force=empty, saturated_samples=none
+        )
+
+
+def test_a_bag_says_that_it_is_simulated_and_with_which_mass(made: Path, run: ImpactRun) -> None:
+    with open_bag(made / "300_200_7350g_1") as bag:
+        (message,) = bag.messages([RECORDING_INFO])
+        about = json.loads(bag.deserialize(message).data)
+    assert about["generated"] is True
+    assert about["simulated"] is True
+    assert about["obstacle_mass"] == 7.35
+    assert about["configuration"] == "300_200"
+    assert about["repetition"] == 1
+    assert about["stiffness"] == 2e6
+    assert about["truth"]["peak_force"] == run.truth.impact.peak_force
+    assert about["truth"]["contacts"] == len(run.truth.contacts)
+
+
+def test_a_force_block_is_logged_after_its_last_sample_was_taken(made: Path) -> None:
+    with open_bag(made / "300_200_500g_1") as bag:
+        logged = [message.log_time_ns for message in bag.messages([FORCE_TOPIC])]
+        blocks = list(bag.force_blocks(FORCE_TOPIC))
+    late = [log - block.stamp_ns for log, block in zip(logged, blocks, strict=True)]
+    assert min(late) > 0.1e9
+    assert max(late) < 0.106e9
+
+
+def test_making_it_twice_gives_the_same_bytes(made: Path, tmp_path: Path) -> None:
+    list(run_campaign(tmp_path, SMALL))
+    assert checksums(tmp_path) == checksums(made)
+
+
+def test_a_campaign_can_be_gone_on_with(made: Path, tmp_path: Path) -> None:
+    first = SMALL.runs[0]
+    record(tmp_path / first.name, first)
+    before = (tmp_path / first.name / "metadata.yaml").stat().st_mtime_ns
+    assert [step.kept for step in run_campaign(tmp_path, SMALL)] == [True, False]
+    assert (tmp_path / first.name / "metadata.yaml").stat().st_mtime_ns == before
+    assert checksums(tmp_path) == checksums(made)
+    assert [step.kept for step in run_campaign(tmp_path, SMALL)] == [True, True]
+
+
+def test_what_is_of_another_campaign_stays_unless_it_may_be_replaced(tmp_path: Path) -> None:
+    one = replace(SMALL, obstacle_masses=(0.5,))
+    list(run_campaign(tmp_path, one))
+    before = checksums(tmp_path)
+    with pytest.raises(OutputError, match="not of this run"):
+        list(run_campaign(tmp_path, replace(one, seed=1)))
+    assert checksums(tmp_path) == before
+    assert [step.kept for step in run_campaign(tmp_path, replace(one, seed=1), overwrite=True)] == [False]
+    assert checksums(tmp_path) != before
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no recording"])
+def test_what_is_no_recording_stays(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / SMALL.runs[0].name
+    if content is None:
+        path.mkdir()
+    else:
+        path.write_bytes(content)
+    with pytest.raises(OutputError, match="not of this run"):
+        list(run_campaign(tmp_path, SMALL))
+    assert path.exists()

@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scara_effmass.sim.collision_sim import ContactSample
+from scara_effmass.sim.converter import FILTER_DELAY, Converter, ForceSensor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from scara_effmass.values import FloatArray
+
+RATE = 12_800.0
+QUIET = ForceSensor(noise=0.0)
+ROUND = ForceSensor(sample_rate=12_500.0, noise=0.0, corner=0.0)
+"""Its converter samples every 10 us, as the force is given here: so nothing is lost in between."""
+STEP_NS = 10_000
+
+
+def touches(force: Callable[[FloatArray], FloatArray], seconds: float) -> list[ContactSample]:
+    times_ns = np.arange(0, round(seconds * 1e9), STEP_NS)
+    felt = force(times_ns / 1e9).tolist()
+    return [ContactSample(time_ns, 0.0, f, f) for time_ns, f in zip(times_ns.tolist(), felt, strict=True)]
+
+
+def converted(sensor: ForceSensor, force: Callable[[FloatArray], FloatArray], seconds: float) -> FloatArray:
+    return Converter(sensor, 0).push(touches(force, seconds), round(seconds * 1e9))
+
+
+def half_sine(onset: float, peak: float, duration: float) -> Callable[[FloatArray], FloatArray]:
+    def force(t: FloatArray) -> FloatArray:
+        inside = (t >= onset) & (t <= onset + duration)
+        return np.where(inside, peak * np.sin(np.pi * (t - onset) / duration), 0.0)
+
+    return force
+
+
+def response(relative_frequency: float) -> complex:
+    """Return amplitude and phase, the delay taken off, of what comes out for 1000 N at a share of the sample rate."""
+    rate = ROUND.sample_rate
+    samples = converted(ROUND, lambda t: 1000.0 * np.cos(2.0 * np.pi * relative_frequency * rate * t), 0.2)
+    numbers = np.arange(len(samples))[4 * FILTER_DELAY :]
+    phase = 2.0 * np.pi * relative_frequency * (numbers - FILTER_DELAY)
+    waves = np.stack((np.cos(phase), np.sin(phase)), axis=1)
+    (real, imaginary), *_ = np.linalg.lstsq(waves, samples[4 * FILTER_DELAY :] / 1000.0, rcond=None)
+    return complex(real, imaginary)
+
+
+@pytest.mark.parametrize("frequency", [0.01, 0.1, 0.2, 0.4, 0.4535])
+def test_what_the_filter_lets_through_is_only_delayed(frequency: float) -> None:
+    assert abs(response(frequency) - 1.0) < 1e-4
+
+
+@pytest.mark.parametrize("frequency", [0.5465, 0.7, 0.93, 1.3, 2.4, 3.9])
+def test_what_would_be_folded_is_gone(frequency: float) -> None:
+    assert abs(response(frequency)) < 3e-5
+
+
+@pytest.mark.parametrize("duration", [1.28e-3, 2e-3, 4e-3])
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.7])
+def test_an_impact_keeps_its_peak_and_its_impulse(duration: float, phase: float) -> None:
+    onset = (200 + phase) / RATE
+    samples = converted(QUIET, half_sine(onset, 300.0, duration), 0.05)
+    at = int(samples.argmax())
+    before, top, after = samples[at - 1 : at + 2].tolist()
+    bend = before - 2.0 * top + after
+    peak = top - (after - before) ** 2 / (8.0 * bend)
+    assert peak == pytest.approx(300.0, rel=5e-3)
+    seconds = (at - (after - before) / (2.0 * bend) - FILTER_DELAY) / RATE
+    assert seconds == pytest.approx(onset + duration / 2.0, abs=10e-6)
+    assert samples[150:350].sum() / RATE == pytest.approx(300.0 * duration * 2.0 / math.pi, rel=8e-3)
+
+
+def test_a_lasting_force_fades_as_the_coupling_has_it() -> None:
+    samples = converted(QUIET, lambda t: np.full_like(t, 100.0), 1.0)
+    after = np.arange(len(samples)) / RATE - FILTER_DELAY / RATE
+    assert samples[500:] == pytest.approx(100.0 * np.exp(-2.0 * math.pi * 0.1 * after[500:]), abs=0.05)
+
+
+def test_samples_are_whole_counts_with_the_noise_asked_for() -> None:
+    samples = Converter(ForceSensor(noise=0.2, seed=5), 0).push((), 2_000_000_000)
+    step = 60.0 / 2**24 / 2.248e-3
+    assert ForceSensor().step == pytest.approx(step, rel=1e-6)
+    counts = samples / ForceSensor().step
+    assert np.abs(counts - np.rint(counts)).max() < 1e-6
+    assert samples.std() == pytest.approx(0.2, rel=0.02)
+    assert abs(samples.mean()) < 0.01
+
+
+def test_beyond_its_range_the_sensor_says_no_more() -> None:
+    sensor = ForceSensor(noise=0.0)
+    samples = converted(sensor, half_sine(0.01, 5000.0, 4e-3), 0.05)
+    plateau = samples[(samples > sensor.saturation)]
+    assert len(plateau) > 30
+    # The filter makes waves where the sensor clips.
+    assert samples.max() < 1.1 * sensor.range
+
+
+@pytest.mark.parametrize("clock_error", [-50e-6, 0.0, 50e-6])
+def test_the_converter_counts_by_its_own_clock(clock_error: float) -> None:
+    converter = Converter(ForceSensor(clock_error=clock_error), 0)
+    seconds = 100
+    for second in range(seconds):
+        converter.push((), (second + 1) * 1_000_000_000)
+    assert converter.samples == math.floor(seconds * RATE * (1.0 + clock_error)) + 1
+
+
+FORCE = touches(half_sine(0.005, 300.0, 2e-3), 0.03)
+SENSOR = ForceSensor(seed=3)
+WHOLE = Converter(SENSOR, 0).push(FORCE, 100_000_000)
+
+
+@settings(max_examples=50)
+@given(st.lists(st.integers(1, len(FORCE)), max_size=10))
+def test_the_samples_do_not_depend_on_the_portions(cuts: list[int]) -> None:
+    converter = Converter(SENSOR, 0)
+    bounds = sorted({0, *cuts, len(FORCE)})
+    parts = [
+        converter.push(FORCE[first:end], 100_000_000 if end == len(FORCE) else FORCE[end - 1].time_ns)
+        for first, end in pairwise(bounds)
+    ]
+    assert np.array_equal(np.concatenate(parts), WHOLE)
+    assert converter.samples == len(WHOLE) == 1281

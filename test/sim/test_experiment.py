@@ -1,0 +1,214 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import yaml
+
+from scara_effmass.errors import RobotError, SettingsError
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.load import load_robot
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.sim.collision_sim import CollisionSim
+from scara_effmass.sim.converter import ForceSensor
+from scara_effmass.sim.drive import Servo
+from scara_effmass.sim.experiment import cell_for, run_impact
+from scara_effmass.sim.impact_setup import CONFIGURATIONS, ImpactSetup
+from scara_effmass.sim.recordings import EPOCH_NS, POSITION_STEP, VELOCITY_STEP
+from scara_effmass.sim.scara_kinematics import inverse_velocity
+from scara_effmass.sim.spring_contact import SpringContact
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from scara_effmass.sim.experiment import ImpactRun
+    from scara_effmass.sim.impact_setup import Configuration
+    from scara_effmass.values import FloatArray
+
+SETUP = ImpactSetup(CONFIGURATIONS[0], 2.39)
+
+
+@pytest.fixture(scope="module")
+def run() -> ImpactRun:
+    return run_impact(SETUP)
+
+
+def recorded(run: ImpactRun) -> tuple[FloatArray, FloatArray]:
+    """Return the times since the start [s] and the samples [N] of a run."""
+    times = [
+        (block.stamp_ns - run.setup.start_ns) / 1e9 + np.arange(len(block.force)) / block.sample_rate
+        for block in run.force_blocks
+    ]
+    return np.concatenate(times), np.concatenate([block.force for block in run.force_blocks])
+
+
+def test_the_impact_is_in_the_middle_of_the_path_at_the_speed_of_the_paper(run: ImpactRun) -> None:
+    impact = run.truth.impact
+    # rest, half of 0.2 m / 0.25 m/s + 0.1 s of ramp
+    assert (impact.onset_ns - EPOCH_NS) / 1e9 == pytest.approx(0.3 + 0.45, abs=1e-4)
+    assert impact.speed == pytest.approx(0.25, rel=1e-3)
+
+
+def test_the_masses_are_those_of_the_model(run: ImpactRun, robot: Path) -> None:
+    settings = MonitorSettings()
+    number, rest_ns = divmod(run.truth.impact.onset_ns - EPOCH_NS, 1_000_000)
+    before = run.joint_states[number]
+    at_onset = before.position + before.velocity * rest_ns / 1e9
+    rates = inverse_velocity(at_onset[:2], np.array([0.25, 0.0]))
+    along_x = np.array([*rates, 0.0, rates.sum()])
+    (ours,) = RobotDynamics(load_robot(robot, settings)).effective_masses(at_onset, along_x, 0.01)
+    assert run.truth.effective_mass == pytest.approx(ours.full, rel=2e-5)
+    assert run.truth.reduced_mass == pytest.approx(1.0 / (1.0 / ours.full + 1.0 / 2.39), rel=2e-5)
+
+
+@pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda c: c.name)
+@pytest.mark.parametrize("mass", [0.5, 7.35])
+def test_the_controller_hardly_bends_the_law(configuration: Configuration, mass: float) -> None:
+    truth = run_impact(replace(SETUP, configuration=configuration, obstacle_mass=mass)).truth
+    peak = truth.impact.peak_force
+    assert peak == pytest.approx(SpringContact().peak(truth.impact.speed, truth.reduced_mass), rel=5e-3)
+    assert 160.0 < peak < 860.0
+    assert 1e-3 < truth.impact.duration < 4e-3
+    # What comes after is weaker, so the impact is the largest force there is.
+    assert all(contact.peak_force < 0.9 * peak for contact in truth.contacts[1:])
+
+
+def test_a_stiff_controller_makes_the_robot_heavier() -> None:
+    heavy = replace(SETUP, configuration=CONFIGURATIONS[2], obstacle_mass=7.35)
+    truths = [run_impact(replace(heavy, servo=Servo(bandwidth=hz))).truth for hz in (1.0, 5.0, 30.0, 60.0)]
+    excess = [t.impact.peak_force / SpringContact().peak(t.impact.speed, t.reduced_mass) - 1.0 for t in truths]
+    assert excess == sorted(excess)
+    assert abs(excess[0]) < 1e-3
+    assert excess[-1] > 0.01
+
+
+def test_the_recorded_force_is_the_true_one_at_its_time(run: ImpactRun) -> None:
+    times, force = recorded(run)
+    impact = run.truth.impact
+    assert force.max() == pytest.approx(impact.peak_force, rel=6e-3)
+    onset = (impact.onset_ns - EPOCH_NS) / 1e9
+    middle = onset + impact.duration / 2.0
+    assert times[force.argmax()] == pytest.approx(middle, abs=run.force_blocks[0].clock_residual + 1.0 / 12_800.0)
+    inside = (times > onset - 1e-3) & (times < onset + impact.duration + 1.5e-3)
+    assert force[inside].sum() / 12_800.0 == pytest.approx(impact.impulse, rel=5e-3)
+    assert np.abs(force[times < onset - 5e-3]).max() < 6 * SETUP.sensor.noise
+
+
+def test_blocks_follow_each_other_and_cover_the_run(run: ImpactRun) -> None:
+    blocks = run.force_blocks
+    assert {len(block.force) for block in blocks} == {1280}
+    assert np.all(np.diff([block.first_sample for block in blocks]) == 1280)
+    assert blocks[0].stamp_ns - EPOCH_NS < 0.1e9
+    assert EPOCH_NS + len(run.joint_states) * 1_000_000 - blocks[-1].stamp_ns < 0.2e9
+    gaps = np.diff([block.stamp_ns for block in blocks]) - 0.1e9
+    assert np.abs(gaps).max() < 2 * 20e3
+    for block in blocks:
+        assert block.simulated
+        assert "simulated" in block.source
+        assert not block.force.flags.writeable
+        assert block.tare != 0.0
+        assert abs(block.tare) < 0.01
+        counts = (block.force + block.tare) / SETUP.sensor.step
+        assert np.abs(counts - np.rint(counts)).max() < 1e-6
+        assert block.tare_stamp_ns < EPOCH_NS + 0.1e9
+        assert block.filter_delay == pytest.approx(38 / 12_800.0, rel=1e-4)
+
+
+def test_stamps_stay_within_the_stated_residual() -> None:
+    for seed in range(5):
+        sensor = ForceSensor(clock_error=50e-6, noise=0.0, seed=seed)
+        run = run_impact(replace(SETUP, sensor=sensor, seed=seed))
+        times, force = recorded(run)
+        at = int(force.argmax())
+        top = (
+            times[at] + (force[at + 1] - force[at - 1]) / 2.0 / (2 * force[at] - force[at - 1] - force[at + 1]) / 12_800
+        )
+        middle = (run.truth.impact.onset_ns - EPOCH_NS) / 1e9 + run.truth.impact.duration / 2.0
+        assert -20e-6 < top - middle < run.force_blocks[0].clock_residual + 20e-6
+
+
+def test_a_force_beyond_the_range_is_marked() -> None:
+    run = run_impact(replace(SETUP, configuration=CONFIGURATIONS[2], obstacle_mass=7.35, contact=SpringContact(6e7)))
+    clipped = [block for block in run.force_blocks if block.saturated_samples.size]
+    assert len(clipped) == 1
+    (block,) = clipped
+    assert np.all(block.force[block.saturated_samples] > 2200.0)
+
+
+def test_joint_states_are_whole_counts_at_a_kilohertz(run: ImpactRun) -> None:
+    stamps = [state.stamp_ns for state in run.joint_states]
+    assert stamps == [EPOCH_NS + i * 1_000_000 for i in range(len(stamps))]
+    q = np.array([state.position for state in run.joint_states])
+    qd = np.array([state.velocity for state in run.joint_states])
+    for values, step in ((q, POSITION_STEP), (qd, VELOCITY_STEP)):
+        assert np.abs(values / step - np.rint(values / step)).max() < 1e-6
+    # Velocities are those of the positions, but for the filter and the counts.
+    assert np.abs(np.diff(q, axis=0) * 1000.0 - qd[1:])[:700, :2].max() < 0.03
+    assert run.joint_states[0].names == ("joint1", "joint2", "joint3", "joint4")
+
+
+def test_the_same_setup_gives_the_same_run_and_another_seed_another_noise(run: ImpactRun) -> None:
+    again = run_impact(SETUP)
+    assert again.truth == run.truth
+    assert np.array_equal(recorded(again)[1], recorded(run)[1])
+    other = run_impact(replace(SETUP, seed=1, sensor=ForceSensor(seed=1)))
+    assert other.truth == run.truth
+    assert not np.array_equal(recorded(other)[1][:1000], recorded(run)[1][:1000])
+
+
+def test_a_path_in_another_direction_is_the_same_experiment_turned() -> None:
+    point, heading = (0.3, -0.2), math.radians(40.0)
+    c, s = math.cos(heading), math.sin(heading)
+    turned = (c * point[0] - s * point[1], s * point[0] + c * point[1])
+    straight = run_impact(replace(SETUP, configuration=CONFIGURATIONS[2]))
+    other = run_impact(replace(SETUP, configuration=replace(CONFIGURATIONS[2], point=turned, heading=heading)))
+    assert other.truth.effective_mass == pytest.approx(straight.truth.effective_mass, rel=1e-6)
+    assert other.truth.impact.peak_force == pytest.approx(straight.truth.impact.peak_force, rel=1e-4)
+
+
+def test_a_cart_that_is_not_hit_is_an_error() -> None:
+    with pytest.raises(SettingsError, match="not hit"):
+        run_impact(replace(SETUP, offset=0.2))
+
+
+@pytest.mark.parametrize("speed", [0.0, -0.25, 0.71, math.nan])
+def test_a_speed_that_the_path_is_too_short_for_is_refused(speed: float) -> None:
+    with pytest.raises(SettingsError, match="speed = "):
+        replace(SETUP, speed=speed)
+
+
+def test_a_contact_that_the_steps_cannot_follow_is_refused() -> None:
+    with pytest.raises(SettingsError, match=r"would last 0\.18 ms"):
+        cell_for(replace(SETUP, contact=SpringContact(2e8)))
+    with pytest.raises(SettingsError, match=r"damping = 1e\+06: 6803 N s/m or less"):
+        cell_for(replace(SETUP, contact=SpringContact(damping=1e6)))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("bandwidth", 0.0), ("bandwidth", 500.0), ("damping_ratio", 0.1), ("velocity_time_constant", math.nan)],
+)
+def test_a_controller_that_would_not_be_stable_is_refused(name: str, value: float) -> None:
+    with pytest.raises(SettingsError, match=f"{name} = "):
+        Servo(**{name: value})
+
+
+@pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda c: c.name)
+@pytest.mark.parametrize("servo", [Servo(60.0, 0.3), Servo(60.0, 1.0, 2e-3), Servo(0.5, 0.3)], ids=str)
+def test_the_controllers_that_are_allowed_are_stable(configuration: Configuration, servo: Servo) -> None:
+    run = run_impact(replace(SETUP, configuration=configuration, servo=servo))
+    late = np.array([state.velocity for state in run.joint_states[-50:]])
+    assert np.abs(late).max() < (0.02 if servo.bandwidth > 1.0 else 1.0)
+
+
+def test_another_robot_is_refused(robot: Path, tmp_path: Path) -> None:
+    document = yaml.safe_load(robot.read_text())
+    document["joints"][0]["a"] = 0.3
+    path = tmp_path / "longer.yaml"
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(RobotError, match="misses the point of impact by"):
+        cell_for(SETUP, path)
+    assert isinstance(cell_for(SETUP, robot)[0], CollisionSim)

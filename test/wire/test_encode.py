@@ -1,0 +1,62 @@
+"""The monitor's messages, packed by hand, are those of rclpy and of rosbags."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from scara_effmass_msgs.msg import ContactState
+from std_msgs.msg import Float64
+
+from scara_effmass.bags.definitions import CONTACT_STATE, known_types
+from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.wire.encode import ContactStateEncoder, float64_message
+
+NUMBER = st.floats(allow_nan=True, allow_infinity=True)
+TEXT = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
+KINDS = {
+    "stamp_ns": st.integers(0, 2**31 * 10**9 - 1),
+    "contact_point": TEXT,
+    "direction": st.tuples(NUMBER, NUMBER, NUMBER),
+    "body_region": TEXT,
+    "criterion": TEXT,
+    "verdict": st.sampled_from(Verdict),
+    "reason": TEXT,
+    "worst_direction_used": st.booleans(),
+    "mass_capped": st.booleans(),
+}
+CONTACTS = st.builds(ContactAssessment, **{name: KINDS.get(name, NUMBER) for name in ContactAssessment._fields})
+
+
+def told(message: Any, frame_id: str) -> str:  # noqa: ANN401 - of two libraries
+    """Return every field of a message as text that tells any two floats apart, signed zeros too, but for NaNs."""
+    stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+    assert message.header.frame_id == frame_id
+    direction = (message.direction.x, message.direction.y, message.direction.z)
+    given = {"stamp_ns": stamp_ns, "direction": direction, "verdict": Verdict(message.verdict)}
+    return repr(
+        ContactAssessment(**{n: given[n] if n in given else getattr(message, n) for n in ContactAssessment._fields})
+    )
+
+
+@given(st.lists(CONTACTS, min_size=1, max_size=3), TEXT)
+def test_a_contact_state_reads_back_in_every_field(contacts: list[ContactAssessment], frame_id: str) -> None:
+    point = contacts[0].contact_point
+    encoder = ContactStateEncoder(point, frame_id)
+    for contact in (each._replace(contact_point=point) for each in contacts):
+        data = encoder.encode(contact)
+        assert told(deserialize_message(data, ContactState), frame_id) == repr(contact)
+        assert told(known_types().deserialize_cdr(data, CONTACT_STATE), frame_id) == repr(contact)
+
+
+@given(CONTACTS, TEXT)
+def test_it_is_as_long_as_rclpy_makes_it(contact: ContactAssessment, frame_id: str) -> None:
+    data = ContactStateEncoder(contact.contact_point, frame_id).encode(contact)
+    assert len(data) == len(serialize_message(deserialize_message(data, ContactState)))
+
+
+@given(NUMBER)
+def test_a_number_reads_back(value: float) -> None:
+    assert repr(deserialize_message(float64_message(value), Float64).data) == repr(value)

@@ -1,0 +1,233 @@
+"""ForceBlock and Impact as CDR, against two other implementations of it: rosbags, and ROS itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from scara_effmass_msgs.msg import ForceBlock as RosForceBlock
+from scara_effmass_msgs.msg import Impact as RosImpact
+
+from scara_effmass.bags.definitions import FORCE_BLOCK, IMPACT, known_types
+from scara_effmass.errors import DecodeError
+from scara_effmass.values import ForceBlock, Impact
+from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message, impact_message
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+NS = 10**9
+NUMBER = st.floats(width=64)
+TEXT = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=12)
+STAMP_NS = st.integers(-(2**31) * NS, 2**31 * NS - 1)
+UINT32 = st.integers(0, 2**32 - 1)
+FLAG = st.booleans()
+
+
+@st.composite
+def blocks(draw: st.DrawFn) -> ForceBlock:
+    force = np.array(draw(st.lists(NUMBER, max_size=9)), np.float64)
+    saturated = draw(st.sets(st.integers(0, len(force) - 1))) if len(force) else set[int]()
+    return ForceBlock(
+        stamp_ns=draw(STAMP_NS),
+        frame_id=draw(TEXT),
+        first_sample=draw(st.integers(0, 2**64 - 1)),
+        sample_rate=draw(NUMBER),
+        force=force,
+        lost_samples=draw(UINT32),
+        saturated_samples=np.array(sorted(saturated), np.uint32),
+        clock_residual=draw(NUMBER),
+        filter_delay=draw(NUMBER),
+        source=draw(TEXT),
+        simulated=draw(FLAG),
+        tare=draw(NUMBER),
+        tare_stamp_ns=draw(STAMP_NS),
+        relative_uncertainty=draw(NUMBER),
+    )
+
+
+IMPACTS = st.builds(
+    Impact,
+    stamp_ns=STAMP_NS,
+    frame_id=TEXT,
+    clipped=FLAG,
+    incomplete=FLAG,
+    rebound=UINT32,
+    source=TEXT,
+    simulated=FLAG,
+    **dict.fromkeys(
+        ("peak_force", "duration", "impulse", "onset_sample", "baseline", "noise", "clock_residual"), NUMBER
+    ),
+)
+
+
+def told(value: ForceBlock | Impact) -> str:
+    """Return every field as text that tells any two floats apart, signed zeros too, but for NaNs."""
+    return repr([each.tolist() if isinstance(each, np.ndarray) else each for each in value])
+
+
+def fields(message: Any) -> dict[str, Any]:  # noqa: ANN401 - of two libraries
+    """Return a message of either library as the fields of our value."""
+
+    def stamp_ns(time: Any) -> int:  # noqa: ANN401
+        return int(time.sec * NS + time.nanosec)
+
+    found = {"stamp_ns": stamp_ns(message.header.stamp), "frame_id": message.header.frame_id}
+    if hasattr(message, "force"):
+        found["tare_stamp_ns"] = stamp_ns(message.tare_stamp)
+        found["force"] = np.array(message.force, np.float64)
+        found["saturated_samples"] = np.array(message.saturated_samples, np.uint32)
+    return found
+
+
+def read(message: Any, kind: type[ForceBlock | Impact]) -> ForceBlock | Impact:  # noqa: ANN401 - of two libraries
+    found = fields(message)
+    return kind(**{name: found[name] if name in found else getattr(message, name) for name in kind._fields})
+
+
+def by_rosbags(value: ForceBlock | Impact, *, little_endian: bool = True) -> bytes:
+    types = known_types().types
+    make: dict[str, Callable[..., object]] = {name.rpartition("/")[2]: kind for name, kind in types.items()}
+
+    def time(stamp_ns: int) -> object:
+        return make["Time"](*divmod(stamp_ns, NS))
+
+    given = value._asdict()
+    given["header"] = make["Header"](time(given.pop("stamp_ns")), given.pop("frame_id"))
+    if isinstance(value, ForceBlock):
+        given["tare_stamp"] = time(given.pop("tare_stamp_ns"))
+        given["saturated"] = bool(len(value.saturated_samples))
+    kind = FORCE_BLOCK if isinstance(value, ForceBlock) else IMPACT
+    message: Any = types[kind]
+    return bytes(known_types().serialize_cdr(message(**given), kind, little_endian=little_endian))
+
+
+@given(blocks())
+def test_a_block_reads_back_in_every_field_by_ros_rosbags_and_here(block: ForceBlock) -> None:
+    data = force_block_message(block)
+    by_ros = deserialize_message(data, RosForceBlock)
+    by_rosbags: Any = known_types().deserialize_cdr(data, FORCE_BLOCK)
+    by_others = (by_ros, by_rosbags)
+    assert {told(read(message, ForceBlock)) for message in by_others} == {told(block)}
+    assert {message.saturated for message in by_others} == {bool(len(block.saturated_samples))}
+    assert told(decode_force_block(data)) == told(block)
+
+
+@given(IMPACTS)
+def test_an_impact_reads_back_in_every_field_by_ros_rosbags_and_here(impact: Impact) -> None:
+    data = impact_message(impact)
+    assert told(read(deserialize_message(data, RosImpact), Impact)) == told(impact)
+    assert told(read(known_types().deserialize_cdr(data, IMPACT), Impact)) == told(impact)
+    assert told(decode_impact(data)) == told(impact)
+
+
+@given(block=blocks(), impact=IMPACTS, little_endian=FLAG)
+def test_what_others_serialise_is_decoded(block: ForceBlock, impact: Impact, *, little_endian: bool) -> None:
+    """ROS leaves arbitrary bytes in the padding, and some behind the end."""
+    for data in (
+        by_rosbags(block, little_endian=little_endian),
+        bytes(serialize_message(deserialize_message(force_block_message(block), RosForceBlock))),
+    ):
+        decoded = decode_force_block(data)
+        assert told(decoded) == told(block)
+        for array in (decoded.force, decoded.saturated_samples):
+            assert array.dtype.isnative
+            assert array.flags.aligned
+            assert not array.flags.writeable
+    for data in (
+        by_rosbags(impact, little_endian=little_endian),
+        bytes(serialize_message(deserialize_message(impact_message(impact), RosImpact))),
+    ):
+        assert told(decode_impact(data)) == told(impact)
+
+
+@settings(max_examples=300)
+@given(blocks(), IMPACTS, st.data())
+def test_damaged_bytes_are_refused_in_one_line_or_read_within_the_buffer(
+    block: ForceBlock, impact: Impact, data: st.DataObject
+) -> None:
+    for right in (force_block_message(block), impact_message(impact)):
+        damaged = bytearray(right[: data.draw(st.integers(0, len(right)))])
+        for _ in range(data.draw(st.integers(0, 4))):
+            if damaged:
+                damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+        assert_refused_or_within(bytes(damaged))
+
+
+@given(st.binary(max_size=200))
+def test_garbage_is_refused_or_decoded_but_nothing_else(data: bytes) -> None:
+    for encapsulation in (b"", b"\x00\x01\x00\x00"):
+        assert_refused_or_within(encapsulation + data)
+
+
+def assert_refused_or_within(data: bytes) -> None:
+    for name, decode in (("ForceBlock: ", decode_force_block), ("Impact: ", decode_impact)):
+        refusal = name
+        try:
+            value = decode(data)
+        except DecodeError as error:
+            refusal = str(error)
+        else:
+            if isinstance(value, ForceBlock):
+                assert 8 * len(value.force) <= len(data)
+                assert (value.saturated_samples < len(value.force)).all()
+        assert refusal.startswith(name)
+        assert "\n" not in refusal
+
+
+SIMPLE = ForceBlock(
+    NS, "f", 5, 100.0, np.array([1.0, 2.0]), 0, np.array([1], np.uint32), 0.0, 0.0, "s", simulated=False, tare=0.0,
+    tare_stamp_ns=0, relative_uncertainty=0.0,
+)  # fmt: skip
+SIMPLE_IMPACT = Impact(
+    NS, "f", 1.0, 2.0, 3.0, 4.0, clipped=False, incomplete=False, rebound=0, baseline=0.0, noise=0.0,
+    clock_residual=0.0, source="s", simulated=False,
+)  # fmt: skip
+
+
+def test_every_truncation_is_refused() -> None:
+    block, impact = force_block_message(SIMPLE), impact_message(SIMPLE_IMPACT)
+    for end in range(len(block)):
+        with pytest.raises(DecodeError, match="ForceBlock: "):
+            decode_force_block(block[:end])
+    for end in range(len(impact)):
+        with pytest.raises(DecodeError, match="Impact: "):
+            decode_impact(impact[:end])
+
+
+@pytest.mark.parametrize(
+    ("at", "new", "message"),
+    [
+        (0, b"\x00\x07", "CDR begins with 0007; 0000 or 0001 would be right"),
+        (12, b"\xff\xff\xff\xff", r"header.frame_id has length 4294967295, but only \d+ bytes follow"),
+        (36, b"\xff", r"force has length 255, but only \d+ bytes follow"),
+        (64, b"\x02", "saturated = 2; 0 or 1 would be right"),
+        (64, b"\x00", "saturated is false with 1 saturated_samples; true would be right"),
+        (68, b"\x0f", r"saturated_samples has length 15, but only \d+ bytes follow|ends at byte"),
+        (72, b"\x02", "saturated_samples holds 2, but force has only 2 samples"),
+    ],
+)
+def test_what_is_wrong_is_named(at: int, new: bytes, message: str) -> None:
+    data = bytearray(force_block_message(SIMPLE))
+    data[at : at + len(new)] = new
+    with pytest.raises(DecodeError, match=message):
+        decode_force_block(bytes(data))
+
+
+def test_bytes_behind_the_message_are_refused() -> None:
+    with pytest.raises(DecodeError, match="16 bytes behind relative_uncertainty, where at most 15 may follow"):
+        decode_force_block(force_block_message(SIMPLE) + bytes(16))
+
+
+def test_a_loss_beyond_the_field_is_as_large_as_it_can_be() -> None:
+    assert decode_force_block(force_block_message(SIMPLE._replace(lost_samples=2**40))).lost_samples == 2**32 - 1
+
+
+def test_a_saturated_block_that_does_not_say_where_is_saturated_everywhere() -> None:
+    message = deserialize_message(force_block_message(SIMPLE), RosForceBlock)
+    message.saturated_samples = []
+    assert decode_force_block(bytes(serialize_message(message))).saturated_samples.tolist() == [0, 1]
