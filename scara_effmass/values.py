@@ -45,7 +45,8 @@ class ContactAssessment(NamedTuple):
 
     `lumped_mass` and `full_mass` [kg] are NaN when that model does not exist for the robot. Under UNKNOWN,
     what could not be computed is 0. Masses and `predicted_force` [N] are nominal; `allowable_speed` [m/s]
-    and `margin` [m/s] include the uncertainty margins, on the safe side.
+    and `margin` [m/s] include the uncertainty margins, on the safe side. `watchdog` marks a state that the monitor's
+    watchdog published because no joint state came.
     """
 
     stamp_ns: int
@@ -71,6 +72,7 @@ class ContactAssessment(NamedTuple):
     worst_direction_used: bool
     mass_capped: bool
     smallest_singular_value: float
+    watchdog: bool = False
 
 
 class Decision(NamedTuple):

@@ -55,6 +55,6 @@ def cycles(bag: Bag, topic: str, monitor: Monitor) -> Iterator[Cycle]:
     """
     for block in bag.joint_state_blocks(topic):
         for log_time_ns, reason in block.unreadable:
-            yield Cycle(log_time_ns, None, monitor.refuse(reason))
+            yield Cycle(log_time_ns, None, monitor.reject(reason))
         for log_time_ns, state in zip(block.log_time_ns.tolist(), block.states(), strict=True):
             yield Cycle(log_time_ns, state, monitor.assess(state, log_time_ns))

@@ -78,8 +78,8 @@ def recorded_cycles(bag: Bag, topic: str, monitor: Monitor) -> Iterator[Cycle]:
     for cycle in cycles(bag, topic, monitor):
         count += 1
         yield cycle
-    if monitor.foreign == count > 0:
-        names = ", ".join(monitor.arm.robot.joint_names)
+    if monitor.ignored == count > 0:
+        names = ", ".join(monitor.dynamics.robot.joint_names)
         raise BagError(f"{bag.path}: {topic}: none of its joint states names a joint of the robot ({names})")
 
 

@@ -49,7 +49,7 @@ _UNITS = {
     "smallest_singular_value": "smallest_singular_value",
 }
 _LABELS = ("contact_point", "body_region", "criterion", "verdict", "reason")
-_FLAGS = ("worst_direction_used", "mass_capped")
+_FLAGS = ("worst_direction_used", "mass_capped", "watchdog")
 
 SCHEMA = pa.schema(
     [("bag", pa.string()), ("log_time_ns", pa.int64()), ("stamp_ns", pa.int64())]

@@ -84,12 +84,12 @@ class Run:
             self.summary.add(decision.contacts, at_ns, state, name)
             if self.check is not None and state is not None:
                 self.check.add(state, decision.contacts)
-        if monitor.foreign == count > 0:
+        if monitor.ignored == count > 0:
             names = ", ".join(self.arm.robot.joint_names)
             raise BagError(f"{bag.path}: {topic}: none of its joint states names a joint of the robot ({names})")
         self.joint_states += count
-        self.foreign += monitor.foreign
-        self.refused += monitor.refused
+        self.foreign += monitor.ignored
+        self.refused += monitor.rejected
         self.losses += bag.losses
 
     def as_dict(self) -> dict[str, Any]:

@@ -19,8 +19,6 @@ from scara_effmass_msgs.msg import ContactState, ImpactValidation
 from std_msgs.msg import Float64
 
 from scara_effmass.nodes.lifecycle import spin_for
-from scara_effmass.safety import SILENCE
-from scara_effmass.values import Verdict
 from scara_effmass.wire.contact_messages import contact_from
 
 if TYPE_CHECKING:
@@ -158,7 +156,7 @@ class MonitorClient:
 
     def _on_contact_state(self, message: ContactState) -> None:
         contact = contact_from(message)
-        if contact.verdict is Verdict.UNKNOWN and contact.reason.startswith(SILENCE):
+        if contact.watchdog:
             self.silences += contact.contact_point == self._last_point
             return
         pending = self._pending

@@ -55,7 +55,7 @@ class MonitorHealth:
 
     def statuses(self, monitor: Monitor | None, decision: Decision | None, publishers: int) -> list[DiagnosticStatus]:
         """Return the statuses for one report, and start the next interval."""
-        hardware = monitor.arm.robot.name if monitor else ""
+        hardware = monitor.dynamics.robot.name if monitor else ""
         statuses = [self._input(monitor, publishers)]
         if monitor is not None:
             statuses.append(self._model(monitor))
@@ -85,8 +85,8 @@ class MonitorHealth:
                 "publishers": publishers,
                 "received": self.received,
                 "lost": self.lost,
-                "refused": monitor.refused if monitor else 0,
-                "of other devices": monitor.foreign if monitor else 0,
+                "refused": monitor.rejected if monitor else 0,
+                "of other devices": monitor.ignored if monitor else 0,
                 "incompatible QoS": "; ".join(sorted(self._unmatched)),
                 "processing p50 [us]": f"{np.percentile(took, 50):.0f}",
                 "processing p99 [us]": f"{np.percentile(took, 99):.0f}",
@@ -95,7 +95,7 @@ class MonitorHealth:
         )
 
     def _model(self, monitor: Monitor) -> DiagnosticStatus:
-        arm, settings = monitor.arm, monitor.settings
+        arm, settings = monitor.dynamics, monitor.settings
         robot = arm.robot
         missing = tuple(self.missing_models(arm))
         cause = monitor.first_cause

@@ -27,7 +27,7 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, incompatible, run
 from scara_effmass.nodes.monitor_health import MonitorHealth
-from scara_effmass.safety import Monitor, without_robot
+from scara_effmass.safety import Monitor, no_robot_decision
 from scara_effmass.settings import READ_ONLY, MonitorSettings, checked
 from scara_effmass.share import share
 from scara_effmass.wire.cdr import JointStateDecoder
@@ -162,12 +162,12 @@ class MonitorNode(LifecycleBase):
         self._health.received += 1
         monitor = self._monitor
         if monitor is None:
-            self._publish(without_robot(self._waiting))
+            self._publish(no_robot_decision(self._waiting))
             return
         try:
             decision = monitor.assess(self._decoder.decode(data), self._clock.now().nanoseconds)
         except DecodeError as error:
-            decision = monitor.refuse(str(error))
+            decision = monitor.reject(str(error))
         if decision is not None:
             self._last_heard_ns = started_ns
             self._publish(decision)
@@ -180,7 +180,8 @@ class MonitorNode(LifecycleBase):
         silent_ns = time.monotonic_ns() - self._last_heard_ns
         if not self.active or silent_ns <= self._settings.timeout * 1e9:
             return
-        self._publish(self._monitor.silence(silent_ns) if self._monitor else without_robot(self._waiting))
+        monitor, waiting = self._monitor, self._waiting
+        self._publish(monitor.watchdog_decision(silent_ns) if monitor else no_robot_decision(waiting, watchdog=True))
 
     def _publish(self, decision: Decision) -> None:
         contact_state = self._outputs["contact_state"]
@@ -220,7 +221,7 @@ class MonitorNode(LifecycleBase):
 
     def _on_clock_jump(self, _: TimeJump) -> None:
         if self._monitor is not None:
-            self._monitor.clock_went_back()
+            self._monitor.clear_history()
             self.get_logger().info("the clock went back: earlier joint states are forgotten")
 
     def _on_matched(self, matched: QoSSubscriptionMatchedInfo) -> None:

@@ -1,5 +1,5 @@
 """What is decided: a verdict per contact point and joint state. Pure: time is an argument, in nanoseconds."""
 
-from scara_effmass.safety.monitor import SILENCE, Monitor, without_robot
+from scara_effmass.safety.monitor import Monitor, no_robot_decision, unknown_contact
 
-__all__ = ["SILENCE", "Monitor", "without_robot"]
+__all__ = ["Monitor", "no_robot_decision", "unknown_contact"]

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from scara_effmass.values import JointState
 
 NOWHERE = (0.0, 0.0, 0.0)
-SILENCE = "no joint state "
-"""How the reason begins of a decision that answers no joint state."""
 
 
 class Cause(NamedTuple):
@@ -34,17 +32,17 @@ class Cause(NamedTuple):
 class Monitor:
     """Decides, joint state by joint state. The same states give the same decisions, live and offline."""
 
-    def __init__(self, arm: RobotDynamics, settings: MonitorSettings) -> None:
-        """Watch `arm` under `settings`. Raises LimitError where they ask for a limit the standard does not give."""
-        self.arm = arm
-        self._intake = JointStateValidator(arm.robot)
-        self._iso_mass = 0.0 if arm.robot.masses_reason else arm.robot.iso_mass
-        self._holds = {name: VerdictDebouncer() for name in arm.contact_points}
+    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
+        """Watch the robot of `dynamics`. Raises LimitError for `settings` that loosen a limit of the standard."""
+        self.dynamics = dynamics
+        self._intake = JointStateValidator(dynamics.robot)
+        self._iso_mass = 0.0 if dynamics.robot.masses_reason else dynamics.robot.iso_mass
+        self._holds = {name: VerdictDebouncer() for name in dynamics.contact_points}
         self.first_cause: Cause | None = None
         self._understood = False
         self._counts = [0] * len(Verdict)
-        self.refused = 0
-        self.foreign = 0
+        self.rejected = 0
+        self.ignored = 0
         self.apply(settings)
 
     def apply(self, settings: MonitorSettings) -> None:
@@ -70,7 +68,7 @@ class Monitor:
         for hold in self._holds.values():
             hold.clear()
 
-    def clock_went_back(self) -> None:
+    def clear_history(self) -> None:
         """Forget earlier joint states: the node's clock has jumped back, and stamps will with it."""
         self._intake.forget()
         for hold in self._holds.values():
@@ -85,43 +83,43 @@ class Monitor:
         previous_ns = intake.last_stamp_ns
         if previous_ns > now_ns + intake.future_ns:
             # It was no future when it came: the clock has been set back, which system time tells nobody.
-            self.clock_went_back()
+            self.clear_history()
             previous_ns = 0
         motion = intake.check(state, now_ns)
         if isinstance(motion, OtherDevice):
-            self.foreign += 1
+            self.ignored += 1
             return None
         age = (now_ns - state.stamp_ns) / 1e9 if state.stamp_ns > 0 else 0.0
         if isinstance(motion, str):
-            return self.refuse(motion, state.stamp_ns, age)
+            return self.reject(motion, state.stamp_ns, age)
         if previous_ns and state.stamp_ns - previous_ns > intake.timeout_ns:
             for hold in self._holds.values():
                 hold.mark_stale(f"no joint state for {(state.stamp_ns - previous_ns) / 1e9:.3f} s")
-        effective_masses = self.arm.effective_masses(motion.q, motion.qd, self.settings.speed_threshold)
+        effective_masses = self.dynamics.effective_masses(motion.q, motion.qd, self.settings.speed_threshold)
         contacts = [
             self._judged(name, hold, p, state.stamp_ns, age)
             for (name, hold), p in zip(self._holds.items(), effective_masses, strict=True)
         ]
         return self._decided(tuple(contacts))
 
-    def refuse(self, reason: str, stamp_ns: int = 0, age: float = 0.0) -> Decision:
+    def reject(self, reason: str, stamp_ns: int = 0, age: float = 0.0) -> Decision:
         """Return the decision for a joint state that cannot be used for `reason`, such as unreadable bytes."""
-        self.refused += 1
+        self.rejected += 1
         for hold in self._holds.values():
             hold.mark_stale(reason)
         return self._decided(tuple(self._unknown(name, reason, stamp_ns, age) for name in self._holds))
 
-    def silence(self, elapsed_ns: int) -> Decision:
+    def watchdog_decision(self, elapsed_ns: int) -> Decision:
         """Return the decision when no joint state has come for `elapsed_ns` of steady time.
 
         It changes no verdict of later joint states: a gap in their own stamps does that.
         """
         seconds = elapsed_ns / 1e9
-        reason = f"{SILENCE}for {seconds:.2f} s" if self._intake.last_stamp_ns else f"{SILENCE}yet"
-        if self.foreign:
-            reason += f" ({self.foreign} named none of the robot's joints)"
-        contacts = tuple(self._unknown(name, reason, self._intake.last_stamp_ns, seconds) for name in self._holds)
-        return self._decided(contacts)
+        reason = f"no joint state for {seconds:.2f} s" if self._intake.last_stamp_ns else "no joint state yet"
+        if self.ignored:
+            reason += f" ({self.ignored} named none of the robot's joints)"
+        contacts = [self._unknown(name, reason, self._intake.last_stamp_ns, seconds) for name in self._holds]
+        return self._decided(tuple(contact._replace(watchdog=True) for contact in contacts))
 
     def _decided(self, contacts: tuple[ContactAssessment, ...]) -> Decision:
         for contact in contacts:
@@ -216,7 +214,7 @@ class Monitor:
     def _mass_of_verdict(self, p: EffectiveMasses) -> tuple[float, float, str]:
         """Return the effective mass that counts, that of its worst direction, and why there is none."""
         model = self.settings.effective_mass_model
-        reason = self.arm.robot.masses_reason
+        reason = self.dynamics.robot.masses_reason
         if reason:
             return 0.0, 0.0, reason
         if model is MassModel.ISO:
@@ -224,7 +222,7 @@ class Monitor:
         if model is not MassModel.FULL and math.isnan(p.lumped):
             return 0.0, 0.0, f"no lumped mass ({p.lumped_reason}): choose effective_mass_model full or iso"
         if model is not MassModel.LUMPED and math.isnan(p.full):
-            return 0.0, 0.0, f"no full mass ({self.arm.full_reason}): choose effective_mass_model lumped or iso"
+            return 0.0, 0.0, f"no full mass ({self.dynamics.full_reason}): choose effective_mass_model lumped or iso"
         if model is MassModel.LUMPED:
             mass, worst = p.lumped, p.worst_lumped
         elif model is MassModel.FULL:
@@ -236,15 +234,15 @@ class Monitor:
         return mass, worst, ""
 
     def _unknown(self, name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:
-        return blank(name, reason, stamp_ns, age)._replace(iso_mass=self._iso_mass)
+        return unknown_contact(name, reason, stamp_ns, age)._replace(iso_mass=self._iso_mass)
 
 
-def without_robot(reason: str) -> Decision:
-    """Return the decision while there is no robot to watch."""
-    return Decision((blank("", reason, 0, 0.0),), 0.0, 0.0)
+def no_robot_decision(reason: str, *, watchdog: bool = False) -> Decision:
+    """Return the decision while there is no robot to watch; `watchdog` where no joint state asked for it."""
+    return Decision((unknown_contact("", reason, 0, 0.0)._replace(watchdog=watchdog),), 0.0, 0.0)
 
 
-def blank(name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:
+def unknown_contact(name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:
     """Return an UNKNOWN of which nothing but the reason is known: all numbers 0, the masses of the models NaN."""
     return ContactAssessment(
         stamp_ns=max(stamp_ns, 0),

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 _DOUBLES = 15
 """From direction.x to margin."""
 _FLOAT64 = struct.Struct("<4sd")
-_END = struct.Struct("<d??6xd")
-"""From input_age to smallest_singular_value."""
+_END = struct.Struct("<d??6xd?")
+"""From input_age to watchdog."""
 
 
 def float64_message(value: float) -> bytes:
@@ -54,6 +54,7 @@ class ContactStateEncoder:
             worst_direction_used,
             mass_capped,
             smallest_singular_value,
+            watchdog,
         ) = contact
         texts_of = (body_region, criterion, verdict, reason)
         if texts_of != self._texts_of:
@@ -63,5 +64,5 @@ class ContactStateEncoder:
         return (
             self._start.pack(LITTLE_ENDIAN, *sec_and_nanosec(stamp_ns), self._head, *direction, *numbers)
             + self._texts
-            + _END.pack(input_age, worst_direction_used, mass_capped, smallest_singular_value)
+            + _END.pack(input_age, worst_direction_used, mass_capped, smallest_singular_value, watchdog)
         )

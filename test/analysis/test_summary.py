@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from scara_effmass.analysis.summary import MOST_REASONS, OTHER_REASONS, Summary
-from scara_effmass.safety.monitor import blank
+from scara_effmass.safety import unknown_contact
 from scara_effmass.values import JointState, Verdict
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ TIMEOUT_NS = 200 * MS
 
 
 def contact(verdict: Verdict, margin: float = 0.5, reason: str = "", point: str = "tool") -> ContactAssessment:
-    return blank(point, reason, 1, 0.0)._replace(
+    return unknown_contact(point, reason, 1, 0.0)._replace(
         verdict=verdict, margin=margin, speed=0.1, allowable_speed=0.1 + margin
     )
 

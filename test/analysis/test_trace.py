@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scara_effmass.analysis.trace import TimeSeries, Trace, thinned, verdict_spans
-from scara_effmass.safety.monitor import blank
+from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
 
-known = blank("tool", "", 1, 0.0)._replace(
+known = unknown_contact("tool", "", 1, 0.0)._replace(
     verdict=Verdict.OK, speed=0.2, allowable_speed=1.0, effective_mass=2.0, lumped_mass=2.0, iso_mass=2.77
 )
 
@@ -36,7 +36,7 @@ def test_a_trace_keeps_what_was_decided_in_order_of_time() -> None:
 
 def test_what_is_not_known_is_nan() -> None:
     trace = Trace()
-    trace.add(blank("tool", "the header stamp is zero", 0, 0.0), 1_000_000_000)
+    trace.add(unknown_contact("tool", "the header stamp is zero", 0, 0.0), 1_000_000_000)
     held = known._replace(verdict=Verdict.UNKNOWN, reason="held after: stale", allowable_speed=0.0)
     trace.add(held._replace(stamp_ns=2_000_000_000), 2_001_000_000)
     kept = trace.course()

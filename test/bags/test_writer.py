@@ -51,6 +51,7 @@ CONTACT = ContactAssessment(
     worst_direction_used=True,
     mass_capped=False,
     smallest_singular_value=0.12,
+    watchdog=True,
 )
 
 

@@ -18,7 +18,7 @@ from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import Float64
 
 from scara_effmass.nodes.monitor_client import MonitorClient
-from scara_effmass.safety.monitor import blank
+from scara_effmass.safety import unknown_contact
 from scara_effmass.values import ContactAssessment, Verdict
 from scara_effmass.wire.contact_messages import contact_from
 from scara_effmass.wire.encode import ContactStateEncoder
@@ -62,8 +62,14 @@ class FakeMonitor:
 
 
 def contact(stamp_ns: int, point: str = "tool", age: float = 0.001) -> ContactAssessment:
-    known = blank(point, "", stamp_ns, age)._replace(verdict=Verdict.OK, speed=0.25, effective_mass=2.0, iso_mass=2.77)
+    known = unknown_contact(point, "", stamp_ns, age)._replace(
+        verdict=Verdict.OK, speed=0.25, effective_mass=2.0, iso_mass=2.77
+    )
     return known._replace(lumped_mass=2.0, full_mass=1.9, direction=(0.6, 0.0, -0.8), margin=0.5, criterion="force")
+
+
+def silence(reason: str, stamp_ns: int, age: float) -> ContactAssessment:
+    return unknown_contact("tool", reason, stamp_ns, age)._replace(watchdog=True)
 
 
 @pytest.fixture
@@ -102,8 +108,8 @@ def test_the_watchdog_answers_no_joint_state(monitor: FakeMonitor) -> None:
     cycles: list[Cycle] = []
     with MonitorClient(("tool",), lambda contacts, at_ns: cycles.append((contacts, at_ns))) as watch:
         assert watch.spin(PATIENCE_S, lambda: watch.connected and monitor.is_heard)
-        monitor.say(blank("tool", "no joint state yet", 0, 0.3), contact(NS))
-        monitor.say(blank("tool", "no joint state for 0.25 s", NS, 0.25), contact(2 * NS))
+        monitor.say(silence("no joint state yet", 0, 0.3), contact(NS))
+        monitor.say(silence("no joint state for 0.25 s", NS, 0.25), contact(2 * NS))
         assert watch.spin(PATIENCE_S, lambda: len(cycles) == 2)
         assert (watch.cycles, watch.silences) == (2, 2)
 
@@ -115,7 +121,7 @@ def test_a_joint_state_without_a_stamp_is_placed_on_the_clock_of_the_replay(moni
 
         def said_until_the_clock_has_come() -> bool:
             monitor.tick(1000)
-            monitor.say(blank("tool", "the header stamp is zero", 0, 0.0))
+            monitor.say(unknown_contact("tool", "the header stamp is zero", 0, 0.0))
             return bool(cycles) and cycles[-1][1] == 1000 * NS
 
         assert watch.spin(PATIENCE_S, said_until_the_clock_has_come)

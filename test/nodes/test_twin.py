@@ -12,7 +12,6 @@ from rclpy.serialization import deserialize_message
 from scara_effmass_msgs.msg import ContactState
 
 from scara_effmass.bags.files import open_bag
-from scara_effmass.safety import SILENCE
 from scara_effmass.share import share
 
 if TYPE_CHECKING:
@@ -32,7 +31,7 @@ def exact(contact: ContactState) -> str:
 
 def answers_of(cell: Cell) -> list[ContactState]:
     """Return what was said of joint states, without what the watchdog says before the first."""
-    return [contact for contact in cell.contacts if not contact.reason.startswith(SILENCE)]
+    return [contact for contact in cell.contacts if not contact.watchdog]
 
 
 def test_replay_and_assess_agree_on_every_joint_state(new_cell: Callable[[], Cell], tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.validator_node import ValidatorNode
-from scara_effmass.safety.monitor import blank
+from scara_effmass.safety import unknown_contact
 from scara_effmass.settings import ValidatorSettings
 from scara_effmass.values import Impact as FoundImpact
 from scara_effmass.values import Verdict
@@ -40,7 +40,7 @@ PEAKS = (200.0, 290.0, 331.0, 302.0)
 def contact(number: int) -> ContactAssessment:
     """Return a contact state each millisecond, its mass and speed slowly changing."""
     mass = 1.0 + number * 1e-4
-    return blank("tool", "", START_NS + number * MS, 0.0)._replace(
+    return unknown_contact("tool", "", START_NS + number * MS, 0.0)._replace(
         verdict=Verdict.OK,
         direction=(1.0, 0.0, 0.0),
         speed=0.25 + number * 1e-6,

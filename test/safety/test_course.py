@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.safety import Monitor, without_robot
+from scara_effmass.safety import Monitor, no_robot_decision
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import JointState, Verdict
 
@@ -100,7 +100,7 @@ class TestFirstCause:
 
     def test_does_not_count_what_was_unknown_before_anything_was_understood(self, scara: RobotDynamics) -> None:
         watched = monitor(scara, latch=True)
-        watched.silence(10**9)
+        watched.watchdog_decision(10**9)
         send(watched, 0, names=("joint1",) * 4)
         assert watched.first_cause is None
         assert verdict(send(watched, 1)) is Verdict.OK
@@ -122,7 +122,7 @@ class TestLatch:
     def test_holds_an_unknown_and_allows_nothing(self, scara: RobotDynamics) -> None:
         watched = monitor(scara, latch=True)
         send(watched, 0)
-        watched.silence(10**9)
+        watched.watchdog_decision(10**9)
         latched = send(watched, 1)
         assert verdict(latched) is Verdict.UNKNOWN
         assert reason(latched) == "latched until reset: tool: no joint state for 1.00 s"
@@ -155,7 +155,7 @@ class TestSilence:
     def test_is_unknown_and_allows_nothing(self, scara: RobotDynamics) -> None:
         watched = monitor(scara)
         for expected in ("no joint state yet", "no joint state for 0.25 s"):
-            silent = watched.silence(250 * MS)
+            silent = watched.watchdog_decision(250 * MS)
             (contact,) = silent.contacts
             assert (contact.verdict, contact.reason, contact.input_age) == (Verdict.UNKNOWN, expected, 0.25)
             assert (silent.allowable_speed, silent.speed_scaling) == (0.0, 0.0)
@@ -165,7 +165,7 @@ class TestSilence:
     def test_changes_no_later_verdict(self, scara: RobotDynamics) -> None:
         undisturbed, watched = (monitor(scara, release_time=0.1) for _ in range(2))
         for at in range(0, 2000, 150):
-            watched.silence(10**9)
+            watched.watchdog_decision(10**9)
             assert repr(send(watched, at)) == repr(send(undisturbed, at))
 
 
@@ -173,7 +173,7 @@ def test_after_a_jump_back_of_the_clock_old_stamps_are_new_again(scara: RobotDyn
     watched = monitor(scara, release_time=0.1)
     send(watched, 5000, FAST)
     assert reason(send(watched, 4990)).startswith("the header stamp goes back")
-    watched.clock_went_back()
+    watched.clear_history()
     assert verdict(send(watched, 0)) is Verdict.OK
 
 
@@ -190,15 +190,15 @@ def test_counts_every_verdict_it_gave(scara: RobotDynamics) -> None:
     for at, speed in enumerate((SLOW, FAST, SLOW, FAST, FAST)):
         send(watched, at, speed)
     send(watched, 9, names=("joint1",) * 4)
-    watched.silence(10**9)
+    watched.watchdog_decision(10**9)
     counted = {verdict.name: count for verdict, count in watched.verdicts.items()}
     assert counted == {"UNKNOWN": 2, "OK": 2, "WARN": 0, "VIOLATION": 3}
-    assert watched.refused == 1
+    assert watched.rejected == 1
 
 
 @pytest.mark.parametrize("text", ["no robot_description yet", "robot_description: not XML"])
 def test_without_a_robot_nothing_is_allowed(text: str) -> None:
-    decision = without_robot(text)
+    decision = no_robot_decision(text)
     (contact,) = decision.contacts
     assert (contact.verdict, contact.reason, contact.contact_point) == (Verdict.UNKNOWN, text, "")
     assert (decision.allowable_speed, decision.speed_scaling) == (0.0, 0.0)

@@ -98,7 +98,7 @@ def test_a_bad_joint_state_is_unknown_and_the_next_good_one_is_not(
     assert feed.decision is not None
     assert (feed.decision.allowable_speed, feed.decision.speed_scaling) == (0.0, 0.0)
     assert feed() == (Verdict.OK, "")
-    assert feed.monitor.refused == 1
+    assert feed.monitor.rejected == 1
 
 
 @pytest.mark.parametrize(
@@ -139,8 +139,8 @@ def test_joints_of_another_device_are_counted_and_left_alone(scara: RobotDynamic
     gripper = state(names=("left_finger", "right_finger"), position=(0.0, 0.0), velocity=())
     for _ in range(3):
         assert watched.assess(gripper, NOW) is None
-    assert (watched.foreign, watched.refused, watched.first_cause) == (3, 0, None)
-    assert "(3 named none of the robot's joints)" in watched.silence(10**9).contacts[0].reason
+    assert (watched.ignored, watched.rejected, watched.first_cause) == (3, 0, None)
+    assert "(3 named none of the robot's joints)" in watched.watchdog_decision(10**9).contacts[0].reason
 
 
 @given(

@@ -26,6 +26,7 @@ KINDS = {
     "reason": TEXT,
     "worst_direction_used": st.booleans(),
     "mass_capped": st.booleans(),
+    "watchdog": st.booleans(),
 }
 CONTACTS = st.builds(ContactAssessment, **{name: KINDS.get(name, NUMBER) for name in ContactAssessment._fields})
 
