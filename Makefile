@@ -23,7 +23,7 @@ help:  ## list the targets
 
 setup: .venv/.installed  ## make .venv: locked requirements, messages built, this tree installed editable
 
-demo: setup  ## run all nodes on a virtual test bench, and make the report
+demo: setup  ## run all nodes on the simulated cell, and make the report
 	$(BIN)/scara-effmass demo --force
 
 test: lint  ## lint, then all tests

@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from types import FrameType
 
 COMMANDS = {
-    "demo": "run all nodes on a virtual test bench, or on a recording, and show what comes of it",
+    "demo": "run all nodes on the simulated cell, or on a recording, and show what comes of it",
     "monitor": "run the live monitor node",
     "daq": "run the force node: an NI-9230, a recording, or simulated force",
     "validator": "run the node that holds impacts against their predictions",
-    "bench": "run the robot of the virtual test bench",
+    "sim": "run the simulated cell's robot",
     "replay": "play a bag into the live nodes, with /clock",
     "record": "record live topics into a bag that survives a crash; complete one that was killed",
     "assess": "assess every joint state of bags, offline, into a table or a bag",
@@ -32,6 +32,8 @@ COMMANDS = {
     "limits": "print the body-region table, and the speeds it allows",
     "doctor": "tell what is installed and whether a robot model is sound",
 }
+ALIASES = {"bench": "sim"}
+"""Former names of commands, still accepted."""
 
 BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 """Exit codes: the first as rich has it, the last two as a shell gives them to a process that a signal ended."""
@@ -46,6 +48,7 @@ class _Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0, 1 (the answer is no), 2 (bad input), 130 (interrupted)."""
     arguments, ros_arguments = _split(sys.argv[1:] if argv is None else argv)
+    arguments[:1] = [ALIASES.get(name, name) for name in arguments[:1]]
     parser = _parser(arguments)
     parsed = parser.parse_args(arguments)
     if "run" not in parsed:

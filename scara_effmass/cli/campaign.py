@@ -149,7 +149,7 @@ def _print(output: Path, campaign: Campaign, steps: Sequence[CampaignStep]) -> N
     unit, law = ("N/mm", "linear spring") if contact.exponent == 1.0 else ("N/mm^1.5", "Hertz contact")
     stiffness = f"{contact.stiffness / MM_PER_M**contact.exponent:g} {unit}"
     lines = [
-        ("simulated", f"{len(steps)} impacts on the virtual test bench (MuJoCo); nothing was measured"),
+        ("simulated", f"{len(steps)} impacts on the simulated cell (MuJoCo); nothing was measured"),
         ("cases", f"{cases}, {often} each"),
         ("tip", f"{law} {stiffness}, damping {contact.damping:g} N s/m, friction {contact.friction:g}"),
         ("made", f"{len(steps) - kept}"),

@@ -81,7 +81,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.epilog = EXAMPLES
     parser.add_argument(
-        "--bag", type=Path, metavar="BAG", help="recording to replay (default: the virtual test bench, live)"
+        "--bag", type=Path, metavar="BAG", help="recording to replay (default: the simulated cell, live)"
     )
     add_topic(parser)
     add_robot(parser)
@@ -132,9 +132,9 @@ def _run_bench(args: argparse.Namespace, settings: MonitorSettings, arm: RobotDy
     from scara_effmass.cli.demo_bench import run_bench  # noqa: PLC0415
 
     if args.robot or settings.robot:
-        raise SettingsError("demo: --robot: the virtual test bench is an i4-550L; --bag replays another robot's motion")
+        raise SettingsError("demo: --robot: the simulated cell is an i4-550L; --bag replays another robot's motion")
     if args.topic:
-        raise SettingsError(f"demo: --topic = {args.topic}: the virtual test bench has its own; it goes with --bag")
+        raise SettingsError(f"demo: --topic = {args.topic}: the simulated cell has its own; it goes with --bag")
     with _all_or_nothing(args.out):
         return run_bench(args, arm, settings, console)
 

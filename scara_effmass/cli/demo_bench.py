@@ -1,4 +1,4 @@
-"""The demo without a recording: the virtual test bench live, all nodes on it, and the report of its impacts."""
+"""The demo without a recording: the simulated cell, all nodes on it, and the report of its impacts."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FORCE_TOPIC_IS_LATE_S = 3.0
 WIRES = (("contact_state", 1, 2), ("force", 1, 1), ("impact", 1, 1), ("impact_validation", 1, 1))
 """Topics of the nodes, and how many publish and listen there, the demo included, before time begins."""
 INTRODUCTION = (
-    ("simulated", "robot, carts and force: a virtual test bench (MuJoCo), no real robot, nothing is measured"),
+    ("simulated", "robot, carts and force: the simulated cell (MuJoCo), no real robot, nothing is measured"),
     ("live", "monitor, force and validator nodes, their messages and verdicts: computed now, over DDS"),
     ("its time", "simulated: real time at most, and it waits for monitor and force node where they fall behind"),
     ("experiment", "an i4-550L drives into four carts (0.50 to 7.35 kg) in three configurations, at 0.25 m/s"),
@@ -100,7 +100,7 @@ def _run_live(
         "monitor": monitor_words(args, settings),
         "record": record_words(args),
     }
-    bench = ["bench", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=2"]
+    bench = ["sim", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=2"]
     heard: list[ImpactValidation] = []
     with ExitStack() as running:
         processes = {name: running.enter_context(child_process(each)) for name, each in words.items()}

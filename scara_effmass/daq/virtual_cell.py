@@ -1,4 +1,4 @@
-"""The source `bench` with the scene `cell`: force from the virtual test bench, as it happens."""
+"""The source `bench` with the scene `cell`: force from the simulated cell, as it happens."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LONGEST_NAP_S = 0.005
 class VirtualCellForce:
     """The force that the virtual cell's cart feels, in blocks of `block_time` of ROS time; see `ForceSource`.
 
-    The cell's course depends on `bench.seed` and `bench.start` alone: `bench_node` with the same two shows the joint
+    The cell's course depends on `bench.seed` and `bench.start` alone: `sim_node` with the same two shows the joint
     states of the same cell. Each block is computed ahead and handed out when it is due, as a device would.
     """
 
@@ -46,7 +46,7 @@ class VirtualCellForce:
             noise=bench.noise,
             seed=bench.seed,
         )
-        self.description = f"simulated force: virtual test bench (MuJoCo), seed {bench.seed}"
+        self.description = f"simulated force: simulated cell (MuJoCo), seed {bench.seed}"
         self.requested_rate = self.sample_rate = bench.sample_rate
         self.limit = self._sensor.saturation
         self.filter_delay = self._sensor.filter_delay

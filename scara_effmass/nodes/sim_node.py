@@ -1,4 +1,4 @@
-"""`bench_node`: the robot of the virtual test bench, live; `daq_node`, source bench, scene cell, has its force."""
+"""`sim_node`: the robot of the simulated cell; `daq_node` with the scene `cell` publishes its force."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class SimNode(LifecycleBase):
 
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for one that cannot be used."""
-        super().__init__("bench")
+        super().__init__("sim")
         self._settings = checked(NodeSettings, parameters.declare(self, NodeSettings), self.get_name())
         self.autostart = self._settings.autostart
         if self._settings.clock and self.get_parameter("use_sim_time").value:
@@ -173,8 +173,8 @@ class SimClock:
 def _about(cart: PlacedCart, seed: int) -> dict[str, object]:
     return {
         "generated": True,
-        "description": "simulated: virtual test bench (MuJoCo), the robot drives into a cart",
-        "generator": "bench_node",
+        "description": "simulated cell (MuJoCo), the robot drives into a cart",
+        "generator": "sim_node",
         "seed": seed,
         "configuration": cart.configuration,
         "obstacle_mass": cart.obstacle_mass,

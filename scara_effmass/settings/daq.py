@@ -246,8 +246,8 @@ class BenchSettings(_Group):
     scene: BenchScene = Field(
         BenchScene.HALF_SINES,
         description=(
-            "half_sines: noise and half-sine impacts on any number of channels; cell: the virtual test bench, "
-            "whose robot bench_node moves"
+            "half_sines: noise and half-sine impacts on any number of channels; cell: the simulated cell, "
+            "whose robot sim_node moves"
         ),
         json_schema_extra=READ_ONLY,
     )
@@ -255,7 +255,7 @@ class BenchSettings(_Group):
         0.0,
         ge=0.0,
         le=1e10,
-        description="ROS time at which the cell begins, the same as that of bench_node [s]; 0: now",
+        description="ROS time at which the cell begins, the same as that of sim_node [s]; 0: now",
         json_schema_extra=READ_ONLY,
     )
 

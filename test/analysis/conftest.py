@@ -1,4 +1,4 @@
-"""A small campaign on the virtual test bench, and recordings made wrong from it."""
+"""A small campaign on the simulated cell, and recordings made wrong from it."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def test_it_records_then_keeps_then_replaces(here: Cli, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "campaign"
     first = here("campaign", "-o", folder, *SMALL)
     assert (first.returncode, first.stderr) == (0, "")
-    assert "2 impacts on the virtual test bench (MuJoCo); nothing was measured" in first.stdout
+    assert "2 impacts on the simulated cell (MuJoCo); nothing was measured" in first.stdout
     assert "kept" not in first.stdout
     assert [bag.name for bag in find_bags(folder)] == ["300_0_500g_1", "300_0_500g_2"]
     assert said(folder / "300_0_500g_1")["simulated"] is True

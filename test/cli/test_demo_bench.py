@@ -1,4 +1,4 @@
-"""The demo on the virtual test bench: all nodes live, and the report of what they saw."""
+"""The demo on the simulated cell: all nodes live, and the report of what they saw."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`scara-effmass bench`."""
+"""`scara-effmass sim`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ A simulated robot drives into simulated carts, again and again: joint states at 
 cart waits. Start the force node with the same --start, and it has the force of the same impacts.
 
 examples:
-  scara-effmass bench --start 1800000000
+  scara-effmass sim --start 1800000000
   scara-effmass daq --source bench -- -p bench.scene:=cell -p bench.start:=1800000000.0
 """
 
