@@ -18,7 +18,7 @@ from scara_effmass_msgs.msg import ForceBlock
 from usage import cpu_s, resident_mb
 
 from scara_effmass.daq.source import make_source
-from scara_effmass.settings import BenchSettings, DaqSettings, ForceSourceKind
+from scara_effmass.settings import DaqSettings, ForceSourceKind, SimSettings
 from scara_effmass.wire.force import decode_force_block
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def measure() -> dict[float, tuple[Run, Run]]:
 
 
 def _node(rate: float) -> Run:
-    settings = {"source": "bench", "bench.channels": CHANNELS, "bench.sample_rate": rate}
+    settings = {"source": "sim", "sim.channels": CHANNELS, "sim.sample_rate": rate}
     words = [word for name, value in settings.items() for word in ("-p", f"{name}:={value}")]
     executable = str(Path(sys.executable).with_name("daq_node"))
     process = subprocess.Popen([executable, "--ros-args", *words], stderr=subprocess.DEVNULL)  # noqa: S603 - our own
@@ -55,7 +55,7 @@ def _node(rate: float) -> Run:
     node = rclpy.create_node("listener")
     counts = [_Count() for _ in range(CHANNELS)]
     for number, count in enumerate(counts):
-        topic = f"force/bench{number}" if number else "force"
+        topic = f"force/sim{number}" if number else "force"
         node.create_subscription(ForceBlock, topic, count.add, QoSProfile(depth=1000), raw=True)
     executor = EventsExecutor()
     executor.add_node(node)
@@ -103,8 +103,8 @@ def _started(command: Sequence[str]) -> Run:
 
 def bare_loop(rate: float) -> Run:
     """Read the source for a minute and do nothing with what comes."""
-    bench = BenchSettings(channels=CHANNELS, sample_rate=rate)
-    source = make_source(DaqSettings(source=ForceSourceKind.BENCH, bench=bench), time.time_ns)
+    sim = SimSettings(channels=CHANNELS, sample_rate=rate)
+    source = make_source(DaqSettings(source=ForceSourceKind.SIM, sim=sim), time.time_ns)
     source.start()
     samples = lost = 0
     used, began, before = 0.0, 0.0, 0.0

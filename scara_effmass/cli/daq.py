@@ -17,7 +17,7 @@ examples:
   scara-effmass daq --sensitivity 2.31
   scara-effmass daq --source bag --path recording.mcap
   scara-effmass daq --source bag --path load_cell.csv --topic "Force (N)" -- -p sensor.invert:=true
-  scara-effmass daq --source bench -- -p bench.impact_period:=1.0
+  scara-effmass daq --source sim -- -p sim.impact_period:=1.0
 """
 
 OPTIONS = {
@@ -34,8 +34,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXAMPLES
     parser.add_argument(
         "--source",
+        type=lambda text: "sim" if text == "bench" else text,  # its former name
         choices=[kind.value for kind in ForceSourceKind],
-        help="where force comes from (default: ni9230); bag: a recording, bench: simulated",
+        help="where force comes from (default: ni9230); bag: a recording, sim: simulated",
     )
     parser.add_argument("--path", metavar="FILE", help="recording, for the source bag: rosbag2, .mcap, .csv, .tdms")
     parser.add_argument("--topic", help="its topic, CSV column or TDMS channel (default: the only one)")

@@ -93,9 +93,9 @@ def _run_live(
 
     start_s = float(round(time.time()))
     span_s = min(args.duration, FIRST_AFTER_S + IMPACTS * PER_IMPACT_S)
-    cell = ["-p", "bench.scene:=cell", "-p", f"bench.start:={start_s}"]
+    cell = ["-p", "sim.scene:=cell", "-p", f"sim.start:={start_s}"]
     words = {
-        "daq": ["daq", "--source", "bench", *SIMULATED_TIME, *cell],
+        "daq": ["daq", "--source", "sim", *SIMULATED_TIME, *cell],
         "validator": ["validator", *SIMULATED_TIME],
         "monitor": monitor_words(args, settings),
         "record": record_words(args),

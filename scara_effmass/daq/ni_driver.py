@@ -106,7 +106,7 @@ def told(error: Exception, subject: str, *, was_there: bool = False, addition: s
     if isinstance(error, (errors.DaqNotFoundError, errors.DaqNotSupportedError)):
         cause = "is not installed" if isinstance(error, errors.DaqNotFoundError) else "does not exist for this system"
         return DriverMissingError(
-            f"the driver NI-DAQmx {cause}: install it from ni.com/downloads, or set source to bag or bench"
+            f"the driver NI-DAQmx {cause}: install it from ni.com/downloads, or set source to bag or sim"
         )
     return DriverMissingError(f"the driver NI-DAQmx cannot be used, install it again: {' '.join(str(error).split())}")
 

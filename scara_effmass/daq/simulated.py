@@ -1,4 +1,4 @@
-"""The source `bench`: simulated force at the pace of a converter that has a clock of its own."""
+"""The source `sim`: simulated force at the pace of a converter that has a clock of its own."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class SimulatedForce:
     """Noise and half-sine impacts, a block each `block_time`; see `ForceSource`.
 
     It keeps the pace on steady time, whatever ROS time does, and the simulated converter's clock is off that by
-    `bench.clock_error`. A block that is not fetched in time waits, and so do those after it: nothing is ever lost.
+    `sim.clock_error`. A block that is not fetched in time waits, and so do those after it: nothing is ever lost.
     """
 
     unit = Unit.NEWTON
@@ -35,16 +35,16 @@ class SimulatedForce:
     def __init__(
         self, settings: DaqSettings, now_ns: Callable[[], int], steady_ns: Callable[[], int] = time.monotonic_ns
     ) -> None:
-        bench = settings.bench
-        self.channels = tuple(f"bench{number}" for number in range(bench.channels))
-        self.description = f"simulated force: noise and half-sine impacts, seed {bench.seed}"
-        self.requested_rate = self.sample_rate = bench.sample_rate
+        sim = settings.sim
+        self.channels = tuple(f"sim{number}" for number in range(sim.channels))
+        self.description = f"simulated force: noise and half-sine impacts, seed {sim.seed}"
+        self.requested_rate = self.sample_rate = sim.sample_rate
         self.limit = np.inf
         self._settings = settings
         self._now_ns = now_ns
         self._steady_ns = steady_ns
-        self._block = max(1, round(settings.block_time * bench.sample_rate))
-        self._true_rate = bench.sample_rate * (1.0 + bench.clock_error)
+        self._block = max(1, round(settings.block_time * sim.sample_rate))
+        self._true_rate = sim.sample_rate * (1.0 + sim.clock_error)
         self._closed = threading.Event()
         self._signal: SimulatedSignal | None = None
         self._start_ns = 0
@@ -52,14 +52,14 @@ class SimulatedForce:
 
     def start(self) -> None:
         """Make the noise, and begin at sample 0."""
-        bench = self._settings.bench
+        sim = self._settings.sim
         self._signal = SimulatedSignal(
-            channels=bench.channels,
-            sample_rate=bench.sample_rate,
-            noise=bench.noise,
-            seed=bench.seed,
+            channels=sim.channels,
+            sample_rate=sim.sample_rate,
+            noise=sim.noise,
+            seed=sim.seed,
             sensitivity=self._settings.sensor.sensitivity,
-            impacts=RandomImpacts(bench.seed, bench.sample_rate, bench.impact_period),
+            impacts=RandomImpacts(sim.seed, sim.sample_rate, sim.impact_period),
         )
         self.limit = self._signal.limit
         self._next = 0

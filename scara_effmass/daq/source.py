@@ -6,7 +6,7 @@ from enum import Enum
 from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from scara_effmass.settings import BenchScene, ForceSourceKind
+from scara_effmass.settings import ForceSourceKind, SimScene
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -78,18 +78,18 @@ class ForceSource(Protocol):
         """Give everything back; may be called at any time, and again."""
 
 
-SOURCES: dict[ForceSourceKind | BenchScene, str] = {
+SOURCES: dict[ForceSourceKind | SimScene, str] = {
     ForceSourceKind.NI9230: "scara_effmass.daq.ni9230:Ni9230",
     ForceSourceKind.BAG: "scara_effmass.daq.recorded:RecordedForce",
-    BenchScene.HALF_SINES: "scara_effmass.daq.simulated:SimulatedForce",
-    BenchScene.CELL: "scara_effmass.daq.virtual_cell:VirtualCellForce",
+    SimScene.HALF_SINES: "scara_effmass.daq.simulated:SimulatedForce",
+    SimScene.CELL: "scara_effmass.daq.virtual_cell:VirtualCellForce",
 }
 """Where each source is; its module, and the driver it needs, is imported when it is chosen."""
 
 
 def make_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
     """Return the source that `settings` choose; `now_ns` gives the ROS time. Raises DaqError or SettingsError."""
-    chosen = settings.bench.scene if settings.source is ForceSourceKind.BENCH else settings.source
+    chosen = settings.sim.scene if settings.source is ForceSourceKind.SIM else settings.source
     module, _, name = SOURCES[chosen].partition(":")
     source: ForceSource = getattr(import_module(module), name)(settings, now_ns)
     return source

@@ -1,4 +1,4 @@
-"""The source `bench` with the scene `cell`: force from the simulated cell, as it happens."""
+"""The source `sim` with the scene `cell`: force from the simulated cell, as it happens."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ LONGEST_NAP_S = 0.005
 
 @final
 class VirtualCellForce:
-    """The force that the virtual cell's cart feels, in blocks of `block_time` of ROS time; see `ForceSource`.
+    """The force that the simulated cell's cart feels, in blocks of `block_time` of ROS time; see `ForceSource`.
 
-    The cell's course depends on `bench.seed` and `bench.start` alone: `sim_node` with the same two shows the joint
+    The cell's course depends on `sim.seed` and `sim.start` alone: `sim_node` with the same two shows the joint
     states of the same cell. Each block is computed ahead and handed out when it is due, as a device would.
     """
 
@@ -37,17 +37,17 @@ class VirtualCellForce:
     ended = False
 
     def __init__(self, settings: DaqSettings, now_ns: Callable[[], int]) -> None:
-        bench = settings.bench
+        sim = settings.sim
         self._sensor = ForceSensor(
-            sample_rate=bench.sample_rate,
-            clock_error=bench.clock_error,
+            sample_rate=sim.sample_rate,
+            clock_error=sim.clock_error,
             sensitivity=settings.sensor.sensitivity,
             range=settings.sensor.range,
-            noise=bench.noise,
-            seed=bench.seed,
+            noise=sim.noise,
+            seed=sim.seed,
         )
-        self.description = f"simulated force: simulated cell (MuJoCo), seed {bench.seed}"
-        self.requested_rate = self.sample_rate = bench.sample_rate
+        self.description = f"simulated force: simulated cell (MuJoCo), seed {sim.seed}"
+        self.requested_rate = self.sample_rate = sim.sample_rate
         self.limit = self._sensor.saturation
         self.filter_delay = self._sensor.filter_delay
         self._settings = settings
@@ -58,9 +58,9 @@ class VirtualCellForce:
         self._ahead: LiveOutput | None = None
 
     def start(self) -> None:
-        """Put the robot at its start, at `bench.start` or now."""
-        start_ns = round(self._settings.bench.start * 1e3) * MS or self._now_ns()
-        self._bench = LiveBench(LiveSettings(sensor=self._sensor, seed=self._settings.bench.seed), start_ns)
+        """Put the robot at its start, at `sim.start` or now."""
+        start_ns = round(self._settings.sim.start * 1e3) * MS or self._now_ns()
+        self._bench = LiveBench(LiveSettings(sensor=self._sensor, seed=self._settings.sim.seed), start_ns)
         self._due_ns = start_ns
         self._ahead = None
         self._closed.clear()

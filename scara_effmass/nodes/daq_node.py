@@ -12,6 +12,7 @@ import rclpy
 from geometry_msgs.msg import WrenchStamped
 from pydantic import Field
 from rclpy.duration import Duration
+from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from scara_effmass_msgs.msg import ForceBlock, Impact
 from std_srvs.srv import Trigger
@@ -25,7 +26,7 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.daq_health import DaqHealth
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
-from scara_effmass.settings import READ_ONLY, BenchScene, DaqSettings, FilterKind, ForceSourceKind, checked
+from scara_effmass.settings import READ_ONLY, DaqSettings, FilterKind, ForceSourceKind, SimScene, checked
 from scara_effmass.wire.force import force_block_message, impact_message
 
 if TYPE_CHECKING:
@@ -63,6 +64,11 @@ class DaqNode(LifecycleBase):
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for one that cannot be used."""
         super().__init__("daq")
+        # The group `sim` is also accepted under its former name.
+        for name in [name for name in self._parameter_overrides if name.startswith("bench.")]:
+            former = self._parameter_overrides.pop(name)
+            renamed = name.replace("bench.", "sim.", 1)
+            self._parameter_overrides.setdefault(renamed, Parameter(renamed, former.type_, former.value))
         values = parameters.declare(self, NodeSettings)
         settings = checked(NodeSettings, values, self.get_name())
         self.autostart = settings.autostart
@@ -75,7 +81,7 @@ class DaqNode(LifecycleBase):
     def set_up(self) -> None:
         """Choose the source and create the endpoints. Raises EffmassError."""
         settings = self._settings
-        simulates = settings.source is ForceSourceKind.BENCH and settings.bench.scene is BenchScene.CELL
+        simulates = settings.source is ForceSourceKind.SIM and settings.sim.scene is SimScene.CELL
         on_ros_time = simulates or settings.source is ForceSourceKind.BAG
         if self.get_parameter("use_sim_time").value and not on_ros_time:
             kind = settings.source.value

@@ -55,10 +55,10 @@ class NodeSettings(BaseModel):
         0.0,
         ge=0.0,
         le=1e10,
-        description="ROS time at which the cell begins, the same as bench.start of daq_node [s]; 0: now",
+        description="ROS time at which the cell begins, the same as sim.start of daq_node [s]; 0: now",
         json_schema_extra=READ_ONLY,
     )
-    seed: int = Field(0, ge=0, description="the same as bench.seed of daq_node", json_schema_extra=READ_ONLY)
+    seed: int = Field(0, ge=0, description="the same as sim.seed of daq_node", json_schema_extra=READ_ONLY)
     clock: bool = Field(
         default=False,
         description="publish /clock, at most at real time, and wait for monitor and force node where they fall behind",

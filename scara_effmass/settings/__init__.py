@@ -2,8 +2,6 @@
 
 from scara_effmass.settings.daq import (
     BagSettings,
-    BenchScene,
-    BenchSettings,
     Coupling,
     DaqSettings,
     DetectionSettings,
@@ -12,6 +10,8 @@ from scara_effmass.settings.daq import (
     ForceSourceKind,
     Ni9230Settings,
     SensorSettings,
+    SimScene,
+    SimSettings,
     Stamps,
     TareSettings,
 )
@@ -22,8 +22,6 @@ from scara_effmass.settings.validator import CriterionSettings, ValidatorSetting
 __all__ = [
     "READ_ONLY",
     "BagSettings",
-    "BenchScene",
-    "BenchSettings",
     "ContactType",
     "Coupling",
     "CriterionSettings",
@@ -36,6 +34,8 @@ __all__ = [
     "MonitorSettings",
     "Ni9230Settings",
     "SensorSettings",
+    "SimScene",
+    "SimSettings",
     "Stamps",
     "TareSettings",
     "ValidatorSettings",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from enum import Enum
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from scara_effmass.settings.loading import READ_ONLY
@@ -16,7 +17,12 @@ class ForceSourceKind(str, Enum):
 
     NI9230 = "ni9230"
     BAG = "bag"
-    BENCH = "bench"
+    SIM = "sim"
+
+    @classmethod
+    def _missing_(cls, value: object) -> ForceSourceKind | None:
+        """Accept the former name of `sim`."""
+        return cls.SIM if value == "bench" else None
 
 
 class FilterKind(str, Enum):
@@ -233,18 +239,18 @@ class BagSettings(_Group):
     )
 
 
-class BenchScene(str, Enum):
+class SimScene(str, Enum):
     """What is simulated."""
 
     HALF_SINES = "half_sines"
     CELL = "cell"
 
 
-class BenchSettings(_Group):
+class SimSettings(_Group):
     """Simulated force as the source."""
 
-    scene: BenchScene = Field(
-        BenchScene.HALF_SINES,
+    scene: SimScene = Field(
+        SimScene.HALF_SINES,
         description=(
             "half_sines: noise and half-sine impacts on any number of channels; cell: the simulated cell, "
             "whose robot sim_node moves"
@@ -283,7 +289,7 @@ class DaqSettings(_Group):
     """Everything that can be set on `daq_node`. Raises pydantic's ValidationError; see `checked`."""
 
     source: ForceSourceKind = Field(
-        ForceSourceKind.NI9230, description="where force comes from: ni9230, bag or bench", json_schema_extra=READ_ONLY
+        ForceSourceKind.NI9230, description="where force comes from: ni9230, bag or sim", json_schema_extra=READ_ONLY
     )
     frame_id: str = Field(
         "force_sensor",
@@ -313,4 +319,12 @@ class DaqSettings(_Group):
     detection: DetectionSettings = DetectionSettings()
     ni9230: Ni9230Settings = Ni9230Settings()
     bag: BagSettings = BagSettings()
-    bench: BenchSettings = BenchSettings()
+    sim: SimSettings = SimSettings()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _rename_bench(cls, values: Any) -> Any:  # noqa: ANN401 - anything, before it is checked
+        """Accept the group `sim` under its former name."""
+        if isinstance(values, dict) and "bench" in values and "sim" not in values:
+            return {"sim" if name == "bench" else name: value for name, value in values.items()}
+        return values

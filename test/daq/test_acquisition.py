@@ -510,7 +510,7 @@ def test_reading_a_recording_has_no_latency() -> None:
 
 
 def test_the_simulated_converter_is_read_in_real_time() -> None:
-    settings = DaqSettings(source=ForceSourceKind.BENCH, block_time=0.005, backlog=600.0)
+    settings = DaqSettings(source=ForceSourceKind.SIM, block_time=0.005, backlog=600.0)
     bell = Bell()
     made = Acquisition(SimulatedForce(settings, lambda: 42), settings, bell)
     made.start()

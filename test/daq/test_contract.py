@@ -79,7 +79,7 @@ class Subject:
 
 def bench(_: pytest.FixtureRequest, __: Path) -> Subject:
     subject = Subject(
-        settings={"source": "bench", "bench.channels": 3, "bench.impact_period": 0.5},
+        settings={"source": "sim", "sim.channels": 3, "sim.impact_period": 0.5},
         make=make_source,
         finite=False,
         slow={"block_time": 2.0},
@@ -108,7 +108,7 @@ def bench(_: pytest.FixtureRequest, __: Path) -> Subject:
 
 def virtual_cell(_: pytest.FixtureRequest, __: Path) -> Subject:
     subject = Subject(
-        settings={"source": "bench", "bench.scene": "cell", "block_time": 0.02},
+        settings={"source": "sim", "sim.scene": "cell", "block_time": 0.02},
         make=make_source,
         finite=False,
         slow={"block_time": 1.0},

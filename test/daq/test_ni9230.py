@@ -498,7 +498,7 @@ def test_without_the_driver_there_is_one_clear_line(ask: Callable[[], object]) -
     with pytest.raises(DriverMissingError) as missing:
         ask()
     assert str(missing.value) == (
-        "the driver NI-DAQmx is not installed: install it from ni.com/downloads, or set source to bag or bench"
+        "the driver NI-DAQmx is not installed: install it from ni.com/downloads, or set source to bag or sim"
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from scara_effmass.daq.simulated import SimulatedForce
 from scara_effmass.daq.source import Unit, make_source
-from scara_effmass.settings import BenchSettings, DaqSettings, ForceSourceKind, SensorSettings
+from scara_effmass.settings import DaqSettings, ForceSourceKind, SensorSettings, SimSettings, checked
 from scara_effmass.sim.force import RandomImpacts, SimulatedSignal
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 NS = 1_000_000_000
 NOW_NS = 1_767_225_600 * NS
 SETTINGS = DaqSettings(
-    source=ForceSourceKind.BENCH, bench=BenchSettings(channels=2, seed=5, impact_period=0.2, clock_error=0.0)
+    source=ForceSourceKind.SIM, sim=SimSettings(channels=2, seed=5, impact_period=0.2, clock_error=0.0)
 )
 BLOCK = 1280
 
@@ -48,13 +48,18 @@ def block(source: SimulatedForce, timeout_s: float = 0.0) -> Reading:
     return reading
 
 
-def test_it_is_the_source_of_the_bench_and_says_that_it_is_simulated() -> None:
+def test_former_name_of_source_and_group_is_accepted() -> None:
+    former = checked(DaqSettings, {"source": "bench", "bench.seed": 3}, "test")
+    assert former == DaqSettings(source=ForceSourceKind.SIM, sim=SimSettings(seed=3))
+
+
+def test_sim_source_declares_that_it_is_simulated() -> None:
     source = make_source(SETTINGS, lambda: 0)
     assert isinstance(source, SimulatedForce)
     assert source.simulated
     assert "simulated" in source.description
     assert source.unit is Unit.NEWTON
-    assert source.channels == ("bench0", "bench1")
+    assert source.channels == ("sim0", "sim1")
     assert source.sample_rate == source.requested_rate == 12_800.0
     assert source.filter_delay == 0.0
 
@@ -65,7 +70,7 @@ def test_its_samples_are_those_of_the_simulated_signal() -> None:
     signal = SimulatedSignal(
         channels=2,
         sample_rate=12_800.0,
-        noise=SETTINGS.bench.noise,
+        noise=SETTINGS.sim.noise,
         seed=5,
         sensitivity=SETTINGS.sensor.sensitivity,
         impacts=RandomImpacts(5, 12_800.0, 0.2),
@@ -99,7 +104,7 @@ def test_who_comes_late_gets_block_after_block_and_nothing_is_lost() -> None:
 @pytest.mark.parametrize("error", [-1e-3, 50e-6])
 def test_the_simulated_clock_is_off_the_hosts(error: float) -> None:
     source, clock = started(
-        DaqSettings(source=ForceSourceKind.BENCH, bench=BenchSettings(sample_rate=1000.0, clock_error=error))
+        DaqSettings(source=ForceSourceKind.SIM, sim=SimSettings(sample_rate=1000.0, clock_error=error))
     )
     start_ns = clock.ns
     for number in range(1, 401):
@@ -118,7 +123,7 @@ def test_the_time_of_reading_is_ros_time() -> None:
 
 def test_it_waits_for_the_block_in_real_time() -> None:
     source = SimulatedForce(
-        DaqSettings(source=ForceSourceKind.BENCH, block_time=0.01, bench=BenchSettings(clock_error=0.0)), lambda: NOW_NS
+        DaqSettings(source=ForceSourceKind.SIM, block_time=0.01, sim=SimSettings(clock_error=0.0)), lambda: NOW_NS
     )
     before = time.monotonic()
     source.start()

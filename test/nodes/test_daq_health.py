@@ -28,7 +28,7 @@ def statuses(acquisition: Acquisition, signal: ForceSignal, settings: DaqSetting
 
 
 def test_the_delay_of_the_low_pass_is_that_which_blocks_declare() -> None:
-    settings = checked(DaqSettings, {"source": "bench", "filter.kind": "zero_phase"}, "test")
+    settings = checked(DaqSettings, {"source": "sim", "filter.kind": "zero_phase"}, "test")
     source = make_source(settings, lambda: 0)
     source.start()
     signal = ForceSignal(source, settings)

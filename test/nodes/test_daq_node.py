@@ -41,7 +41,7 @@ RATE = 12_800.0
 S = 1_000_000_000
 SETTLED = 10
 """Blocks after which the clock fit has seen a read that was not late."""
-BENCH = ("-p", "source:=bench", "-p", "bench.impact_period:=0.5", "-p", "bench.seed:=7", "-p", "backlog:=600.0")
+SIM = ("-p", "source:=sim", "-p", "sim.impact_period:=0.5", "-p", "sim.seed:=7", "-p", "backlog:=600.0")
 """Nothing is dropped, however long a machine has other things to do."""
 
 
@@ -110,7 +110,7 @@ def recording(folder: Path, pulses: Sequence[float] = (0.6, 1.1)) -> Path:
 
 def test_simulated_force_is_published_whole_and_called_simulated(new_cell: Callable[..., Cell]) -> None:
     began_ns = time.time_ns()
-    cell = started(new_cell, *BENCH)
+    cell = started(new_cell, *SIM)
     cell.listen()
     heard = Heard(cell)
     cell.until(lambda: len(heard.blocks) >= 20 and len(heard.impacts) >= 2 and heard.wrenches)
@@ -143,7 +143,7 @@ def test_simulated_force_is_published_whole_and_called_simulated(new_cell: Calla
     assert len(some) == pytest.approx(100 * (blocks[-1].stamp_ns - blocks[first].stamp_ns) / 1e9, rel=0.1)
     assert cell.report("daq: source", "samples lost by the device", bool).endswith("0")
     assert cell.report("daq: source", "simulated", bool).endswith("True")
-    assert float(cell.report("daq: channel bench0", "samples published", bool).rpartition(" ")[2]) > 0
+    assert float(cell.report("daq: channel sim0", "samples published", bool).rpartition(" ")[2]) > 0
 
 
 def stamp(message: Any) -> int:  # noqa: ANN401 - any stamped message
@@ -151,7 +151,7 @@ def stamp(message: Any) -> int:  # noqa: ANN401 - any stamped message
 
 
 def test_impacts_are_those_that_the_published_blocks_give_offline(new_cell: Callable[..., Cell]) -> None:
-    cell = started(new_cell, *BENCH, "-p", "autostart:=false")
+    cell = started(new_cell, *SIM, "-p", "autostart:=false")
     heard = Heard(cell)
     assert change(cell, Transition.TRANSITION_CONFIGURE)
     cell.until(lambda: cell.node.count_publishers("force") and cell.node.count_publishers("impact"))
@@ -170,15 +170,15 @@ def test_impacts_are_those_that_the_published_blocks_give_offline(new_cell: Call
 
 
 def test_every_channel_has_topics_of_its_own(new_cell: Callable[..., Cell]) -> None:
-    cell = started(new_cell, *BENCH, "-p", "bench.channels:=3")
-    heard = [Heard(cell, channel) for channel in ("", "bench1", "bench2")]
+    cell = started(new_cell, *SIM, "-p", "bench.channels:=3")  # the former name of the group
+    heard = [Heard(cell, channel) for channel in ("", "sim1", "sim2")]
     cell.until(lambda: all(len(each.blocks) >= 3 for each in heard))
     frames = [decode_force_block(each.blocks[-1]).frame_id for each in heard]
-    assert frames == ["force_sensor", "force_sensor_bench1", "force_sensor_bench2"]
+    assert frames == ["force_sensor", "force_sensor_sim1", "force_sensor_sim2"]
 
 
 def test_reset_tares(new_cell: Callable[..., Cell]) -> None:
-    cell = started(new_cell, *BENCH, "-p", "tare.time:=0.2", "-p", "bench.impact_period:=3600.0")
+    cell = started(new_cell, *SIM, "-p", "tare.time:=0.2", "-p", "sim.impact_period:=3600.0")
     heard = Heard(cell)
     cell.until(lambda: heard.blocks and decode_force_block(heard.blocks[-1]).tare_stamp_ns)
     first = decode_force_block(heard.blocks[-1])
@@ -190,7 +190,7 @@ def test_reset_tares(new_cell: Callable[..., Cell]) -> None:
 
 
 def test_inactive_is_silent_and_does_not_acquire(new_cell: Callable[..., Cell]) -> None:
-    cell = started(new_cell, *BENCH, "-p", "autostart:=false")
+    cell = started(new_cell, *SIM, "-p", "autostart:=false")
     heard = Heard(cell)
     assert change(cell, Transition.TRANSITION_CONFIGURE)
     cell.until(lambda: cell.node.count_publishers("force"))
@@ -233,7 +233,7 @@ def test_a_recording_is_played_to_its_end_and_that_ends_the_process(
 
 
 def test_a_subscriber_that_does_not_listen_costs_the_others_nothing(new_cell: Callable[..., Cell]) -> None:
-    cell = started(new_cell, *BENCH)
+    cell = started(new_cell, *SIM)
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=cell.domain, signal_handler_options=SignalHandlerOptions.NO)
     asleep = rclpy.create_node("asleep", context=context)
@@ -253,13 +253,13 @@ def test_a_subscriber_that_does_not_listen_costs_the_others_nothing(new_cell: Ca
 @pytest.mark.parametrize(
     ("argument", "line"),
     [
-        ("source:=guess", "daq: source = 'guess': Input should be 'ni9230', 'bag' or 'bench'"),
+        ("source:=guess", "daq: source = 'guess': Input should be 'ni9230', 'bag' or 'sim'"),
         ("nonsense:=1", "daq: no parameter 'nonsense': there are source,"),
         ("sensor.sensitivty:=2.3", "daq: no parameter 'sensor.sensitivty': sensor.sensitivity would be right"),
         ("sensor.sensitivity:=0.0", "daq: sensor.sensitivity = 0.0: Input should be greater than 0"),
         ("sensor.sensitivity:=2", "daq: sensor.sensitivity = 2: must be DOUBLE, is INTEGER: write 2.0"),
         ("detection.threshold:=.nan", "daq: detection.threshold = nan: must be 0 to 100000"),
-        ("bench.channels:=0", "daq: bench.channels = 0: Input should be greater than or equal to 1"),
+        ("sim.channels:=0", "daq: sim.channels = 0: Input should be greater than or equal to 1"),
         ("bag.axis:=w", "daq: bag.axis = 'w': String should match pattern"),
         ("use_sim_time:=true", "daq: use_sim_time = true: ni9230 measures now; false would be right"),
         ("block_time:=0.1", "the driver NI-DAQmx is not installed: install it from ni.com/downloads"),
@@ -276,7 +276,7 @@ def test_what_the_filter_needs_is_loaded_before_samples_come(
 ) -> None:
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
     monkeypatch.delitem(sys.modules, "scara_effmass.daq.lowpass", raising=False)
-    words = ["--ros-args", *BENCH, "-p", "filter.kind:=causal", "-p", "autostart:=false"]
+    words = ["--ros-args", *SIM, "-p", "filter.kind:=causal", "-p", "autostart:=false"]
     rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = DaqNode()
@@ -309,7 +309,7 @@ def test_a_recording_that_is_not_there_ends_it_with_one_line_and_2(
 
 
 def test_running_it_takes_no_other_parameters(new_cell: Callable[..., Cell]) -> None:
-    cell = started(new_cell, *BENCH)
+    cell = started(new_cell, *SIM)
     heard = Heard(cell)
     cell.until(lambda: heard.blocks)
     assert "read-only" in cell.set(**{"sensor.sensitivity": 3.0})
@@ -317,7 +317,7 @@ def test_running_it_takes_no_other_parameters(new_cell: Callable[..., Cell]) -> 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ends_with_0_when_told_to(new_cell: Callable[..., Cell], number: signal.Signals) -> None:
-    cell = started(new_cell, *BENCH)
+    cell = started(new_cell, *SIM)
     heard = Heard(cell)
     cell.until(lambda: heard.blocks)
     assert cell.process is not None
