@@ -14,13 +14,8 @@ A simulated robot drives into simulated carts, again and again: joint states at 
 cart waits. Start the force node with the same --start, and it has the force of the same impacts.
 
 examples:
-<<<<<<< HEAD:scara_effmass/cli/sim.py
   scara-effmass sim --start 1800000000
   scara-effmass daq --source sim -- -p sim.scene:=cell -p sim.start:=1800000000.0
-=======
-  scara-effmass bench --start 1800000000
-  scara-effmass daq --source sim -- -p sim.scene:=cell -p sim.start:=1800000000.0
->>>>>>> dc59a28 (Rename the force source bench to sim):scara_effmass/cli/bench.py
 """
 
 
