@@ -8,6 +8,9 @@ SHELL := /bin/sh
 # Unset: the first fitting Python that is found. Set: this one or none.
 PYTHON ?=
 BIN := .venv/bin
+# Number of test processes; test/conftest.py sets the default.
+WORKERS ?= auto
+PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist worksteal
 
 # Everything ROS stays on this machine, and a sourced ROS or another environment stays out.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
@@ -26,8 +29,11 @@ setup: .venv/.installed  ## make .venv: locked requirements, messages built, thi
 demo: setup  ## run all nodes on the simulated cell, and make the report
 	$(BIN)/scara-effmass demo --force
 
-test: lint  ## lint, then all tests
-	$(BIN)/pytest
+test: lint  ## lint, types and all tests
+	$(PYTEST)
+
+check: lint  ## lint, types and the tests without DDS and processes
+	$(PYTEST) -m "not live"
 
 lint: setup  ## ruff and mypy
 	$(BIN)/ruff check
@@ -50,7 +56,7 @@ lock: setup  ## renew the locked requirements
 clean:  ## remove everything that was made
 	rm -rf .venv .venv-colcon build out .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup demo test lint bench bags colcon lock clean
+.PHONY: help setup demo test check lint bench bags colcon lock clean
 
 # The stamps are written last: an interrupted set-up starts over.
 .venv/.requirements: requirements.lock

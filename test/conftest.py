@@ -1,13 +1,14 @@
-"""What holds for all tests."""
+"""Settings and fixtures of all tests: reproducible Hypothesis runs, ROS domains, the `live` marker."""
 
 from __future__ import annotations
 
 import os
 import signal
 import socket
+import sys
 from contextlib import contextmanager
 from itertools import count
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -18,26 +19,60 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
 
-# A busy machine is no failure, and a failure must come back when it is looked into.
-settings.register_profile(
-    "same_every_time", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
-)
-settings.load_profile("same_every_time")
+# No deadline: the machine may be busy. The same examples in every run: a failure must be reproducible.
+settings.register_profile("reproducible", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("reproducible")
 
-# A shell starts what runs in its background with SIGINT ignored, and so would all that the tests start and interrupt.
+# A shell starts background jobs with SIGINT ignored, and child processes would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-_tried = count(os.getpid() * 13)
+LIVE_FIXTURES = {"own_domain", "reserve_domain"}
+"""A test that uses one of these, directly or through other fixtures, talks to DDS."""
+
+_domain_numbers = count(os.getpid() * 13)
+_is_live = True
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark every test that uses DDS as `live`."""
+    for item in items:
+        if LIVE_FIXTURES & set(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.live)
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Return the default number of worker processes: twice the cores, because live tests mostly wait."""
+    return 2 * len(os.sched_getaffinity(0))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Note whether the running test may start programs of the suite."""
+    global _is_live  # noqa: PLW0603 - an audit hook is global and cannot be removed
+    _is_live = item.get_closest_marker("live") is not None
+    try:
+        return (yield)
+    finally:
+        _is_live = True
+
+
+def _refuse_process(event: str, arguments: tuple[Any, ...]) -> None:
+    """Refuse to start Python or a program of this environment from a test that is not marked `live`."""
+    if event == "subprocess.Popen" and not _is_live and os.fspath(arguments[0]).startswith(sys.prefix):
+        raise RuntimeError("a test that starts a process must be marked: @pytest.mark.live")
+
+
+sys.addaudithook(_refuse_process)
 
 
 @contextmanager
 def _reserved_domain() -> Iterator[int]:
     for _ in range(10 * DOMAINS):
-        domain = 1 + next(_tried) % DOMAINS
-        # DDS takes UDP ports only; the TCP port is the flag by which the test runs of one machine keep apart.
-        with socket.socket(type=socket.SOCK_STREAM) as flag:
+        domain = 1 + next(_domain_numbers) % DOMAINS
+        # DDS uses UDP ports only, so a TCP port can lock the domain against the other test processes of this machine.
+        with socket.socket(type=socket.SOCK_STREAM) as lock:
             try:
-                flag.bind(("127.0.0.1", 7400 + 250 * domain))
+                lock.bind(("127.0.0.1", 7400 + 250 * domain))
             except OSError:
                 continue
             if domain_is_free(domain):
@@ -48,13 +83,13 @@ def _reserved_domain() -> Iterator[int]:
 
 @pytest.fixture(scope="session")
 def reserve_domain() -> Callable[[], AbstractContextManager[int]]:
-    """Give a ROS domain that nobody on this machine is in, and that no other test takes during a `with`."""
+    """Return a context manager that reserves an unused ROS domain against all test processes of this machine."""
     return _reserved_domain
 
 
 @pytest.fixture
 def own_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """Put this process, and those it starts, into a ROS domain of this test, on this machine only."""
+    """Put this process and its children into a reserved ROS domain, on this machine only."""
     with _reserved_domain() as domain:
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))

@@ -516,6 +516,7 @@ def test_a_fault_of_the_writing_thread_is_no_silence(tmp_path: Path) -> None:
         recording.close()
 
 
+@pytest.mark.live
 def test_killed_at_random_moments_it_keeps_what_was_flushed() -> None:
     """The first runs of what `benchmarks/kill_recorder.py` does a hundred times, which checks every one of them."""
     done = subprocess.run(

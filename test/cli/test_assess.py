@@ -260,6 +260,7 @@ print(int(peak.split()[1]) / 1024, file=sys.stderr)
 """
 
 
+@pytest.mark.live
 @pytest.mark.parametrize("suffix", [".parquet", ".csv", ".mcap"])
 def test_memory_does_not_grow_with_the_recording(suffix: str, swing_bag: Path, long_bag: Path, tmp_path: Path) -> None:
     peaks_mb = []

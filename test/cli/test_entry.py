@@ -33,6 +33,7 @@ print(json.dumps([name for name in {heavy!r} if name in sys.modules]), file=sys.
 """
 
 
+@pytest.mark.live
 @pytest.mark.parametrize("words", [["--help"], *([name, "--help"] for name in COMMANDS)], ids=" ".join)
 def test_help_loads_nothing_heavy(words: list[str]) -> None:
     code = LOADED_BY_HELP.format(heavy=HEAVY)
@@ -59,6 +60,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"scara-effmass {__version__}\n"
 
 
+@pytest.mark.live
 def test_the_console_script_is_the_module() -> None:
     script = Path(sys.executable).with_name("scara-effmass")
     done = subprocess.run([script, "--version"], capture_output=True, text=True, check=True)
@@ -133,6 +135,7 @@ def test_options_win_over_the_parameter_file(cli: Cli, tmp_path: Path) -> None:
     assert done["contact"] == "transient"
 
 
+@pytest.mark.live
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize("suffix", [".parquet", ".csv", ".mcap"])
 def test_an_interrupted_command_leaves_nothing_behind(
@@ -152,6 +155,7 @@ def test_an_interrupted_command_leaves_nothing_behind(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.live
 def test_a_reader_that_has_gone_is_no_trouble() -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "scara_effmass", "limits"], stdout=subprocess.PIPE, stderr=subprocess.PIPE

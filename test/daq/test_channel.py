@@ -367,6 +367,7 @@ def test_a_filter_that_cannot_be_is_refused_in_one_line() -> None:
         signal({"filter.kind": "causal"})
 
 
+@pytest.mark.live
 def test_scipy_is_loaded_by_those_who_filter_only() -> None:
     program = "import sys, scara_effmass.daq.channel; sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -98,6 +98,7 @@ def test_the_mass_of_the_cart(detect: Detect) -> None:
     assert np.std(masses) < 0.05 * np.mean(masses)
 
 
+@pytest.mark.live
 def test_import_signal_and_detection_give_the_same(detect: Detect) -> None:
     """The example takes the files the way of `daq_node`, by its settings alone, and has tables of its own."""
     done = subprocess.run([sys.executable, str(EXAMPLE), str(FOLDER)], capture_output=True, text=True, check=True)

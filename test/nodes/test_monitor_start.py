@@ -127,6 +127,7 @@ def test_ends_with_0_while_it_starts(new_cell: Callable[..., Cell]) -> None:
     assert "Traceback" not in errors
 
 
+@pytest.mark.live
 def test_module_is_importable_without_starting_ros() -> None:
     check = "import scara_effmass.nodes.monitor_node, rclpy; raise SystemExit(rclpy.ok())"
     assert subprocess.run([sys.executable, "-c", check], check=False).returncode == 0

@@ -87,6 +87,7 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.live
 @pytest.mark.parametrize("name", NAMES)
 def test_the_committed_recordings_are_what_the_generator_makes(fresh: Path, name: str) -> None:
     with open_bag(BAGS / name) as committed, open_bag(fresh / name) as made:
@@ -112,6 +113,7 @@ def same_or_a_count_apart(one: FloatArray, other: FloatArray, step: FloatArray |
     return bool(counts.max() < 1.5 and np.count_nonzero(counts > 1e-6) <= 1e-3 * counts.size)
 
 
+@pytest.mark.live
 @pytest.mark.parametrize("name", RUNS)
 def test_the_committed_campaign_is_what_the_generator_makes(fresh: Path, name: str) -> None:
     said, says = about(BAGS / name), about(fresh / name)
@@ -167,6 +169,7 @@ def test_the_committed_files_have_the_committed_checksums() -> None:
     }
 
 
+@pytest.mark.live
 @pytest.mark.parametrize("recording", RECORDINGS, ids=NAMES)
 def test_a_recording_says_that_it_was_generated(recording: ReferenceRecording) -> None:
     said = about(BAGS / recording.name)
@@ -254,6 +257,7 @@ def test_the_straight_line_is_slow_enough_and_light_at_the_point_of_impact() -> 
     assert impact.lumped_mass == pytest.approx(0.981, abs=0.0005)
 
 
+@pytest.mark.live
 def test_the_command_replaces_only_when_told_and_makes_the_same_bytes(fresh: Path, tmp_path: Path) -> None:
     folder = tmp_path / "bags"
     shutil.copytree(fresh, folder)
