@@ -23,12 +23,13 @@ from scara_effmass_msgs.msg import ForceBlock
 from sensor_msgs.msg import JointState as JointStateMessage
 from usage import cpu_s, resident_mb
 
-from scara_effmass.bags.definitions import JOINT_STATE, known_types
+from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.messages import joint_state_message
 from scara_effmass.bags.recording import BagRecorder
 from scara_effmass.bags.recording_options import RecordingOptions
 from scara_effmass.values import JointState
+from scara_effmass.wire.message_types import JOINT_STATE
 
 MESSAGES = 200_000
 ROUNDS = 3

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from scara_effmass.bags.definitions import FORCE_BLOCK, IMPACT
 from scara_effmass.wire.force import decode_impact
+from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

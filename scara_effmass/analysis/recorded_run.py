@@ -6,11 +6,13 @@ from heapq import merge
 from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.analysis.assessment import cycles
-from scara_effmass.bags.definitions import FORCE_BLOCK, IMPACT, RECORDING_INFO, check_definition
+from scara_effmass.bags.definitions import check_definition
 from scara_effmass.bags.recording_info import recording_infos
 from scara_effmass.errors import BagError, DecodeError, SettingsError
 from scara_effmass.impacts.run_info import run_info
 from scara_effmass.wire.force import decode_force_block, decode_impact
+from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from collections import Counter

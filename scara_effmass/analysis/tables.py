@@ -13,12 +13,13 @@ from pyarrow import csv, parquet
 
 from scara_effmass import __version__
 from scara_effmass.analysis.output import completed
-from scara_effmass.bags.definitions import CONTACT_STATE, RECORDING_INFO
 from scara_effmass.bags.messages import serialized
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
-from scara_effmass.wire.encode import ContactStateEncoder
+from scara_effmass.wire.contact_state import ContactStateEncoder
+from scara_effmass.wire.message_types import CONTACT_STATE, STRING
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 ROWS_AT_ONCE = 50_000
 """Rows of a Parquet row group; what is held in memory."""
 
-STRING = "std_msgs/msg/String"
 
 _UNITS = {
     "speed": "speed_m_s",

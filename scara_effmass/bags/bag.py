@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 from scara_effmass.bags.batches import LATEST_NS
 from scara_effmass.bags.blocks import BlockDecoder
-from scara_effmass.bags.definitions import FORCE_BLOCK, JOINT_STATE, check_definition
+from scara_effmass.bags.definitions import check_definition
 from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.wire.force import decode_force_block
+from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator

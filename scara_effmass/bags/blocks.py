@@ -11,8 +11,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from scara_effmass.errors import DecodeError
 from scara_effmass.values import JointState
-from scara_effmass.wire.cdr import joint_state_layout
-from scara_effmass.wire.primitives import NS, STAMP_AT
+from scara_effmass.wire.cdr import NS, STAMP_AT
+from scara_effmass.wire.joint_state import joint_state_layout
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from scara_effmass.bags.batches import IntArray, Losses, MessageBatch
     from scara_effmass.values import FloatArray
-    from scara_effmass.wire.cdr import JointStateLayout
+    from scara_effmass.wire.joint_state import JointStateLayout
 
 FIRST_WINDOW = 64
 WINDOW_GROWTH = 4

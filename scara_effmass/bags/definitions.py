@@ -14,6 +14,7 @@ from rosbags.typesys.store import Typestore
 
 from scara_effmass.errors import BagError
 from scara_effmass.share import share
+from scara_effmass.wire.message_types import HEADER, JOINT_STATE, OWN_PACKAGE, TIME
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,18 +22,6 @@ if TYPE_CHECKING:
     from rosbags.interfaces import MessageDefinition
     from rosbags.interfaces.typing import Typesdict
 
-JOINT_STATE = "sensor_msgs/msg/JointState"
-RECORDING_INFO = "/scara_effmass/recording_info"
-"""Topic on which a recording says, in JSON, where it comes from."""
-OWN_PACKAGE = "scara_effmass_msgs"
-CONTACT_STATE = f"{OWN_PACKAGE}/msg/ContactState"
-FLOAT64 = "std_msgs/msg/Float64"
-FORCE_BLOCK = f"{OWN_PACKAGE}/msg/ForceBlock"
-IMPACT = f"{OWN_PACKAGE}/msg/Impact"
-HEADER = "std_msgs/msg/Header"
-WRENCH = "geometry_msgs/msg/Wrench"
-WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
-TIME = "builtin_interfaces/msg/Time"
 IDL_MARK = "=" * 80 + "\n"
 
 

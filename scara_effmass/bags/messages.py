@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scara_effmass.bags.definitions import HEADER, JOINT_STATE, TIME, known_types
-from scara_effmass.wire.primitives import NS
+from scara_effmass.bags.definitions import known_types
+from scara_effmass.wire.cdr import NS
+from scara_effmass.wire.message_types import HEADER, JOINT_STATE, TIME
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from scara_effmass.bags.definitions import RECORDING_INFO
 from scara_effmass.errors import DecodeError
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

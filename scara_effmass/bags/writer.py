@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, final
 
 from scara_effmass.bags.batches import Topic
-from scara_effmass.bags.definitions import JOINT_STATE, known_types
+from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.messages import joint_state_message
 from scara_effmass.bags.part_writer import PartWriter, definition_of
 from scara_effmass.bags.rosbag2 import refuse_existing, write_metadata
 from scara_effmass.errors import OutputError
+from scara_effmass.wire.message_types import JOINT_STATE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -276,8 +276,8 @@ def _settled(args: argparse.Namespace) -> tuple[MonitorSettings, RobotDynamics, 
 
 def _recording(args: argparse.Namespace) -> Recording:
     from scara_effmass.analysis.assessment import joint_state_topic  # noqa: PLC0415
-    from scara_effmass.bags.definitions import FORCE_BLOCK  # noqa: PLC0415
     from scara_effmass.bags.files import open_bag  # noqa: PLC0415
+    from scara_effmass.wire.message_types import FORCE_BLOCK  # noqa: PLC0415
 
     with open_bag(args.bag) as bag:
         topic = joint_state_topic(bag, args.topic)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scara_effmass.bags.definitions import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.recording_info import recording_infos
 from scara_effmass.daq.even_time import EvenBlocks
@@ -18,6 +17,7 @@ from scara_effmass.daq.source import Unit
 from scara_effmass.daq.stamped_topic import stamped_samples
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.impacts.run_info import json_object
+from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

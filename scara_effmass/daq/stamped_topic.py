@@ -7,9 +7,9 @@ from itertools import chain, islice
 from statistics import median_low
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from scara_effmass.bags.definitions import FLOAT64, WRENCH, WRENCH_STAMPED
 from scara_effmass.errors import BagError, DecodeError
-from scara_effmass.wire.primitives import NS
+from scara_effmass.wire.cdr import NS
+from scara_effmass.wire.message_types import FLOAT64, WRENCH, WRENCH_STAMPED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

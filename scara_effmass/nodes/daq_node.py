@@ -13,7 +13,6 @@ from geometry_msgs.msg import WrenchStamped
 from pydantic import Field
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from scara_effmass_msgs.msg import ForceBlock, Impact
 from std_srvs.srv import Trigger
 
@@ -27,6 +26,7 @@ from scara_effmass.nodes.daq_health import DaqHealth
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.settings import READ_ONLY, DaqSettings, FilterKind, ForceSourceKind, SimScene, checked
+from scara_effmass.wire import topics
 from scara_effmass.wire.force import force_block_message, impact_message
 
 if TYPE_CHECKING:
@@ -38,9 +38,6 @@ if TYPE_CHECKING:
     from scara_effmass import values
     from scara_effmass.daq.source import ForceSource
 
-_BLOCK_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=100)
-"""Of the last ones only: a subscriber that cannot follow loses blocks, the acquisition does not wait for it."""
-_EVENT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
 _LOOK_S = 0.01
 _DELIVERED_S = 5.0
 """Fast DDS asks its readers every 3 s."""
@@ -94,9 +91,11 @@ class DaqNode(LifecycleBase):
             below = f"/{name}" if number else ""
             self._outputs.append(
                 _Output(
-                    self.publisher(ForceBlock, f"force{below}", _BLOCK_QOS, self._health.incompatible),
-                    self.publisher(Impact, f"impact{below}", _EVENT_QOS, self._health.incompatible),
-                    self.publisher(WrenchStamped, f"wrench{below}", _EVENT_QOS, self._health.incompatible),
+                    self.publisher(ForceBlock, f"{topics.FORCE}{below}", topics.FORCE_QOS, self._health.incompatible),
+                    self.publisher(Impact, f"{topics.IMPACT}{below}", topics.STREAM_QOS, self._health.incompatible),
+                    self.publisher(
+                        WrenchStamped, f"{topics.WRENCH}{below}", topics.STREAM_QOS, self._health.incompatible
+                    ),
                     settings,
                 )
             )

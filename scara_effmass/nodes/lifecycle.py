@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import copy
 import gc
 import signal
 import sys
@@ -26,6 +25,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from scara_effmass.errors import EffmassError, SettingsError
+from scara_effmass.nodes.qos import qos_profile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -34,8 +34,9 @@ if TYPE_CHECKING:
     from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo
     from rclpy.executors import Executor
     from rclpy.lifecycle import LifecyclePublisher, State
-    from rclpy.qos import QoSProfile
     from rclpy.timer import Timer
+
+    from scara_effmass.wire.topics import Qos
 
 Endpoint = TypeVar("Endpoint")
 
@@ -114,15 +115,13 @@ class LifecycleBase(LifecycleNode):
         self._kept.callback(destroy, endpoint)
         return endpoint
 
-    def publisher(
-        self, kind: type, topic: str, qos: QoSProfile, on_incompatible: Callable[[str], None]
-    ) -> LifecyclePublisher:
+    def publisher(self, kind: type, topic: str, qos: Qos, on_incompatible: Callable[[str], None]) -> LifecyclePublisher:
         """Return a publisher, kept, whose QoS parameters may override; `on_incompatible` gets a line about a misfit."""
         misfit = partial(incompatible, f"a subscriber of {topic}", on_incompatible)
         publisher: LifecyclePublisher = self.create_lifecycle_publisher(
             kind,
             topic,
-            copy.copy(qos),  # rclpy writes the overrides into it
+            qos_profile(qos),
             event_callbacks=PublisherEventCallbacks(incompatible_qos=misfit),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )

@@ -12,12 +12,13 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from scara_effmass_msgs.msg import ContactState
 
 from scara_effmass.errors import DecodeError, EffmassError
+from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.replay_stamps import header_stamp_ns
-from scara_effmass.wire.cdr import JointStateDecoder
+from scara_effmass.wire.joint_state import JointStateDecoder
+from scara_effmass.wire.topics import CONTACT_STATE, STREAM_QOS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 Names = tuple[str, ...]
 
-CONTACT_STATE = "contact_state"
 IN_VAIN = 3
 """After as many joint states without an answer, those with the same names are no longer expected to get one."""
 GIVE_UP = 10
@@ -59,7 +59,7 @@ class Lockstep:
             ContactState,
             CONTACT_STATE,
             self._on_contact_state,
-            QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000),
+            qos_profile(STREAM_QOS),
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(matched=self._on_matched),
         ).topic_name

@@ -13,13 +13,14 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from scara_effmass_msgs.msg import ContactState, ImpactValidation
 from std_msgs.msg import Float64
 
 from scara_effmass.nodes.lifecycle import spin_for
-from scara_effmass.wire.contact_messages import contact_from
+from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.wire import topics
+from scara_effmass.wire.contact_state import contact_from
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
     OnCycle = Callable[[tuple[ContactAssessment, ...], int], None]
 
-_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=2000)
 _SLICE_S = 0.05
 """Longest stay inside the executor; signals are acted upon between two stays."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -83,14 +83,16 @@ class MonitorClient:
         self._clock = node.get_clock()
         self._kept.callback(node.destroy_node)
         for kind, topic, callback in (
-            (ContactState, "contact_state", self._on_contact_state),
-            (Float64, "allowable_speed", self._on_allowable_speed),
-            (Float64, "speed_scaling", self._on_speed_scaling),
+            (ContactState, topics.CONTACT_STATE, self._on_contact_state),
+            (Float64, topics.ALLOWABLE_SPEED, self._on_allowable_speed),
+            (Float64, topics.SPEED_SCALING, self._on_speed_scaling),
         ):
             events = SubscriptionEventCallbacks(matched=self._on_matched(topic))
-            node.create_subscription(kind, topic, callback, _QOS, event_callbacks=events)
+            node.create_subscription(kind, topic, callback, qos_profile(topics.CLIENT_QOS), event_callbacks=events)
         if on_validation is not None:
-            node.create_subscription(ImpactValidation, "impact_validation", on_validation, _QOS)
+            node.create_subscription(
+                ImpactValidation, topics.IMPACT_VALIDATION, on_validation, qos_profile(topics.CLIENT_QOS)
+            )
         self._executor = EventsExecutor(context=context)
         self._executor.add_node(node)
         self._kept.callback(self._executor.shutdown)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import time
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,6 @@ from pydantic import Field
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
@@ -27,11 +25,13 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, incompatible, run
 from scara_effmass.nodes.monitor_health import MonitorHealth
+from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.safety import Monitor, no_robot_decision
 from scara_effmass.settings import READ_ONLY, MonitorSettings, checked
 from scara_effmass.share import share
-from scara_effmass.wire.cdr import JointStateDecoder
-from scara_effmass.wire.encode import ContactStateEncoder, float64_message
+from scara_effmass.wire import topics
+from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message
+from scara_effmass.wire.joint_state import JointStateDecoder
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,10 +47,6 @@ if TYPE_CHECKING:
 
 Endpoint = TypeVar("Endpoint")
 
-_INPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=1000)
-"""Sensor-data QoS, which matches every publisher, with room for a stall of 1 s at 1 kHz."""
-_VERDICT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
-_DESCRIPTION_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _NO_ROBOT = ContactStateEncoder("", "")
 _LOOKS_PER_TIMEOUT = 4
 _MOST_LOOKS_HZ = 1000.0
@@ -96,9 +92,9 @@ class MonitorNode(LifecycleBase):
             self.own(
                 self.create_subscription(
                     String,
-                    "robot_description",
+                    topics.ROBOT_DESCRIPTION,
                     self._on_description,
-                    _DESCRIPTION_QOS,
+                    qos_profile(topics.DESCRIPTION_QOS),
                     event_callbacks=SubscriptionEventCallbacks(
                         incompatible_qos=partial(
                             incompatible, "a publisher of robot_description", self._on_incompatible
@@ -110,15 +106,19 @@ class MonitorNode(LifecycleBase):
         else:
             path = Path(self._settings.robot) if self._settings.robot else share("config", "omron_i4_550l.yaml")
             self._watch(load_robot(path, self._settings))
-        for kind, topic in ((ContactState, "contact_state"), (Float64, "allowable_speed"), (Float64, "speed_scaling")):
-            self._outputs[topic] = self.publisher(kind, topic, _VERDICT_QOS, self._on_incompatible)
+        for kind, topic in (
+            (ContactState, topics.CONTACT_STATE),
+            (Float64, topics.ALLOWABLE_SPEED),
+            (Float64, topics.SPEED_SCALING),
+        ):
+            self._outputs[topic] = self.publisher(kind, topic, topics.STREAM_QOS, self._on_incompatible)
         self._diagnostics = Diagnostics(self, self._statuses)
         self._joint_states = self.own(
             self.create_subscription(
                 JointState,
-                "joint_states",
+                topics.JOINT_STATES,
                 self._on_joint_state,
-                copy.copy(_INPUT_QOS),
+                qos_profile(topics.JOINT_STATES_INPUT_QOS),
                 raw=True,
                 event_callbacks=SubscriptionEventCallbacks(
                     incompatible_qos=partial(incompatible, "a publisher of joint_states", self._on_incompatible),
@@ -184,11 +184,11 @@ class MonitorNode(LifecycleBase):
         self._publish(monitor.watchdog_decision(silent_ns) if monitor else no_robot_decision(waiting, watchdog=True))
 
     def _publish(self, decision: Decision) -> None:
-        contact_state = self._outputs["contact_state"]
+        contact_state = self._outputs[topics.CONTACT_STATE]
         for encoder, contact in zip(self._encoders or [_NO_ROBOT], decision.contacts, strict=True):
             contact_state.publish(encoder.encode(contact))
-        self._outputs["allowable_speed"].publish(float64_message(decision.allowable_speed))
-        self._outputs["speed_scaling"].publish(float64_message(decision.speed_scaling))
+        self._outputs[topics.ALLOWABLE_SPEED].publish(float64_message(decision.allowable_speed))
+        self._outputs[topics.SPEED_SCALING].publish(float64_message(decision.speed_scaling))
         self._decision = decision
         shown = [contact.verdict for contact in decision.contacts]
         if shown != self._shown and time.monotonic_ns() - self._reported_ns > _REPORTS_APART_NS:

@@ -27,7 +27,8 @@ from scara_effmass.bags.recording_options import RecordingOptions
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import spin_for
-from scara_effmass.nodes.topic_recorder import SUITE, SUITE_BELOW, TopicRecorder, resolved
+from scara_effmass.nodes.topic_recorder import TopicRecorder, resolved
+from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -96,9 +97,9 @@ def record(
         told_to_stop = kept.enter_context(_signals_noted())
         node = kept.enter_context(_node(options.ros_arguments))
         context = node.context
-        topics = () if options.everything else options.topics or SUITE
+        topics = () if options.everything else options.topics or RECORDED
         wanted = [resolved(node, topic) for topic in topics]
-        below = [resolved(node, topic) for topic in SUITE_BELOW if topics is SUITE]
+        below = [resolved(node, topic) for topic in FORCE_OUTPUTS if topics is RECORDED]
         executor = EventsExecutor(context=context)
         kept.callback(executor.shutdown)
         executor.add_node(node)

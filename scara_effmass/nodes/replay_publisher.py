@@ -5,11 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.wire import topics as wire_topics
 from scara_effmass.wire.message_types import message_class
+from scara_effmass.wire.topics import (
+    CLOCK,
+    FORCE_OUTPUTS,
+    IMPACT_VALIDATION,
+    MONITOR_OUTPUTS,
+    ROBOT_DESCRIPTION,
+    STREAM_QOS,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -19,18 +28,15 @@ if TYPE_CHECKING:
 
     from scara_effmass.bags.bag import Bag
 
-CLOCK = "/clock"
-JOINT_STATES = "/joint_states"
+JOINT_STATES = f"/{wire_topics.JOINT_STATES}"
 COMPUTED = (
-    *("contact_state", "allowable_speed", "speed_scaling"),
-    *("force", "impact", "wrench"),
-    *("impact_validation", "diagnostics"),
+    *MONITOR_OUTPUTS,
+    *FORCE_OUTPUTS,
+    *(IMPACT_VALIDATION, "diagnostics"),
 )
 """What the live nodes publish themselves: not replayed unless asked for by name. Force is played by daq_node."""
-LATCHED = ("robot_description", "tf_static", "recording_info")
+LATCHED = (ROBOT_DESCRIPTION, "tf_static", "recording_info")
 """What is published once and kept for those who come later."""
-
-DEPTH = 1000
 
 
 class ReplayPublisher:
@@ -43,16 +49,10 @@ class ReplayPublisher:
         self.heard = False
         self.latched = name.rsplit("/", 1)[-1] in LATCHED
         # A publisher that keeps messages for late readers also fits readers that do not want them.
-        durability = DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE
         self.publisher = node.create_publisher(
             message_class,
             name,
-            QoSProfile(
-                reliability=ReliabilityPolicy.RELIABLE,
-                history=HistoryPolicy.KEEP_LAST,
-                depth=DEPTH,
-                durability=durability,
-            ),
+            qos_profile(STREAM_QOS._replace(latched=self.latched)),
             event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
         )
 

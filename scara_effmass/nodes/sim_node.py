@@ -11,18 +11,18 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, Field
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 from scara_effmass_msgs.msg import ContactState, ForceBlock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from scara_effmass.bags.definitions import RECORDING_INFO
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
+from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.settings import READ_ONLY, checked
 from scara_effmass.sim.live import LiveBench, LiveSettings
+from scara_effmass.wire import topics
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,14 +35,11 @@ _MS = 1_000_000
 _PERIOD_S = 0.001
 _AHEAD_NS = 20 * _MS
 """So far the cell is computed ahead of time, so that its impacts, which take longer, hold nothing up."""
-_STATES_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
-_CLOCK_QOS = QoSProfile(depth=10)
 _STAMP = struct.Struct("<iI")
-_BEHIND_NS = {"contact_state": 50 * _MS, "force": 400 * _MS}
+_BEHIND_NS = {topics.CONTACT_STATE: 50 * _MS, topics.FORCE: 400 * _MS}
 """How far behind the clock the latest stamp may be. That of a block is its first sample's; blocks last 0.1 s."""
 _STANDING_NS = 50 * _MS
 _NEVER_NS = 2**62
-_INFO_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class NodeSettings(BaseModel):
@@ -91,8 +88,8 @@ class SimNode(LifecycleBase):
     def set_up(self) -> None:
         """Create the endpoints."""
         warn = self.get_logger().warning
-        self._joint_states = self.publisher(JointState, "joint_states", _STATES_QOS, warn)
-        self._info = self.publisher(String, RECORDING_INFO, _INFO_QOS, warn)
+        self._joint_states = self.publisher(JointState, topics.JOINT_STATES, topics.STREAM_QOS, warn)
+        self._info = self.publisher(String, topics.RECORDING_INFO, topics.INFO_QOS, warn)
         self._pace = SimClock(self) if self._settings.clock else None
         self.create_steady_timer(_PERIOD_S, self._publish_what_is_due)
 
@@ -129,11 +126,15 @@ class SimClock:
 
     def __init__(self, node: LifecycleBase) -> None:
         """Publish the clock with `node`, and listen to what the others have done."""
-        self._clock = node.own(node.create_publisher(ClockMessage, "/clock", _CLOCK_QOS), node.destroy_publisher)
+        self._clock = node.own(
+            node.create_publisher(ClockMessage, topics.CLOCK, qos_profile(topics.CLOCK_QOS)), node.destroy_publisher
+        )
         self._done_ns: dict[str, int] = {}
-        for topic, kind in (("contact_state", ContactState), ("force", ForceBlock)):
+        for topic, kind in ((topics.CONTACT_STATE, ContactState), (topics.FORCE, ForceBlock)):
             node.own(
-                node.create_subscription(kind, topic, partial(self._on_done, topic), _STATES_QOS, raw=True),
+                node.create_subscription(
+                    kind, topic, partial(self._on_done, topic), qos_profile(topics.STREAM_QOS), raw=True
+                ),
                 node.destroy_subscription,
             )
 

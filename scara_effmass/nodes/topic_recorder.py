@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any, final
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidTopicNameException
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from scara_effmass.bags.installed_types import types_for
 from scara_effmass.bags.rosbag2 import OfferedQos, qos_text
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.wire.message_types import message_class, message_text
+from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.wire.message_types import message_class, message_definition
+from scara_effmass.wire.topics import STREAM_QOS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -23,28 +25,8 @@ if TYPE_CHECKING:
 
     from scara_effmass.bags.recording import BagRecorder
 
-SUITE = (
-    "joint_states",
-    "contact_state",
-    "allowable_speed",
-    "speed_scaling",
-    "force",
-    "impact",
-    "wrench",
-    "impact_validation",
-    "robot_description",
-    "/diagnostics",
-    "/tf",
-    "/tf_static",
-    "/scara_effmass/recording_info",
-)
-"""What is recorded unless topics are named; relative names follow the namespace."""
-SUITE_BELOW = ("force", "impact", "wrench")
-"""Where further force channels publish, each on a topic below, as force/ai1: recorded with the suite."""
 
 _LOOKS_BEFORE_A_WORD = 20
-DEPTH = 1000
-"""Messages that may wait for this process: 1 s of a topic at 1 kHz."""
 
 
 def resolved(node: Node, topic: str) -> str:
@@ -147,7 +129,7 @@ class TopicRecorder:
     def _subscribe(self, name: str, kind: str, found: type, publishers: Sequence[TopicEndpointInfo]) -> None:
         """Subscribe with what all publishers offer. Raises BagError for a definition that is not theirs."""
         if name not in self._numbers:
-            types = types_for(kind, str(publishers[0].topic_type_hash), message_text)
+            types = types_for(kind, str(publishers[0].topic_type_hash), message_definition)
             offered = qos_text(_offered(publisher) for publisher in publishers)
             self._numbers[name] = self._recording.add_topic(name, kind, offered_qos=offered, types=types)
         number, self._kinds[name] = self._numbers[name], kind
@@ -157,12 +139,7 @@ class TopicRecorder:
             found,
             name,
             partial(self._on_message, number),
-            QoSProfile(
-                history=HistoryPolicy.KEEP_LAST,
-                depth=DEPTH,
-                reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-                durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-            ),
+            qos_profile(STREAM_QOS._replace(reliable=reliable, latched=latched)),
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(
                 message_lost=partial(self._on_lost, number),

@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from scara_effmass.bags.definitions import RECORDING_INFO
 from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.impacts.detection import Detector
 from scara_effmass.impacts.run_info import run_info
@@ -22,9 +20,11 @@ from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, incompatible, run
+from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.validator_health import ValidatorHealth
 from scara_effmass.settings import READ_ONLY, DetectionSettings, ValidatorSettings, checked
-from scara_effmass.wire.contact_messages import contact_from
+from scara_effmass.wire import topics
+from scara_effmass.wire.contact_state import contact_from
 from scara_effmass.wire.force import decode_force_block, decode_impact
 
 if TYPE_CHECKING:
@@ -40,10 +40,6 @@ if TYPE_CHECKING:
     WriteReport = Callable[[Result, "NodeSettings", Path], Path]
 
 _NS = 1_000_000_000
-_INPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=20_000)
-"""Deep enough for the seconds in which a report is written."""
-_INFO_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_RESULT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
 _PLAIN = (
     *("predicted_force", "measured_force", "relative_error", "effective_mass", "reduced_mass", "speed", "stiffness"),
     *("conservative", "count", "correlation", "fitted_stiffness", "bias", "rmse", "non_conservative", "accepted"),
@@ -93,13 +89,18 @@ class ValidatorNode(LifecycleBase):
         self._health = ValidatorHealth(self.get_name())
         self._validator = Validator(settings)
         self._detector = Detector(settings.detection)
-        self._result = self.publisher(ImpactValidation, "impact_validation", _RESULT_QOS, self._health.incompatible)
+        self._result = self.publisher(
+            ImpactValidation, topics.IMPACT_VALIDATION, topics.STREAM_QOS, self._health.incompatible
+        )
         Diagnostics(self, self._statuses)
-        self._subscribe(ContactState, "contact_state", self._on_contact_state, raw=False)
+        self._subscribe(ContactState, topics.CONTACT_STATE, self._on_contact_state, raw=False)
         if not settings.find_impacts:
-            self._subscribe(Impact, "impact", self._on_impact, raw=True)
-        self._subscribe(ForceBlock, "force", self._on_force, raw=True)
-        self.own(self.create_subscription(String, RECORDING_INFO, self._on_info, _INFO_QOS), self.destroy_subscription)
+            self._subscribe(Impact, topics.IMPACT, self._on_impact, raw=True)
+        self._subscribe(ForceBlock, topics.FORCE, self._on_force, raw=True)
+        self.own(
+            self.create_subscription(String, topics.RECORDING_INFO, self._on_info, qos_profile(topics.INFO_QOS)),
+            self.destroy_subscription,
+        )
         self.own(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
         self.own(self.create_service(Trigger, "~/write_report", self._on_write_report), self.destroy_service)
 
@@ -110,7 +111,7 @@ class ValidatorNode(LifecycleBase):
                 kind,
                 topic,
                 callback,
-                _INPUT_QOS,
+                qos_profile(topics.VALIDATOR_INPUT_QOS),
                 raw=raw,
                 event_callbacks=SubscriptionEventCallbacks(
                     incompatible_qos=misfit, message_lost=partial(self._on_lost, topic)
@@ -159,7 +160,7 @@ class ValidatorNode(LifecycleBase):
         try:
             info = run_info(message.data, now_ns)
         except SettingsError as error:
-            self.get_logger().error(f"{RECORDING_INFO}: {error}; until it is told, what is hit is not known")
+            self.get_logger().error(f"{topics.RECORDING_INFO}: {error}; until it is told, what is hit is not known")
             self._validator.set_run(now_ns, obstacle_mass=0.0)
             return
         if info is not None:

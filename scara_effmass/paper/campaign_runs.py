@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.analysis.forces import forces_of
 from scara_effmass.analysis.recorded_run import run_infos
-from scara_effmass.bags.definitions import FORCE_BLOCK
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detection import Detector
 from scara_effmass.paper.motion import tool_motion
 from scara_effmass.paper.recorded_impact import RecordedImpact
+from scara_effmass.wire.message_types import FORCE_BLOCK
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,7 +8,6 @@ from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
-from scara_effmass.bags.definitions import FORCE_BLOCK, JOINT_STATE, RECORDING_INFO
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.messages import joint_state_message, serialized
 from scara_effmass.bags.writer import BagWriter
@@ -20,8 +19,10 @@ from scara_effmass.sim.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES, REST
 from scara_effmass.sim.recordings import EPOCH_NS, SEED
 from scara_effmass.sim.rng import uniform
 from scara_effmass.sim.spring_contact import POLYETHYLENE
-from scara_effmass.sim.topics import FORCE_TOPIC, JOINT_STATES_TOPIC, TEXT
+from scara_effmass.sim.topics import FORCE_TOPIC, JOINT_STATES_TOPIC
 from scara_effmass.wire.force import force_block_message
+from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE, STRING
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -180,7 +181,7 @@ def record(path: Path, run: Run, *, overwrite: bool = False) -> ImpactRun:
         (_published_ns(block), FORCE_TOPIC, FORCE_BLOCK, force_block_message(block)) for block in result.force_blocks
     ]
     with BagWriter(path, overwrite=overwrite) as bag:
-        bag.write(RECORDING_INFO, TEXT, run.setup.start_ns, serialized(TEXT, {"data": info}))
+        bag.write(RECORDING_INFO, STRING, run.setup.start_ns, serialized(STRING, {"data": info}))
         for log_time_ns, topic, kind, data in sorted(messages):
             bag.write(topic, kind, log_time_ns, data)
     return result

@@ -8,15 +8,16 @@ import json
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
-from scara_effmass.bags.definitions import FORCE_BLOCK, JOINT_STATE, RECORDING_INFO
 from scara_effmass.bags.messages import joint_state_message, serialized
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.sim.campaign import Campaign, run_campaign
 from scara_effmass.sim.recordings import EPOCH_NS, RECORDINGS, REVISION, SEED
 from scara_effmass.sim.synthetic_force import BLOCK_NS
-from scara_effmass.sim.topics import FORCE_TOPIC, JOINT_STATES_TOPIC, TEXT
+from scara_effmass.sim.topics import FORCE_TOPIC, JOINT_STATES_TOPIC
 from scara_effmass.wire.force import force_block_message
+from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE, STRING
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -75,7 +76,7 @@ def about(recording: ReferenceRecording) -> str:
 def _write(folder: Path, recording: ReferenceRecording, *, overwrite: bool) -> Path:
     path = folder / recording.name
     with BagWriter(path, overwrite=overwrite) as bag:
-        bag.write(RECORDING_INFO, TEXT, EPOCH_NS, serialized(TEXT, {"data": about(recording)}))
+        bag.write(RECORDING_INFO, STRING, EPOCH_NS, serialized(STRING, {"data": about(recording)}))
         for log_time_ns, topic, kind, data in _messages(recording):
             bag.write(topic, kind, log_time_ns, data)
     return path

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-JOINT_STATES_TOPIC = "/joint_states"
-FORCE_TOPIC = "/force"
-TEXT = "std_msgs/msg/String"
-"""What a recording says of itself, as JSON, is of this type."""
+from scara_effmass.wire.topics import FORCE, JOINT_STATES
+
+JOINT_STATES_TOPIC = f"/{JOINT_STATES}"
+FORCE_TOPIC = f"/{FORCE}"

@@ -10,7 +10,7 @@ import struct
 import numpy as np
 
 from scara_effmass.values import ForceBlock, Impact
-from scara_effmass.wire.primitives import LITTLE_ENDIAN, Cursor, padded, sec_and_nanosec, with_text
+from scara_effmass.wire.cdr import LITTLE_ENDIAN, Cursor, padded, sec_and_nanosec, with_text
 
 _STAMP = struct.Struct("<iI")
 _BLOCK_START = struct.Struct("<QdI")

@@ -1,4 +1,4 @@
-"""Message types as they are installed."""
+"""Names of message types, and their installed classes and definitions."""
 
 from __future__ import annotations
 
@@ -7,31 +7,42 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
+JOINT_STATE = "sensor_msgs/msg/JointState"
+OWN_PACKAGE = "scara_effmass_msgs"
+CONTACT_STATE = f"{OWN_PACKAGE}/msg/ContactState"
+FORCE_BLOCK = f"{OWN_PACKAGE}/msg/ForceBlock"
+IMPACT = f"{OWN_PACKAGE}/msg/Impact"
+FLOAT64 = "std_msgs/msg/Float64"
+STRING = "std_msgs/msg/String"
+HEADER = "std_msgs/msg/Header"
+WRENCH = "geometry_msgs/msg/Wrench"
+WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
+TIME = "builtin_interfaces/msg/Time"
+
 _TYPE = re.compile(r"(?P<package>[a-z][a-z0-9_]*)/msg/(?P<name>[A-Z][A-Za-z0-9]*)")
 
 
-def message_class(kind: str) -> type | None:
-    """Return the class of type `kind` such as "std_msgs/msg/String", None where it is not installed."""
-    match = _TYPE.fullmatch(kind)
-    # A recording must not make any module run that is no message package.
-    if match is None or not any((folder / "msg").is_dir() for folder in _folders(match["package"])):
+def message_class(message_type: str) -> type | None:
+    """Return the class of a type such as "std_msgs/msg/String", None if it is not installed."""
+    match = _TYPE.fullmatch(message_type)
+    # A type name from a recording must never import a module that is not a message package.
+    if match is None or not any((folder / "msg").is_dir() for folder in _package_folders(match["package"])):
         return None
-    found: type | None = getattr(import_module(f"{match['package']}.msg"), match["name"], None)
-    return found
+    installed_class: type | None = getattr(import_module(f"{match['package']}.msg"), match["name"], None)
+    return installed_class
 
 
-def message_text(kind: str) -> str:
-    """Return the installed .msg file of type `kind`, empty where there is none."""
-    match = _TYPE.fullmatch(kind)
+def message_definition(message_type: str) -> str:
+    """Return the text of the installed .msg file of a type, empty if there is none."""
+    match = _TYPE.fullmatch(message_type)
     if match is None:
         return ""
-    # <prefix>/lib/python3.x/site-packages/<package> and <prefix>/share/<package>, in ROS as in a virtual environment
-    prefixes = (parent for folder in _folders(match["package"]) for parent in folder.parents)
-    texts = (prefix / "share" / match["package"] / "msg" / f"{match['name']}.msg" for prefix in prefixes)
-    found = next((text for text in texts if text.is_file()), None)
-    return found.read_text(encoding="utf-8") if found else ""
+    # <prefix>/lib/python3.x/site-packages/<package> and <prefix>/share/<package>, in ROS and in a virtual environment
+    prefixes = (parent for folder in _package_folders(match["package"]) for parent in folder.parents)
+    files = (prefix / "share" / match["package"] / "msg" / f"{match['name']}.msg" for prefix in prefixes)
+    return next((file.read_text(encoding="utf-8") for file in files if file.is_file()), "")
 
 
-def _folders(package: str) -> list[Path]:
+def _package_folders(package: str) -> list[Path]:
     spec = find_spec(package)
     return [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []

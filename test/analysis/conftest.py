@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
-from scara_effmass.bags.definitions import FORCE_BLOCK, RECORDING_INFO
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.messages import serialized
 from scara_effmass.bags.writer import BagWriter
@@ -17,6 +16,8 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.campaign import Campaign, run_campaign
 from scara_effmass.wire.force import decode_force_block, force_block_message
+from scara_effmass.wire.message_types import FORCE_BLOCK
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scara_effmass.analysis.forces import forces_of
-from scara_effmass.bags.definitions import FORCE_BLOCK, IMPACT
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.share import share
 from scara_effmass.values import ForceBlock, Impact
 from scara_effmass.wire.force import force_block_message, impact_message
+from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT
 
 if TYPE_CHECKING:
     from pathlib import Path

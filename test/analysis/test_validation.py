@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from scara_effmass.analysis.validation import ValidationSettings, validate
-from scara_effmass.bags.definitions import FORCE_BLOCK, IMPACT, JOINT_STATE, RECORDING_INFO
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.messages import joint_state_message
 from scara_effmass.bags.writer import BagWriter
@@ -21,6 +20,8 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MassModel, ValidatorSettings
 from scara_effmass.values import JointState
 from scara_effmass.wire.force import impact_message
+from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -28,7 +28,7 @@ from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.bags.messages import joint_state_message
 from scara_effmass.errors import BagError
 from scara_effmass.values import JointState
-from scara_effmass.wire.cdr import JointStateDecoder
+from scara_effmass.wire.joint_state import JointStateDecoder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -11,13 +11,14 @@ import yaml
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from scara_effmass.bags.definitions import CONTACT_STATE, JOINT_STATE, known_types, own_types
+from scara_effmass.bags.definitions import known_types, own_types
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.messages import joint_state_message
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.values import ContactAssessment, JointState, Verdict
-from scara_effmass.wire.encode import ContactStateEncoder
+from scara_effmass.wire.contact_state import ContactStateEncoder
+from scara_effmass.wire.message_types import CONTACT_STATE, JOINT_STATE
 
 if TYPE_CHECKING:
     from pathlib import Path

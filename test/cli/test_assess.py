@@ -25,7 +25,7 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import Verdict
-from scara_effmass.wire.cdr import JointStateDecoder
+from scara_effmass.wire.joint_state import JointStateDecoder
 
 if TYPE_CHECKING:
     from collections.abc import Callable

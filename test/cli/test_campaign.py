@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from scara_effmass.bags.definitions import RECORDING_INFO
 from scara_effmass.bags.files import find_bags, open_bag
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from collections.abc import Callable

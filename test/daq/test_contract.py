@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from nptdms import ChannelObject, TdmsWriter
 
-from scara_effmass.bags.definitions import FORCE_BLOCK, WRENCH_STAMPED
 from scara_effmass.bags.messages import header, message, serialized
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.daq.simulated import SimulatedForce
@@ -22,6 +21,7 @@ from scara_effmass.errors import BagError, DaqError, EffmassError, SettingsError
 from scara_effmass.settings import DaqSettings, checked
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.force import force_block_message
+from scara_effmass.wire.message_types import FORCE_BLOCK, WRENCH_STAMPED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -13,14 +13,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from scara_effmass.bags.definitions import (
-    FLOAT64,
-    FORCE_BLOCK,
-    RECORDING_INFO,
-    WRENCH,
-    WRENCH_STAMPED,
-    known_types,
-)
+from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.messages import header, message, serialized
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.daq.recorded import RecordedForce
@@ -28,8 +21,10 @@ from scara_effmass.daq.source import Unit
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.settings import BagSettings, DaqSettings
 from scara_effmass.values import ForceBlock
-from scara_effmass.wire.encode import float64_message
+from scara_effmass.wire.contact_state import float64_message
 from scara_effmass.wire.force import force_block_message
+from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

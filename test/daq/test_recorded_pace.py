@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from scara_effmass.bags.definitions import FORCE_BLOCK
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.daq.recorded import EARLY_NS, RecordedForce
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import BagSettings, DaqSettings, Stamps
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.force import force_block_message
+from scara_effmass.wire.message_types import FORCE_BLOCK
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -21,13 +21,13 @@ from rclpy.signals import SignalHandlerOptions
 from scara_effmass_msgs.msg import ForceBlock, Impact
 from std_srvs.srv import Trigger
 
-from scara_effmass.bags.definitions import FORCE_BLOCK
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.impacts.detection import Detector
 from scara_effmass.nodes.daq_node import DaqNode
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import ForceBlock as Block
 from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message
+from scara_effmass.wire.message_types import FORCE_BLOCK
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

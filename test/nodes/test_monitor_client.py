@@ -20,8 +20,7 @@ from std_msgs.msg import Float64
 from scara_effmass.nodes.monitor_client import MonitorClient
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import ContactAssessment, Verdict
-from scara_effmass.wire.contact_messages import contact_from
-from scara_effmass.wire.encode import ContactStateEncoder
+from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

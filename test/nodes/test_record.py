@@ -30,7 +30,7 @@ from scara_effmass.errors import OutputError, SettingsError
 from scara_effmass.nodes import topic_recorder
 from scara_effmass.nodes.record import RecordOptions, record
 from scara_effmass.nodes.topic_recorder import TopicRecorder
-from scara_effmass.wire.message_types import message_class, message_text
+from scara_effmass.wire.message_types import message_class, message_definition
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -387,9 +387,9 @@ def test_a_place_that_is_taken_is_refused(cell: Cell) -> None:
 
 
 def test_installed_definitions_are_found() -> None:
-    assert "float64[] position" in message_text("sensor_msgs/msg/JointState")
-    assert "first_sample" in message_text("scara_effmass_msgs/msg/ForceBlock")
-    assert message_text("lab_msgs/msg/Nope") == message_text("std_msgs/srv/Odd") == ""
+    assert "float64[] position" in message_definition("sensor_msgs/msg/JointState")
+    assert "first_sample" in message_definition("scara_effmass_msgs/msg/ForceBlock")
+    assert message_definition("lab_msgs/msg/Nope") == message_definition("std_msgs/srv/Odd") == ""
     assert message_class("std_msgs/msg/String") is String
     assert message_class("lab_msgs/msg/Nope") is message_class("std_msgs/msg/Nope") is None
     assert message_class("os/msg/Path") is None

@@ -40,7 +40,7 @@ from scara_effmass.nodes.replay import ReplayOptions, replay
 from scara_effmass.nodes.replay_publisher import ReplayPublisher
 from scara_effmass.nodes.replay_timeline import CLOCK_STEP_NS, timeline
 from scara_effmass.values import JointState
-from scara_effmass.wire.cdr import JointStateDecoder
+from scara_effmass.wire.joint_state import JointStateDecoder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

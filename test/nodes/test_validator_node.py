@@ -20,7 +20,7 @@ from scara_effmass.safety import unknown_contact
 from scara_effmass.settings import ValidatorSettings
 from scara_effmass.values import Impact as FoundImpact
 from scara_effmass.values import Verdict
-from scara_effmass.wire.encode import ContactStateEncoder
+from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.force import impact_message
 
 if TYPE_CHECKING:

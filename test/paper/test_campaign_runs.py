@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.bags.definitions import RECORDING_INFO
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.bags.messages import serialized
 from scara_effmass.bags.writer import BagWriter
@@ -16,6 +15,7 @@ from scara_effmass.errors import BagError
 from scara_effmass.paper.campaign_runs import LEAD_S, SHOWN_S, campaign_runs
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.share import share
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from pathlib import Path

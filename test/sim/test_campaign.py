@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.bags.definitions import RECORDING_INFO
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import OutputError
 from scara_effmass.sim.campaign import APART_NS, Campaign, record, run_campaign
 from scara_effmass.sim.experiment import run_impact
 from scara_effmass.sim.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES
 from scara_effmass.sim.topics import FORCE_TOPIC
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -15,7 +15,6 @@ import pytest
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
-from scara_effmass.bags.definitions import RECORDING_INFO
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import OutputError
 from scara_effmass.model.dynamics import RobotDynamics
@@ -27,6 +26,7 @@ from scara_effmass.sim.generate import CAMPAIGN, CHECKSUMS, generate
 from scara_effmass.sim.recordings import EPOCH_NS, POSITION_STEP, RECORDINGS, SEED, TOUR_HITS, VELOCITY_STEP
 from scara_effmass.sim.topics import FORCE_TOPIC
 from scara_effmass.values import Verdict
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from scara_effmass.sim.recordings import ReferenceRecording

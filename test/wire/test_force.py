@@ -12,10 +12,11 @@ from rclpy.serialization import deserialize_message, serialize_message
 from scara_effmass_msgs.msg import ForceBlock as RosForceBlock
 from scara_effmass_msgs.msg import Impact as RosImpact
 
-from scara_effmass.bags.definitions import FORCE_BLOCK, IMPACT, known_types
+from scara_effmass.bags.definitions import known_types
 from scara_effmass.errors import DecodeError
 from scara_effmass.values import ForceBlock, Impact
 from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message, impact_message
+from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT
 
 if TYPE_CHECKING:
     from collections.abc import Callable

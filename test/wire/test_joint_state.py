@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState as RosJointState
 
 from scara_effmass.errors import DecodeError
-from scara_effmass.wire.cdr import JointStateDecoder
+from scara_effmass.wire.joint_state import JointStateDecoder
 
 if TYPE_CHECKING:
     from scara_effmass.values import JointState

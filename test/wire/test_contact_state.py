@@ -10,9 +10,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import Float64
 
-from scara_effmass.bags.definitions import CONTACT_STATE, known_types
+from scara_effmass.bags.definitions import known_types
 from scara_effmass.values import ContactAssessment, Verdict
-from scara_effmass.wire.encode import ContactStateEncoder, float64_message
+from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message
+from scara_effmass.wire.message_types import CONTACT_STATE
 
 NUMBER = st.floats(allow_nan=True, allow_infinity=True)
 TEXT = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)

@@ -1,0 +1,58 @@
+"""Names and quality of service of the suite's topics. Relative names follow the node's namespace."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+CLOCK = "/clock"
+DIAGNOSTICS = "/diagnostics"
+JOINT_STATES = "joint_states"
+ROBOT_DESCRIPTION = "robot_description"
+CONTACT_STATE = "contact_state"
+ALLOWABLE_SPEED = "allowable_speed"
+SPEED_SCALING = "speed_scaling"
+FORCE = "force"
+IMPACT = "impact"
+WRENCH = "wrench"
+IMPACT_VALIDATION = "impact_validation"
+RECORDING_INFO = "/scara_effmass/recording_info"
+"""Topic on which a recording states its origin, as JSON."""
+
+MONITOR_OUTPUTS = (CONTACT_STATE, ALLOWABLE_SPEED, SPEED_SCALING)
+FORCE_OUTPUTS = (FORCE, IMPACT, WRENCH)
+"""Outputs of `daq_node`; channels after the first publish one level below, as force/ai1."""
+RECORDED = (
+    JOINT_STATES,
+    *MONITOR_OUTPUTS,
+    *FORCE_OUTPUTS,
+    IMPACT_VALIDATION,
+    ROBOT_DESCRIPTION,
+    DIAGNOSTICS,
+    "/tf",
+    "/tf_static",
+    RECORDING_INFO,
+)
+"""Topics that `record` records by default."""
+
+
+class Qos(NamedTuple):
+    """Quality of service; history is always keep-last."""
+
+    depth: int
+    reliable: bool = True
+    latched: bool = False
+    """Transient local: late subscribers receive the last messages."""
+
+
+STREAM_QOS = Qos(1000)
+"""1 s of messages at 1 kHz."""
+FORCE_QOS = Qos(100)
+"""A slow subscriber loses blocks; the acquisition never waits."""
+INFO_QOS = Qos(10, latched=True)
+DESCRIPTION_QOS = Qos(1, latched=True)
+CLOCK_QOS = Qos(10)
+JOINT_STATES_INPUT_QOS = Qos(1000, reliable=False)
+"""Best effort matches every publisher."""
+VALIDATOR_INPUT_QOS = Qos(20_000)
+"""Holds the messages that arrive while the validator writes a report."""
+CLIENT_QOS = Qos(2000)
