@@ -1,4 +1,4 @@
-"""A cell for one monitor node: the node as a process of its own, and the test's end of every wire to it."""
+"""Fixtures for tests of a node: a harness that runs it as a process and talks to it over ROS."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 
     from scara_effmass.nodes.lifecycle import LifecycleBase
 
-PATIENCE_S = 120.0
-"""Longest wait for anything; whatever takes this long has failed."""
+TIMEOUT_S = 120.0
+"""Maximum wait [s] for any event; a test that waits longer fails."""
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 Q = (0.3, 1.2, 0.1, -0.4)
 QD = (0.1, -0.2, 0.05, 0.3)
-DEEP = QoSProfile(depth=20_000)
-EXECUTABLE = Path(sys.executable).with_name("monitor_node")
+DEEP_QOS = QoSProfile(depth=20_000)
+MONITOR_NODE = Path(sys.executable).with_name("monitor_node")
 
 
 def joint_state(
@@ -61,17 +61,17 @@ def stamp_ns(message: Any) -> int:  # noqa: ANN401 - any stamped message
 
 
 @final
-class Cell:
-    """A domain of its own, a node process in it, and a test node that talks to that process."""
+class NodeHarness:
+    """A node process in its own ROS domain, and a test node that talks to it."""
 
     def __init__(self, domain: int, directory: Path, name: str = "monitor", namespace: str = "") -> None:
         self.domain = domain
         self.directory = directory
-        self.contacts: list[ContactState] = []
-        self.numbers: dict[str, list[float]] = {"allowable_speed": [], "speed_scaling": []}
-        self.reports: list[DiagnosticArray] = []
+        self.contact_states: list[ContactState] = []
+        self.scalars: dict[str, list[float]] = {"allowable_speed": [], "speed_scaling": []}
+        self.diagnostics: list[DiagnosticArray] = []
         self.process: subprocess.Popen[str] | None = None
-        self.may_end = False
+        self.process_may_end = False
         self._name = f"{namespace}/{name}"
         self._context = Context()
         rclpy.init(context=self._context, domain_id=self.domain, signal_handler_options=SignalHandlerOptions.NO)
@@ -81,11 +81,11 @@ class Cell:
         self._input: Any = None
 
     def close(self) -> None:
-        """End the process and the test's node."""
+        """Stop the process and destroy the test node."""
         try:
             if self.process is not None:
                 self.process.terminate()
-                self.process.communicate(timeout=PATIENCE_S)
+                self.process.communicate(timeout=TIMEOUT_S)
         finally:
             if self.process is not None:
                 self.process.kill()
@@ -93,53 +93,52 @@ class Cell:
             self.node.destroy_node()
             self._context.try_shutdown()
 
-    def start(self, *arguments: str, command: Sequence[str] = (str(EXECUTABLE),)) -> subprocess.Popen[str]:
-        """Start the node with `arguments`; its output goes to a pipe."""
+    def start(self, *arguments: str, command: Sequence[str] = (str(MONITOR_NODE),)) -> subprocess.Popen[str]:
+        """Start the node with `arguments`, its output piped."""
         environment = {**os.environ, "ROS_DOMAIN_ID": str(self.domain), "ROS_LOG_DIR": str(self.directory)}
         self.process = subprocess.Popen(
             [*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
         )
         return self.process
 
-    def listen(self) -> None:
-        """Subscribe to what the node publishes."""
-        self.node.create_subscription(ContactState, "contact_state", self.contacts.append, DEEP)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self.reports.append, DEEP)
-        for topic, heard in self.numbers.items():
-            self.node.create_subscription(Float64, topic, partial(self._hear_number, heard), DEEP)
+    def subscribe(self) -> None:
+        """Subscribe to the topics of the monitor and to /diagnostics."""
+        self.node.create_subscription(ContactState, "contact_state", self.contact_states.append, DEEP_QOS)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, DEEP_QOS)
+        for topic, received in self.scalars.items():
+            self.node.create_subscription(Float64, topic, partial(self._on_scalar, received), DEEP_QOS)
 
     @staticmethod
-    def _hear_number(heard: list[float], message: Float64) -> None:
-        heard.append(message.data)
+    def _on_scalar(received: list[float], message: Float64) -> None:
+        received.append(message.data)
 
-    def until(
-        self, condition: Callable[[], Any], again: Callable[[], object] | None = None, patience_s: float = PATIENCE_S
+    def spin_until(
+        self, condition: Callable[[], Any], repeat: Callable[[], object] | None = None, timeout_s: float = TIMEOUT_S
     ) -> Any:  # noqa: ANN401
-        """Handle events until `condition` gives something true; return that. Do `again` now and ten times a second."""
-        began = now = time.monotonic()
-        due = began
+        """Spin until `condition` returns a true value and return it. Call `repeat` at once and then every 0.1 s."""
+        start = now = next_repeat = time.monotonic()
         while not (result := condition()):
-            assert now < began + patience_s, f"nothing came of it in {patience_s} s"
-            if self.process is not None and not self.may_end and self.process.poll() is not None:
-                raise AssertionError(f"the node has ended: {self.process.communicate()[1][-2000:]}")
-            if again is not None and now >= due:
-                again()
-                due = now + 0.1
+            assert now < start + timeout_s, f"condition not met within {timeout_s} s"
+            if self.process is not None and not self.process_may_end and self.process.poll() is not None:
+                raise AssertionError(f"the node process ended: {self.process.communicate()[1][-2000:]}")
+            if repeat is not None and now >= next_repeat:
+                repeat()
+                next_repeat = now + 0.1
             self._executor.spin_once(timeout_sec=0.05)
             now = time.monotonic()
         return result
 
-    def call(self, kind: Any, service: str, request: Any) -> Any:  # noqa: ANN401
-        """Call one of the node's own services."""
+    def call_service(self, kind: Any, service: str, request: Any) -> Any:  # noqa: ANN401
+        """Call the private service `~/service` of the node."""
         client = self.node.create_client(kind, f"{self._name}/{service}")
-        self.until(client.service_is_ready)
+        self.spin_until(client.service_is_ready)
         future = client.call_async(request)
-        self.until(future.done)
+        self.spin_until(future.done)
         self.node.destroy_client(client)
         return future.result()
 
-    def set(self, **values: Any) -> str:  # noqa: ANN401
-        """Set parameters one by one; return the reason of the first refusal, empty when all were taken."""
+    def set_parameters(self, **values: Any) -> str:  # noqa: ANN401
+        """Set parameters one by one; return the reason of the first rejection, or an empty string."""
         parameters = [
             Parameter(name, Parameter.Type.STRING_ARRAY, value)
             if isinstance(value, list)
@@ -147,28 +146,28 @@ class Cell:
             for name, value in values.items()
         ]
         request = SetParameters.Request(parameters=[parameter.to_parameter_msg() for parameter in parameters])
-        results = self.call(SetParameters, "set_parameters", request).results
+        results = self.call_service(SetParameters, "set_parameters", request).results
         return next((result.reason or "no reason" for result in results if not result.successful), "")
 
     def send(self, message: JointState | bytes) -> None:
         """Publish on joint_states."""
         if self._input is None:
-            self._input = self.node.create_publisher(JointState, "joint_states", DEEP)
+            self._input = self.node.create_publisher(JointState, "joint_states", DEEP_QOS)
         self._input.publish(message)
 
-    def exchange(self, message: JointState | bytes) -> ContactState:
-        """Publish `message` and return the answer to it."""
-        self._forget()
+    def response_to(self, message: JointState | bytes) -> ContactState:
+        """Publish `message` and return the contact state that follows."""
+        self._clear_when_complete()
         self.send(message)
-        return self.until(lambda: self._complete() and [c for c in self.contacts if not _silent(c)])[0]
+        return self.spin_until(lambda: self._complete() and [c for c in self.contact_states if not c.watchdog])[0]
 
-    def silence(self) -> ContactState:
-        """Return what is published when nothing is sent."""
-        self._forget()
-        return self.until(lambda: self._complete() and [c for c in self.contacts if _silent(c)])[-1]
+    def watchdog_response(self) -> ContactState:
+        """Return the contact state that the watchdog publishes while no joint state is sent."""
+        self._clear_when_complete()
+        return self.spin_until(lambda: self._complete() and [c for c in self.contact_states if c.watchdog])[-1]
 
-    def good(self) -> ContactState:
-        """Send good joint states, each stamped now, until one is found OK; return that answer."""
+    def send_until_ok(self) -> ContactState:
+        """Send joint states stamped now until the newest one gets OK; return that contact state."""
         sent: list[JointState] = []
 
         def send() -> None:
@@ -176,102 +175,101 @@ class Cell:
             self.send(sent[-1])
 
         def newest() -> ContactState | None:
-            """Return the OK to the newest joint state: with it, all that were sent before are answered."""
-            answers = (c for c in self.contacts if sent and c.header.stamp == sent[-1].header.stamp)
-            return next((c for c in answers if c.verdict == ContactState.OK), None)
+            """Return the OK for the newest joint state; all earlier ones are answered by then."""
+            responses = (c for c in self.contact_states if sent and c.header.stamp == sent[-1].header.stamp)
+            return next((c for c in responses if c.verdict == ContactState.OK), None)
 
-        answer: ContactState = self.until(newest, again=send)
-        return answer
+        response: ContactState = self.spin_until(newest, repeat=send)
+        return response
 
-    def settle(self) -> None:
-        """Count what comes from here on, of a node whose every wire is up and that is sent good joint states only."""
-        self.good()
+    def synchronize(self) -> None:
+        """Receive everything the node has published so far and discard it."""
+        self.send_until_ok()
         self.send(joint_state(names=()))
 
-        def refused() -> bool:
-            """Return whether the last on each wire is zero, as nothing was before: with it, all that was has come."""
-            return not any([self.contacts[-1].allowable_speed, *(heard[-1] for heard in self.numbers.values())])
+        def all_refused() -> bool:
+            """Return whether the latest message of each topic answers the invalid joint state, the last one sent."""
+            return not any([self.contact_states[-1].allowable_speed, *(values[-1] for values in self.scalars.values())])
 
-        self.until(refused)
+        self.spin_until(all_refused)
         self._clear()
 
-    def drain(self) -> None:
-        """Take what has come already, and forget it."""
-        heard = -1
-        while heard != (heard := len(self.contacts) + sum(map(len, self.numbers.values()))):
+    def discard_received(self) -> None:
+        """Receive and discard the messages that have already arrived."""
+        count = -1
+        while count != (count := len(self.contact_states) + sum(map(len, self.scalars.values()))):
             for _ in range(20):
                 self._executor.spin_once(timeout_sec=0.0)
         self._clear()
 
-    def report(self, status: str, key: str, value: Callable[[str], bool]) -> str:
-        """Return `key` of the diagnostics' `status` once `value` holds of it."""
+    def diagnostic(self, name: str, key: str, accept: Callable[[str], bool]) -> str:
+        """Return "message | value" of the status `name` once `accept` holds for its value of `key`."""
 
-        def found() -> str | None:
-            for array in self.reports:
-                for each in array.status:
-                    for pair in each.values:
-                        if each.name.endswith(status) and pair.key == key and value(pair.value):
-                            return f"{each.message} | {pair.value}"
+        def matching() -> str | None:
+            for status in (
+                status for array in self.diagnostics for status in array.status if status.name.endswith(name)
+            ):
+                for pair in status.values:
+                    if pair.key == key and accept(pair.value):
+                        return f"{status.message} | {pair.value}"
             return None
 
-        self.reports.clear()
-        return str(self.until(found))
+        self.diagnostics.clear()
+        return str(self.spin_until(matching))
 
     def _complete(self) -> bool:
-        """Whether both numbers have come for every decision."""
-        return all(len(heard) == len(self.contacts) for heard in self.numbers.values())
+        """Whether both scalars have arrived for every decision."""
+        return all(len(values) == len(self.contact_states) for values in self.scalars.values())
 
-    def _forget(self) -> None:
-        self.until(self._complete)
+    def _clear_when_complete(self) -> None:
+        self.spin_until(self._complete)
         self._clear()
 
     def _clear(self) -> None:
-        self.contacts.clear()
-        for heard in self.numbers.values():
-            heard.clear()
-
-
-def _silent(contact: ContactState) -> bool:
-    return bool(contact.watchdog)
+        self.contact_states.clear()
+        for values in self.scalars.values():
+            values.clear()
 
 
 @pytest.fixture(scope="module")
-def local() -> Iterator[None]:
-    """Keep everything ROS on this machine."""
+def localhost_only() -> Iterator[None]:
+    """Restrict ROS discovery to this machine."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         yield
 
 
 @pytest.fixture(scope="module")
-def shared(
-    local: None,  # noqa: ARG001 - keeps it on this machine
+def shared_harness(
+    localhost_only: None,  # noqa: ARG001
     reserve_domain: Callable[[], AbstractContextManager[int]],
     tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[Cell]:
-    """One node for all tests that leave it as they found it: nothing is held, and nothing is old before a minute."""
-    with reserve_domain() as domain, closing(Cell(domain, tmp_path_factory.mktemp("shared"))) as cell:
-        cell.start("--ros-args", "-p", "release_time:=0.0", "-p", "timeout:=60.0")
-        cell.listen()
-        cell.until(lambda: cell.contacts and all(cell.numbers.values()), again=lambda: cell.send(joint_state()))
-        cell.settle()
-        yield cell
+) -> Iterator[NodeHarness]:
+    """Run one monitor, without debounce and with a 60 s timeout, for tests that leave its state unchanged."""
+    with reserve_domain() as domain, closing(NodeHarness(domain, tmp_path_factory.mktemp("shared"))) as harness:
+        harness.start("--ros-args", "-p", "release_time:=0.0", "-p", "timeout:=60.0")
+        harness.subscribe()
+        harness.spin_until(
+            lambda: harness.contact_states and all(harness.scalars.values()), repeat=lambda: harness.send(joint_state())
+        )
+        harness.synchronize()
+        yield harness
 
 
 @pytest.fixture
-def cell(shared: Cell) -> Cell:
-    """The shared node, found well."""
-    shared.good()
-    return shared
+def harness(shared_harness: NodeHarness) -> NodeHarness:
+    """Return the shared harness once its monitor answers OK."""
+    shared_harness.send_until_ok()
+    return shared_harness
 
 
 @pytest.fixture
 def refusal_of(
-    own_domain: int,  # noqa: ARG001 - where it is alone
+    own_domain: int,  # noqa: ARG001
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> Callable[[Callable[[], LifecycleBase], str], str]:
-    """Bring a node up in this process with a parameter that it cannot use, and return its one line."""
+    """Return a function that brings a node up in this process with an invalid parameter and returns the error line."""
 
     def refusal(make: Callable[[], LifecycleBase], argument: str) -> str:
         monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
@@ -288,18 +286,20 @@ def refusal_of(
 
 
 @pytest.fixture
-def new_cell(
-    local: None,  # noqa: ARG001 - keeps it on this machine
+def new_harness(
+    localhost_only: None,  # noqa: ARG001
     reserve_domain: Callable[[], AbstractContextManager[int]],
     tmp_path: Path,
-) -> Iterator[Callable[..., Cell]]:
-    """Make cells for nodes that a test starts, and ends, its own way."""
+) -> Iterator[Callable[..., NodeHarness]]:
+    """Return a function that makes a harness; with arguments it starts the node too."""
     with ExitStack() as stack:
 
-        def make(*arguments: str, **options: Any) -> Cell:  # noqa: ANN401
-            cell = stack.enter_context(closing(Cell(stack.enter_context(reserve_domain()), tmp_path, **options)))
+        def make(*arguments: str, **options: Any) -> NodeHarness:  # noqa: ANN401
+            harness = stack.enter_context(
+                closing(NodeHarness(stack.enter_context(reserve_domain()), tmp_path, **options))
+            )
             if arguments:
-                cell.start(*arguments)
-            return cell
+                harness.start(*arguments)
+            return harness
 
         yield make

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from scara_effmass.values import Impact as FoundImpact
-    from test.nodes.conftest import Cell
+    from test.nodes.conftest import NodeHarness
 
 EXECUTABLE = Path(sys.executable).with_name("daq_node")
 DEEP = QoSProfile(depth=20_000)
@@ -48,12 +48,12 @@ SIM = ("-p", "source:=sim", "-p", "sim.impact_period:=0.5", "-p", "sim.seed:=7",
 class Heard:
     """What came on the force topics of one channel, as bytes where bytes are compared."""
 
-    def __init__(self, cell: Cell, channel: str = "") -> None:
+    def __init__(self, harness: NodeHarness, channel: str = "") -> None:
         self.blocks: list[bytes] = []
         self.impacts: list[bytes] = []
         self.wrenches: list[WrenchStamped] = []
         below = f"/{channel}" if channel else ""
-        node = cell.node
+        node = harness.node
         node.create_subscription(ForceBlock, f"force{below}", self.blocks.append, DEEP, raw=True)
         node.create_subscription(Impact, f"impact{below}", self.impacts.append, DEEP, raw=True)
         node.create_subscription(WrenchStamped, f"wrench{below}", self.wrenches.append, DEEP)
@@ -63,15 +63,15 @@ def first_samples(heard: Heard) -> list[int]:
     return [decode_force_block(data).first_sample for data in heard.blocks]
 
 
-def started(new_cell: Callable[..., Cell], *arguments: str) -> Cell:
-    cell = new_cell(name="daq")
-    cell.start("--ros-args", *arguments, command=[str(EXECUTABLE)])
-    return cell
+def started(new_harness: Callable[..., NodeHarness], *arguments: str) -> NodeHarness:
+    harness = new_harness(name="daq")
+    harness.start("--ros-args", *arguments, command=[str(EXECUTABLE)])
+    return harness
 
 
-def change(cell: Cell, transition: int) -> bool:
+def change(harness: NodeHarness, transition: int) -> bool:
     request = ChangeState.Request(transition=Transition(id=transition))
-    return bool(cell.call(ChangeState, "change_state", request).success)
+    return bool(harness.call_service(ChangeState, "change_state", request).success)
 
 
 def recording(folder: Path, pulses: Sequence[float] = (0.6, 1.1)) -> Path:
@@ -108,15 +108,15 @@ def recording(folder: Path, pulses: Sequence[float] = (0.6, 1.1)) -> Path:
     return path
 
 
-def test_simulated_force_is_published_whole_and_called_simulated(new_cell: Callable[..., Cell]) -> None:
+def test_simulated_force_is_published_whole_and_called_simulated(new_harness: Callable[..., NodeHarness]) -> None:
     began_ns = time.time_ns()
-    cell = started(new_cell, *SIM)
-    cell.listen()
-    heard = Heard(cell)
-    cell.until(lambda: len(heard.blocks) >= 20 and len(heard.impacts) >= 2 and heard.wrenches)
-    cell.until(lambda: stamp(heard.wrenches[-1]) - stamp(heard.wrenches[0]) > 1.5 * S)
+    harness = started(new_harness, *SIM)
+    harness.subscribe()
+    heard = Heard(harness)
+    harness.spin_until(lambda: len(heard.blocks) >= 20 and len(heard.impacts) >= 2 and heard.wrenches)
+    harness.spin_until(lambda: stamp(heard.wrenches[-1]) - stamp(heard.wrenches[0]) > 1.5 * S)
     blocks = [decode_force_block(data) for data in heard.blocks]
-    cell.until(lambda: stamp(heard.wrenches[-1]) >= blocks[-1].stamp_ns)
+    harness.spin_until(lambda: stamp(heard.wrenches[-1]) >= blocks[-1].stamp_ns)
     now_ns = time.time_ns()
     for before, after in pairwise(blocks):
         assert after.first_sample == before.first_sample + len(before.force) + after.lost_samples
@@ -141,66 +141,66 @@ def test_simulated_force_is_published_whole_and_called_simulated(new_cell: Calla
     some = [w for w in heard.wrenches if blocks[first].stamp_ns <= stamp(w) < blocks[-1].stamp_ns]
     assert {w.wrench.force.z for w in some} <= samples
     assert len(some) == pytest.approx(100 * (blocks[-1].stamp_ns - blocks[first].stamp_ns) / 1e9, rel=0.1)
-    assert cell.report("daq: source", "samples lost by the device", bool).endswith("0")
-    assert cell.report("daq: source", "simulated", bool).endswith("True")
-    assert float(cell.report("daq: channel sim0", "samples published", bool).rpartition(" ")[2]) > 0
+    assert harness.diagnostic("daq: source", "samples lost by the device", bool).endswith("0")
+    assert harness.diagnostic("daq: source", "simulated", bool).endswith("True")
+    assert float(harness.diagnostic("daq: channel sim0", "samples published", bool).rpartition(" ")[2]) > 0
 
 
 def stamp(message: Any) -> int:  # noqa: ANN401 - any stamped message
     return int(message.header.stamp.sec * S + message.header.stamp.nanosec)
 
 
-def test_impacts_are_those_that_the_published_blocks_give_offline(new_cell: Callable[..., Cell]) -> None:
-    cell = started(new_cell, *SIM, "-p", "autostart:=false")
-    heard = Heard(cell)
-    assert change(cell, Transition.TRANSITION_CONFIGURE)
-    cell.until(lambda: cell.node.count_publishers("force") and cell.node.count_publishers("impact"))
-    assert change(cell, Transition.TRANSITION_ACTIVATE)
-    cell.until(lambda: len(heard.impacts) >= 5)
-    assert change(cell, Transition.TRANSITION_DEACTIVATE)
+def test_impacts_are_those_that_the_published_blocks_give_offline(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = started(new_harness, *SIM, "-p", "autostart:=false")
+    heard = Heard(harness)
+    assert change(harness, Transition.TRANSITION_CONFIGURE)
+    harness.spin_until(lambda: harness.node.count_publishers("force") and harness.node.count_publishers("impact"))
+    assert change(harness, Transition.TRANSITION_ACTIVATE)
+    harness.spin_until(lambda: len(heard.impacts) >= 5)
+    assert change(harness, Transition.TRANSITION_DEACTIVATE)
     live = [decode_impact(data) for data in heard.impacts]
 
     def found() -> list[FoundImpact]:
         detector = Detector(DetectionSettings())
         return [impact for data in heard.blocks for impact in detector.feed(decode_force_block(data))]
 
-    cell.until(lambda: len(found()) >= len(live))  # the blocks come on a way of their own
+    harness.spin_until(lambda: len(found()) >= len(live))  # the blocks come on a way of their own
     assert first_samples(heard)[0] == 0
     assert found()[: len(live)] == live
 
 
-def test_every_channel_has_topics_of_its_own(new_cell: Callable[..., Cell]) -> None:
-    cell = started(new_cell, *SIM, "-p", "bench.channels:=3")  # the former name of the group
-    heard = [Heard(cell, channel) for channel in ("", "sim1", "sim2")]
-    cell.until(lambda: all(len(each.blocks) >= 3 for each in heard))
+def test_every_channel_has_topics_of_its_own(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = started(new_harness, *SIM, "-p", "bench.channels:=3")  # the former name of the group
+    heard = [Heard(harness, channel) for channel in ("", "sim1", "sim2")]
+    harness.spin_until(lambda: all(len(each.blocks) >= 3 for each in heard))
     frames = [decode_force_block(each.blocks[-1]).frame_id for each in heard]
     assert frames == ["force_sensor", "force_sensor_sim1", "force_sensor_sim2"]
 
 
-def test_reset_tares(new_cell: Callable[..., Cell]) -> None:
-    cell = started(new_cell, *SIM, "-p", "tare.time:=0.2", "-p", "sim.impact_period:=3600.0")
-    heard = Heard(cell)
-    cell.until(lambda: heard.blocks and decode_force_block(heard.blocks[-1]).tare_stamp_ns)
+def test_reset_tares(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = started(new_harness, *SIM, "-p", "tare.time:=0.2", "-p", "sim.impact_period:=3600.0")
+    heard = Heard(harness)
+    harness.spin_until(lambda: heard.blocks and decode_force_block(heard.blocks[-1]).tare_stamp_ns)
     first = decode_force_block(heard.blocks[-1])
-    answer = cell.call(Trigger, "reset", Trigger.Request())
+    answer = harness.call_service(Trigger, "reset", Trigger.Request())
     assert answer.success
     assert answer.message == "the next 0.2 s are taken for zero force"
-    cell.until(lambda: decode_force_block(heard.blocks[-1]).tare_stamp_ns > first.tare_stamp_ns)
+    harness.spin_until(lambda: decode_force_block(heard.blocks[-1]).tare_stamp_ns > first.tare_stamp_ns)
     assert abs(decode_force_block(heard.blocks[-1]).tare) < 0.1
 
 
-def test_inactive_is_silent_and_does_not_acquire(new_cell: Callable[..., Cell]) -> None:
-    cell = started(new_cell, *SIM, "-p", "autostart:=false")
-    heard = Heard(cell)
-    assert change(cell, Transition.TRANSITION_CONFIGURE)
-    cell.until(lambda: cell.node.count_publishers("force"))
-    answer = cell.call(Trigger, "reset", Trigger.Request())
+def test_inactive_is_silent_and_does_not_acquire(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = started(new_harness, *SIM, "-p", "autostart:=false")
+    heard = Heard(harness)
+    assert change(harness, Transition.TRANSITION_CONFIGURE)
+    harness.spin_until(lambda: harness.node.count_publishers("force"))
+    answer = harness.call_service(Trigger, "reset", Trigger.Request())
     assert (answer.success, answer.message) == (False, "nothing is being acquired")
     assert not heard.blocks
     for times in (1, 2):
-        assert change(cell, Transition.TRANSITION_ACTIVATE)
-        cell.until(partial(has_begun, heard, times))
-        assert change(cell, Transition.TRANSITION_DEACTIVATE)
+        assert change(harness, Transition.TRANSITION_ACTIVATE)
+        harness.spin_until(partial(has_begun, heard, times))
+        assert change(harness, Transition.TRANSITION_DEACTIVATE)
 
 
 def has_begun(heard: Heard, times: int) -> bool:
@@ -210,18 +210,18 @@ def has_begun(heard: Heard, times: int) -> bool:
 
 
 def test_a_recording_is_played_to_its_end_and_that_ends_the_process(
-    new_cell: Callable[..., Cell], tmp_path: Path
+    new_harness: Callable[..., NodeHarness], tmp_path: Path
 ) -> None:
-    cell = new_cell(name="daq")
-    heard = Heard(cell)
+    harness = new_harness(name="daq")
+    heard = Heard(harness)
     words = ["-p", "source:=bag", "-p", f"bag.path:={recording(tmp_path)}", "-p", "stop_at_end:=true"]
     words += ["-p", "bag.rate:=0.0", "-p", "autostart:=false"]
-    process = cell.start("--ros-args", *words, command=[str(EXECUTABLE)])
-    assert change(cell, Transition.TRANSITION_CONFIGURE)
-    cell.until(lambda: cell.node.count_publishers("force") and cell.node.count_publishers("impact"))
-    assert change(cell, Transition.TRANSITION_ACTIVATE)
-    cell.may_end = True
-    cell.until(lambda: len(heard.blocks) == 15 and len(heard.impacts) == 2)
+    process = harness.start("--ros-args", *words, command=[str(EXECUTABLE)])
+    assert change(harness, Transition.TRANSITION_CONFIGURE)
+    harness.spin_until(lambda: harness.node.count_publishers("force") and harness.node.count_publishers("impact"))
+    assert change(harness, Transition.TRANSITION_ACTIVATE)
+    harness.process_may_end = True
+    harness.spin_until(lambda: len(heard.blocks) == 15 and len(heard.impacts) == 2)
     process.communicate()
     assert process.returncode == 0
     blocks = [decode_force_block(data) for data in heard.blocks]
@@ -232,17 +232,17 @@ def test_a_recording_is_played_to_its_end_and_that_ends_the_process(
     assert onsets == pytest.approx([0.6, 1.1], abs=1e-4)
 
 
-def test_a_subscriber_that_does_not_listen_costs_the_others_nothing(new_cell: Callable[..., Cell]) -> None:
-    cell = started(new_cell, *SIM)
+def test_a_subscriber_that_does_not_listen_costs_the_others_nothing(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = started(new_harness, *SIM)
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=cell.domain, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(context=context, domain_id=harness.domain, signal_handler_options=SignalHandlerOptions.NO)
     asleep = rclpy.create_node("asleep", context=context)
     asleep.create_subscription(ForceBlock, "force", print, QoSProfile(depth=1))  # nobody spins it
-    heard = Heard(cell)
+    heard = Heard(harness)
     try:
-        cell.until(lambda: cell.node.count_subscribers("force") == 2)
+        harness.spin_until(lambda: harness.node.count_subscribers("force") == 2)
         heard.blocks.clear()
-        cell.until(lambda: len(heard.blocks) >= 20)
+        harness.spin_until(lambda: len(heard.blocks) >= 20)
     finally:
         asleep.destroy_node()
         context.try_shutdown()
@@ -287,8 +287,8 @@ def test_what_the_filter_needs_is_loaded_before_samples_come(
         rclpy.try_shutdown()
 
 
-def test_without_a_driver_it_ends_with_one_line_and_2(new_cell: Callable[..., Cell]) -> None:
-    process = started(new_cell).process
+def test_without_a_driver_it_ends_with_one_line_and_2(new_harness: Callable[..., NodeHarness]) -> None:
+    process = started(new_harness).process
     assert process is not None
     output, errors = process.communicate()
     assert (process.returncode, output) == (2, "")
@@ -297,10 +297,10 @@ def test_without_a_driver_it_ends_with_one_line_and_2(new_cell: Callable[..., Ce
 
 
 def test_a_recording_that_is_not_there_ends_it_with_one_line_and_2(
-    new_cell: Callable[..., Cell], tmp_path: Path
+    new_harness: Callable[..., NodeHarness], tmp_path: Path
 ) -> None:
     missing = tmp_path / "missing.mcap"
-    process = started(new_cell, "-p", "source:=bag", "-p", f"bag.path:={missing}").process
+    process = started(new_harness, "-p", "source:=bag", "-p", f"bag.path:={missing}").process
     assert process is not None
     _, errors = process.communicate()
     assert process.returncode == 2
@@ -308,20 +308,20 @@ def test_a_recording_that_is_not_there_ends_it_with_one_line_and_2(
     assert len(errors.splitlines()) == 1
 
 
-def test_running_it_takes_no_other_parameters(new_cell: Callable[..., Cell]) -> None:
-    cell = started(new_cell, *SIM)
-    heard = Heard(cell)
-    cell.until(lambda: heard.blocks)
-    assert "read-only" in cell.set(**{"sensor.sensitivity": 3.0})
+def test_running_it_takes_no_other_parameters(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = started(new_harness, *SIM)
+    heard = Heard(harness)
+    harness.spin_until(lambda: heard.blocks)
+    assert "read-only" in harness.set_parameters(**{"sensor.sensitivity": 3.0})
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ends_with_0_when_told_to(new_cell: Callable[..., Cell], number: signal.Signals) -> None:
-    cell = started(new_cell, *SIM)
-    heard = Heard(cell)
-    cell.until(lambda: heard.blocks)
-    assert cell.process is not None
-    cell.process.send_signal(number)
-    output, errors = cell.process.communicate()
-    assert cell.process.returncode == 0
+def test_ends_with_0_when_told_to(new_harness: Callable[..., NodeHarness], number: signal.Signals) -> None:
+    harness = started(new_harness, *SIM)
+    heard = Heard(harness)
+    harness.spin_until(lambda: heard.blocks)
+    assert harness.process is not None
+    harness.process.send_signal(number)
+    output, errors = harness.process.communicate()
+    assert harness.process.returncode == 0
     assert "Traceback" not in output + errors

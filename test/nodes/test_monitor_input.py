@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from scara_effmass.values import ContactAssessment
-    from test.nodes.conftest import Cell
+    from test.nodes.conftest import NodeHarness
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 Q = (0.3, 1.2, 0.1, -0.4)
@@ -49,11 +49,11 @@ def stamp_of(contact: ContactState) -> int:
     return int(contact.header.stamp.sec * S + contact.header.stamp.nanosec)
 
 
-def assert_nothing_allowed(cell: Cell, contact: ContactState, reason: str) -> None:
+def assert_nothing_allowed(harness: NodeHarness, contact: ContactState, reason: str) -> None:
     assert contact.verdict == ContactState.UNKNOWN
     assert contact.reason.startswith(reason), contact.reason
     assert contact.allowable_speed == 0.0
-    assert {topic: values[-1] for topic, values in cell.numbers.items()} == {
+    assert {topic: values[-1] for topic, values in harness.scalars.items()} == {
         "allowable_speed": 0.0,
         "speed_scaling": 0.0,
     }
@@ -84,14 +84,16 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("fields", "reason"), BAD.values(), ids=BAD.keys())
-def test_bad_input_is_unknown_until_good_input_returns(cell: Cell, fields: dict[str, Any], reason: str) -> None:
-    assert_nothing_allowed(cell, cell.exchange(message(**fields)), reason)
+def test_bad_input_is_unknown_until_good_input_returns(
+    harness: NodeHarness, fields: dict[str, Any], reason: str
+) -> None:
+    assert_nothing_allowed(harness, harness.response_to(message(**fields)), reason)
     better = message()
-    answer = cell.exchange(better)
+    answer = harness.response_to(better)
     assert (answer.verdict, answer.reason) == (ContactState.OK, "")
     assert answer.header.stamp == better.header.stamp
-    assert cell.numbers["allowable_speed"][-1] == answer.allowable_speed > 0.0
-    assert cell.numbers["speed_scaling"][-1] == 1.0
+    assert harness.scalars["allowable_speed"][-1] == answer.allowable_speed > 0.0
+    assert harness.scalars["speed_scaling"][-1] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -104,51 +106,51 @@ def test_bad_input_is_unknown_until_good_input_returns(cell: Cell, fields: dict[
     ],
     ids=["repeated", "backwards", "in the future", "old"],
 )
-def test_a_stamp_out_of_order_is_unknown(cell: Cell, shift_ns: int, reason: str) -> None:
-    first = cell.exchange(message())
-    assert_nothing_allowed(cell, cell.exchange(message(stamp_of(first) + shift_ns)), reason)
-    assert cell.exchange(message()).verdict == ContactState.OK
+def test_a_stamp_out_of_order_is_unknown(harness: NodeHarness, shift_ns: int, reason: str) -> None:
+    first = harness.response_to(message())
+    assert_nothing_allowed(harness, harness.response_to(message(stamp_of(first) + shift_ns)), reason)
+    assert harness.response_to(message()).verdict == ContactState.OK
 
 
-def test_velocity_of_zero_while_moving_is_unknown(cell: Cell) -> None:
+def test_velocity_of_zero_while_moving_is_unknown(harness: NodeHarness) -> None:
     """As a sender does that never fills the velocity in: it stands, and then moves at 1 rad/s."""
     start = time.time_ns()
-    standing = [cell.exchange(message(start + i * MS // 100, velocity=(0.0,) * 4)) for i in range(3)]
+    standing = [harness.response_to(message(start + i * MS // 100, velocity=(0.0,) * 4)) for i in range(3)]
     assert {answer.verdict for answer in standing} == {ContactState.OK}
     moving = [
-        cell.exchange(message(start + i * MS, position=(Q[0] + 1e-3 * i, *Q[1:]), velocity=(0.0,) * 4))
+        harness.response_to(message(start + i * MS, position=(Q[0] + 1e-3 * i, *Q[1:]), velocity=(0.0,) * 4))
         for i in range(1, 15)
     ]
     assert moving[-1].verdict == ContactState.UNKNOWN
     assert any(answer.reason.startswith("joint1 moved 0.0") for answer in moving)
-    cell.good()
+    harness.send_until_ok()
 
 
-def test_bytes_that_are_no_joint_state_are_unknown(cell: Cell) -> None:
+def test_bytes_that_are_no_joint_state_are_unknown(harness: NodeHarness) -> None:
     whole = serialize_message(message())
     broken = bytearray(whole)
     broken[12:16] = struct.pack("<I", 1_000_000)  # a frame id of a million bytes
-    assert_nothing_allowed(cell, cell.exchange(bytes(broken)), "JointState: ")
-    assert cell.exchange(message()).verdict == ContactState.OK
+    assert_nothing_allowed(harness, harness.response_to(bytes(broken)), "JointState: ")
+    assert harness.response_to(message()).verdict == ContactState.OK
 
 
-def test_silence_is_unknown_after_the_timeout(cell: Cell) -> None:
-    assert cell.set(timeout=0.05) == ""
+def test_silence_is_unknown_after_the_timeout(harness: NodeHarness) -> None:
+    assert harness.set_parameters(timeout=0.05) == ""
     try:
-        last = cell.good()
-        silent = cell.silence()
-        assert_nothing_allowed(cell, silent, "no joint state for 0.")
+        last = harness.send_until_ok()
+        silent = harness.watchdog_response()
+        assert_nothing_allowed(harness, silent, "no joint state for 0.")
         assert stamp_of(silent) >= stamp_of(last)
         assert silent.input_age >= 0.05
     finally:
-        assert cell.set(timeout=60.0) == ""
-    cell.good()
+        assert harness.set_parameters(timeout=60.0) == ""
+    harness.send_until_ok()
 
 
-def test_names_decide_and_never_the_order(cell: Cell) -> None:
+def test_names_decide_and_never_the_order(harness: NodeHarness) -> None:
     stamp = time.time_ns()
-    plain = cell.exchange(message(stamp))
-    mixed = cell.exchange(
+    plain = harness.response_to(message(stamp))
+    mixed = harness.response_to(
         message(
             stamp + 1,
             ("gripper", "joint4", "joint2", "rail", "joint1", "joint3"),
@@ -160,21 +162,21 @@ def test_names_decide_and_never_the_order(cell: Cell) -> None:
     assert bits(mixed, without=("header", "input_age")) == bits(plain, without=("header", "input_age"))
 
 
-def test_another_device_on_the_topic_is_counted_and_left_alone(cell: Cell) -> None:
-    last = cell.exchange(message())
+def test_another_device_on_the_topic_is_counted_and_left_alone(harness: NodeHarness) -> None:
+    last = harness.response_to(message())
     for _ in range(3):
-        cell.send(message(names=("left_finger", "right_finger"), position=(0.0, 0.0), velocity=()))
-    after = cell.exchange(message())
+        harness.send(message(names=("left_finger", "right_finger"), position=(0.0, 0.0), velocity=()))
+    after = harness.response_to(message())
     assert (last.verdict, after.verdict) == (ContactState.OK, ContactState.OK)
-    assert [contact.verdict for contact in cell.contacts] == [ContactState.OK]
-    assert cell.report("input", "of other devices", lambda value: value == "3")
+    assert [contact.verdict for contact in harness.contact_states] == [ContactState.OK]
+    assert harness.diagnostic("input", "of other devices", lambda value: value == "3")
 
 
 @pytest.mark.parametrize("reliability", [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE])
 def test_second_publisher_of_either_reliability_is_heard_and_reported(
-    cell: Cell, reliability: ReliabilityPolicy
+    harness: NodeHarness, reliability: ReliabilityPolicy
 ) -> None:
-    second = cell.node.create_publisher(
+    second = harness.node.create_publisher(
         JointStateMessage, "joint_states", QoSProfile(depth=10, reliability=reliability)
     )
     sent = []
@@ -184,34 +186,38 @@ def test_second_publisher_of_either_reliability_is_heard_and_reported(
         second.publish(sent[-1])
 
     try:
-        cell.until(lambda: sent and any(c.header.stamp == sent[-1].header.stamp for c in cell.contacts), again=send)
-        assert cell.report("input", "publishers", lambda value: value == "2").startswith(
+        harness.spin_until(
+            lambda: sent and any(c.header.stamp == sent[-1].header.stamp for c in harness.contact_states), repeat=send
+        )
+        assert harness.diagnostic("input", "publishers", lambda value: value == "2").startswith(
             "2 publishers of joint states, taken as one stream"
         )
     finally:
-        cell.node.destroy_publisher(second)
-    cell.report("input", "publishers", lambda value: value == "1")
+        harness.node.destroy_publisher(second)
+    harness.diagnostic("input", "publishers", lambda value: value == "1")
 
 
-def test_empty_velocity_may_be_allowed(cell: Cell) -> None:
-    assert cell.set(differentiate_velocity=True) == ""
+def test_empty_velocity_may_be_allowed(harness: NodeHarness) -> None:
+    assert harness.set_parameters(differentiate_velocity=True) == ""
     try:
         stamp = time.time_ns()
-        cell.exchange(message(stamp, velocity=()))
+        harness.response_to(message(stamp, velocity=()))
         step = 10 * MS
         moved = tuple(q + qd * step / S for q, qd in zip(Q, QD, strict=True))
-        answer = cell.exchange(message(stamp + step, position=moved, velocity=()))
+        answer = harness.response_to(message(stamp + step, position=moved, velocity=()))
         assert answer.verdict == ContactState.OK
-        assert answer.speed == pytest.approx(cell.exchange(message(stamp + step + 1, position=moved)).speed, rel=1e-9)
+        assert answer.speed == pytest.approx(
+            harness.response_to(message(stamp + step + 1, position=moved)).speed, rel=1e-9
+        )
     finally:
-        assert cell.set(differentiate_velocity=False) == ""
+        assert harness.set_parameters(differentiate_velocity=False) == ""
 
 
-def test_a_subscriber_that_cannot_be_connected_is_named(cell: Cell) -> None:
+def test_a_subscriber_that_cannot_be_connected_is_named(harness: NodeHarness) -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    wanting = cell.node.create_subscription(ContactState, "contact_state", lambda _: None, latched)
-    found = cell.report("input", "incompatible QoS", bool)
-    cell.node.destroy_subscription(wanting)
+    wanting = harness.node.create_subscription(ContactState, "contact_state", lambda _: None, latched)
+    found = harness.diagnostic("input", "incompatible QoS", bool)
+    harness.node.destroy_subscription(wanting)
     assert found.endswith("a subscriber of contact_state cannot be connected: its DURABILITY does not fit")
 
 
@@ -235,7 +241,7 @@ def bits(contact: ContactState | ContactAssessment, without: tuple[str, ...] = (
     }
 
 
-def test_live_equals_offline_bit_for_bit(cell: Cell) -> None:
+def test_live_equals_offline_bit_for_bit(harness: NodeHarness) -> None:
     """A random walk with every kind of bad joint state in between, through DDS and through the core alone."""
     random = np.random.default_rng(20_250_411)
     # Stamps 10 ms apart, whatever the time between the messages: they run ahead of the clock.
@@ -245,7 +251,7 @@ def test_live_equals_offline_bit_for_bit(cell: Cell) -> None:
     q = np.array(Q)
     bad = [fields for fields, _ in BAD.values() if "stamp_ns" not in fields]
     verdicts = set()
-    assert cell.set(**changed) == ""
+    assert harness.set_parameters(**changed) == ""
     try:
         begun = time.time_ns()
         for i in range(500):
@@ -254,16 +260,16 @@ def test_live_equals_offline_bit_for_bit(cell: Cell) -> None:
             q = np.clip(q + 0.02 * velocity, (-2.0, -2.4, 0.01, -3.0), (2.0, 2.4, 0.44, 3.0))
             fields = {"position": q.tolist(), "velocity": velocity.tolist()}
             sent = message(stamp, **{**fields, **(bad[i // 11 % len(bad)] if i % 11 == 10 else {})})
-            live = cell.exchange(sent)
+            live = harness.response_to(sent)
             decision = offline.assess(
                 JointState(stamp, tuple(sent.name), np.array(sent.position), np.array(sent.velocity)), stamp
             )
             assert decision is not None
             if i >= 10:  # what the shared node was sent before is forgotten by then
                 assert bits(live) == bits(decision.contacts[0])
-                assert cell.numbers["allowable_speed"] == [decision.allowable_speed]
-                assert cell.numbers["speed_scaling"] == [decision.speed_scaling]
+                assert harness.scalars["allowable_speed"] == [decision.allowable_speed]
+                assert harness.scalars["speed_scaling"] == [decision.speed_scaling]
                 verdicts.add(int(live.verdict))
     finally:
-        assert cell.set(release_time=0.0, reference_speed=0.0, timeout=60.0, future_tolerance=0.02) == ""
+        assert harness.set_parameters(release_time=0.0, reference_speed=0.0, timeout=60.0, future_tolerance=0.02) == ""
     assert verdicts == {ContactState.UNKNOWN, ContactState.OK, ContactState.WARN, ContactState.VIOLATION}

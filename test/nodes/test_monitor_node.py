@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from test.nodes.conftest import Cell
+    from test.nodes.conftest import NodeHarness
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -51,74 +51,76 @@ def stamp_of(contact: ContactState) -> int:
     return int(contact.header.stamp.sec * S + contact.header.stamp.nanosec)
 
 
-def change(cell: Cell, transition: int) -> bool:
+def change(harness: NodeHarness, transition: int) -> bool:
     request = ChangeState.Request(transition=Transition(id=transition))
-    return bool(cell.call(ChangeState, "change_state", request).success)
+    return bool(harness.call_service(ChangeState, "change_state", request).success)
 
 
-def label(cell: Cell) -> str:
-    return str(cell.call(GetState, "get_state", GetState.Request()).current_state.label)
+def label(harness: NodeHarness) -> str:
+    return str(harness.call_service(GetState, "get_state", GetState.Request()).current_state.label)
 
 
 class TestLifecycle:
-    def test_goes_through_all_its_states(self, new_cell: Callable[..., Cell]) -> None:
-        cell = new_cell("--ros-args", "-p", "autostart:=false", "-p", "timeout:=60.0", "-p", "release_time:=0.0")
-        cell.listen()
-        assert label(cell) == "unconfigured"
-        assert change(cell, Transition.TRANSITION_CONFIGURE)
-        assert label(cell) == "inactive"
-        cell.send(message())
-        cell.until(lambda: cell.node.count_subscribers("joint_states") == 1)
-        cell.send(message())
-        assert label(cell) == "inactive"  # by now it has come
-        assert change(cell, Transition.TRANSITION_ACTIVATE)
-        assert cell.contacts == []
-        cell.good()
+    def test_goes_through_all_its_states(self, new_harness: Callable[..., NodeHarness]) -> None:
+        harness = new_harness("--ros-args", "-p", "autostart:=false", "-p", "timeout:=60.0", "-p", "release_time:=0.0")
+        harness.subscribe()
+        assert label(harness) == "unconfigured"
+        assert change(harness, Transition.TRANSITION_CONFIGURE)
+        assert label(harness) == "inactive"
+        harness.send(message())
+        harness.spin_until(lambda: harness.node.count_subscribers("joint_states") == 1)
+        harness.send(message())
+        assert label(harness) == "inactive"  # by now it has come
+        assert change(harness, Transition.TRANSITION_ACTIVATE)
+        assert harness.contact_states == []
+        harness.send_until_ok()
 
         # A shorter timeout counts at once, although the watchdog was set to look four times a minute.
-        assert cell.set(timeout=0.05) == ""
-        cell.until(lambda: cell.contacts[-1].reason.startswith("no joint state for "), patience_s=14.0)
+        assert harness.set_parameters(timeout=0.05) == ""
+        harness.spin_until(lambda: harness.contact_states[-1].reason.startswith("no joint state for "), timeout_s=14.0)
 
-        assert change(cell, Transition.TRANSITION_DEACTIVATE)
-        cell.drain()
-        cell.send(message())
-        assert label(cell) == "inactive"
-        assert cell.contacts == []
-        assert cell.set(timeout=60.0) == ""
-        assert cell.contacts == []
-        assert change(cell, Transition.TRANSITION_CLEANUP)
-        assert label(cell) == "unconfigured"
+        assert change(harness, Transition.TRANSITION_DEACTIVATE)
+        harness.discard_received()
+        harness.send(message())
+        assert label(harness) == "inactive"
+        assert harness.contact_states == []
+        assert harness.set_parameters(timeout=60.0) == ""
+        assert harness.contact_states == []
+        assert change(harness, Transition.TRANSITION_CLEANUP)
+        assert label(harness) == "unconfigured"
         for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-            assert change(cell, transition)
-        cell.good()
-        assert change(cell, Transition.TRANSITION_ACTIVE_SHUTDOWN)
-        assert label(cell) == "finalized"
-        assert cell.node.count_publishers("contact_state") == 0
+            assert change(harness, transition)
+        harness.send_until_ok()
+        assert change(harness, Transition.TRANSITION_ACTIVE_SHUTDOWN)
+        assert label(harness) == "finalized"
+        assert harness.node.count_publishers("contact_state") == 0
 
-    def test_refuses_a_transition_at_the_wrong_time_and_goes_on(self, cell: Cell) -> None:
+    def test_refuses_a_transition_at_the_wrong_time_and_goes_on(self, harness: NodeHarness) -> None:
         for wrong in (Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_CONFIGURE, 99):
-            assert not change(cell, wrong)
-        assert label(cell) == "active"
-        cell.good()
+            assert not change(harness, wrong)
+        assert label(harness) == "active"
+        harness.send_until_ok()
 
-    def test_a_refused_configuration_can_be_tried_again(self, new_cell: Callable[..., Cell], tmp_path: Path) -> None:
+    def test_a_refused_configuration_can_be_tried_again(
+        self, new_harness: Callable[..., NodeHarness], tmp_path: Path
+    ) -> None:
         robot = tmp_path / "robot.yaml"
-        cell = new_cell("--ros-args", "-p", "autostart:=false", "-p", f"robot:={robot}")
-        assert not change(cell, Transition.TRANSITION_CONFIGURE)
-        assert label(cell) == "unconfigured"
+        harness = new_harness("--ros-args", "-p", "autostart:=false", "-p", f"robot:={robot}")
+        assert not change(harness, Transition.TRANSITION_CONFIGURE)
+        assert label(harness) == "unconfigured"
         robot.write_bytes(share("config", "omron_i4_550l.yaml").read_bytes())
-        assert change(cell, Transition.TRANSITION_CONFIGURE)
-        assert cell.process is not None
-        cell.process.send_signal(signal.SIGINT)
-        output, errors = cell.process.communicate()
+        assert change(harness, Transition.TRANSITION_CONFIGURE)
+        assert harness.process is not None
+        harness.process.send_signal(signal.SIGINT)
+        output, errors = harness.process.communicate()
         assert f"{robot}: cannot be read" in output + errors
 
 
 class TestParameters:
-    def test_all_are_described_and_bounded(self, shared: Cell) -> None:
+    def test_all_are_described_and_bounded(self, shared_harness: NodeHarness) -> None:
         fields = MonitorSettings.model_fields
         names = [*fields, "autostart"]
-        descriptors = shared.call(
+        descriptors = shared_harness.call_service(
             DescribeParameters, "describe_parameters", DescribeParameters.Request(names=names)
         ).descriptors
         assert [descriptor.name for descriptor in descriptors] == names
@@ -131,11 +133,13 @@ class TestParameters:
             elif descriptor.type != ParameterType.PARAMETER_BOOL and descriptor.name != "robot":
                 assert descriptor.additional_constraints
 
-    def test_all_are_listed_with_their_values(self, shared: Cell) -> None:
-        listed = shared.call(ListParameters, "list_parameters", ListParameters.Request()).result.names
+    def test_all_are_listed_with_their_values(self, shared_harness: NodeHarness) -> None:
+        listed = shared_harness.call_service(ListParameters, "list_parameters", ListParameters.Request()).result.names
         assert set(MonitorSettings.model_fields) <= set(listed)
         # `ros2 param dump` asks for all at once, and gets nothing if one of them has no value.
-        values = shared.call(GetParameters, "get_parameters", GetParameters.Request(names=listed)).values
+        values = shared_harness.call_service(
+            GetParameters, "get_parameters", GetParameters.Request(names=listed)
+        ).values
         assert len(values) == len(listed)
         by_name = dict(zip(listed, values, strict=True))
         assert by_name["contact_points"].type == ParameterType.PARAMETER_STRING_ARRAY
@@ -163,40 +167,51 @@ class TestParameters:
             ("nonsense", 1.0, "undeclared parameter"),
         ],
     )
-    def test_bad_ones_are_refused_with_the_reason(self, cell: Cell, name: str, value: Any, reason: str) -> None:  # noqa: ANN401
-        assert reason in cell.set(**{name: value})
-        assert cell.exchange(message()).verdict == ContactState.OK
+    def test_bad_ones_are_refused_with_the_reason(
+        self,
+        harness: NodeHarness,
+        name: str,
+        value: Any,  # noqa: ANN401
+        reason: str,
+    ) -> None:
+        assert reason in harness.set_parameters(**{name: value})
+        assert harness.response_to(message()).verdict == ContactState.OK
 
-    def test_good_ones_hold_at_once(self, cell: Cell) -> None:
-        default = cell.exchange(message())
+    def test_good_ones_hold_at_once(self, harness: NodeHarness) -> None:
+        default = harness.response_to(message())
         assert default.effective_mass == default.lumped_mass
         try:
-            assert cell.set(effective_mass_model="full", body_regions=["chest", "neck"], person_speed=0.1) == ""
-            changed = cell.exchange(message())
+            assert (
+                harness.set_parameters(effective_mass_model="full", body_regions=["chest", "neck"], person_speed=0.1)
+                == ""
+            )
+            changed = harness.response_to(message())
             assert changed.effective_mass == changed.full_mass
             assert changed.body_region in {"chest", "neck"}
         finally:
-            assert cell.set(effective_mass_model="lumped", body_regions=[], person_speed=0.0) == ""
-        again = cell.exchange(message())
-        assert (again.allowable_speed, again.body_region) == (default.allowable_speed, default.body_region)
+            assert harness.set_parameters(effective_mass_model="lumped", body_regions=[], person_speed=0.0) == ""
+        restored = harness.response_to(message())
+        assert (restored.allowable_speed, restored.body_region) == (default.allowable_speed, default.body_region)
 
-    def test_reset_releases_the_latch_and_tells_what_it_was(self, cell: Cell) -> None:
-        assert cell.call(Trigger, "reset", Trigger.Request()).success
+    def test_reset_releases_the_latch_and_tells_what_it_was(self, harness: NodeHarness) -> None:
+        assert harness.call_service(Trigger, "reset", Trigger.Request()).success
         try:
-            assert cell.set(latch=True) == ""
-            assert cell.exchange(message(velocity=FAST)).verdict == ContactState.VIOLATION
-            latched = cell.exchange(message())
+            assert harness.set_parameters(latch=True) == ""
+            assert harness.response_to(message(velocity=FAST)).verdict == ContactState.VIOLATION
+            latched = harness.response_to(message())
             assert latched.verdict == ContactState.VIOLATION
             assert latched.reason.startswith("latched until reset: tool: ")
-            assert cell.numbers == {"allowable_speed": [0.0], "speed_scaling": [0.0]}
-            response = cell.call(Trigger, "reset", Trigger.Request())
+            assert harness.scalars == {"allowable_speed": [0.0], "speed_scaling": [0.0]}
+            response = harness.call_service(Trigger, "reset", Trigger.Request())
             assert response.success
             assert response.message.startswith("cleared: VIOLATION: ")
-            assert cell.exchange(message()).verdict == ContactState.OK
+            assert harness.response_to(message()).verdict == ContactState.OK
         finally:
-            assert cell.set(latch=False) == ""
+            assert harness.set_parameters(latch=False) == ""
 
-    def test_file_names_and_overrides_of_qos_are_taken(self, new_cell: Callable[..., Cell], tmp_path: Path) -> None:
+    def test_file_names_and_overrides_of_qos_are_taken(
+        self, new_harness: Callable[..., NodeHarness], tmp_path: Path
+    ) -> None:
         """Everything at once, as a launch file does it: namespace, remapping, file, empty lists, QoS."""
         params = tmp_path / "cell.yaml"
         params.write_text(
@@ -208,28 +223,28 @@ class TestParameters:
             "      /left/contact_state:\n        publisher:\n          reliability: best_effort\n",
             encoding="utf-8",
         )
-        cell = new_cell(namespace="/left", name="watch")
+        harness = new_harness(namespace="/left", name="watch")
         words = ("-r", "__ns:=/left", "-r", "__node:=watch", "-r", "joint_states:=/arm/joint_states")
-        cell.start("--ros-args", "--params-file", str(params), *words)
-        sender = cell.node.create_publisher(JointState, "/arm/joint_states", 10)
+        harness.start("--ros-args", "--params-file", str(params), *words)
+        sender = harness.node.create_publisher(JointState, "/arm/joint_states", 10)
         heard: list[ContactState] = []
         best_effort = QoSProfile(depth=10, reliability=2)
-        cell.node.create_subscription(ContactState, "contact_state", heard.append, best_effort)
-        (found,) = cell.until(
-            lambda: [c for c in heard if c.verdict == ContactState.OK][:1], again=lambda: sender.publish(message())
+        harness.node.create_subscription(ContactState, "contact_state", heard.append, best_effort)
+        (found,) = harness.spin_until(
+            lambda: [c for c in heard if c.verdict == ContactState.OK][:1], repeat=lambda: sender.publish(message())
         )
         assert (found.contact_point, found.body_region) == ("tool", "chest")
 
         def endpoint(infos: Callable[[str], list[TopicEndpointInfo]], topic: str) -> TopicEndpointInfo:
             """Return the node's own; that there is one, and whose it is, comes in ways of its own."""
-            (found,) = cell.until(lambda: [info for info in infos(topic) if info.node_name == "watch"])
+            (found,) = harness.spin_until(lambda: [info for info in infos(topic) if info.node_name == "watch"])
             assert isinstance(found, TopicEndpointInfo)
             return found
 
-        listening = endpoint(cell.node.get_subscriptions_info_by_topic, "/arm/joint_states")
+        listening = endpoint(harness.node.get_subscriptions_info_by_topic, "/arm/joint_states")
         assert listening.node_namespace == "/left"
         assert listening.qos_profile.reliability.name == "RELIABLE"
-        publishing = cell.node.get_publishers_info_by_topic
+        publishing = harness.node.get_publishers_info_by_topic
         reliabilities = {
             topic: endpoint(publishing, f"/left/{topic}").qos_profile.reliability.name
             for topic in ("contact_state", "allowable_speed", "speed_scaling")
@@ -242,10 +257,10 @@ class TestParameters:
 
 
 class TestTime:
-    def test_pauses_and_jumps_back_of_the_clock(self, new_cell: Callable[..., Cell]) -> None:
-        cell = new_cell("--ros-args", "-p", "use_sim_time:=true", "-p", "release_time:=0.0", "-p", "timeout:=0.3")
-        cell.listen()
-        clock = cell.node.create_publisher(Clock, "/clock", 10)
+    def test_pauses_and_jumps_back_of_the_clock(self, new_harness: Callable[..., NodeHarness]) -> None:
+        harness = new_harness("--ros-args", "-p", "use_sim_time:=true", "-p", "release_time:=0.0", "-p", "timeout:=0.3")
+        harness.subscribe()
+        clock = harness.node.create_publisher(Clock, "/clock", 10)
         now = 1000 * S
 
         def tick() -> None:
@@ -254,32 +269,41 @@ class TestTime:
             sent = Clock()
             sent.clock.sec, sent.clock.nanosec = divmod(now, S)
             clock.publish(sent)
-            cell.send(message(now))
+            harness.send(message(now))
 
         def verdicts() -> list[int]:
-            return [contact.verdict for contact in cell.contacts]
+            return [contact.verdict for contact in harness.contact_states]
 
-        cell.until(lambda: ContactState.OK in verdicts(), again=tick)
+        harness.spin_until(lambda: ContactState.OK in verdicts(), repeat=tick)
         # The clock stands: nothing comes, and steady time finds out.
-        cell.until(lambda: cell.contacts[-1].reason.startswith("no joint state for"))
-        assert cell.contacts[-1].verdict == ContactState.UNKNOWN
+        harness.spin_until(lambda: harness.contact_states[-1].reason.startswith("no joint state for"))
+        assert harness.contact_states[-1].verdict == ContactState.UNKNOWN
         # A joint state that comes while it stands is repeated.
-        cell.contacts.clear()
-        cell.until(lambda: any("repeated" in c.reason for c in cell.contacts), again=lambda: cell.send(message(now)))
-        cell.contacts.clear()
-        cell.until(lambda: ContactState.OK in verdicts(), again=tick)
+        harness.contact_states.clear()
+        harness.spin_until(
+            lambda: any("repeated" in c.reason for c in harness.contact_states),
+            repeat=lambda: harness.send(message(now)),
+        )
+        harness.contact_states.clear()
+        harness.spin_until(lambda: ContactState.OK in verdicts(), repeat=tick)
         # Back by 400 s, as when a bag is looped.
         now -= 400 * S
-        cell.until(
-            lambda: cell.contacts[-1].verdict == ContactState.OK and cell.contacts[-1].header.stamp.sec < 700,
-            again=tick,
+        harness.spin_until(
+            lambda: (
+                harness.contact_states[-1].verdict == ContactState.OK
+                and harness.contact_states[-1].header.stamp.sec < 700
+            ),
+            repeat=tick,
         )
 
-    def test_without_a_clock_every_stamp_is_in_the_future(self, new_cell: Callable[..., Cell]) -> None:
-        cell = new_cell("--ros-args", "-p", "use_sim_time:=true")
-        cell.listen()
-        cell.until(lambda: any("in the future" in c.reason for c in cell.contacts), again=lambda: cell.send(message()))
-        assert {contact.verdict for contact in cell.contacts} == {ContactState.UNKNOWN}
+    def test_without_a_clock_every_stamp_is_in_the_future(self, new_harness: Callable[..., NodeHarness]) -> None:
+        harness = new_harness("--ros-args", "-p", "use_sim_time:=true")
+        harness.subscribe()
+        harness.spin_until(
+            lambda: any("in the future" in c.reason for c in harness.contact_states),
+            repeat=lambda: harness.send(message()),
+        )
+        assert {contact.verdict for contact in harness.contact_states} == {ContactState.UNKNOWN}
 
 
 TWO_LINKS = """<robot name="two_link">
@@ -299,29 +323,30 @@ TWO_LINKS = """<robot name="two_link">
 
 
 class TestRobotDescription:
-    def test_is_awaited_and_may_be_wrong_and_come_again(self, new_cell: Callable[..., Cell]) -> None:
-        cell = new_cell(
+    def test_is_awaited_and_may_be_wrong_and_come_again(self, new_harness: Callable[..., NodeHarness]) -> None:
+        harness = new_harness(
             "--ros-args",
             *("-p", "await_robot_description:=true"),
             *("-p", "effective_mass_model:=full"),
             *("-p", "release_time:=0.0"),
             *("-p", "timeout:=60.0"),
         )
-        cell.listen()
+        harness.subscribe()
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        describing = cell.node.create_publisher(String, "robot_description", latched)
+        describing = harness.node.create_publisher(String, "robot_description", latched)
 
         def contact_of(reason: str) -> ContactState:
             def send() -> None:
-                cell.send(message(names=("shoulder", "elbow"), velocity=(0.1, -0.2)))
+                harness.send(message(names=("shoulder", "elbow"), velocity=(0.1, -0.2)))
 
             def found() -> ContactState | None:
                 return next(
-                    (c for c in cell.contacts if c.reason.startswith(reason) and (reason or not c.reason)), None
+                    (c for c in harness.contact_states if c.reason.startswith(reason) and (reason or not c.reason)),
+                    None,
                 )
 
-            cell.contacts.clear()
-            contact: ContactState = cell.until(found, again=send)
+            harness.contact_states.clear()
+            contact: ContactState = harness.spin_until(found, repeat=send)
             return contact
 
         assert contact_of("no robot_description yet").verdict == ContactState.UNKNOWN
@@ -337,8 +362,8 @@ class TestRobotDescription:
         describing.publish(String(data=TWO_LINKS))
         assert contact_of("").verdict == ContactState.OK
         # A publisher that keeps nothing cannot be heard by one who may come later.
-        cell.node.create_publisher(String, "robot_description", 1)
-        assert "a publisher of robot_description cannot be connected: its DURABILITY" in cell.report(
+        harness.node.create_publisher(String, "robot_description", 1)
+        assert "a publisher of robot_description cannot be connected: its DURABILITY" in harness.diagnostic(
             "input", "incompatible QoS", bool
         )
 
@@ -388,30 +413,32 @@ AHEAD = 500
 
 
 def test_a_thousand_a_second_from_another_process_are_all_answered(
-    new_cell: Callable[..., Cell], tmp_path: Path
+    new_harness: Callable[..., NodeHarness], tmp_path: Path
 ) -> None:
-    cell = new_cell("--ros-args", "-p", "timeout:=60.0")
-    cell.node.create_subscription(ContactState, "contact_state", cell.contacts.append, QoSProfile(depth=20_000))
+    harness = new_harness("--ros-args", "-p", "timeout:=60.0")
+    harness.node.create_subscription(
+        ContactState, "contact_state", harness.contact_states.append, QoSProfile(depth=20_000)
+    )
     written = tmp_path / "stamps"
     written.touch()
     words = [sys.executable, "-c", SENDER, "5000", str(written)]
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(cell.domain)}
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(harness.domain)}
     with subprocess.Popen(words, stdin=subprocess.PIPE, bufsize=0, env=environment) as sender:
         leave = sender.stdin
         assert leave is not None
-        cell.until(lambda: any(contact.verdict == ContactState.OK for contact in cell.contacts))
-        given = len(cell.contacts) - AHEAD
+        harness.spin_until(lambda: any(contact.verdict == ContactState.OK for contact in harness.contact_states))
+        given = len(harness.contact_states) - AHEAD
 
         def let_send() -> None:
             nonlocal given
-            leave.write(b"." * (len(cell.contacts) - given))
-            given = len(cell.contacts)
+            leave.write(b"." * (len(harness.contact_states) - given))
+            given = len(harness.contact_states)
 
-        cell.until(lambda: written.read_text().endswith("end\n"), again=let_send)
+        harness.spin_until(lambda: written.read_text().endswith("end\n"), repeat=let_send)
         sent = [int(word) for word in written.read_text().split()[:-1]]
-        cell.until(lambda: stamp_of(cell.contacts[-1]) >= sent[-1])
+        harness.spin_until(lambda: stamp_of(harness.contact_states[-1]) >= sent[-1])
         leave.close()
         assert sender.wait() == 0
     assert len(sent) == 5000
-    assert [stamp for stamp in map(stamp_of, cell.contacts) if stamp >= sent[0]] == sent
-    assert cell.contacts[-1].verdict == ContactState.OK
+    assert [stamp for stamp in map(stamp_of, harness.contact_states) if stamp >= sent[0]] == sent
+    assert harness.contact_states[-1].verdict == ContactState.OK

@@ -16,7 +16,7 @@ from scara_effmass.share import share
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from test.nodes.conftest import Cell
+    from test.nodes.conftest import NodeHarness
 
 EXECUTABLE = Path(sys.executable).with_name("monitor_node")
 PARAMS = "/**:\n  ros__parameters:\n    {}\n"
@@ -43,9 +43,9 @@ def paths(tmp_path: Path) -> dict[str, Path]:
     ],
 )
 def test_what_it_cannot_use_is_one_line_and_2(
-    new_cell: Callable[..., Cell], paths: dict[str, Path], arguments: str, line: str
+    new_harness: Callable[..., NodeHarness], paths: dict[str, Path], arguments: str, line: str
 ) -> None:
-    process = new_cell(*arguments.format(**paths).split()).process
+    process = new_harness(*arguments.format(**paths).split()).process
     assert process is not None
     output, errors = process.communicate()
     assert process.returncode == 2
@@ -82,8 +82,8 @@ def test_a_parameter_it_cannot_use_is_named(
     assert refusal_of(MonitorNode, argument.format(**paths)).startswith(line.format(**paths))
 
 
-def test_help_needs_no_ros(new_cell: Callable[..., Cell]) -> None:
-    process = new_cell("--help").process
+def test_help_needs_no_ros(new_harness: Callable[..., NodeHarness]) -> None:
+    process = new_harness("--help").process
     assert process is not None
     output, errors = process.communicate()
     assert (process.returncode, errors) == (0, "")
@@ -101,12 +101,12 @@ def test_help_needs_no_ros(new_cell: Callable[..., Cell]) -> None:
     ids=["node, SIGINT twice", "node, SIGTERM", "command line, SIGINT", "command line, SIGTERM"],
 )
 def test_ends_with_0_when_told_to(
-    new_cell: Callable[..., Cell], command: list[str], signals: list[signal.Signals]
+    new_harness: Callable[..., NodeHarness], command: list[str], signals: list[signal.Signals]
 ) -> None:
-    cell = new_cell()
-    process = cell.start(command=command)
-    cell.listen()
-    cell.until(lambda: cell.contacts)  # the silence of the first fifth of a second
+    harness = new_harness()
+    process = harness.start(command=command)
+    harness.subscribe()
+    harness.spin_until(lambda: harness.contact_states)  # the silence of the first fifth of a second
     for number in signals:
         process.send_signal(number)
     output, errors = process.communicate()
@@ -115,9 +115,9 @@ def test_ends_with_0_when_told_to(
     assert "Exception ignored" not in output + errors
 
 
-def test_ends_with_0_while_it_starts(new_cell: Callable[..., Cell]) -> None:
+def test_ends_with_0_while_it_starts(new_harness: Callable[..., NodeHarness]) -> None:
     """Told between its first word and its last: the context goes away under whatever is being made."""
-    process = new_cell("--ros-args", "-p", "autostart:=true").process
+    process = new_harness("--ros-args", "-p", "autostart:=true").process
     assert process is not None
     assert process.stderr is not None
     assert any("watching omron_i4_550l" in line for line in process.stderr)

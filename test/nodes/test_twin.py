@@ -17,7 +17,7 @@ from scara_effmass.share import share
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from test.nodes.conftest import Cell
+    from test.nodes.conftest import NodeHarness
 
 COMMAND = str(Path(sys.executable).with_name("scara-effmass"))
 JOINT_STATES = 1900
@@ -29,22 +29,22 @@ def exact(contact: ContactState) -> str:
     return repr(contact)
 
 
-def answers_of(cell: Cell) -> list[ContactState]:
+def answers_of(harness: NodeHarness) -> list[ContactState]:
     """Return what was said of joint states, without what the watchdog says before the first."""
-    return [contact for contact in cell.contacts if not contact.watchdog]
+    return [contact for contact in harness.contact_states if not contact.watchdog]
 
 
-def test_replay_and_assess_agree_on_every_joint_state(new_cell: Callable[[], Cell], tmp_path: Path) -> None:
+def test_replay_and_assess_agree_on_every_joint_state(new_harness: Callable[[], NodeHarness], tmp_path: Path) -> None:
     recording = str(share("bags", "straight_300_200"))
-    cell = new_cell()
-    cell.start("--ros-args", "-p", "use_sim_time:=true")
-    cell.listen()
-    cell.until(lambda: cell.contacts)  # the watchdog is heard: from here on nothing is missed
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(cell.domain)}
+    harness = new_harness()
+    harness.start("--ros-args", "-p", "use_sim_time:=true")
+    harness.subscribe()
+    harness.spin_until(lambda: harness.contact_states)  # the watchdog is heard: from here on nothing is missed
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(harness.domain)}
     with subprocess.Popen([COMMAND, "replay", recording, "--rate", "0"], env=environment) as replay:
-        cell.until(lambda: replay.poll() is not None)
+        harness.spin_until(lambda: replay.poll() is not None)
     assert replay.returncode == 0
-    answered = cell.until(lambda: answers if len(answers := answers_of(cell)) >= JOINT_STATES else None)
+    answered = harness.spin_until(lambda: answers if len(answers := answers_of(harness)) >= JOINT_STATES else None)
 
     assessed = tmp_path / "assessed.mcap"
     subprocess.run([COMMAND, "assess", recording, "-o", str(assessed)], check=True, stdout=subprocess.DEVNULL)

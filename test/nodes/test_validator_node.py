@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from scara_effmass.values import ContactAssessment
-    from test.nodes.conftest import Cell
+    from test.nodes.conftest import NodeHarness
 
 EXECUTABLE = Path(sys.executable).with_name("validator_node")
 DEEP = QoSProfile(depth=20_000)
@@ -60,18 +60,18 @@ def impact(number: int, peak: float) -> FoundImpact:
 class Bench:
     """A test's end of the wires to a validator."""
 
-    def __init__(self, cell: Cell) -> None:
-        self.cell = cell
+    def __init__(self, harness: NodeHarness) -> None:
+        self.harness = harness
         self.heard: list[ImpactValidation] = []
-        node = cell.node
+        node = harness.node
         # Before the diagnostics, of which a test waits for one: the validator has found this one too by then.
         node.create_subscription(ImpactValidation, "impact_validation", self.heard.append, DEEP)
-        cell.listen()
+        harness.subscribe()
         self.states = node.create_publisher(ContactState, "contact_state", DEEP)
         self.impacts = node.create_publisher(Impact, "impact", DEEP)
         self.info = node.create_publisher(String, "/scara_effmass/recording_info", LATCHED)
         ends = (self.states, self.impacts, self.info)
-        cell.until(
+        harness.spin_until(
             lambda: all(end.get_subscription_count() for end in ends) and node.count_publishers("impact_validation")
         )
 
@@ -79,7 +79,7 @@ class Bench:
         """Say what is hit, and wait until `mass` [kg] is what is known of it."""
         for info in infos:
             self.info.publish(String(data=info))
-        self.cell.report("validator: series", "obstacle mass [kg]", f"{mass:g}".__eq__)
+        self.harness.diagnostic("validator: series", "obstacle mass [kg]", f"{mass:g}".__eq__)
 
     def run(self, *masses: float, first: int = 0) -> None:
         """Let the robot hit something of each mass, told before unless it is 0."""
@@ -94,18 +94,18 @@ class Bench:
 
 
 @pytest.fixture
-def bench(new_cell: Callable[..., Cell], tmp_path: Path) -> Bench:
-    cell = new_cell(name="validator")
+def bench(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> Bench:
+    harness = new_harness(name="validator")
     # What is sent is of another time than the node's, all of it alike.
     words = ["-p", "criterion.least_count:=2", "-p", "clock_tolerance:=60.0", "-p", f"report_folder:={tmp_path}"]
-    cell.start("--ros-args", *words, command=[str(EXECUTABLE)])
-    return Bench(cell)
+    harness.start("--ros-args", *words, command=[str(EXECUTABLE)])
+    return Bench(harness)
 
 
 def test_what_it_publishes_is_what_the_core_gives_offline(bench: Bench) -> None:
     masses = (0.5, 2.39, 3.72, 7.35)
     bench.run(*masses)
-    bench.cell.until(lambda: len(bench.heard) == 4)
+    bench.harness.spin_until(lambda: len(bench.heard) == 4)
     validator = Validator(ValidatorSettings.model_validate({"criterion": {"least_count": 2}}))
     expected = []
     for number, (mass, peak) in enumerate(zip(masses, PEAKS, strict=True)):
@@ -122,12 +122,12 @@ def test_what_it_publishes_is_what_the_core_gives_offline(bench: Bench) -> None:
 
 def test_without_a_mass_an_impact_is_counted_and_not_predicted(bench: Bench) -> None:
     bench.run(0.0, 0.0, 0.0, 0.0)
-    report = bench.cell.report("validator: series", "not paired: obstacle_mass is not given", "4".__eq__)
+    report = bench.harness.diagnostic("validator: series", "not paired: obstacle_mass is not given", "4".__eq__)
     assert report.startswith("4 impacts could not be paired")
-    bench.cell.report("validator: series", "correlation", lambda value: not value.startswith("0."))
+    bench.harness.diagnostic("validator: series", "correlation", lambda value: not value.startswith("0."))
     assert not bench.heard
-    assert bench.cell.set(obstacle_mass=-1.0)
-    assert bench.cell.set(obstacle_mass=2.39) == ""
+    assert bench.harness.set_parameters(obstacle_mass=-1.0)
+    assert bench.harness.set_parameters(obstacle_mass=2.39) == ""
 
 
 @pytest.mark.parametrize(
@@ -141,32 +141,32 @@ def test_without_a_mass_an_impact_is_counted_and_not_predicted(bench: Bench) -> 
     ],
 )
 def test_what_is_hit_is_not_known_when_what_is_said_of_it_cannot_be(bench: Bench, told: str) -> None:
-    assert bench.cell.set(obstacle_mass=2.39) == ""
+    assert bench.harness.set_parameters(obstacle_mass=2.39) == ""
     bench.tell(2.39, "[" * 100_000)  # no JSON object: says nothing
     bench.run(0.0)
-    bench.cell.until(lambda: len(bench.heard) == 1)
+    bench.harness.spin_until(lambda: len(bench.heard) == 1)
     bench.tell(0.0, told)
     bench.run(0.0, first=1)
     not_paired = "not paired: obstacle_mass is not given"
-    assert bench.cell.report("validator: series", not_paired, bool).endswith("| 1")
+    assert bench.harness.diagnostic("validator: series", not_paired, bool).endswith("| 1")
     bench.tell(0.5, '{"obstacle_mass": 0.5, "configuration": [1]}')
     bench.run(0.0, first=2)
-    bench.cell.until(lambda: len(bench.heard) == 2)
+    bench.harness.spin_until(lambda: len(bench.heard) == 2)
 
 
 def test_a_changed_configuration_leaves_the_mass_that_was_told(bench: Bench) -> None:
     bench.tell(0.5, '{"obstacle_mass": 0.5}')
-    assert bench.cell.set(configuration="elbow up") == ""
+    assert bench.harness.set_parameters(configuration="elbow up") == ""
     bench.run(0.0)
-    bench.cell.until(lambda: len(bench.heard) == 1)
+    bench.harness.spin_until(lambda: len(bench.heard) == 1)
     mass = bench.heard[0].effective_mass
     assert bench.heard[0].reduced_mass == pytest.approx(mass * 0.5 / (mass + 0.5))
 
 
 def test_a_report_of_the_series_is_written_on_demand(bench: Bench) -> None:
     bench.run(0.5, 2.39, 3.72, 7.35)
-    bench.cell.until(lambda: len(bench.heard) == 4)
-    answer: Any = bench.cell.call(Trigger, "write_report", Trigger.Request())
+    bench.harness.spin_until(lambda: len(bench.heard) == 4)
+    answer: Any = bench.harness.call_service(Trigger, "write_report", Trigger.Request())
     assert answer.success, answer.message
     page = Path(answer.message)
     assert page.name == "report.html"
@@ -177,11 +177,11 @@ def test_a_report_of_the_series_is_written_on_demand(bench: Bench) -> None:
 
 def test_reset_begins_a_new_series(bench: Bench) -> None:
     bench.run(0.5, 2.39, 3.72, 7.35)
-    bench.cell.until(lambda: len(bench.heard) == 4)
-    answer: Any = bench.cell.call(Trigger, "reset", Trigger.Request())
+    bench.harness.spin_until(lambda: len(bench.heard) == 4)
+    answer: Any = bench.harness.call_service(Trigger, "reset", Trigger.Request())
     assert answer.success
     assert answer.message == "a new series; the last one had 4 impacts"
-    bench.cell.report("validator: series", "impacts seen", lambda value: value == "0")
+    bench.harness.diagnostic("validator: series", "impacts seen", lambda value: value == "0")
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_a_parameter_it_cannot_use_is_named(refusal_of: Callable[..., str], argu
 
 
 def test_ends_with_0_when_told_to(bench: Bench) -> None:
-    process = bench.cell.process
+    process = bench.harness.process
     assert process is not None
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate()

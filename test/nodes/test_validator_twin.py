@@ -20,7 +20,7 @@ from scara_effmass.share import share
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from test.nodes.conftest import Cell
+    from test.nodes.conftest import NodeHarness
 
 BIN = Path(sys.executable).parent
 BAG = share("bags", "campaign", "300_0_2390g_1")
@@ -31,14 +31,14 @@ PATIENT = ["-p", "clock_tolerance:=60.0"]
 FORCE = ["-p", "source:=bag", "-p", f"bag.path:={BAG}", "-p", "tare.at_start:=false"]
 
 
-def test_live_is_what_it_is_offline(new_cell: Callable[..., Cell], tmp_path: Path) -> None:
-    cell = new_cell(name="validator")
+def test_live_is_what_it_is_offline(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> None:
+    harness = new_harness(name="validator")
     heard: list[ImpactValidation] = []
-    node = cell.node
+    node = harness.node
     node.create_subscription(ImpactValidation, "impact_validation", heard.append, 100)
     node.create_subscription(ForceBlock, "force", lambda _: None, 100)
-    cell.listen()
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(cell.domain), "ROS_LOG_DIR": str(tmp_path)}
+    harness.subscribe()
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(harness.domain), "ROS_LOG_DIR": str(tmp_path)}
     commands = (
         [str(BIN / "monitor_node"), *SIMULATED],
         [str(BIN / "daq_node"), *SIMULATED, *FORCE],
@@ -49,11 +49,11 @@ def test_live_is_what_it_is_offline(new_cell: Callable[..., Cell], tmp_path: Pat
             process = running.enter_context(subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL))
             running.callback(process.terminate)
         for status, key in (("monitor: input", "lost"), ("daq: source", "state"), ("validator: series", "accepted")):
-            cell.report(status, key, bool)  # it is active
+            harness.diagnostic(status, key, bool)  # it is active
         topics = ["/joint_states", "/scara_effmass/recording_info"]
         words = [str(BIN / "scara-effmass"), "replay", str(BAG), "--rate", "0", "--topics", *topics]
         replay = running.enter_context(subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL))
-        cell.until(lambda: heard)
+        harness.spin_until(lambda: heard)
         assert replay.wait() == 0
     arm = RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
     (expected,) = validate([BAG], arm, ValidationSettings()).result.impacts
