@@ -10,6 +10,7 @@ import pytest
 SCRIPT = "import sys, {module}; print(*sorted({{'mcap', 'rosbags'}} & set(sys.modules)))"
 
 
+@pytest.mark.live
 @pytest.mark.parametrize("node", ["monitor_node", "validator_node"])
 def test_node_does_not_load_bag_libraries(node: str) -> None:
     script = SCRIPT.format(module=f"scara_effmass.nodes.{node}")
