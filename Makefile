@@ -10,6 +10,10 @@ PYTHON ?=
 BIN := .venv/bin
 # Number of test processes; test/conftest.py sets the default.
 WORKERS ?= auto
+# The sample of `make mutants`: rooms (none: all pure rooms), mutants per room, seed.
+ROOM ?=
+N ?= 60
+SEED ?= 1
 PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist worksteal
 
 # Everything ROS stays on this machine, and a sourced ROS or another environment stays out.
@@ -40,6 +44,14 @@ lint: setup  ## ruff and mypy
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
+coverage: setup  ## branch coverage of each room; ROOM restricts the tests
+	@mkdir -p build
+	$(PYTEST) --cov --cov-report= $(addprefix test/,$(ROOM))
+	$(BIN)/python scripts/coverage_table.py $(ROOM)
+
+mutants: setup  ## mutation testing of the pure rooms; ROOM, N and SEED choose the sample
+	$(BIN)/python scripts/mutants.py $(ROOM) --number $(N) --seed $(SEED)
+
 bench: setup  ## time the core, the live nodes, the bag reader and the recorder
 	$(BIN)/python benchmarks/run.py
 
@@ -56,7 +68,7 @@ lock: setup  ## renew the locked requirements
 clean:  ## remove everything that was made
 	rm -rf .venv .venv-colcon build out .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup demo test check lint bench bags colcon lock clean
+.PHONY: help setup demo test check lint coverage mutants bench bags colcon lock clean
 
 # The stamps are written last: an interrupted set-up starts over.
 .venv/.requirements: requirements.lock

@@ -11,7 +11,7 @@ from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 
 from scara_effmass.cli.processes import DOMAINS, domain_is_free
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 # No deadline: the machine may be busy. The same examples in every run: a failure must be reproducible.
 settings.register_profile("reproducible", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("mutants", settings.get_profile("reproducible"), phases=[Phase.explicit, Phase.generate])
 settings.load_profile("reproducible")
 
 # A shell starts background jobs with SIGINT ignored, and child processes would inherit that.
