@@ -1,5 +1,86 @@
-"""Effective mass, impact force and allowable speed of a robot arm, live from its joint states."""
+"""Effective mass, impact force and allowable speed of a serial robot, live from its joint states.
 
+`load_robot`, `RobotDynamics` and `Monitor` assess joint states; `Detector` finds impacts in a force signal;
+`Validator` compares measured impacts with the forces predicted from the effective mass. The names below load on first
+use, so that `import scara_effmass` alone imports neither Pinocchio nor ROS.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from scara_effmass.errors import EffmassError
+    from scara_effmass.impacts.detection import Detector
+    from scara_effmass.impacts.result import Result
+    from scara_effmass.impacts.validator import Validator
+    from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
+    from scara_effmass.model.load import load_robot
+    from scara_effmass.model.robot import Robot
+    from scara_effmass.safety import Monitor
+    from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings
+    from scara_effmass.values import (
+        ContactAssessment,
+        Decision,
+        ForceBlock,
+        Impact,
+        JointState,
+        ValidatedImpact,
+        Verdict,
+    )
+
+_MODULES = {
+    "ContactAssessment": "values",
+    "Decision": "values",
+    "DetectionSettings": "settings",
+    "Detector": "impacts.detection",
+    "EffectiveMasses": "model.dynamics",
+    "EffmassError": "errors",
+    "ForceBlock": "values",
+    "Impact": "values",
+    "JointState": "values",
+    "Monitor": "safety",
+    "MonitorSettings": "settings",
+    "Result": "impacts.result",
+    "Robot": "model.robot",
+    "RobotDynamics": "model.dynamics",
+    "ValidatedImpact": "values",
+    "Validator": "impacts.validator",
+    "ValidatorSettings": "settings",
+    "Verdict": "values",
+    "load_robot": "model.load",
+}
+"""The public names and the modules that define them."""
+
+__all__ = [
+    "ContactAssessment",
+    "Decision",
+    "DetectionSettings",
+    "Detector",
+    "EffectiveMasses",
+    "EffmassError",
+    "ForceBlock",
+    "Impact",
+    "JointState",
+    "Monitor",
+    "MonitorSettings",
+    "Result",
+    "Robot",
+    "RobotDynamics",
+    "ValidatedImpact",
+    "Validator",
+    "ValidatorSettings",
+    "Verdict",
+    "load_robot",
+]
 
 __version__ = version("scara_effmass")
+
+
+def __getattr__(name: str) -> object:
+    """Import the public name `name` on first use."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -18,7 +18,6 @@ from scara_effmass.cli.options import (
     add_topic,
     arm_from,
     printer,
-    robot_path,
     settings_from,
 )
 from scara_effmass.cli.processes import child_process, keep_to_this_machine, require_running
@@ -236,7 +235,7 @@ class Live:
 
 def monitor_words(args: argparse.Namespace, settings: MonitorSettings) -> list[str]:
     """Run the monitor with the settings of the demo."""
-    words = ["monitor", "--robot", str(robot_path(settings)), "--model", settings.effective_mass_model.value]
+    words = ["monitor", "--robot", str(settings.robot_path), "--model", settings.effective_mass_model.value]
     if args.params:
         words += ["--params", str(args.params)]
     return words + SIMULATED_TIME
@@ -305,7 +304,7 @@ def _introduction(
         ("its motion", recording.made or "as recorded; the recording does not say that it was generated"),
         ("live", "the monitor node, its messages and verdicts: computed now, from that motion"),
         ("not measured", "masses and forces: they come from the robot's model"),
-        ("robot", f"{arm.robot.name}, {robot_path(settings)}"),
+        ("robot", f"{arm.robot.name}, {settings.robot_path}"),
         ("mass model", choice or settings.effective_mass_model.value),
     ]
     return lines + [("robot file", note) for note in arm.robot.notes]

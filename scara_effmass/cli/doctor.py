@@ -15,7 +15,7 @@ from rich import box
 from rich.table import Table
 
 from scara_effmass import __version__
-from scara_effmass.cli.options import add_json, add_params, add_robot, arm_from, printer, robot_path, settings_from
+from scara_effmass.cli.options import add_json, add_params, add_robot, arm_from, printer, settings_from
 from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
 from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, load_settings
@@ -59,7 +59,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Examine the installation, the environment and the robot."""
     settings = settings_from(args, others=("daq",))
-    path = robot_path(settings)
+    path = settings.robot_path
     if not path.is_file():
         raise RobotError(f"{path}: there is no such file; a URDF or DH YAML file would be right")
     findings = [*_installation(), *_environment(), *_converter(args.params), *_limits(settings)]

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from scara_effmass.settings import ContactType, MassModel, MonitorSettings, checked, load_settings
-from scara_effmass.share import share
 
 if TYPE_CHECKING:
     import argparse
@@ -94,17 +93,12 @@ def node_arguments(params: Path | None, given: Mapping[str, Any], ros_arguments:
     return [*words, "--", *ros_arguments]
 
 
-def robot_path(settings: MonitorSettings) -> Path:
-    """Return the robot file that `settings` mean."""
-    return Path(settings.robot) if settings.robot else share("config", "omron_i4_550l.yaml")
-
-
 def arm_from(settings: MonitorSettings) -> RobotDynamics:
     """Return the robot that `settings` mean, with its models. Raises RobotError."""
     from scara_effmass.model.dynamics import RobotDynamics  # noqa: PLC0415 - not needed for --help
     from scara_effmass.model.load import load_robot  # noqa: PLC0415
 
-    return RobotDynamics(load_robot(robot_path(settings), settings))
+    return RobotDynamics(load_robot(settings.robot_path, settings))
 
 
 def printer() -> Console:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from scara_effmass.cli.options import add_params, node_arguments, robot_path
+from scara_effmass.cli.options import add_params, node_arguments
 from scara_effmass.settings import MonitorSettings, ValidatorSettings, checked, load_settings
 
 if TYPE_CHECKING:
@@ -58,6 +58,6 @@ def write_report(result: Result, settings: NodeSettings, folder: Path) -> Path:
     monitor = checked(MonitorSettings, {"robot": settings.robot}, "validator")
     shown = checked(ValidatorSettings, settings.model_dump(include=set(ValidatorSettings.model_fields)), "validator")
     about = ValidationSettings(monitor=monitor, validator=shown, detection=settings.detection)
-    robot = load_robot(robot_path(monitor), monitor)
+    robot = load_robot(monitor.robot_path, monitor)
     validation_report.write_report(Validation(result, ()), about, robot, folder, overwrite=False)
     return folder / validation_report.PAGE

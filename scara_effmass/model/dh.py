@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from scara_effmass.model.robot import Robot
+    from scara_effmass.settings import MonitorSettings
     from scara_effmass.values import FloatArray
 
 
@@ -127,11 +128,15 @@ class DhFile(_Strict):
         return self
 
 
-def load_dh(path: Path, contact_points: Sequence[str] = ()) -> Robot:
-    """Return the robot described in the YAML file at `path`; `contact_points` picks among its points.
+def load_dh(path: Path, settings: MonitorSettings) -> Robot:
+    """Return the robot of the DH file at `path`, with the contact points of `settings` (default: all of the file).
 
-    Raises RobotError, in one line with the key, where the file cannot be used.
+    Raises RobotError for a file that cannot be used, and for settings that the file itself states.
     """
+    for key in ("payload_mass", "armature", "locked_joints"):
+        value = getattr(settings, key)
+        if value and value != type(settings).model_fields[key].default:
+            raise RobotError(f"{key} = {value!r}: must be unset for a DH file: set it in {path}")
     try:
         file = DhFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
     except OSError as error:
@@ -143,13 +148,13 @@ def load_dh(path: Path, contact_points: Sequence[str] = ()) -> Robot:
         key = ".".join(str(part) for part in first["loc"])
         value = f" = {reprlib.repr(first['input'])}" if key and not isinstance(first["input"], dict) else ""
         raise RobotError(f"{path}: {key or 'file'}{value}: {first['msg'].removeprefix('Value error, ')}") from None
-    unknown = [name for name in contact_points if name not in file.contact_points]
-    if unknown:
-        raise RobotError(f"{path}: no contact point {unknown[0]!r}: it has {', '.join(file.contact_points)}")
-    return _built(file, str(path), contact_points or tuple(file.contact_points))
+    for name in settings.contact_points:
+        if name not in file.contact_points:
+            raise RobotError(f"{path}: contact_points = {name!r}: must be one of {', '.join(file.contact_points)}")
+    return _robot(file, str(path), settings.contact_points or tuple(file.contact_points))
 
 
-def _built(file: DhFile, origin: str, contact_points: Sequence[str]) -> Robot:
+def _robot(file: DhFile, origin: str, contact_points: Sequence[str]) -> Robot:
     model = pin.Model()
     model.name = file.robot
     parent = 0

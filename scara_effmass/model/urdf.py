@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING
 
@@ -13,30 +14,37 @@ from scara_effmass.model.robot import build_robot
 from scara_effmass.model.urdf_tree import read_urdf
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
+    from pathlib import Path
 
     from scara_effmass.model.robot import Robot
     from scara_effmass.model.urdf_tree import UrdfTree
+    from scara_effmass.settings import MonitorSettings
     from scara_effmass.values import FloatArray
 
 
-def parse_urdf(
-    text: str,
-    origin: str,
-    contact_points: Sequence[str] = (),
-    locked_joints: Sequence[str] = (),
-    payload_mass: float = 0.0,
-    armature: Mapping[str, float] | None = None,
-) -> Robot:
-    """Return the robot of the URDF `text`; `origin` names it in errors.
+def load_urdf(path: Path, settings: MonitorSettings) -> Robot:
+    """Return the robot of the URDF file at `path`. Raises RobotError."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise RobotError(f"{path}: must be a URDF or a DH YAML file") from None
+    return parse_urdf(text, str(path), settings)
 
-    `contact_points` are link names (default: the tip of the longest chain). The model moves the joints from the
-    base through every contact point to the tip beyond it. The others, and those matching a glob of
-    `locked_joints`, are held fixed: their mass counts, their motion does not. `payload_mass` [kg] is a point mass
-    at the first contact point behind the last joint, or at the tip. `armature` is the rotor inertia reflected to
-    joints, by name [kg m2, kg]: URDF has no place for it. Raises RobotError in one line.
+
+def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
+    """Return the robot of the URDF `text`, such as a robot_description; `origin` names it in errors.
+
+    `settings.contact_points` are link names (default: the tip of the longest chain). The model moves the joints from
+    the base through every contact point to the tip beyond it. All other joints, and those that match a glob of
+    `settings.locked_joints`, are fixed: the mass behind them counts, their motion does not. `settings.payload_mass`
+    is a point mass at the first contact point behind the last joint, or else at the tip. `settings.armature` is the
+    rotor inertia reflected to the joints, which URDF cannot state. Raises RobotError.
     """
-    tree = read_urdf(text, origin, locked_joints)
+    contact_points = settings.contact_points
+    tree = read_urdf(text, origin, settings.locked_joints)
     notes = []
     if not contact_points:
         contact_points = (tree.tip(tree.base),)
@@ -56,7 +64,7 @@ def parse_urdf(
     if held:
         notes.append(f"held fixed in the model: {', '.join(sorted(held))}")
     model = _reduced(tree, held)
-    model.armature = _armature(model, armature or {}, origin)
+    model.armature = _armature(model, settings.armature, origin)
     frames = {name: model.getBodyId(name) for name in contact_points}
     for name, frame in frames.items():
         if model.frames[frame].parentJoint == 0:
@@ -65,9 +73,9 @@ def parse_urdf(
     end = max(
         (model.frames[model.getBodyId(name)] for name in (*contact_points, *tips)), key=lambda frame: frame.parentJoint
     )
-    if payload_mass > 0.0:
+    if settings.payload_mass > 0.0:
         model.appendBodyToJoint(
-            end.parentJoint, pin.Inertia(payload_mass, np.zeros(3), np.zeros((3, 3))), end.placement
+            end.parentJoint, pin.Inertia(settings.payload_mass, np.zeros(3), np.zeros((3, 3))), end.placement
         )
     return build_robot(
         model,
@@ -78,16 +86,26 @@ def parse_urdf(
         base_frame=tree.base,
         contact_frames=frames,
         tool_point=tuple(end.placement.translation.tolist()),
-        payload_mass=payload_mass,
+        payload_mass=settings.payload_mass,
     )
 
 
-def _armature(model: pin.Model, given: Mapping[str, float], origin: str) -> FloatArray:
+def _armature(model: pin.Model, entries: Sequence[str], origin: str) -> FloatArray:
+    """Return the reflected rotor inertia (n,) of every joint from `entries` of the form "joint=value"."""
     names = list(model.names)[1:]
-    for name, value in given.items():
-        if name not in names:
-            raise RobotError(f"{origin}: armature {name} = {value}: the model moves {', '.join(names)}")
-    return np.array([given.get(name, 0.0) for name in names])
+    armature: dict[str, float] = {}
+    for entry in entries:
+        joint, _, text = entry.partition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not joint or joint in armature or not 0.0 <= value < math.inf:
+            raise RobotError(f"armature = {entry!r}: must be joint=value, each joint once, the value 0 or more")
+        if joint not in names:
+            raise RobotError(f"{origin}: armature = {entry!r}: joint must be one of {', '.join(names)}")
+        armature[joint] = value
+    return np.array([armature.get(name, 0.0) for name in names])
 
 
 def _reduced(tree: UrdfTree, held: set[str]) -> pin.Model:

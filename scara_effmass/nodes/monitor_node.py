@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import Field
@@ -20,7 +19,8 @@ from std_srvs.srv import Trigger
 from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.model.load import load_robot, robot_from_urdf
+from scara_effmass.model.load import load_robot
+from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, incompatible, run
@@ -28,7 +28,6 @@ from scara_effmass.nodes.monitor_health import MonitorHealth
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.safety import Monitor, no_robot_decision
 from scara_effmass.settings import READ_ONLY, MonitorSettings, checked
-from scara_effmass.share import share
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message
 from scara_effmass.wire.joint_state import JointStateDecoder
@@ -104,8 +103,7 @@ class MonitorNode(LifecycleBase):
                 self.destroy_subscription,
             )
         else:
-            path = Path(self._settings.robot) if self._settings.robot else share("config", "omron_i4_550l.yaml")
-            self._watch(load_robot(path, self._settings))
+            self._watch(load_robot(self._settings.robot_path, self._settings))
         for kind, topic in (
             (ContactState, topics.CONTACT_STATE),
             (Float64, topics.ALLOWABLE_SPEED),
@@ -202,7 +200,7 @@ class MonitorNode(LifecycleBase):
 
     def _on_description(self, message: String) -> None:
         try:
-            self._watch(robot_from_urdf(message.data, "robot_description", self._settings))
+            self._watch(parse_urdf(message.data, "robot_description", self._settings))
         except EffmassError as error:
             self._monitor = None
             self._encoders = []

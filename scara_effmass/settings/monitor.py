@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from enum import Enum
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from scara_effmass.settings.loading import READ_ONLY
+from scara_effmass.share import share
 
 
 class MassModel(str, Enum):
@@ -166,3 +168,8 @@ class MonitorSettings(BaseModel):
     differentiate_velocity: bool = Field(
         default=False, description="where the velocity is empty, take it from positions over header time"
     )
+
+    @property
+    def robot_path(self) -> Path:
+        """Path of the robot file: `robot`, or the shipped Omron i4-550L where that is empty."""
+        return Path(self.robot) if self.robot else share("config", "omron_i4_550l.yaml")

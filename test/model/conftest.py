@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dh import load_dh
 from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.model.urdf import parse_urdf
+from scara_effmass.model.load import load_robot
+from scara_effmass.settings import MonitorSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 OMRON = REPOSITORY / "config" / "omron_i4_550l.yaml"
-RECORDED_URDFS = REPOSITORY.parent / "shared" / "recordings" / "urdf"
+TEST_ROBOTS = REPOSITORY / "test" / "robots"
 
 
 @pytest.fixture(scope="session")
@@ -35,7 +35,7 @@ def omron_file() -> Path:
 
 @pytest.fixture(scope="session")
 def omron() -> Robot:
-    return load_dh(OMRON)
+    return load_robot(OMRON)
 
 
 @pytest.fixture(scope="session")
@@ -57,7 +57,7 @@ def from_rows(tmp_path: Path) -> Callable[[object], Robot]:
     def load(rows: object) -> Robot:
         path = tmp_path / "robot.yaml"
         path.write_text(yaml.safe_dump(rows, sort_keys=False), encoding="utf-8")
-        return load_dh(path)
+        return load_robot(path)
 
     return load
 
@@ -78,15 +78,11 @@ def along() -> Callable[..., EffectiveMasses]:
 
 
 @pytest.fixture(scope="session")
-def recorded() -> Callable[..., Robot]:
-    """Load a recorded URDF with the monitor's default of locked joints, or skip."""
+def load_urdf_file() -> Callable[..., Robot]:
+    """Load a URDF of `test/robots` with the monitor settings given by keyword."""
 
-    def load(name: str, **options: Any) -> Robot:  # noqa: ANN401  those of parse_urdf
-        path = RECORDED_URDFS / name
-        if not path.exists():
-            pytest.skip(f"{path} is not here")
-        options.setdefault("locked_joints", ("*gripper*", "*finger*"))
-        return parse_urdf(path.read_text(encoding="utf-8"), name, **options)
+    def load(name: str, **options: object) -> Robot:
+        return load_robot(TEST_ROBOTS / name, MonitorSettings.model_validate(options))
 
     return load
 

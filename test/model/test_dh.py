@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 from scara_effmass.errors import RobotError
 from scara_effmass.model.dh import load_dh
 from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.load import load_robot
+from scara_effmass.settings import MonitorSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,9 +68,12 @@ def test_contact_points_can_be_picked(omron_rows: dict[str, Any], tmp_path: Path
     omron_rows["contact_points"] = {"tool": [0, 0, 0], "edge": [0.1, 0, 0], "corner": [0.1, 0.1, 0]}
     path = tmp_path / "robot.yaml"
     path.write_text(yaml.safe_dump(omron_rows))
-    assert list(load_dh(path, ("edge", "tool", "edge")).contact_frames) == ["edge", "tool"]
-    with pytest.raises(RobotError, match=r"robot\.yaml: no contact point 'elbow': it has"):
-        load_dh(path, ("elbow",))
+    assert list(load_dh(path, MonitorSettings(contact_points=("edge", "tool", "edge"))).contact_frames) == [
+        "edge",
+        "tool",
+    ]
+    with pytest.raises(RobotError, match=r"robot\.yaml: contact_points = 'elbow': must be one of"):
+        load_dh(path, MonitorSettings(contact_points=("elbow",)))
 
 
 @pytest.mark.parametrize(
@@ -126,14 +131,14 @@ def test_file_that_is_no_robot(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "robot.yaml"
     path.write_bytes(content)
     with pytest.raises(RobotError, match=r"robot\.yaml: ") as refusal:
-        load_dh(path)
+        load_robot(path)
     assert "\n" not in str(refusal.value)
 
 
 def test_missing_file_and_folder(tmp_path: Path) -> None:
     for path in (tmp_path / "none.yaml", tmp_path):
         with pytest.raises(RobotError, match="cannot be read"):
-            load_dh(path)
+            load_robot(path)
 
 
 def test_no_mass_at_all_is_refused(omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> None:

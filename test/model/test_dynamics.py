@@ -41,15 +41,18 @@ def unit_vectors(count: int) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-def arms(omron_arm: RobotDynamics, recorded: Callable[..., Robot]) -> list[RobotDynamics]:
-    return [omron_arm, *(RobotDynamics(recorded(name)) for name in ("ur5_robot.urdf", "panda.urdf", "wx200.urdf"))]
+def arms(omron_arm: RobotDynamics, load_urdf_file: Callable[..., Robot]) -> list[RobotDynamics]:
+    return [
+        omron_arm,
+        *(RobotDynamics(load_urdf_file(name)) for name in ("ur5_robot.urdf", "panda.urdf", "wx200.urdf")),
+    ]
 
 
 def test_impulse_changes_the_speed_as_on_a_free_mass(
-    omron_arm: RobotDynamics, recorded: Callable[..., Robot], along: Callable[..., EffectiveMasses]
+    omron_arm: RobotDynamics, load_urdf_file: Callable[..., Robot], along: Callable[..., EffectiveMasses]
 ) -> None:
     impulse = 0.7
-    for arm in arms(omron_arm, recorded):
+    for arm in arms(omron_arm, load_urdf_file):
         for q, n in zip(arm.robot.sample_configurations(), unit_vectors(64), strict=True):
             jacobian = arm.jacobian(q, frame_of(arm))
             if np.linalg.svd(jacobian, compute_uv=False)[-1] < 1e-3:
@@ -78,9 +81,9 @@ def test_energy_of_the_lightest_motion_is_that_of_the_effective_mass(
 
 
 def test_worst_direction_is_worse_than_any_other_and_is_attained(
-    omron_arm: RobotDynamics, recorded: Callable[..., Robot], along: Callable[..., EffectiveMasses]
+    omron_arm: RobotDynamics, load_urdf_file: Callable[..., Robot], along: Callable[..., EffectiveMasses]
 ) -> None:
-    for arm in arms(omron_arm, recorded):
+    for arm in arms(omron_arm, load_urdf_file):
         for q in arm.robot.sample_configurations()[:12]:
             jacobian = arm.jacobian(q, frame_of(arm))
             mobility = jacobian @ np.linalg.inv(mass_matrix(arm.robot.model, q)) @ jacobian.T
@@ -92,8 +95,8 @@ def test_worst_direction_is_worse_than_any_other_and_is_attained(
                 assert 1.0 / (n @ mobility @ n) <= effective_masses.worst_full * (1.0 + 1e-9)
 
 
-def test_smallest_singular_value(omron_arm: RobotDynamics, recorded: Callable[..., Robot]) -> None:
-    for arm in arms(omron_arm, recorded):
+def test_smallest_singular_value(omron_arm: RobotDynamics, load_urdf_file: Callable[..., Robot]) -> None:
+    for arm in arms(omron_arm, load_urdf_file):
         for q in arm.robot.sample_configurations():
             (effective_masses,) = arm.effective_masses(q, np.ones(len(q)), 0.005)
             values = np.linalg.svd(arm.jacobian(q, frame_of(arm)), compute_uv=False)
@@ -152,8 +155,8 @@ def test_exactly_stretched_scara_has_no_nan(omron_arm: RobotDynamics) -> None:
         assert effective_masses.lumped_reason == ""
 
 
-def test_singular_poses_of_a_six_axis_arm_have_no_nan(recorded: Callable[..., Robot]) -> None:
-    arm = RobotDynamics(recorded("ur5_robot.urdf"))
+def test_singular_poses_of_a_six_axis_arm_have_no_nan(load_urdf_file: Callable[..., Robot]) -> None:
+    arm = RobotDynamics(load_urdf_file("ur5_robot.urdf"))
     rng = np.random.default_rng(RNG_SEED)
     wrist = [np.array([0.3, -1.0, 1.2, 0.4, q5, 0.1]) for q5 in (0.0, math.pi, -math.pi)]
     elbow = [np.array([0.3, -1.0, q3, 0.4, 1.0, 0.1]) for q3 in (0.0, math.pi)]

@@ -16,5 +16,5 @@ if TYPE_CHECKING:
 
 @pytest.mark.parametrize("extra", [{"payload_mass": 1.0}, {"armature": ("joint1=1",)}])
 def test_a_dh_file_states_its_own(omron_file: Path, extra: dict[str, object]) -> None:
-    with pytest.raises(RobotError, match="states its own"):
+    with pytest.raises(RobotError, match="must be unset for a DH file"):
         load_robot(omron_file, MonitorSettings.model_validate(extra))

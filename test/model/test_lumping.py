@@ -173,13 +173,13 @@ def test_pi_written_as_3_14_is_parallel(
         assert rough.lumped == pytest.approx(exact.lumped, rel=0.01)
 
 
-def test_recorded_scara_lumps_although_it_writes_pi_as_3_14(recorded: Callable[..., Robot]) -> None:
-    robot = recorded("scara_icube_tutorial.urdf.xacro")
+def test_recorded_scara_lumps_although_it_writes_pi_as_3_14(load_urdf_file: Callable[..., Robot]) -> None:
+    robot = load_urdf_file("scara_icube_tutorial.urdf")
     assert lump(robot).aggregated == pytest.approx((0.75, 1.0, 0.85, 0.1), abs=1e-3)
 
 
-def test_six_axis_arm_is_refused(recorded: Callable[..., Robot]) -> None:
-    arm = RobotDynamics(recorded("ur5_robot.urdf"))
+def test_six_axis_arm_is_refused(load_urdf_file: Callable[..., Robot]) -> None:
+    arm = RobotDynamics(load_urdf_file("ur5_robot.urdf"))
     assert arm.lumped is None
     assert "shoulder_pan_joint: its axes are not parallel" in arm.lumped_reason
     assert arm.full_reason == ""

@@ -1,4 +1,4 @@
-"""URDF: what recorded files give, and whatever is wrong is named in one line."""
+"""URDF: the test robots, and every wrong value is named in one line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.model.load import robot_from_urdf
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.model.scara_closed_form import ScaraInertia, full_mass
 from scara_effmass.model.urdf import parse_urdf
@@ -58,6 +57,11 @@ PARTS = (
 SCARA = f'<robot name="scara">{"".join(PARTS)}</robot>'
 
 
+def parse(text: str = SCARA, **options: object) -> Robot:
+    """Parse a URDF with the monitor settings `options`."""
+    return parse_urdf(text, "scara.urdf", MonitorSettings.model_validate(options))
+
+
 def with_more(*parts: str) -> str:
     return SCARA.replace("</robot>", "".join(parts) + "</robot>")
 
@@ -73,13 +77,13 @@ class TestRecordedRobots:
             ("tm5-700-nominal.urdf", 6, 18.674, "centre of mass"),
             ("tm12-nominal.urdf", 6, 28.7836, "centre of mass"),
             ("scara_denso_hsr065a1_n32.urdf", 4, 4.0, "mass 1 and identity inertia"),
-            ("scara_icube_tutorial.urdf.xacro", 3, 2.7, "inertia tensor"),
+            ("scara_icube_tutorial.urdf", 3, 2.7, "inertia tensor"),
         ],
     )
     def test_masses_and_what_is_believed(
-        self, recorded: Callable[..., Robot], name: str, joints: int, moving_mass: float, doubt: str
+        self, load_urdf_file: Callable[..., Robot], name: str, joints: int, moving_mass: float, doubt: str
     ) -> None:
-        robot = recorded(name)
+        robot = load_urdf_file(name)
         assert len(robot.joint_names) == joints
         assert robot.moving_mass == pytest.approx(moving_mass, abs=5e-4)
         assert robot.iso_mass == pytest.approx(moving_mass / 2.0, abs=5e-4)
@@ -89,24 +93,24 @@ class TestRecordedRobots:
         (effective_masses,) = arm.effective_masses(robot.sample_configurations()[5], np.ones(joints), 0.005)
         assert np.isnan(effective_masses.full) == bool(doubt)
 
-    def test_wx200_grippers_are_held_and_dummy_inertias_are_noted(self, recorded: Callable[..., Robot]) -> None:
-        robot = recorded("wx200.urdf")
+    def test_wx200_grippers_are_held_and_dummy_inertias_are_noted(self, load_urdf_file: Callable[..., Robot]) -> None:
+        robot = load_urdf_file("wx200.urdf")
         assert robot.joint_names == ("waist", "shoulder", "elbow", "wrist_angle", "wrist_rotate")
         assert "held fixed in the model: gripper, left_finger, right_finger" in robot.notes
         assert any("placeholder inertia" in note and "ee_arm_link" in note for note in robot.notes)
 
-    def test_denso_stays_doubted_with_a_payload(self, recorded: Callable[..., Robot]) -> None:
-        robot = recorded("scara_denso_hsr065a1_n32.urdf", payload_mass=1.5)
+    def test_denso_stays_doubted_with_a_payload(self, load_urdf_file: Callable[..., Robot]) -> None:
+        robot = load_urdf_file("scara_denso_hsr065a1_n32.urdf", payload_mass=1.5)
         assert robot.masses_reason
         assert robot.iso_mass == pytest.approx(4.0 / 2.0 + 1.5)
 
-    def test_panda_finger_mimics_only_if_it_has_to_move(self, recorded: Callable[..., Robot]) -> None:
+    def test_panda_finger_mimics_only_if_it_has_to_move(self, load_urdf_file: Callable[..., Robot]) -> None:
         with pytest.raises(RobotError, match=r"joint panda_finger_joint2 mimics another: name it in locked_joints"):
-            recorded("panda.urdf", locked_joints=(), contact_points=("panda_rightfinger",))
+            load_urdf_file("panda.urdf", locked_joints=(), contact_points=("panda_rightfinger",))
 
 
 def test_urdf_agrees_with_eq_27(along: Callable[..., EffectiveMasses]) -> None:
-    robot = parse_urdf(SCARA, "scara.urdf", payload_mass=0.25)
+    robot = parse(payload_mass=0.25)
     assert is_scara(robot)
     arm = RobotDynamics(robot)
     scara = ScaraInertia(0.275, 0.275, 2.74, 2.0, 0.2, 0.35, 0.08029, 0.05775, 0.02952, 0.02272, 1e-4, 2e-4)
@@ -118,20 +122,20 @@ def test_urdf_agrees_with_eq_27(along: Callable[..., EffectiveMasses]) -> None:
 
 
 def test_standard_mass_with_a_payload() -> None:
-    robot = parse_urdf(SCARA, "scara.urdf", payload_mass=0.25)
+    robot = parse(payload_mass=0.25)
     assert robot.moving_mass == pytest.approx(5.04)
     assert robot.iso_mass == pytest.approx(2.77)
-    assert parse_urdf(SCARA, "scara.urdf").iso_mass == pytest.approx(2.52)
+    assert parse().iso_mass == pytest.approx(2.52)
 
 
 def test_default_contact_point_is_the_tip_and_said() -> None:
-    robot = parse_urdf(SCARA, "scara.urdf")
+    robot = parse()
     assert list(robot.contact_frames) == ["tip"]
     assert any("contact point tip: the tip of the longest chain" in note for note in robot.notes)
 
 
 def test_continuous_joint_keeps_one_coordinate_without_bounds() -> None:
-    robot = parse_urdf(SCARA, "scara.urdf")
+    robot = parse()
     assert robot.model.nq == robot.model.nv == 4
     assert robot.model.upperPositionLimit[3] > 1e5
 
@@ -143,13 +147,13 @@ class TestLockedAndUnneededJoints:
     )
 
     def test_locked_joints_add_mass_but_no_motion(self) -> None:
-        robot = parse_urdf(with_more(*self.GRIPPER), "scara.urdf", locked_joints=("GRIPPER*",))
+        robot = parse(with_more(*self.GRIPPER), locked_joints=("GRIPPER*",))
         assert robot.joint_names == ("j1", "j2", "j3", "j4")
         assert robot.moving_mass == pytest.approx(5.34)
 
     @pytest.mark.parametrize("kind", ["revolute", "prismatic", "floating", "planar"])
     def test_joints_beside_the_chain_are_held_whatever_their_type(self, kind: str) -> None:
-        robot = parse_urdf(with_more(link("flap", 0.3), joint("side", "fore", "flap", kind)), "scara.urdf")
+        robot = parse(with_more(link("flap", 0.3), joint("side", "fore", "flap", kind)))
         assert robot.joint_names == ("j1", "j2", "j3", "j4")
         assert robot.model.nq == 4
         assert robot.moving_mass == pytest.approx(5.34)
@@ -157,7 +161,7 @@ class TestLockedAndUnneededJoints:
 
     def test_joints_beyond_a_contact_point_move(self) -> None:
         # What the elbow presents depends on how the forearm lies, so q2 must stay in the model.
-        robot = parse_urdf(SCARA, "scara.urdf", contact_points=("fore",), payload_mass=0.25)
+        robot = parse(contact_points=("fore",), payload_mass=0.25)
         assert robot.joint_names == ("j1", "j2", "j3", "j4")
         arm = RobotDynamics(robot)
         stretched, folded = (
@@ -170,7 +174,7 @@ class TestLockedAndUnneededJoints:
 
     def test_payload_hangs_at_the_end_whatever_is_watched_first(self) -> None:
         masses = [
-            [body.mass for body in list(parse_urdf(SCARA, "scara.urdf", points, (), 0.25).model.inertias)[1:]]
+            [body.mass for body in list(parse(contact_points=points, payload_mass=0.25).model.inertias)[1:]]
             for points in (("tip",), ("fore", "tip"), ("tip", "fore"), ("upper",))
         ]
         assert masses == [[2.74, 2.0, 0.2, pytest.approx(0.35)]] * 4
@@ -178,16 +182,16 @@ class TestLockedAndUnneededJoints:
     def test_contact_on_the_base_is_refused_wherever_it_stands(self) -> None:
         for points in (("base",), ("tip", "base")):
             with pytest.raises(RobotError, match=r"scara\.urdf: contact point 'base' is fixed to the base"):
-                parse_urdf(SCARA, "scara.urdf", points)
+                parse(contact_points=points)
 
     def test_everything_locked(self) -> None:
         with pytest.raises(RobotError, match=r"scara\.urdf: contact point 'base' is fixed to the base"):
-            parse_urdf(SCARA, "scara.urdf", (), ("*",))
+            parse(locked_joints=("*",))
 
     def test_held_joint_with_a_range_without_zero_stands_at_its_nearest_limit(self) -> None:
         limit = '<limit lower="0.5" upper="0.9" effort="1" velocity="3"/>'
         text = with_more(link("flap", 0.3, "0 0 0"), joint("side", "fore", "flap", "prismatic", inside=limit))
-        body = parse_urdf(text, "scara.urdf").model.inertias[2]
+        body = parse(text).model.inertias[2]
         assert body.lever[2] == pytest.approx(0.3 * 0.5 / 2.3)
 
 
@@ -241,22 +245,22 @@ def test_wrong_value_is_named(old: str, new: str, named: str | None) -> None:
     text = SCARA.replace(old, new) if old == "robot" else SCARA.replace(old, new, 1)
     assert text != SCARA
     if named is None:
-        assert parse_urdf(text, "scara.urdf").joint_names == ("j1", "j2", "j3", "j4")
+        assert parse(text).joint_names == ("j1", "j2", "j3", "j4")
         return
     with pytest.raises(RobotError, match=rf"scara\.urdf: .*{named}") as refusal:
-        parse_urdf(text, "scara.urdf")
+        parse(text)
     assert "\n" not in str(refusal.value)
 
 
 def test_unknown_contact_point_names_the_links() -> None:
     with pytest.raises(RobotError, match=r"scara\.urdf: contact point 'nose' is no link of it: it has base, fore, "):
-        parse_urdf(SCARA, "scara.urdf", ("nose",))
+        parse(contact_points=("nose",))
 
 
 def test_loop_beside_the_chain_is_refused() -> None:
     loop = ('<link name="a"/><link name="b"/>', joint("ab", "a", "b", "fixed"), joint("ba", "b", "a", "fixed"))
     with pytest.raises(RobotError, match="form a loop"):
-        parse_urdf(with_more(*loop), "scara.urdf")
+        parse(with_more(*loop))
 
 
 def test_no_masses_and_no_joints_are_refused() -> None:
@@ -264,20 +268,20 @@ def test_no_masses_and_no_joints_are_refused() -> None:
     for part in PARTS[1:5]:
         bare = bare.replace(part, f'<link name="{ET.fromstring(part).get("name")}"/>')  # noqa: S314  written above
     with pytest.raises(RobotError, match=r"scara\.urdf: the moving links have no mass"):
-        parse_urdf(bare, "scara.urdf")
-    with pytest.raises(RobotError, match=r"rock\.urdf: "):
-        parse_urdf('<robot name="rock"><link name="rock"/></robot>', "rock.urdf")
+        parse(bare)
+    with pytest.raises(RobotError, match=r"scara\.urdf: "):
+        parse('<robot name="rock"><link name="rock"/></robot>')
 
 
 def test_one_link_without_mass_leaves_no_model_believed() -> None:
-    robot = parse_urdf(SCARA.replace(PARTS[2], '<link name="fore"/>'), "scara.urdf")
+    robot = parse(SCARA.replace(PARTS[2], '<link name="fore"/>'))
     assert robot.masses_reason.startswith("no mass behind j2")
     assert robot.inertias_reason == robot.masses_reason
 
 
 def test_axis_of_any_length_is_a_direction() -> None:
     text = SCARA.replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -2.5"/>', 1)
-    robot, plain = parse_urdf(text, "scara.urdf"), parse_urdf(SCARA, "scara.urdf")
+    robot, plain = parse(text), parse()
     np.testing.assert_allclose(robot.axis_in_joint_frame(1), [0.0, 0.0, -1.0], atol=1e-12)
     q = np.array([0.3, 0.4, 0.1, 0.2])
     (turned,) = RobotDynamics(robot).effective_masses(q * [-1.0, 1.0, 1.0, 1.0], np.array([-1.0, 0.5, 0.0, 0.0]), 0.005)
@@ -307,12 +311,12 @@ def test_spoilt_urdf_is_refused_or_gives_finite_answers(
                 ["", "nan", "-1", "0", "1e-300", "1e300", "base", "tip", "fixed", "planar", "0 0 1", "ü"]
             )
             child.set(key, data.draw(words | st.text(st.characters(codec="utf-8", categories=["L", "N"]), max_size=4)))
-    refused_or_finite(lambda: parse_urdf(ET.tostring(root, encoding="unicode"), "spoilt.urdf"))
+    refused_or_finite(lambda: parse(ET.tostring(root, encoding="unicode")))
 
 
 def test_armature_of_a_urdf_adds_to_the_mass_matrix() -> None:
-    bare = robot_from_urdf(SCARA, "scara", MonitorSettings()).model
-    heavy = robot_from_urdf(SCARA, "scara", MonitorSettings(armature=("j1=0.5", "j3=2"))).model
+    bare = parse().model
+    heavy = parse(armature=("j1=0.5", "j3=2")).model
     q = np.array([0.3, 0.7, 0.1, -0.2])
     difference = pin.crba(heavy, heavy.createData(), q) - pin.crba(bare, bare.createData(), q)
     np.testing.assert_allclose(difference, np.diag([0.5, 0.0, 2.0, 0.0]), atol=1e-12)
@@ -321,12 +325,12 @@ def test_armature_of_a_urdf_adds_to_the_mass_matrix() -> None:
 @pytest.mark.parametrize("entry", ["j1", "j1=", "=1", "j1=-1", "j1=nan", "j1=inf", "j1=heavy", "j9=1"])
 def test_an_armature_that_makes_no_sense_is_named(entry: str) -> None:
     with pytest.raises(RobotError, match="armature"):
-        robot_from_urdf(SCARA, "scara", MonitorSettings(armature=(entry,)))
+        parse(armature=(entry,))
 
 
 def test_an_armature_given_twice_is_named() -> None:
     with pytest.raises(RobotError, match="each joint once"):
-        robot_from_urdf(SCARA, "scara", MonitorSettings(armature=("j1=1", "j1=2")))
+        parse(armature=("j1=1", "j1=2"))
 
 
 def test_the_link_before_a_locked_joint_is_a_tip() -> None:
@@ -337,25 +341,23 @@ def test_the_link_before_a_locked_joint_is_a_tip() -> None:
         link("finger", 0.01),
         joint("finger_joint", "tip", "finger"),
     )
-    robot = parse_urdf(text, "scara", locked_joints=("*finger*",))
+    robot = parse(text, locked_joints=("*finger*",))
     assert list(robot.contact_frames) == ["tip"]
     assert robot.joint_names == ("j1", "j2", "j3", "j4")
 
 
 def test_an_arm_that_ends_in_locked_joints_is_watched_where_they_begin() -> None:
-    robot = parse_urdf(SCARA, "scara", locked_joints=("j3", "j4"))
+    robot = parse(locked_joints=("j3", "j4"))
     assert list(robot.contact_frames) == ["fore"]
     assert robot.joint_names == ("j1", "j2")
 
 
 def test_an_arm_that_is_locked_throughout_says_so() -> None:
     with pytest.raises(RobotError, match=r"fixed to the base \(locked: j1, j2, j3, j4\)"):
-        parse_urdf(SCARA, "scara", locked_joints=("j*",))
+        parse(locked_joints=("j*",))
 
 
 def test_tensors_of_some_links_only_are_no_full_model() -> None:
     text = SCARA.replace('izz="0.02272"', 'izz="0"').replace('ixx="0.02" iyy="0.02" izz="0"', 'ixx="0" iyy="0" izz="0"')
     assert text != SCARA
-    assert (
-        RobotDynamics(parse_urdf(text, "scara")).full_reason == "no inertia tensor for fore, while other links have one"
-    )
+    assert RobotDynamics(parse(text)).full_reason == "no inertia tensor for fore, while other links have one"

@@ -68,7 +68,7 @@ def test_what_it_cannot_use_is_one_line_and_2(
         ("body_regions:=[face]", "body_regions = 'face': the standard gives no transient limit"),
         ("max_force:=1000.0", "max_force = 1000 N: looser than the standard's"),
         ("robot:={typo}", "{typo}: robot: Field required"),
-        ("contact_points:=[nose]", "{shipped}: no contact point 'nose': it has tool"),
+        ("contact_points:=[nose]", "{shipped}: contact_points = 'nose': must be one of tool"),
         (
             "qos_overrides./joint_states.subscription.reliability:=often",
             "monitor: qos_overrides: Unexpected QoS override",

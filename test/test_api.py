@@ -1,0 +1,36 @@
+"""The public names of the package, and the example in the README."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import scara_effmass
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+def test_readme_example_prints_verdict_mass_and_allowable_speed(capsys: pytest.CaptureFixture[str]) -> None:
+    example = re.search(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    assert example is not None
+    exec(compile(example[1], str(README), "exec"), {})  # noqa: S102 - written by the project
+    assert capsys.readouterr().out == "OK 1.12 kg 1.188 m/s\n"
+
+
+@pytest.mark.parametrize("name", scara_effmass.__all__)
+def test_public_name_is_documented(name: str) -> None:
+    assert getattr(scara_effmass, name).__doc__
+
+
+def test_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = scara_effmass.nonsense
+
+
+def test_import_alone_loads_no_room() -> None:
+    code = "import sys, scara_effmass; print([name for name in sys.modules if name.startswith('scara_effmass.')])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout == "[]\n"
