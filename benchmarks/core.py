@@ -1,4 +1,4 @@
-"""(a) One cycle of the core against the plain way to one effective mass with Pinocchio and numpy."""
+"""(a) One cycle of the core against the direct computation of one effective mass with Pinocchio and numpy."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ BLOCKS = 60
 
 
 def measure() -> tuple[float, float]:
-    """Return the median time per cycle [us] of the core and of the plain computation, timed in turn."""
+    """Return the median time per cycle [us] of the core and of the direct computation, timed in turn."""
     settings = MonitorSettings()
     robot = load_robot(share("config", "omron_i4_550l.yaml"), settings)
     monitor = Monitor(RobotDynamics(robot), settings)
-    states = _states()
+    states = smooth_motion()
     frame = robot.contact_frames["tool"]
     data = robot.model.createData()
 
-    def plain(state: JointState) -> float:
-        """M(q) by CRBA, J, then m_n of the full model alone along the velocity, Eqs. 3-8."""
+    def direct(state: JointState) -> float:
+        """Return m_n of the full model along the velocity from CRBA and the Jacobian, Eqs. 3-8."""
         mass_matrix = pin.crba(robot.model, data, state.position)
         jacobian = pin.computeFrameJacobian(
             robot.model, data, state.position, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -45,14 +45,14 @@ def measure() -> tuple[float, float]:
     def core(state: JointState) -> object:
         return monitor.assess(state, state.stamp_ns)
 
-    # As the node does when it is up: the recorded states must not be searched for garbage again and again.
+    # As the node does after start-up: keep the garbage collector away from the prepared states.
     gc.collect()
     gc.freeze()
     ours, theirs = [], []
     for block in range(BLOCKS):
         chunk = states[block * CYCLES_PER_BLOCK : (block + 1) * CYCLES_PER_BLOCK]
         ours.append(_time(core, chunk))
-        theirs.append(_time(plain, chunk))
+        theirs.append(_time(direct, chunk))
     return float(np.median(ours)), float(np.median(theirs))
 
 
@@ -63,11 +63,11 @@ def _time(function: Callable[[JointState], object], states: list[JointState]) ->
     return (time.perf_counter() - started) / len(states) * 1e6
 
 
-def _states() -> list[JointState]:
-    """Return 1 kHz joint states of a smooth motion at collaborative speeds, as the decoder hands them over.
+def smooth_motion() -> list[JointState]:
+    """Return 1 kHz joint states of a smooth motion at collaborative speeds.
 
-    The tool moves at 0.15 m/s in the mean and every verdict is OK; one that is not also has a reason written,
-    which makes the cycle about a tenth longer.
+    The tool moves at 0.15 m/s on average and every verdict is OK. Other verdicts also format a reason, which makes a
+    cycle about a tenth longer.
     """
     names = ("joint1", "joint2", "joint3", "joint4")
     amplitudes, offsets = np.array([1.5, 1.2, 0.05, 1.0]), np.array([0.0, 0.8, 0.2, 0.0])

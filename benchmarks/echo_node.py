@@ -1,4 +1,4 @@
-"""A bare node for comparison: the monitor's messages in and out, and nothing computed in between."""
+"""Bare node for comparison: the monitor's message types in and out, without any computation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ OUT = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.K
 
 
 class EchoNode(Node):
-    """Answers each joint state with one ContactState and two numbers that never change but for the stamp."""
+    """Answer each joint state with a constant ContactState, restamped, and two constant numbers."""
 
     def __init__(self) -> None:
         super().__init__("echo")

@@ -1,4 +1,4 @@
-"""(b) The live monitor at 1 kHz against a bare node that answers with the same messages."""
+"""(b) The live monitor at 1 kHz against a bare node that publishes the same message types."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TARGETS = {
 
 
 class Run(NamedTuple):
-    """One target at 1 kHz: messages, latency from stamp to answer [us], CPU [share of a core], memory [MB]."""
+    """One run at 1 kHz: message counts, latency from stamp to answer [us], CPU [share of a core], memory [MB]."""
 
     sent: int
     answered: int
@@ -52,7 +52,7 @@ def measure() -> dict[str, list[Run]]:
 
 
 class Sender(Node):
-    """Publishes joint states of a sweeping arm and takes the time until each is answered."""
+    """Publish joint states of a sweeping arm and measure the time to each answer."""
 
     def __init__(self) -> None:
         super().__init__("sender")
@@ -67,17 +67,17 @@ class Sender(Node):
         self._timer = self.create_timer(PERIOD_S, self._send)
 
     def connected(self) -> bool:
-        """Return whether the target listens and answers."""
+        """Return whether the target has subscribed to the joint states and publishes contact states."""
         return self._publisher.get_subscription_count() > 0 and self.count_publishers("contact_state") > 0
 
     def count_from_now(self) -> None:
-        """Forget the warm-up."""
+        """Discard the counts of the warm-up."""
         self.sent = 0
         self.latencies_ns = []
         self._first_ns = time.time_ns()
 
     def stop(self) -> None:
-        """Send no more; answers still under way are taken."""
+        """Stop sending; answers that arrive later still count."""
         self._timer.cancel()
 
     def _send(self) -> None:
@@ -91,13 +91,13 @@ class Sender(Node):
     def _on_answer(self, answer: ContactState) -> None:
         now_ns = time.time_ns()
         stamp_ns = answer.header.stamp.sec * 1_000_000_000 + answer.header.stamp.nanosec
-        # What the monitor's watchdog says during a stall answers no joint state.
+        # Contact states from the watchdog answer no joint state.
         if stamp_ns >= self._first_ns and not answer.watchdog:
             self.latencies_ns.append(now_ns - stamp_ns)
 
 
 def _motion() -> list[tuple[array[float], array[float]]]:
-    """Return positions and velocities of one period of a sweep at 1 kHz, ready to be sent."""
+    """Return the positions and velocities of one period of a sweep at 1 kHz."""
     t = np.arange(0.0, 2.0 * np.pi, PERIOD_S)
     still, slow = np.full_like(t, 0.2), np.full_like(t, 1e-6)
     q = np.column_stack([np.sin(t), 1.0 + 0.8 * np.sin(t), still, np.sin(t)])
