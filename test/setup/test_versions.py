@@ -1,4 +1,4 @@
-"""One version, one description, and a lock that fits what is asked for."""
+"""Version and description are stated once; the locked requirements satisfy pyproject.toml."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def locked(python: str, name: str) -> dict[str, str]:
     lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
     requirements = [Requirement(line) for line in lines if line and not line.startswith("#")]
     environment = {"python_version": python, "python_full_version": f"{python}.0", "sys_platform": "linux"}
-    found: dict[str, str] = {}
+    versions: dict[str, str] = {}
     for requirement in requirements:
         if requirement.marker is None or requirement.marker.evaluate(environment):
-            assert requirement.name not in found, f"{requirement.name} twice on Python {python}"
-            found[requirement.name] = str(requirement.specifier).removeprefix("==")
-    return found
+            assert requirement.name not in versions, f"{requirement.name} twice on Python {python}"
+            versions[requirement.name] = str(requirement.specifier).removeprefix("==")
+    return versions
 
 
 def test_both_packages_have_the_installed_version() -> None:
@@ -58,8 +58,9 @@ def test_description_comes_from_the_manifest() -> None:
     assert metadata("scara_effmass")["Summary"] == manifest("package.xml").findtext("description")
 
 
-def test_changelog_has_the_version() -> None:
-    assert f"\n## {version('scara_effmass')}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+def test_changelog_and_citation_have_the_version() -> None:
+    assert f"\nversion: {version('scara_effmass')}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\n## [{version('scara_effmass')}] - " in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("python", PYTHONS)
@@ -67,31 +68,31 @@ def test_changelog_has_the_version() -> None:
     ("lock", "extras", "groups"),
     [("requirements.lock", ["dev"], ["build"]), ("requirements-colcon.lock", [], ["build", "colcon"])],
 )
-def test_the_lock_holds_all_that_is_required(python: str, lock: str, extras: list[str], groups: list[str]) -> None:
+def test_lock_satisfies_requirements(python: str, lock: str, extras: list[str], groups: list[str]) -> None:
     versions = locked(python, lock)
     table = project()
-    wanted = [*direct_requirements(*extras), *table["build-system"]["requires"]]
-    for text in wanted + [text for group in groups for text in table["dependency-groups"][group]]:
+    requirements = [*direct_requirements(*extras), *table["build-system"]["requires"]]
+    for text in requirements + [text for group in groups for text in table["dependency-groups"][group]]:
         requirement = Requirement(text)
         name = re.sub(r"[-_.]+", "-", requirement.name).lower()
-        assert requirement.specifier.contains(versions[name]), f"{lock}: {name} {versions[name]}, wanted {text}"
+        assert requirement.specifier.contains(versions[name]), f"{lock}: {name} {versions[name]}, must be {text}"
 
 
 @pytest.mark.parametrize("python", PYTHONS)
-def test_the_two_locks_agree(python: str) -> None:
+def test_locks_agree(python: str) -> None:
     tests, colcon = locked(python, "requirements.lock"), locked(python, "requirements-colcon.lock")
     assert {name: colcon[name] for name in tests.keys() & colcon} == {
         name: tests[name] for name in tests.keys() & colcon
     }
 
 
-def test_the_locks_name_no_host_and_no_path() -> None:
+def test_locks_contain_no_host_and_no_path() -> None:
     for path in ROOT.glob("requirements*.lock"):
         text = path.read_text(encoding="utf-8")
         assert not re.search(r"://|@ |^-|^/", text, re.MULTILINE), path.name
 
 
 @pytest.mark.parametrize("requirement", direct_requirements())
-def test_every_direct_dependency_has_its_reason(requirement: str) -> None:
+def test_decisions_explain_every_direct_dependency(requirement: str) -> None:
     name = Requirement(requirement).name
     assert re.search(rf"\b{re.escape(name)}\b", (ROOT / "docs/decisions.md").read_text(encoding="utf-8"), re.IGNORECASE)
