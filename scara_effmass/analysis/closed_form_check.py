@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.scara_closed_form import largest_lumped_mass, lumped_mass
+from scara_effmass.model.scara_closed_form import scara_lumped_mass, scara_max_lumped_mass
 
 if TYPE_CHECKING:
     from scara_effmass.model.dynamics import RobotDynamics
@@ -65,9 +65,9 @@ class ClosedFormCheck:
         q1, q2, nx, ny, nz, mass = np.array(self._rows).T
         q1, q2 = self._zero[0] + self._sign[0] * q1, self._zero[1] + self._sign[1] * q2
         with np.errstate(divide="ignore", invalid="ignore"):
-            planar = lumped_mass(q1, q2, np.arctan2(ny, nx), self._m2, self._m3)
+            planar = scara_lumped_mass(q1, q2, np.arctan2(ny, nx), self._m2, self._m3)
             along = 1.0 / ((nx**2 + ny**2) / planar + nz**2 / self._mz)
-            worst = np.maximum(largest_lumped_mass(q2, self._m2, self._m3), self._mz)
+            worst = np.maximum(scara_max_lumped_mass(q2, self._m2, self._m3), self._mz)
         directed = nx**2 + ny**2 + nz**2 > 0.0
         right = np.minimum(np.where(directed, along, worst), self._cap)
         self._worst = max(self._worst, float(np.max(np.abs(mass - right) / right)))

@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 
 from scara_effmass.analysis.plot_style import INK, ISO_RED, new_figure
 from scara_effmass.analysis.validation_marks import GREY, Marks, color, shown
+from scara_effmass.iso15066 import force_per_root_stiffness
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -194,7 +195,7 @@ PLOTS = (
 def _with(model: str, result: Result) -> list[tuple[ValidatedImpact, float]]:
     """Return the impacts for which `model` has a mass, with v sqrt(mu)."""
     return [
-        (impact, impact.speed * math.sqrt(prediction.reduced_mass))
+        (impact, force_per_root_stiffness(impact.speed, prediction.reduced_mass))
         for impact in result.impacts
         for prediction in impact.predictions
         if prediction.model == model

@@ -10,6 +10,7 @@ import numpy as np
 from scara_effmass.impacts.agreement import SAME, agreement, is_conservative
 from scara_effmass.impacts.criterion import compare
 from scara_effmass.impacts.robot_track import MODELS
+from scara_effmass.iso15066 import force_per_root_stiffness, peak_force, reduced_mass
 from scara_effmass.settings import MassModel
 from scara_effmass.values import Prediction
 
@@ -30,15 +31,15 @@ def mass(model: str, pair: Paired) -> float:
     return masses[model]
 
 
-def reduced_mass(model: str, pair: Paired) -> float:
+def reduced_mass_of(model: str, pair: Paired) -> float:
     """Return (1 / m_n + 1 / m_H)^-1 [kg]."""
-    return 1.0 / (1.0 / mass(model, pair) + 1.0 / pair.run.obstacle_mass)
+    return reduced_mass(mass(model, pair), pair.run.obstacle_mass)
 
 
 def predicted(model: str, pair: Paired, stiffness: float) -> Prediction:
     """Return the peak force that `model`, which has a mass, predicts with `stiffness` [N/m]: F = v sqrt(mu k)."""
-    mu, measured = reduced_mass(model, pair), pair.impact.peak_force
-    force = pair.state.speed * math.sqrt(mu * stiffness)
+    mu, measured = reduced_mass_of(model, pair), pair.impact.peak_force
+    force = peak_force(pair.state.speed, mu, stiffness)
     spreads = dict(zip(MODELS, pair.state.mass_spreads, strict=True))
     return Prediction(
         model=model,
@@ -62,7 +63,7 @@ def agreement_of(
 ) -> Agreement:
     """Return the agreement of `model` over those of `pairs` for which it has a mass; as `agreement`."""
     usable = [pair for pair in pairs if has_mass(model, pair)]
-    x = np.array([pair.state.speed * math.sqrt(reduced_mass(model, pair)) for pair in usable])
+    x = np.array([force_per_root_stiffness(pair.state.speed, reduced_mass_of(model, pair)) for pair in usable])
     force = np.array([pair.impact.peak_force for pair in usable])
     return agreement(x, force, stiffness, shortfall_tolerance)
 
@@ -71,6 +72,6 @@ def comparison_of(models: Iterable[str], pairs: Sequence[Paired]) -> Comparison:
     """Compare those of `models` that have any mass at all, on the impacts for which they all have one."""
     present = [model for model in models if any(has_mass(model, pair) for pair in pairs)]
     common = [pair for pair in pairs if all(has_mass(model, pair) for model in present)]
-    masses = [np.array([reduced_mass(model, pair) for pair in common]) for model in present]
+    masses = [np.array([reduced_mass_of(model, pair) for pair in common]) for model in present]
     same_mass = bool(common) and all(np.ptp(mu) <= SAME * mu.max() for mu in masses)
     return compare({model: agreement_of(model, common) for model in present}, same_mass=same_mass)

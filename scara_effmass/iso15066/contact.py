@@ -1,4 +1,7 @@
-"""Mechanics of the contact: two masses and a linear spring (ISO/TS 15066:2016, Annex A)."""
+"""Contact of two masses through a linear spring (ISO/TS 15066:2016, Annex A): m_R, mu, F and E.
+
+The only implementation of these formulas; v_max, their inverse, is in `speed_limit`.
+"""
 
 from __future__ import annotations
 
@@ -8,26 +11,36 @@ from typing import TypeVar
 from scara_effmass.values import FloatArray
 
 Quantity = TypeVar("Quantity", float, FloatArray)
-"""One value, or an array of any shape; arrays in one call have the same shape."""
+"""A scalar or an array of any shape; the arrays of one call have the same shape."""
 
 
-def reduced_mass(robot_mass: Quantity, obstacle_mass: float) -> Quantity:
-    """Return mu = (1/m_R + 1/m_H)^-1 [kg] of two positive masses [kg], either of which may be infinite.
+def robot_mass(moving_mass: float, payload_mass: float) -> float:
+    """Return m_R = M/2 + m_L [kg], the standard's effective mass of a robot in any configuration (Eq. 17)."""
+    return moving_mass / 2.0 + payload_mass
 
-    A clamped body part is an infinite `obstacle_mass`: mu is then `robot_mass` itself.
+
+def reduced_mass(effective_mass: Quantity, obstacle_mass: float) -> Quantity:
+    """Return mu = 1 / (1/m_R + 1/m_H) [kg] of two positive masses [kg], either of which may be infinite.
+
+    A clamped body part has an infinite `obstacle_mass`: mu is then `effective_mass`.
     """
     if math.isinf(obstacle_mass):
-        return robot_mass
-    return 1.0 / (1.0 / robot_mass + 1.0 / obstacle_mass)
+        return effective_mass
+    return 1.0 / (1.0 / effective_mass + 1.0 / obstacle_mass)
 
 
 def peak_force(speed: Quantity | float, reduced_mass: Quantity, stiffness: float) -> Quantity:
-    """Return F = v sqrt(mu k) [N], from the relative speed [m/s], the reduced mass [kg] and the stiffness [N/m]."""
+    """Return F = v sqrt(mu k) [N] for the relative speed [m/s], the reduced mass [kg] and the stiffness [N/m]."""
     force: Quantity = speed * (reduced_mass * stiffness) ** 0.5
     return force
 
 
+def force_per_root_stiffness(speed: Quantity | float, reduced_mass: Quantity) -> Quantity:
+    """Return F / sqrt(k) = v sqrt(mu) [m/s sqrt(kg)], over which measured peak forces lie on a straight line."""
+    return peak_force(speed, reduced_mass, 1.0)
+
+
 def transferred_energy(speed: Quantity | float, reduced_mass: Quantity) -> Quantity:
-    """Return E = mu v^2 / 2 [J], from the relative speed [m/s] and the reduced mass [kg]."""
+    """Return E = mu v^2 / 2 [J] for the relative speed [m/s] and the reduced mass [kg]."""
     energy: Quantity = 0.5 * reduced_mass * speed**2
     return energy

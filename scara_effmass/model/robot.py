@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
+from scara_effmass.iso15066 import robot_mass
 from scara_effmass.model.inertial_check import check_inertials
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class Robot:
     @property
     def iso_mass(self) -> float:
         """m_R = M/2 + m_L, the configuration-independent effective mass of ISO/TS 15066 (Eq. 17) [kg]."""
-        return self.moving_mass / 2.0 + self.payload_mass
+        return robot_mass(self.moving_mass, self.payload_mass)
 
     def axis_in_joint_frame(self, joint: int) -> FloatArray:
         """Return the unit axis (3,) of joint `joint` (1-based, as Pinocchio counts) in its own frame."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from scara_effmass.values import FloatArray
 
 
-def lumped_mass(q1: ArrayLike, q2: ArrayLike, phi: ArrayLike, m2: float, m3: float) -> FloatArray:
+def scara_lumped_mass(q1: ArrayLike, q2: ArrayLike, phi: ArrayLike, m2: float, m3: float) -> FloatArray:
     """m_n of the simplified model, Eq. 28; infinite in the singular pose q2 = 0, q1 = phi.
 
     `m2`, `m3` are the equivalent planar masses at the elbow and at the end-effector.
@@ -29,7 +29,7 @@ def lumped_mass(q1: ArrayLike, q2: ArrayLike, phi: ArrayLike, m2: float, m3: flo
         return np.asarray(numerator / denominator, dtype=np.float64)
 
 
-def largest_lumped_mass(q2: ArrayLike, m2: float, m3: float) -> FloatArray:
+def scara_max_lumped_mass(q2: ArrayLike, m2: float, m3: float) -> FloatArray:
     """m_n where the second link lies along n, q2 = phi - q1, Eq. 30; infinite at q2 = 0."""
     with np.errstate(divide="ignore", over="ignore"):
         return np.asarray(m3 + m2 / np.sin(q2) ** 2, dtype=np.float64)
@@ -53,7 +53,7 @@ class ScaraInertia:
     i4: float
 
 
-def full_mass(q1: ArrayLike, q2: ArrayLike, phi: ArrayLike, scara: ScaraInertia) -> FloatArray:
+def scara_full_mass(q1: ArrayLike, q2: ArrayLike, phi: ArrayLike, scara: ScaraInertia) -> FloatArray:
     """m_n of the full model, Eq. 27, with M11, M12, M22 as printed after Eq. 24."""
     s = scara
     tool = s.m3 + s.m4

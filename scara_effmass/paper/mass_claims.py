@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scara_effmass.model.scara_closed_form import largest_lumped_mass
+from scara_effmass.model.scara_closed_form import scara_max_lumped_mass
 from scara_effmass.paper.claim import Basis, at_most, holds, more_than, near
 from scara_effmass.paper.density import at_positions, over_workspace, peaks
 from scara_effmass.paper.mass_maps import relative_error
@@ -80,7 +80,7 @@ def _extremes(scara: Scara) -> Iterator[Claim]:
         "holds at each q₂, with q₁ turning; along q₂ at fixed q₁ the largest value lies elsewhere",
     )
     there = scara.lumped(direction - q2, q2, direction)
-    largest = largest_lumped_mass(q2, scara.m2, scara.m3)
+    largest = scara_max_lumped_mass(q2, scara.m2, scara.m3)
     yield at_most(
         "maximum_is_eq_30",
         "Eq. 30",

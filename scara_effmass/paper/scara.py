@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.scara_closed_form import ScaraInertia, full_mass, lumped_mass
+from scara_effmass.model.scara_closed_form import ScaraInertia, scara_full_mass, scara_lumped_mass
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -38,11 +38,11 @@ class Scara:
 
     def lumped(self, q1: ArrayLike, q2: ArrayLike, phi: ArrayLike = 0.0) -> FloatArray:
         """m_n of the simplified model, Eq. 28."""
-        return lumped_mass(q1, q2, phi, self.m2, self.m3)
+        return scara_lumped_mass(q1, q2, phi, self.m2, self.m3)
 
     def full(self, q1: ArrayLike, q2: ArrayLike, phi: ArrayLike = 0.0) -> FloatArray:
         """m_n of the full model, Eq. 27."""
-        return full_mass(q1, q2, phi, self.inertia)
+        return scara_full_mass(q1, q2, phi, self.inertia)
 
     def tool(self, q1: FloatArray, q2: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return x and y of the tool axis."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scara_effmass.analysis.plot_style import CYCLE, INK, ISO_RED, new_figure
-from scara_effmass.model.scara_closed_form import largest_lumped_mass
+from scara_effmass.model.scara_closed_form import scara_max_lumped_mass
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +34,7 @@ def figure_7(scara: Scara) -> Figure:
     _draw_arm(heavy, scara, HEAVY_Q1, q2)
     heavy.set_title(
         "(b) second link along n:  $q_2 = -q_1 + \\phi$\n"
-        f"$m_{{x,s}} = M_3 + M_2 / \\sin^2 q_2$ = {largest_lumped_mass(q2, scara.m2, scara.m3):.2f} kg"
+        f"$m_{{x,s}} = M_3 + M_2 / \\sin^2 q_2$ = {scara_max_lumped_mass(q2, scara.m2, scara.m3):.2f} kg"
     )
     return figure
 

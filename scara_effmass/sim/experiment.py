@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from scara_effmass.errors import RobotError, SettingsError
+from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.share import share
 from scara_effmass.sim.as_recorded import force_blocks, joint_states
 from scara_effmass.sim.collision_sim import NEAR_NS, TICK_NS, CollisionSim
@@ -133,5 +134,5 @@ def _masses(cell: CollisionSim, setup: ImpactSetup) -> _Masses:
     direction = np.array(setup.configuration.direction)
     normal = direction if setup.surface is None else np.array(setup.surface)
     effective = cell.effective_mass(normal)
-    cart_mobility = float(normal @ direction) ** 2 / setup.obstacle_mass
-    return _Masses(effective, 1.0 / (1.0 / effective + cart_mobility))
+    cart_mass = setup.obstacle_mass / float(normal @ direction) ** 2  # along the normal
+    return _Masses(effective, reduced_mass(effective, cart_mass))

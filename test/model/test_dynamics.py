@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.dynamics import RobotDynamics, smallest_eigenvalue
-from scara_effmass.model.scara_closed_form import lumped_mass
+from scara_effmass.model.scara_closed_form import scara_lumped_mass
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -188,7 +188,9 @@ class TestPlanarArm:
         phi = np.linspace(0.0, np.pi, 20001)
         for q in arm.robot.sample_configurations():
             (effective_masses,) = arm.effective_masses(q, np.zeros(2), 0.005)
-            assert effective_masses.worst_lumped == pytest.approx(lumped_mass(q[0], q[1], phi, m2, m3).max(), rel=1e-4)
+            assert effective_masses.worst_lumped == pytest.approx(
+                scara_lumped_mass(q[0], q[1], phi, m2, m3).max(), rel=1e-4
+            )
             assert math.isfinite(effective_masses.worst_full)
 
     def test_stretched_arm_is_heavy(self, arm: RobotDynamics) -> None:
@@ -313,7 +315,7 @@ def test_inclined_normals_mix_the_planar_and_the_vertical_mass(
     rise: float,
 ) -> None:
     assert omron_arm.lumped is not None
-    planar = float(lumped_mass(q1, q2, phi, *omron_arm.lumped.planar_masses(omron)))
+    planar = float(scara_lumped_mass(q1, q2, phi, *omron_arm.lumped.planar_masses(omron)))
     vertical = 0.2 + 0.1 + 0.25  # what joint 3 moves
     n = [math.cos(rise) * math.cos(phi), math.cos(rise) * math.sin(phi), math.sin(rise)]
     expected = 1.0 / (math.cos(rise) ** 2 / planar + math.sin(rise) ** 2 / vertical)

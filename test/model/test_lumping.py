@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scara_effmass.errors import RobotError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.lumping import is_scara, lump
-from scara_effmass.model.scara_closed_form import lumped_mass
+from scara_effmass.model.scara_closed_form import scara_lumped_mass
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -104,7 +104,7 @@ class TestCentreOfMassOutsideTheSlab:
         m2, m3 = arm.lumped.planar_masses(robot)
         effective_masses = along(arm, [0.4, 1.2, 0.1, 0.0], [0.6, 0.8, 0.0])
         assert effective_masses.lumped == pytest.approx(
-            float(lumped_mass(0.4, 1.2, math.atan2(0.8, 0.6), m2, m3)), rel=1e-9
+            float(scara_lumped_mass(0.4, 1.2, math.atan2(0.8, 0.6), m2, m3)), rel=1e-9
         )
 
 
@@ -225,7 +225,7 @@ def test_any_scara_is_its_planar_masses(
     q1, q2, phi = 0.4, 1.2, 0.9
     assume(abs(math.sin(q2)) > 0.1)
     effective_masses = along(arm, [q1, q2, 0.1, 0.0], [math.cos(phi), math.sin(phi), 0.0])
-    assert effective_masses.lumped == pytest.approx(float(lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
+    assert effective_masses.lumped == pytest.approx(float(scara_lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
 
 
 def test_robot_that_is_no_scara_has_no_planar_masses(

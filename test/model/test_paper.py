@@ -9,7 +9,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from scara_effmass.model.scara_closed_form import ScaraInertia, full_mass, largest_lumped_mass, lumped_mass
+from scara_effmass.model.scara_closed_form import (
+    ScaraInertia,
+    scara_full_mass,
+    scara_lumped_mass,
+    scara_max_lumped_mass,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -88,8 +93,8 @@ def test_matrix_path_gives_eqs_27_and_28(
     assert omron_arm.lumped is not None
     effective_masses = along(omron_arm, [q1, q2, 0.1, 0.3], [np.cos(phi), np.sin(phi), 0.0])
     m2, m3 = omron_arm.lumped.planar_masses(omron)
-    assert effective_masses.lumped == pytest.approx(float(lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
-    assert effective_masses.full == pytest.approx(float(full_mass(q1, q2, phi, FITTED)), rel=1e-6)
+    assert effective_masses.lumped == pytest.approx(float(scara_lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
+    assert effective_masses.full == pytest.approx(float(scara_full_mass(q1, q2, phi, FITTED)), rel=1e-6)
 
 
 def test_matrix_path_gives_eqs_27_and_28_on_thousands_of_cases(
@@ -102,40 +107,40 @@ def test_matrix_path_gives_eqs_27_and_28_on_thousands_of_cases(
     states = [
         along(omron_arm, [a, b, 0.2, c], [np.cos(c), np.sin(c), 0.0]) for a, b, c in zip(q1, q2, phi, strict=True)
     ]
-    lumped = lumped_mass(q1, q2, phi, *omron_arm.lumped.planar_masses(omron))
+    lumped = scara_lumped_mass(q1, q2, phi, *omron_arm.lumped.planar_masses(omron))
     np.testing.assert_allclose([s.lumped for s in states], lumped, rtol=1e-9)
-    np.testing.assert_allclose([s.full for s in states], full_mass(q1, q2, phi, FITTED), rtol=1e-9)
+    np.testing.assert_allclose([s.full for s in states], scara_full_mass(q1, q2, phi, FITTED), rtol=1e-9)
 
 
 @given(q1=q1_values, phi=directions)
 def test_smallest_mass_is_m3(q1: float, phi: float) -> None:
     assume(abs(np.cos(q1 - phi)) > 1e-6)
-    assert lumped_mass(q1, -q1 + phi + np.pi / 2.0, phi, M2, M3) == pytest.approx(M3, rel=1e-12)
+    assert scara_lumped_mass(q1, -q1 + phi + np.pi / 2.0, phi, M2, M3) == pytest.approx(M3, rel=1e-12)
 
 
 @given(q1=q1_values, q2=q2_values, phi=directions)
 def test_no_mass_is_below_m3(q1: float, q2: float, phi: float) -> None:
-    assert lumped_mass(q1, q2, phi, M2, M3) >= M3 * (1.0 - 1e-12)
+    assert scara_lumped_mass(q1, q2, phi, M2, M3) >= M3 * (1.0 - 1e-12)
 
 
 @given(q2=q2_values, phi=directions)
 def test_largest_mass_is_eq_30(q2: float, phi: float) -> None:
     assume(abs(np.sin(q2)) > 1e-3)
-    largest = largest_lumped_mass(q2, M2, M3)
+    largest = scara_max_lumped_mass(q2, M2, M3)
     assert largest >= M2 + M3 - 1e-12
-    assert lumped_mass(phi - q2, q2, phi, M2, M3) == pytest.approx(float(largest), rel=1e-6)
+    assert scara_lumped_mass(phi - q2, q2, phi, M2, M3) == pytest.approx(float(largest), rel=1e-6)
 
 
 def test_stretched_arm_is_infinitely_heavy_along_itself() -> None:
-    assert largest_lumped_mass(0.0, M2, M3) == np.inf
-    assert lumped_mass(0.0, 0.0, 0.0, M2, M3) == np.inf
-    assert full_mass(0.0, 0.0, 0.0, FITTED) == np.inf
+    assert scara_max_lumped_mass(0.0, M2, M3) == np.inf
+    assert scara_lumped_mass(0.0, 0.0, 0.0, M2, M3) == np.inf
+    assert scara_full_mass(0.0, 0.0, 0.0, FITTED) == np.inf
 
 
 @given(q1=q1_values, q2=q2_values, phi=directions, turn=directions)
 def test_turning_robot_and_direction_changes_nothing(q1: float, q2: float, phi: float, turn: float) -> None:
     assume(abs(np.sin(q2)) > 1e-2)
-    for law, parameters in ((lumped_mass, (M2, M3)), (full_mass, (FITTED,))):
+    for law, parameters in ((scara_lumped_mass, (M2, M3)), (scara_full_mass, (FITTED,))):
         mass = float(law(q1, q2, phi, *parameters))
         assert law(q1 + turn, q2, phi + turn, *parameters) == pytest.approx(mass, rel=1e-6)
         assert law(-q1, -q2, -phi, *parameters) == pytest.approx(mass, rel=1e-9)
@@ -145,7 +150,7 @@ def test_turning_robot_and_direction_changes_nothing(q1: float, q2: float, phi: 
 def test_distribution_over_the_workspace_along_x() -> None:
     q1, q2 = right_arm_grid(2000)
     area = np.sin(q2)  # |d(x, y) / d(q1, q2)| = l1 l2 |sin q2|
-    mass = lumped_mass(q1, q2, 0.0, M2, M3)
+    mass = scara_lumped_mass(q1, q2, 0.0, M2, M3)
     assert np.average(mass < M_R, weights=area) == pytest.approx(0.709, abs=5e-4)
     assert np.average(mass > M_R, weights=area) == pytest.approx(0.29, abs=5e-3)
     assert np.average(mass, weights=area) == pytest.approx(2.359, abs=1e-3)
@@ -154,7 +159,7 @@ def test_distribution_over_the_workspace_along_x() -> None:
 
 def test_distribution_over_the_workspace_along_y() -> None:
     q1, q2 = right_arm_grid(2000)
-    mass = lumped_mass(q1, q2, np.pi / 2.0, M2, M3)
+    mass = scara_lumped_mass(q1, q2, np.pi / 2.0, M2, M3)
     assert np.average(mass < M_R, weights=np.sin(q2)) == pytest.approx(0.773, abs=5e-4)
     assert weighted_median(mass, np.sin(q2)) == pytest.approx(1.427, abs=1e-3)
 
@@ -162,7 +167,7 @@ def test_distribution_over_the_workspace_along_y() -> None:
 def test_distribution_has_its_two_peaks() -> None:
     q1, q2 = right_arm_grid(1000)
     density, edges = np.histogram(
-        lumped_mass(q1, q2, 0.0, M2, M3), bins=np.arange(M3 - 0.07, 6.0, 0.1), weights=np.sin(q2), density=True
+        scara_lumped_mass(q1, q2, 0.0, M2, M3), bins=np.arange(M3 - 0.07, 6.0, 0.1), weights=np.sin(q2), density=True
     )
     inner = np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] > density[2:])) + 1
     peaks = (edges[inner] + edges[inner + 1]) / 2.0
@@ -171,7 +176,7 @@ def test_distribution_has_its_two_peaks() -> None:
 
 def test_errors_of_the_simplified_model_on_the_grid_of_50_by_50() -> None:
     q1, q2 = right_arm_grid(50)
-    simplified, full = lumped_mass(q1, q2, 0.0, M2, M3), full_mass(q1, q2, 0.0, FITTED)
+    simplified, full = scara_lumped_mass(q1, q2, 0.0, M2, M3), scara_full_mass(q1, q2, 0.0, FITTED)
     error = np.abs(full - simplified) / full
     assert error.max() == pytest.approx(0.1004, abs=1e-4)
     assert np.percentile(error, 75) == pytest.approx(0.0488, abs=1e-4)
@@ -194,7 +199,7 @@ def test_impact_point_of_figure_17(omron_arm: RobotDynamics, along: Callable[...
 
 @pytest.mark.parametrize(("y", "mass"), [(0.2, 0.981), (0.0, 1.247), (-0.2, 2.891)])
 def test_three_points_that_span_the_range(y: float, mass: float) -> None:
-    assert lumped_mass(*placed(0.3, y, elbow=1.0), 0.0, M2, M3) == pytest.approx(mass, abs=5e-4)
+    assert scara_lumped_mass(*placed(0.3, y, elbow=1.0), 0.0, M2, M3) == pytest.approx(mass, abs=5e-4)
 
 
 def test_reduced_mass_tends_to_the_obstacle() -> None:

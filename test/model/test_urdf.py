@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scara_effmass.errors import RobotError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.lumping import is_scara
-from scara_effmass.model.scara_closed_form import ScaraInertia, full_mass
+from scara_effmass.model.scara_closed_form import ScaraInertia, scara_full_mass
 from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.settings import MonitorSettings
 
@@ -116,7 +116,7 @@ def test_urdf_agrees_with_eq_27(along: Callable[..., EffectiveMasses]) -> None:
     scara = ScaraInertia(0.275, 0.275, 2.74, 2.0, 0.2, 0.35, 0.08029, 0.05775, 0.02952, 0.02272, 1e-4, 2e-4)
     for q in robot.sample_configurations():
         n = [np.cos(0.7), np.sin(0.7), 0.0]
-        assert along(arm, q, n).full == pytest.approx(float(full_mass(q[0], q[1], 0.7, scara)), rel=1e-6)
+        assert along(arm, q, n).full == pytest.approx(float(scara_full_mass(q[0], q[1], 0.7, scara)), rel=1e-6)
     assert arm.lumped is not None
     assert arm.lumped.planar_masses(robot) == pytest.approx((2.38, 0.97), abs=1e-3)
 
