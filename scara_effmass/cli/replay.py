@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from scara_effmass.nodes.replay import ReplayProgress, ReplayReport
 
 EXAMPLES = """\
-The clock of the recording is published on /clock: run the monitor with use_sim_time, or it takes old joint states
-for what they are, old.
+The time of the recording is published on /clock: run the nodes with use_sim_time, or the monitor answers UNKNOWN to
+old joint states. The replay starts when every node of the suite that runs on /clock, or subscribes to a replayed topic,
+is active, has received the clock and has discovered the others. If that takes longer than --wait, it fails and names
+the nodes that are not ready.
 
 examples:
   scara-effmass monitor -- -p use_sim_time:=true
@@ -55,7 +57,11 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         help="begin when so many listen to the joint states (default: 1)",
     )
     parser.add_argument(
-        "--wait", type=float, default=10.0, metavar="S", help="how long to wait for them [s] (default: 10)"
+        "--wait",
+        type=float,
+        default=30.0,
+        metavar="S",
+        help="maximum wait for the nodes [s] (default: 30)",
     )
     add_json(parser)
     parser.set_defaults(run=run)

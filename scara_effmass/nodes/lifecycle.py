@@ -26,6 +26,7 @@ from rclpy.utilities import remove_ros_args
 
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.nodes.readiness import report_readiness
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -73,6 +74,7 @@ class LifecycleBase(LifecycleNode):
         self._failure: Exception | None = None
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
+        report_readiness(self)
 
     def on_configure(self, state: State) -> TransitionCallbackReturn:
         """Set up; a refusal leaves the node unconfigured, with its reason in the log."""

@@ -46,8 +46,6 @@ class Lockstep:
         self.unanswered = 0
         self.not_awaited = 0
         self.publishers = 0
-        self.begun = False
-        """Whether anything has come: then its publisher has found this node."""
         self._timeout_ns = round(timeout_s * 1e9)
         self._decoder = JointStateDecoder()
         self._heard: set[Names] = set()
@@ -102,7 +100,6 @@ class Lockstep:
             raise EffmassError(f"{self.topic}: no answer to {GIVE_UP} joint states in a row; the monitor hangs")
 
     def _on_contact_state(self, data: bytes) -> None:
-        self.begun = True
         if self._awaited_ns is None or header_stamp_ns(data) == self._awaited_ns:
             self._answer_is_here = True
 

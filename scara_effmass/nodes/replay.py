@@ -20,7 +20,8 @@ from scara_effmass.bags.batches import LATEST_NS
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.lockstep import Lockstep
-from scara_effmass.nodes.replay_node import Interruption, ReplayNode
+from scara_effmass.nodes.readiness import ReadinessReports
+from scara_effmass.nodes.replay_node import Interruption, ReplayNode, settling_time_ns
 from scara_effmass.nodes.replay_publisher import JOINT_STATES, clock_publisher, replay_publishers
 from scara_effmass.nodes.replay_stamps import StampCheck
 from scara_effmass.nodes.replay_timeline import timeline
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 LATE_NS = 10_000_000
 _PROGRESS_NS = 100_000_000
-_FIRST_WORD_NS = 3_000_000_000
+_HANDSHAKE_STEP_NS = 50_000_000
 _NS = 1_000_000_000
 _DAY_S = 86400.0
 
@@ -56,9 +57,9 @@ class ReplayOptions:
     joint_states: str = ""
     """The topic that is published as /joint_states; empty: each keeps its name."""
     subscribers: int = 1
-    """How many have to listen to the joint states, or to some topic where there are none, before it begins."""
-    subscriber_timeout_s: float = 10.0
-    """How long to wait for them."""
+    """Minimum number of subscribers of the joint states, or of any topic without joint states, before the start."""
+    subscriber_timeout_s: float = 30.0
+    """Maximum wait for the nodes to get ready. DDS forgets a node that was killed after 20 s."""
     answer_timeout_s: float = 1.0
     """How long an answer may take at rate 0."""
 
@@ -173,6 +174,7 @@ class _Player:
                 "name the topic that is to be, or a rate"
             )
         self._answers = Lockstep(stage.node, options.answer_timeout_s) if options.rate == 0.0 else None
+        self._readiness = ReadinessReports(stage.node)  # after all other endpoints
         self._stamps = StampCheck()
         self._unacknowledged: list[str] = []
         self._passes = 0
@@ -186,7 +188,7 @@ class _Player:
 
     def play(self) -> None:
         """Wait for listeners, play all passes, and wait until everything has arrived."""
-        self._wait_for_listeners()
+        self._wait_until_ready()
         # What was published before the start, for those who come later, is there for them.
         latched = [name for name, outlet in self._outlets.items() if outlet.latched]
         if latched and self._start_ns > self._bag.start_ns:
@@ -227,42 +229,35 @@ class _Player:
             warnings=(*self._bag.losses, *self._stamps.warnings()),
         )
 
-    def _wait_for_listeners(self) -> None:
-        """Return when /joint_states, or any topic where it is not replayed, has its subscribers.
+    def _wait_until_ready(self) -> None:
+        """Return when every node that consumes the replay or runs on its clock has been ready for the settling time.
 
-        Raises EffmassError.
+        The clock shows the start meanwhile: some nodes do nothing before they have a time. Raises EffmassError.
         """
-        seconds = self._options.subscriber_timeout_s
-        began_ns = time.monotonic_ns()
-        deadline_ns = began_ns + round(seconds * _NS)
-        wanted = [self._joint_states] if self._joint_states else list(self._outlets.values())
-        answers = self._answers
-        least = self._options.subscribers
-
-        def heard() -> bool:
-            return any(outlet.subscribers >= least for outlet in wanted)
-
-        def listening() -> bool:
-            return heard() and (answers is None or answers.publishers > 0)
-
-        # Meanwhile the clock stands at the start: some nodes do nothing before they have a time.
-        while not listening() and time.monotonic_ns() < deadline_ns:
+        timeout_s = self._options.subscriber_timeout_s
+        start_ns = ready_since_ns = time.monotonic_ns()
+        while True:
             self._set_clock(self._start_ns)
-            self._stage.spin_until(min(deadline_ns, time.monotonic_ns() + _PROGRESS_NS), listening)
-        if not heard():
-            names = ", ".join(outlet.name for outlet in wanted)
-            few = f"only {max(outlet.subscribers for outlet in wanted)} of {least}" if least > 1 else "nobody"
-            raise EffmassError(f"{names}: {few} has subscribed within {seconds:g} s; start a node first")
-        if answers and not answers.publishers:
-            raise EffmassError(
-                f"{answers.topic}: nobody publishes it within {seconds:g} s; rate 0 needs a monitor that answers"
-            )
-        found_within_ns = time.monotonic_ns() - began_ns
-        if answers:
-            # A monitor soon says that all is silent: then it has found us too, as to find it does not mean. One that
-            # is patient with silence has nothing to say.
-            self._stage.spin_until(time.monotonic_ns() + _FIRST_WORD_NS, lambda: answers.begun)
-        self._stage.settle(found_within_ns)
+            self._stage.spin_until(time.monotonic_ns() + _HANDSHAKE_STEP_NS)
+            now_ns = time.monotonic_ns()
+            if unready := self._unready():
+                ready_since_ns = now_ns
+                if now_ns - start_ns > timeout_s * _NS:
+                    raise EffmassError(f"not ready within {timeout_s:g} s: {unready}")
+            elif now_ns - ready_since_ns >= settling_time_ns(ready_since_ns - start_ns):
+                return
+
+    def _unready(self) -> str:
+        """Return what the replay still has to wait for, empty if nothing."""
+        inputs = [self._joint_states] if self._joint_states else list(self._outlets.values())
+        expected = self._options.subscribers
+        if not any(outlet.subscribers >= expected for outlet in inputs):
+            topics = ", ".join(outlet.name for outlet in inputs)
+            return f"{topics}: expected {expected} subscribers, found {max(outlet.subscribers for outlet in inputs)}"
+        if self._answers and not self._answers.publishers:
+            return f"{self._answers.topic}: no publisher; rate 0 needs a monitor that answers"
+        unready = self._readiness.unready(self._start_ns, [outlet.name for outlet in self._outlets.values()])
+        return "; ".join(f"{name} {reason}" for name, reason in sorted(unready.items()))
 
     def _play_once(self, messages: Iterator[RawMessage], began_ns: int) -> None:
         rate = self._options.rate

@@ -30,6 +30,11 @@ LONGEST_SETTLE_NS = 3_000_000_000
 _ACKNOWLEDGED_NS = 10_000_000_000
 
 
+def settling_time_ns(discovery_ns: int) -> int:
+    """Return how long to wait for nodes that do not report their readiness, after a discovery that took so long."""
+    return min(max(SETTLE_NS, discovery_ns), LONGEST_SETTLE_NS)
+
+
 @final
 class ReplayNode:
     """A node with its own ROS context and executor; all of it runs in the calling thread."""
@@ -55,9 +60,9 @@ class ReplayNode:
                 return
             self._executor.spin_once(timeout_sec=min(left_ns, _SLICE_NS) / 1e9)
 
-    def settle(self, found_within_ns: int = 0) -> None:
-        """Give the other side the time that no event tells: as long as this side took, which shows a busy machine."""
-        self.spin_until(time.monotonic_ns() + min(max(SETTLE_NS, found_within_ns), LONGEST_SETTLE_NS))
+    def settle(self) -> None:
+        """Give best-effort subscribers, which confirm nothing, time to receive the last messages."""
+        self.spin_until(time.monotonic_ns() + SETTLE_NS)
 
     def wait_acknowledged(self, outlets: Collection[ReplayPublisher]) -> list[str]:
         """Wait until all reliable readers have everything; return the topics of which some have not after 10 s.

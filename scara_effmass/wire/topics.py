@@ -17,6 +17,8 @@ WRENCH = "wrench"
 IMPACT_VALIDATION = "impact_validation"
 RECORDING_INFO = "/scara_effmass/recording_info"
 """Topic on which a recording states its origin, as JSON."""
+READINESS = "/scara_effmass/readiness"
+"""Topic on which every node reports to a replay whether it is ready."""
 
 MONITOR_OUTPUTS = (CONTACT_STATE, ALLOWABLE_SPEED, SPEED_SCALING)
 FORCE_OUTPUTS = (FORCE, IMPACT, WRENCH)

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import dropwhile, pairwise
 from typing import TYPE_CHECKING, Any, final
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 import pytest
 import rclpy
+from builtin_interfaces.msg import Time
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.context import Context
@@ -26,9 +28,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactState, NodeReadiness
 from sensor_msgs.msg import JointState as JointStateMessage
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64, Header, String
 
 from scara_effmass.bags.bag import RawMessage
 from scara_effmass.bags.messages import joint_state_message, serialized
@@ -37,16 +39,15 @@ from scara_effmass.errors import BagError, EffmassError, SettingsError
 from scara_effmass.nodes import lockstep
 from scara_effmass.nodes.lockstep import IN_VAIN
 from scara_effmass.nodes.replay import ReplayOptions, replay
-from scara_effmass.nodes.replay_publisher import ReplayPublisher
 from scara_effmass.nodes.replay_timeline import CLOCK_STEP_NS, timeline
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import JointStateDecoder
+from scara_effmass.wire.topics import READINESS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from rclpy.event_handler import QoSPublisherMatchedInfo
     from rclpy.publisher import Publisher
 
     from scara_effmass.nodes.replay import ReplayProgress, ReplayReport
@@ -110,6 +111,7 @@ class Listener:
         slowness_s: float = 0.0,
         foreign: tuple[str, ...] = (),
         leaves_after: int | None = None,
+        readiness: NodeReadiness | None = None,
     ) -> None:
         self.heard: dict[str, list[bytes]] = {topic: [] for topic in topics}
         self.declined = 0
@@ -137,6 +139,9 @@ class Listener:
                 raw=True,
                 event_callbacks=SubscriptionEventCallbacks(matched=self._on_matched),
             )
+        if readiness is not None:
+            reports = self._node.create_publisher(NodeReadiness, READINESS, DEEP)
+            self._node.create_timer(0.05, lambda: reports.publish(readiness))
         self._executor = EventsExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin)
@@ -341,26 +346,50 @@ def test_at_rate_0_the_live_monitor_answers_everything(bag: Path) -> None:
     assert (report.sent["/joint_states"], report.answered, report.unanswered) == (100, 100, 0)
 
 
-def test_nobody_listening_is_an_error(bag: Path) -> None:
-    with pytest.raises(EffmassError, match=r"/joint_states: nobody has subscribed within 0\.2 s"):
+def test_replay_without_subscribers_fails(bag: Path) -> None:
+    with pytest.raises(EffmassError, match=r"within 0\.2 s: /joint_states: expected 1 subscribers, found 0"):
         play(bag, subscriber_timeout_s=0.2)
 
 
-def test_rate_0_without_anybody_who_answers_is_an_error(bag: Path, monkeypatch: pytest.MonkeyPatch, leap: Leap) -> None:
-    heard: list[str] = []
-    find = ReplayPublisher._on_matched
+def test_rate_0_without_a_monitor_fails(bag: Path) -> None:
+    message = "/contact_state: no publisher; rate 0 needs a monitor"
+    with Listener("/joint_states"), pytest.raises(EffmassError, match=message):
+        play(bag, rate=0.0, subscriber_timeout_s=5.0)
 
-    def note(self: ReplayPublisher, info: QoSPublisherMatchedInfo) -> None:
-        find(self, info)
-        heard.append(self.name)
 
-    monkeypatch.setattr(ReplayPublisher, "_on_matched", note)
-    leap(lambda: "/joint_states" in heard)
-    with (
-        Listener("/joint_states"),
-        pytest.raises(EffmassError, match="/contact_state: nobody publishes it within 120 s"),
-    ):
-        play(bag, rate=0.0)
+ACTIVE = {"node": "/listener", "active": True, "use_sim_time": True, "peers": ["/listener"]}
+AT_START = {"header": Header(stamp=Time(sec=START_NS // 10**9))}
+
+
+@pytest.mark.parametrize(
+    ("report", "reason"),
+    [
+        ({"active": False, "use_sim_time": False}, "/listener is not active"),
+        ({}, "/listener has not received the replay's /clock"),
+        (
+            {"header": Header(stamp=AT_START), "peers": ["/listener", "/cell/daq"]},
+            "/cell/daq has sent no readiness report",
+        ),
+        ({"header": Header(stamp=AT_START), "peers": []}, "/listener has not discovered /listener"),
+    ],
+)
+def test_replay_waits_for_nodes_that_are_not_ready(bag: Path, report: dict[str, Any], reason: str) -> None:
+    with Listener("/joint_states", readiness=NodeReadiness(**{**ACTIVE, **report})) as listener:
+        with pytest.raises(EffmassError, match=rf"not ready within 5 s: {reason}$"):
+            play(bag, subscriber_timeout_s=5.0)
+        assert listener.heard == {"/joint_states": []}
+
+
+def test_replay_starts_when_the_last_node_becomes_ready(bag: Path) -> None:
+    report = NodeReadiness(**{**ACTIVE, "active": False, **AT_START})
+    with Listener("/joint_states", "/clock", readiness=report) as listener:
+        with ThreadPoolExecutor() as pool:
+            replaying = pool.submit(play, bag)
+            listener.wait("/clock", 20)  # the clock shows the start meanwhile
+            assert len(set(listener.heard["/clock"])) == 1
+            report.active = True
+            assert replaying.result().sent["/joint_states"] == 100
+        assert len(listener.states(100)) == 100
 
 
 def test_types_that_are_not_installed_or_defined_otherwise_are_skipped_and_named(tmp_path: Path) -> None:

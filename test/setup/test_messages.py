@@ -35,6 +35,7 @@ CONTRACT = {
         "header predicted_force measured_force relative_error effective_mass reduced_mass speed stiffness conservative "
         "count correlation fitted_stiffness bias rmse non_conservative accepted reason"
     ),
+    "NodeReadiness": "header node active use_sim_time peers",
 }
 
 
