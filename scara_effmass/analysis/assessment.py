@@ -1,10 +1,12 @@
-"""Every joint state of a recording through the live core; the recorder's log time stands for the node's clock."""
+"""Assess every joint state of a recording with the live core; its log times stand for the node's clock."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from scara_effmass.bags.recording_info import recording_infos
 from scara_effmass.errors import BagError
+from scara_effmass.impacts.run_info import json_object
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -15,9 +17,9 @@ if TYPE_CHECKING:
 
 
 class Cycle(NamedTuple):
-    """One recorded joint state and what was decided.
+    """One recorded joint state and its decision.
 
-    `state` is None where the bytes were none, `decision` where it names none of the robot's joints.
+    `state` is None where the message cannot be decoded, `decision` where it names none of the robot's joints.
     """
 
     log_time_ns: int
@@ -25,36 +27,49 @@ class Cycle(NamedTuple):
     decision: Decision | None
 
 
-def joint_state_topic(bag: Bag, asked: str | None) -> str:
-    """Return the topic to assess: the one asked for, else `joint_states`, else the only one that has joint states.
+def joint_state_topic(bag: Bag, requested: str | None) -> str:
+    """Return the topic to assess: the requested one, else `joint_states`, else the only one with joint states.
 
-    Raises BagError, with those there are, when that leaves none or several.
+    Raises BagError, which lists the candidates, when that leaves none or several.
     """
     topics = bag.joint_state_topics
-    if asked is not None:
-        wanted = [asked]
+    if requested is not None:
+        names = [requested]
     elif "/joint_states" in topics:
-        wanted = ["/joint_states"]
+        names = ["/joint_states"]
     else:
-        wanted = list(topics)
+        names = list(topics)
     # A leading slash is easily forgotten, and ROS 1 recorders left it out.
-    found = [topic for topic in topics if topic.lstrip("/") in {name.lstrip("/") for name in wanted}]
-    if len(found) == 1:
-        return found[0]
+    matches = [topic for topic in topics if topic.lstrip("/") in {name.lstrip("/") for name in names}]
+    if len(matches) == 1:
+        return matches[0]
     if not topics:
         raise BagError(f"{bag.path}: no topic holds joint states (sensor_msgs/JointState)")
-    problem = "several topics hold joint states" if asked is None else f"no joint states on {asked}"
-    raise BagError(f"{bag.path}: {problem}; give --topic one of {', '.join(topics)}")
+    problem = "several topics hold joint states" if requested is None else f"no joint states on {requested}"
+    raise BagError(f"{bag.path}: {problem}; --topic must be one of {', '.join(topics)}")
 
 
 def cycles(bag: Bag, topic: str, monitor: Monitor) -> Iterator[Cycle]:
-    """Yield what `monitor` decides for each joint state on `topic`, decoded as the live node decodes it.
+    """Yield the decision of `monitor` for each joint state on `topic`, decoded as the live node decodes it.
 
-    Bytes that are no joint state are refused as there: the verdict is UNKNOWN, and what follows is held for a while.
-    Raises BagError.
+    A message that cannot be decoded gives UNKNOWN, as it does live, and later verdicts are held for a while.
+    Raises BagError, at the end also where all joint states come from other devices.
     """
+    count = 0
     for block in bag.joint_state_blocks(topic):
         for log_time_ns, reason in block.unreadable:
+            count += 1
             yield Cycle(log_time_ns, None, monitor.reject(reason))
         for log_time_ns, state in zip(block.log_time_ns.tolist(), block.states(), strict=True):
+            count += 1
             yield Cycle(log_time_ns, state, monitor.assess(state, log_time_ns))
+    if monitor.ignored == count > 0:
+        names = ", ".join(monitor.dynamics.robot.joint_names)
+        raise BagError(f"{bag.path}: {topic}: none of its joint states names a joint of the robot ({names})")
+
+
+def generated_description(bag: Bag) -> str:
+    """Return how the motion in `bag` was generated, empty where it does not say so."""
+    _, text = next(recording_infos(bag), (0, ""))
+    info = json_object(text) or {}
+    return str(info["description"]) if info.get("generated") and "description" in info else ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -12,8 +11,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from scara_effmass.analysis.output import completed
-from scara_effmass.analysis.trace import TimeSeries, thinned, verdict_spans
+from scara_effmass.analysis.time_series import decimate, verdict_spans
 from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:
@@ -22,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from scara_effmass.analysis.forces import Forces
+    from scara_effmass.analysis.time_series import TimeSeries
     from scara_effmass.values import FloatArray
 
 COLUMNS = 1500
@@ -51,9 +50,9 @@ _STYLE: dict[Any, Any] = {
 
 
 def draw_run(
-    course: TimeSeries, *, title: str, subtitle: str, mass_model: str, timeout: float, forces: Forces | None = None
+    series: TimeSeries, *, title: str, subtitle: str, mass_model: str, timeout: float, forces: Forces | None = None
 ) -> Figure:
-    """Return the figure of one contact point's course; the verdict used the mass of `mass_model`.
+    """Return the figure of one contact point's series; the verdict used the mass of `mass_model`.
 
     `timeout` [s] is the silence after which nothing is known; `forces` are drawn below, where there are any.
     """
@@ -63,16 +62,16 @@ def draw_run(
         FigureCanvasAgg(figure)
         rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
         band, speeds, masses = rows[:3]
-        course = _with_gaps(course, timeout)
-        _draw_verdicts(band, course, timeout)
-        _draw_speeds(speeds, course)
-        _draw_masses(masses, course, mass_model)
+        series = series.with_gaps(timeout)
+        _draw_verdicts(band, series, timeout)
+        _draw_speeds(speeds, series)
+        _draw_masses(masses, series, mass_model)
         if forces:
-            _draw_forces(rows[-1], forces, course.start_ns)
+            _draw_forces(rows[-1], forces, series.start_ns)
         rows[-1].set_xlabel("time since the first joint state [s]")
-        masses.set_xlim(0.0, max(float(course.time[-1]), 1e-3))
+        masses.set_xlim(0.0, max(float(series.time[-1]), 1e-3))
         for axes in (speeds, masses):
-            for start, stop, verdict in verdict_spans(course, timeout):
+            for start, stop, verdict in verdict_spans(series, timeout):
                 if verdict is Verdict.UNKNOWN:
                     axes.axvspan(
                         start, stop, facecolor="none", edgecolor="#BBBBBB", hatch="////", linewidth=0.0, zorder=0
@@ -82,14 +81,6 @@ def draw_run(
         figure.text(0.01, below_title, subtitle, fontsize=9.5, color="#444444", va="center")
         figure.align_ylabels()
     return figure
-
-
-def save(figure: Figure, folder: Path, name: str, *, overwrite: bool) -> list[Path]:
-    """Write `figure` as PNG and SVG into `folder`; return the paths. Raises OutputError."""
-    paths = [folder / f"{name}{suffix}" for suffix in FORMATS]
-    with ExitStack() as stack, mpl.rc_context(_STYLE):
-        write(figure, *(stack.enter_context(completed(path, overwrite=overwrite)) for path in paths))
-    return paths
 
 
 def write(figure: Figure, png: Path, svg: Path) -> None:
@@ -103,31 +94,9 @@ def write(figure: Figure, png: Path, svg: Path) -> None:
     FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})  # type: ignore[no-untyped-call]
 
 
-def _with_gaps(course: TimeSeries, timeout: float) -> TimeSeries:
-    """Break the lines where no joint state came: put NaN right after the last one before each gap."""
-    gaps = np.flatnonzero(np.diff(course.time) > timeout) + 1
-    if not len(gaps):
-        return course
-    nothing = np.full(len(gaps), np.nan)
-    columns = (
-        course.speed,
-        course.allowable_speed,
-        course.effective_mass,
-        course.lumped_mass,
-        course.full_mass,
-        course.iso_mass,
-    )
-    return TimeSeries(
-        course.start_ns,
-        np.insert(course.time, gaps, course.time[gaps - 1] + timeout),
-        np.insert(course.verdict, gaps, Verdict.UNKNOWN),
-        *(np.insert(column, gaps, nothing) for column in columns),
-    )
-
-
-def _draw_verdicts(axes: Axes, course: TimeSeries, timeout: float) -> None:
-    spans = verdict_spans(course, timeout)
-    shortest = float(course.time[-1]) / COLUMNS
+def _draw_verdicts(axes: Axes, series: TimeSeries, timeout: float) -> None:
+    spans = verdict_spans(series, timeout)
+    shortest = float(series.time[-1]) / COLUMNS
     for verdict in _ORDER:
         # A verdict of a single cycle is thinner than a pixel and would not be seen.
         bars = [(start, max(stop - start, shortest)) for start, stop, each in spans if each is verdict]
@@ -142,28 +111,28 @@ def _draw_verdicts(axes: Axes, course: TimeSeries, timeout: float) -> None:
     axes.legend(handles=patches, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, ncols=2)
 
 
-def _draw_speeds(axes: Axes, course: TimeSeries) -> None:
-    _line(axes, course, course.allowable_speed, color="#0072B2", linewidth=1.6, label="allowable speed")
-    _line(axes, course, course.speed, color="#000000", linewidth=1.2, label="speed")
-    above = np.where(course.speed > course.allowable_speed, course.speed, np.nan)
+def _draw_speeds(axes: Axes, series: TimeSeries) -> None:
+    _line(axes, series, series.allowable_speed, color="#0072B2", linewidth=1.6, label="allowable speed")
+    _line(axes, series, series.speed, color="#000000", linewidth=1.2, label="speed")
+    above = np.where(series.speed > series.allowable_speed, series.speed, np.nan)
     if np.isfinite(above).any():
-        _line(axes, course, above, color="#D55E00", linewidth=2.4, label="speed above the allowable")
+        _line(axes, series, above, color="#D55E00", linewidth=2.4, label="speed above the allowable")
     axes.set_ylabel("speed of the contact point [m/s]")
     axes.set_ylim(bottom=0.0)
     _legend(axes)
 
 
-def _draw_masses(axes: Axes, course: TimeSeries, mass_model: str) -> None:
+def _draw_masses(axes: Axes, series: TimeSeries, mass_model: str) -> None:
     for model, values, label, color, style in (
-        ("lumped", course.lumped_mass, "lumped model", "#0072B2", ":"),
-        ("full", course.full_mass, "full model", "#000000", "--"),
-        ("iso", course.iso_mass, "ISO, M/2 + m_L", "#CC79A7", "-."),
+        ("lumped", series.lumped_mass, "lumped model", "#0072B2", ":"),
+        ("full", series.full_mass, "full model", "#000000", "--"),
+        ("iso", series.iso_mass, "ISO, M/2 + m_L", "#CC79A7", "-."),
     ):
         if np.isfinite(values).any():
             decides = model == mass_model
             _line(
                 axes,
-                course,
+                series,
                 values,
                 color=color,
                 linestyle="-" if decides else style,
@@ -173,8 +142,8 @@ def _draw_masses(axes: Axes, course: TimeSeries, mass_model: str) -> None:
     if mass_model == "largest":
         _line(
             axes,
-            course,
-            course.effective_mass,
+            series,
+            series.effective_mass,
             color="#E69F00",
             linewidth=4.0,
             alpha=0.5,
@@ -194,7 +163,7 @@ def _draw_masses(axes: Axes, course: TimeSeries, mass_model: str) -> None:
 def _draw_forces(axes: Axes, forces: Forces, start_ns: int) -> None:
     time = (forces.stamp_ns - start_ns) / 1e9
     what = "simulated force" if forces.simulated else "measured force"
-    axes.plot(*thinned(time, forces.force, COLUMNS), color="#000000", linewidth=1.0, label=what)
+    axes.plot(*decimate(time, forces.force, COLUMNS), color="#000000", linewidth=1.0, label=what)
     for sound, marker, label in ((True, "v", "impact"), (False, "x", "impact, clipped or incomplete")):
         found = [impact for impact in forces.impacts if sound is not (impact.clipped or impact.incomplete)]
         if found:
@@ -205,8 +174,8 @@ def _draw_forces(axes: Axes, forces: Forces, start_ns: int) -> None:
     _legend(axes)
 
 
-def _line(axes: Axes, course: TimeSeries, values: FloatArray, **style: object) -> None:
-    axes.plot(*thinned(course.time, values, COLUMNS), **style)  # type: ignore[arg-type]
+def _line(axes: Axes, series: TimeSeries, values: FloatArray, **style: object) -> None:
+    axes.plot(*decimate(series.time, values, COLUMNS), **style)  # type: ignore[arg-type]
 
 
 def _legend(axes: Axes) -> None:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.progress import Progress
-
+from scara_effmass.cli.console import print_json, print_lines, progress_bar
 from scara_effmass.cli.options import (
     add_force,
     add_json,
@@ -18,105 +15,109 @@ from scara_effmass.cli.options import (
     add_robot,
     add_topic,
     arm_from,
-    printer,
     settings_from,
 )
 from scara_effmass.cli.report import summary_lines
-from scara_effmass.errors import BagError, RobotError
+from scara_effmass.errors import RobotError
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from scara_effmass.analysis.closed_form_check import ClosedFormCheck
-    from scara_effmass.analysis.summary import Summary
+    from scara_effmass.analysis.run_report import RunReport
     from scara_effmass.analysis.tables import Sink
+    from scara_effmass.analysis.time_series import TimeSeriesBuilder
     from scara_effmass.bags.bag import Bag
     from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.settings import MonitorSettings
 
 EXAMPLES = """\
-FILE ends in .parquet, .csv or .mcap. Every bag starts with a fresh monitor; the time a joint state was
-recorded at stands for the node's clock.
+FILE must end in .parquet, .csv or .mcap. Each bag is assessed by a fresh monitor, whose clock is the log time of the
+joint states. DIR gets report.html, summary.json, and a figure of each bag and contact point as PNG and SVG.
 
 examples:
-  scara-effmass assess bags/tour -o tour.parquet
+  scara-effmass assess bags/tour -o tour.parquet --report out/tour
   scara-effmass assess monday.mcap tuesday.mcap -o week.csv --robot my_robot.urdf --model full
   scara-effmass assess bags/tour -o tour.mcap --region hand_fingers --json
 """
 
 
-class Run:
-    """All recordings of one call: what is counted beside the summary."""
+class Assessor:
+    """Assesses recordings one after the other, and counts."""
 
     def __init__(self, arm: RobotDynamics, settings: MonitorSettings) -> None:
-        """Prepare; a robot that is no SCARA has no closed forms to check against."""
+        """Prepare; only a SCARA has closed forms to check against."""
         from scara_effmass.analysis.closed_form_check import ClosedFormCheck  # noqa: PLC0415 - not needed for --help
         from scara_effmass.analysis.summary import Summary  # noqa: PLC0415
 
         self.arm = arm
         self.settings = settings
-        self.summary: Summary = Summary(round(settings.timeout * 1e9))
+        self.summary = Summary(round(settings.timeout * 1e9))
         self.check: ClosedFormCheck | None = None
         self.check_reason = ""
         try:
             self.check = ClosedFormCheck(arm, settings.mass_cap)
         except RobotError as error:
             self.check_reason = str(error)
-        self.joint_states = self.foreign = self.refused = 0
+        self.joint_states = self.foreign = self.rejected = 0
         self.losses: list[str] = []
 
-    def take(self, bag: Bag, topic: str, sink: Sink, advance: Callable[[], object]) -> None:
-        """Assess every joint state on `topic`. Raises EffmassError."""
+    def assess(
+        self,
+        bag: Bag,
+        topic: str,
+        table: Sink,
+        advance: Callable[[], object],
+        series: Mapping[str, TimeSeriesBuilder],
+    ) -> None:
+        """Assess every joint state on `topic` into `table`, and into the `series` of its contact point if there is one.
+
+        Raises EffmassError.
+        """
         from scara_effmass.analysis.assessment import cycles  # noqa: PLC0415
         from scara_effmass.safety import Monitor  # noqa: PLC0415
 
         monitor = Monitor(self.arm, self.settings)
         self.summary.new_recording()
         name = str(bag.path)
-        count = 0
-        for at_ns, state, decision in cycles(bag, topic, monitor):
-            count += 1
+        for log_time_ns, state, decision in cycles(bag, topic, monitor):
+            self.joint_states += 1
             advance()
             if decision is None:
                 continue
-            sink.add(name, at_ns, decision.contacts)
-            self.summary.add(decision.contacts, at_ns, state, name)
+            table.add(name, log_time_ns, decision.contacts)
+            self.summary.add(decision.contacts, log_time_ns, state, name)
             if self.check is not None and state is not None:
                 self.check.add(state, decision.contacts)
-        if monitor.ignored == count > 0:
-            names = ", ".join(self.arm.robot.joint_names)
-            raise BagError(f"{bag.path}: {topic}: none of its joint states names a joint of the robot ({names})")
-        self.joint_states += count
+            if series:
+                for contact in decision.contacts:
+                    series[contact.contact_point].add(contact, log_time_ns)
         self.foreign += monitor.ignored
-        self.refused += monitor.rejected
+        self.rejected += monitor.rejected
         self.losses += bag.losses
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the result as JSON takes it."""
-        checked, worst = (0, None) if self.check is None else self.check.result()
+        """Return the result for JSON."""
+        rows, difference = (0, None) if self.check is None else self.check.result()
         return {
             "joint_states": self.joint_states,
             "foreign": self.foreign,
-            "refused": self.refused,
+            "refused": self.rejected,
             **self.summary.as_dict(),
             "losses": self.losses,
-            "closed_form_check": {"rows": checked, "worst_relative_difference": worst, "reason": self.check_reason},
+            "closed_form_check": {"rows": rows, "worst_relative_difference": difference, "reason": self.check_reason},
         }
 
     def lines(self) -> list[tuple[str, str]]:
-        """Return the result as a person reads it."""
-        result = self.as_dict()
-        counted = f"{self.joint_states}"
-        if self.foreign:
-            counted += f", of which {self.foreign} name none of the robot's joints and were ignored"
-        lines = [("joint states", counted), *summary_lines(self.summary)]
-        if self.refused:
-            lines.append(("refused", f"{self.refused} could not be used (UNKNOWN)"))
-        check = result["closed_form_check"]
-        if check["rows"]:
-            found = f"largest relative difference {check['worst_relative_difference']:.1e}"
-            lines.append(("check", f"lumped masses of {check['rows']} rows against Eqs. 28 and 30: {found}"))
+        """Return the result as subjects and texts."""
+        foreign = f", {self.foreign} of other devices ignored" if self.foreign else ""
+        lines = [("joint states", f"{self.joint_states}{foreign}"), *summary_lines(self.summary)]
+        if self.rejected:
+            lines.append(("rejected", f"{self.rejected} joint states (UNKNOWN)"))
+        if self.check is not None and (result := self.check.result())[0]:
+            text = f"lumped masses of {result[0]} rows against Eqs. 28 and 30: max. relative difference {result[1]:.1e}"
+            lines.append(("check", text))
         return lines + [("not read", loss) for loss in self.losses]
 
 
@@ -125,6 +126,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXAMPLES
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="recording, or folder of recordings")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="FILE", help=".parquet, .csv or .mcap")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="folder for figures, episodes and summary")
     add_topic(parser)
     add_robot(parser)
     add_limits(parser)
@@ -135,31 +137,53 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Assess, write, and print what it comes down to."""
+    """Assess the recordings, write table and report, and print the summary."""
     from scara_effmass.analysis.assessment import joint_state_topic  # noqa: PLC0415
     from scara_effmass.analysis.tables import Provenance, sink  # noqa: PLC0415
+    from scara_effmass.analysis.time_series import TimeSeriesBuilder  # noqa: PLC0415
     from scara_effmass.bags.files import find_bags, open_bag  # noqa: PLC0415
     from scara_effmass.safety import Monitor  # noqa: PLC0415
 
     settings = settings_from(args)
     arm = arm_from(settings)
     Monitor(arm, settings)  # refuses limits that do not exist before anything is written
-    paths = [path for given in args.bags for path in find_bags(given)]
-    work = Run(arm, settings)
+    paths = [path for folder in args.bags for path in find_bags(folder)]
+    assessor = Assessor(arm, settings)
     provenance = Provenance(settings, arm.robot.origin, paths)
-    progress = Progress(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
-    with sink(args.output, provenance, arm.robot.base_frame, overwrite=args.force) as output, progress:
+    with ExitStack() as stack:
+        report = None
+        if args.report:
+            from scara_effmass.analysis.run_report import run_report  # noqa: PLC0415 - loads matplotlib
+
+            figures = len(paths) * len(arm.contact_points)
+            report = stack.enter_context(run_report(args.report, figures, settings, overwrite=args.force))
+        table = stack.enter_context(sink(args.output, provenance, arm.robot.base_frame, overwrite=args.force))
+        progress = stack.enter_context(progress_bar())
         for path in paths:
             with open_bag(path) as bag:
                 topic = joint_state_topic(bag, args.topic)
-                count = next(each.count for each in bag.topics if each.name == topic)
+                count = next(info.count for info in bag.topics if info.name == topic)
                 task = progress.add_task(path.name, total=count)
-                work.take(bag, topic, output, lambda task=task: progress.advance(task))  # type: ignore[misc]
+                series = {point: TimeSeriesBuilder() for point in arm.contact_points} if report else {}
+                assessor.assess(bag, topic, table, lambda task=task: progress.advance(task), series)  # type: ignore[misc]
+                if report:
+                    _add_to_report(report, bag, arm.robot.name, series)
+        result = {"output": str(args.output), **assessor.as_dict()}
+        if report:
+            result = report.finish(f"{arm.robot.name}: assessment", assessor.lines(), result)
+    written = [("written", args.output), *([("open", args.report / "report.html")] if report else [])]
     if args.json:
-        printer().print_json(json.dumps({"output": str(args.output), **work.as_dict()}, allow_nan=False))
+        print_json(result)
     else:
-        console = printer()
-        for subject, text in work.lines():
-            console.print(f"{subject:<16}{text}")
-        console.print(f"{'written':<16}{args.output}")
+        print_lines([*assessor.lines(), *written])
     return 0
+
+
+def _add_to_report(report: RunReport, bag: Bag, robot: str, series: Mapping[str, TimeSeriesBuilder]) -> None:
+    from scara_effmass.analysis.assessment import generated_description  # noqa: PLC0415
+    from scara_effmass.analysis.forces import forces_of  # noqa: PLC0415
+
+    forces = forces_of(bag)
+    generated = bool(generated_description(bag))
+    for point, builder in series.items():
+        report.add(builder.build(), point, f"{robot}: {bag.path.name}", generated=generated, forces=forces)

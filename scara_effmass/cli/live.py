@@ -1,4 +1,4 @@
-"""What a person sees while a run goes on: two lines that change on a terminal, a line now and then in a pipe."""
+"""The status of a live run: two lines that update on a terminal, one line every two seconds in a pipe."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from scara_effmass.values import ContactAssessment
 
-LINE_EVERY_S = 2.0
-DRAWN_PER_S = 8.0
-BAR_CELLS = 12
+PIPE_PERIOD_S = 2.0
+TERMINAL_PERIOD_S = 0.125
+BAR_WIDTH = 12
 _STYLES = {
     Verdict.OK: "bold green",
     Verdict.WARN: "bold yellow",
@@ -31,30 +31,31 @@ _STYLES = {
 
 @final
 class StatusLine:
-    """Shows the latest cycle; to be used in a `with`."""
+    """Shows the latest assessments; to be used in a `with`."""
 
-    def __init__(self, console: Console, span_s: float) -> None:
-        """Show on `console` a run of `span_s` seconds."""
+    def __init__(self, console: Console, duration_s: float, *, visible: bool) -> None:
+        """Show a run of `duration_s` seconds on `console`; an invisible status prints nothing."""
         self._console = console
-        self._span_s = span_s
-        self._shown_at = 0.0
+        self._duration_s = duration_s
+        self._visible = visible
+        self._last_update_s = 0.0
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
 
     def show(self, contacts: tuple[ContactAssessment, ...], time_s: float, speed_scaling: float) -> None:
-        """Show a cycle at `time_s` of the run, unless the last one was shown just now."""
-        now = time.monotonic()
-        pause = 1.0 / DRAWN_PER_S if self._live else LINE_EVERY_S
-        if now - self._shown_at < pause:
+        """Show the assessments at `time_s` of the run, unless the last update is too recent."""
+        now_s = time.monotonic()
+        period_s = TERMINAL_PERIOD_S if self._live else PIPE_PERIOD_S
+        if not self._visible or now_s - self._last_update_s < period_s:
             return
-        self._shown_at = now
+        self._last_update_s = now_s
         if self._live is None:
             for contact in contacts:
                 self._console.print(f"{time_s:6.1f} s  {_line(contact)}  scaling {speed_scaling:.2f}")
         else:
-            self._live.update(self._drawn(contacts, time_s, speed_scaling), refresh=True)
+            self._live.update(self._render(contacts, time_s, speed_scaling), refresh=True)
 
     def __enter__(self) -> StatusLine:
-        if self._live:
+        if self._live and self._visible:
             self._live.start()
         return self
 
@@ -64,12 +65,12 @@ class StatusLine:
         if self._live:
             self._live.stop()
 
-    def _drawn(self, contacts: tuple[ContactAssessment, ...], time_s: float, speed_scaling: float) -> Group:
+    def _render(self, contacts: tuple[ContactAssessment, ...], time_s: float, speed_scaling: float) -> Group:
         lines = []
         for contact in contacts:
             style = _STYLES[contact.verdict]
             text = Text(no_wrap=True, overflow="ellipsis")
-            text.append(f"{contact.contact_point}  {time_s:5.1f} of {self._span_s:.1f} s  ")
+            text.append(f"{contact.contact_point}  {time_s:5.1f} of {self._duration_s:.1f} s  ")
             text.append(f" {contact.verdict.name:<9} ", style)
             text.append(f"  {contact.speed:.3f} of {contact.allowable_speed:.3f} m/s ")
             text.append(_bar(contact), style.split(" on ")[0])
@@ -87,6 +88,6 @@ def _line(contact: ContactAssessment) -> str:
 
 
 def _bar(contact: ContactAssessment) -> str:
-    share = min(1.0, contact.speed / contact.allowable_speed) if contact.allowable_speed > 0.0 else 0.0
-    filled = round(BAR_CELLS * share)
-    return "█" * filled + "░" * (BAR_CELLS - filled)
+    ratio = min(1.0, contact.speed / contact.allowable_speed) if contact.allowable_speed > 0.0 else 0.0
+    filled = round(BAR_WIDTH * ratio)
+    return "█" * filled + "░" * (BAR_WIDTH - filled)

@@ -1,9 +1,10 @@
-"""Commands of the suite as processes of their own."""
+"""Child processes of a demo: commands of the suite in a ROS domain of their own."""
 
 from __future__ import annotations
 
 import ctypes
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -15,26 +16,34 @@ from typing import TYPE_CHECKING
 from scara_effmass.errors import EffmassError
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
 
-_PR_SET_PDEATHSIG = 1
-END_WITHIN_S = 30.0
+    from scara_effmass.settings import MonitorSettings
+
+RECORDING = "recording"
+"""Folder of the recording below the output folder of a demo."""
+SIM_TIME = ["--ros-args", "-p", "use_sim_time:=true"]
+START_TIMEOUT_S = 60.0
+STOP_TIMEOUT_S = 30.0
 DOMAINS = 101
-"""Up to 101 the ports of a domain lie below those that Linux hands out by itself."""
+"""Highest ROS domain id whose ports lie below the ephemeral ports of Linux."""
 _PARTICIPANTS = 16
-"""So many of the first places of a domain are looked at."""
+"""Number of participant ports to probe in a domain."""
+_PR_SET_PDEATHSIG = 1
 
 
 class ChildProcess:
-    """A running `scara-effmass` command, whose output is kept."""
+    """A running `scara-effmass` command whose output is kept."""
 
-    def __init__(self, words: Sequence[str]) -> None:
-        """Start it, in a session of its own: an interrupt at the terminal reaches it only through its owner."""
-        self._name = words[0]
+    def __init__(self, command: Sequence[str]) -> None:
+        """Start the command in a new session, so that Ctrl-C at the terminal reaches this process only."""
+        self._name = command[0]
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115
         self._process = subprocess.Popen(  # noqa: S603 - this very program
-            [sys.executable, "-m", "scara_effmass", *words],
+            [sys.executable, "-m", "scara_effmass", *command],
             stdin=subprocess.DEVNULL,
             stdout=self._output,
             stderr=self._errors,
@@ -44,70 +53,93 @@ class ChildProcess:
 
     @property
     def ended(self) -> bool:
-        """Whether it has ended by itself."""
+        """Whether the process has ended."""
         return self._process.poll() is not None
 
     def output(self) -> str:
-        """Return what it printed. Raises EffmassError, with its own line, when it failed."""
+        """Wait for the process to end and return what it printed. Raises EffmassError with its message if it failed."""
         if self._process.wait() != 0:
             self.fail()
         self._output.seek(0)
         return self._output.read().decode()
 
     def finish(self) -> str:
-        """Tell it to stop, as Ctrl-C would, and return what it printed. Raises EffmassError when it failed."""
+        """Interrupt the process and return what it printed. Raises EffmassError if it failed."""
         self._interrupt()
         return self.output()
 
     def fail(self) -> None:
-        """Raise EffmassError for a command that ended when it should not."""
+        """Raise EffmassError with the last line that the process wrote to stderr."""
         self._errors.seek(0)
         lines = self._errors.read().decode(errors="replace").strip().splitlines()
         reason = lines[-1] if lines else f"exit code {self._process.returncode}"
         raise EffmassError(f"{self._name} has ended: {reason}")
 
-    def end(self) -> None:
-        """End it as Ctrl-C would, and forget what it printed."""
+    def close(self) -> None:
+        """Interrupt the process and discard what it printed."""
         self._interrupt()
         self._output.close()
         self._errors.close()
 
     def _interrupt(self) -> None:
-        """Interrupt it, and end it by force if it does not listen."""
+        """Interrupt the process, and kill it if it does not end in time."""
         if self.ended:
             return
         self._process.send_signal(signal.SIGINT)
         try:
-            self._process.wait(END_WITHIN_S)
+            self._process.wait(STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
 
 
 def _end_with_parent() -> None:
-    """Have Linux send SIGTERM to this process when its parent dies, even by SIGKILL: nodes must not outlive a demo."""
+    """Have Linux send SIGTERM to this process when its parent dies, even by SIGKILL: no node outlives a demo."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def require_running(processes: Iterable[ChildProcess]) -> None:
-    """Raise EffmassError with the line of a command that has ended."""
+    """Raise EffmassError with the message of a process that has ended."""
     for process in processes:
         if process.ended:
             process.fail()
 
 
 @contextmanager
-def child_process(words: Sequence[str]) -> Iterator[ChildProcess]:
-    """Run a `scara-effmass` command beside a `with`, at whose end it is ended."""
-    process = ChildProcess(words)
+def child_process(command: Sequence[str]) -> Iterator[ChildProcess]:
+    """Run a `scara-effmass` command for the duration of a `with`."""
+    process = ChildProcess(command)
     try:
         yield process
     finally:
-        process.end()
+        process.close()
 
 
-def keep_to_this_machine() -> None:
-    """Give this process and those it starts a ROS domain of their own, not found from elsewhere.
+@contextmanager
+def removed_on_failure(folder: Path) -> Iterator[None]:
+    """Remove `folder` if the `with` block raises."""
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def monitor_command(args: argparse.Namespace, settings: MonitorSettings) -> list[str]:
+    """Return the command that runs the monitor with the settings of the demo."""
+    command = ["monitor", "--robot", str(settings.robot_path), "--model", settings.effective_mass_model.value]
+    if args.params:
+        command += ["--params", str(args.params)]
+    return command + SIM_TIME
+
+
+def record_command(args: argparse.Namespace) -> list[str]:
+    """Return the command that records the topics of the suite."""
+    return ["record", "-o", str(args.out / RECORDING), "--json", *(["--force"] if args.force else []), *SIM_TIME]
+
+
+def isolate_ros_domain() -> None:
+    """Put this process and its children into a free ROS domain that other machines cannot reach.
 
     A recorded motion must never reach the nodes of a real cell.
     """
@@ -117,11 +149,11 @@ def keep_to_this_machine() -> None:
 
 
 def domain_is_free(domain: int) -> bool:
-    """Return whether nobody on this machine is in a ROS domain: whether its first ports are free."""
+    """Return whether no process on this machine uses the first participant ports of a ROS domain."""
     for participant in range(_PARTICIPANTS):
-        with socket.socket(type=socket.SOCK_DGRAM) as place:
+        with socket.socket(type=socket.SOCK_DGRAM) as probe:
             try:
-                place.bind(("", 7400 + 250 * domain + 10 + 2 * participant))
+                probe.bind(("", 7400 + 250 * domain + 10 + 2 * participant))
             except OSError:
                 return False
     return True

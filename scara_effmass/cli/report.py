@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from scara_effmass.analysis.forces import Forces
     from scara_effmass.analysis.summary import Summary, Tightest
     from scara_effmass.analysis.validation import Validation
 
@@ -58,6 +59,32 @@ def validation_lines(validation: Validation) -> Iterator[tuple[str, str]]:
     for recording in validation.recordings:
         for loss in recording.losses:
             yield "not read", loss
+
+
+def force_lines(forces: Forces | None) -> Iterator[tuple[str, str]]:
+    """Yield subject and text of a recorded force and its impacts."""
+    if forces is None:
+        return
+    origin = "simulated, nothing was measured" if forces.simulated else "as recorded"
+    yield "force", f"{forces.blocks} blocks, {forces.samples} samples, {forces.lost} lost; {origin}: {forces.source}"
+    for impact in forces.impacts:
+        marks = [f"rebound {impact.rebound}"] * bool(impact.rebound)
+        marks += ["clipped"] * impact.clipped + ["incomplete"] * impact.incomplete
+        text = f"{impact.peak_force:.1f} N, {1e3 * impact.duration:.2f} ms, {impact.impulse:.4f} N s"
+        yield "  impact", f"at stamp {impact.stamp_ns / 1e9:.5f} s: {', '.join((text, *marks))}"
+
+
+def force_record(forces: Forces | None) -> dict[str, Any] | None:
+    """Return the same for JSON."""
+    if forces is None:
+        return None
+    return {
+        "source": forces.source,
+        "simulated": forces.simulated,
+        "blocks": forces.blocks,
+        "lost_samples": forces.lost,
+        "impacts": [impact._asdict() for impact in forces.impacts],
+    }
 
 
 def _tightest(tightest: Tightest) -> Iterator[tuple[str, str]]:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pytest
 from matplotlib.image import imread
 
-from scara_effmass.analysis.figure import draw_run, save
+from scara_effmass.analysis.figure import draw_run, write
 from scara_effmass.analysis.forces import Forces
-from scara_effmass.analysis.trace import TimeSeries
-from scara_effmass.errors import OutputError
+from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
+from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Impact, Verdict
 
 if TYPE_CHECKING:
@@ -20,22 +19,30 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def run(seconds: float = 10.0, *, largest: float = 3.0, full: bool = True, gap: bool = False) -> TimeSeries:
-    """Return a course at 1 kHz with a spike of a single cycle in speed and mass."""
+def run(seconds: float = 10.0, *, max_mass: float = 3.0, full: bool = True, gap: bool = False) -> TimeSeries:
+    """Return a time series at 1 kHz with a spike of a single cycle in speed and mass."""
     t = np.arange(0.0, seconds, 1e-3)
-    speed = 0.5 + 0.3 * np.sin(t)
+    t = t[(t < 4.0) | (t > 6.0)] if gap else t
     mass = 1.5 + 0.5 * np.cos(t)
-    speed[len(t) // 3], mass[len(t) // 3] = 2.0, largest
-    allowable = np.full(len(t), 1.0)
-    verdict = np.where(speed > allowable, Verdict.VIOLATION, Verdict.OK)
-    course = (t, verdict, speed, allowable, mass, mass, 0.9 * mass if full else mass * np.nan, np.full(len(t), 2.77))
-    keep = (t < 4.0) | (t > 6.0) if gap else t >= 0.0
-    time, decided, *values = (column[keep] for column in course)
-    return TimeSeries(0, time, decided.astype(np.int64), *values)
+    speed = 0.5 + 0.3 * np.sin(t)
+    speed[len(t) // 3], mass[len(t) // 3] = 2.0, max_mass
+    return TimeSeries(
+        start_ns=0,
+        reasons={},
+        time=t,
+        verdict=np.where(speed > 1.0, Verdict.VIOLATION, Verdict.OK).astype(np.int64),
+        speed=speed,
+        allowable_speed=np.ones_like(t),
+        margin=1.0 - speed,
+        effective_mass=mass,
+        lumped_mass=mass,
+        full_mass=0.9 * mass if full else mass * np.nan,
+        iso_mass=np.full_like(t, 2.77),
+    )
 
 
-def drawn(course: TimeSeries, model: str = "lumped") -> Figure:
-    return draw_run(course, title="a robot: a bag", subtitle="generated", mass_model=model, timeout=0.2)
+def drawn(series: TimeSeries, model: str = "lumped") -> Figure:
+    return draw_run(series, title="a robot: a bag", subtitle="generated", mass_model=model, timeout=0.2)
 
 
 def lines(figure: Figure, panel: int) -> dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
@@ -64,7 +71,7 @@ def test_a_spike_of_one_cycle_is_drawn() -> None:
 
 def test_masses_far_apart_get_a_logarithmic_axis() -> None:
     assert drawn(run()).axes[2].get_yscale() == "linear"
-    assert drawn(run(largest=900.0)).axes[2].get_yscale() == "log"
+    assert drawn(run(max_mass=900.0)).axes[2].get_yscale() == "log"
 
 
 def test_a_gap_breaks_the_lines() -> None:
@@ -78,25 +85,14 @@ def test_a_model_that_does_not_exist_is_not_in_the_legend() -> None:
     assert "larger of both (decides)" in lines(drawn(run(), "largest"), 2)
 
 
-def test_a_single_cycle_and_nothing_known_can_be_drawn(tmp_path: Path) -> None:
-    nothing = np.array([np.nan])
-    course = TimeSeries(0, np.array([0.0]), np.array([Verdict.UNKNOWN]), *(nothing for _ in range(6)))
-    save(drawn(course), tmp_path, "run", overwrite=False)
-
-
-def test_both_files_are_written_and_neither_replaced(tmp_path: Path) -> None:
-    paths = save(drawn(run(1.0)), tmp_path / "out", "run", overwrite=False)
-    assert [path.name for path in paths] == ["run.png", "run.svg"]
-    height, width, _ = imread(paths[0]).shape
+def test_a_single_unknown_cycle_can_be_drawn(tmp_path: Path) -> None:
+    builder = TimeSeriesBuilder()
+    builder.add(unknown_contact("tool", "the header stamp is zero", 0, 0.0), 1)
+    write(drawn(builder.build()), tmp_path / "run.png", tmp_path / "run.svg")
+    height, width, _ = imread(tmp_path / "run.png").shape
     assert width > 1500
     assert height > 900
-    assert "</svg>" in paths[1].read_text(encoding="utf-8")
-    before = paths[0].read_bytes()
-    paths[1].unlink()
-    with pytest.raises(OutputError):
-        save(drawn(run(2.0)), tmp_path / "out", "run", overwrite=False)
-    assert paths[0].read_bytes() == before
-    assert list((tmp_path / "out").iterdir()) == [paths[0]]
+    assert "</svg>" in (tmp_path / "run.svg").read_text(encoding="utf-8")
 
 
 def test_force_and_its_impacts_are_drawn_below() -> None:

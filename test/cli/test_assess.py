@@ -211,6 +211,33 @@ def test_gaps_and_joint_states_of_others_are_told(swing_bag: Path, here: Cli, tm
     assert result["seconds_by_verdict"]["UNKNOWN"] >= 301 * 0.002 - 0.2
 
 
+def test_a_report_shows_every_contact_point_and_episode(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
+    words = ("assess", swing_bag, share("bags", "tour"), "-o", tmp_path / "a.csv", "--report", tmp_path / "report")
+    done = here(*words)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert str(tmp_path / "report" / "report.html") in done.stdout
+    figures = ["run.png", "run.svg", "run_2.png", "run_2.svg"]
+    assert sorted(path.name for path in (tmp_path / "report").iterdir()) == ["report.html", *figures, "summary.json"]
+    summary = json.loads((tmp_path / "report" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["figures"] == [str(tmp_path / "report" / name) for name in figures]
+    assert {episode["run"].rpartition(" ")[2] for episode in summary["episodes"]} == {"swing", "tour"}
+    violation = min((e for e in summary["episodes"] if e["min_margin_m_s"]), key=lambda e: e["min_margin_m_s"])
+    assert violation["verdict"] == "VIOLATION"
+    assert violation["min_margin_m_s"] == summary["tightest"]["margin_m_s"]
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 2
+    assert "not a certified safety function" in page
+
+    again = here(*words, "--force")
+    assert again.returncode == 0
+    (tmp_path / "a.csv").unlink()
+    page_path = tmp_path / "report" / "report.html"
+    page_path.write_text("precious", encoding="utf-8")
+    assert here(*words).stderr == f"{page_path}: exists already; --force replaces it\n"
+    assert page_path.read_text(encoding="utf-8") == "precious"
+    assert not (tmp_path / "a.csv").exists()
+
+
 def test_several_topics_need_a_choice(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
     with open_bag(swing_bag) as bag, BagWriter(tmp_path / "two.mcap") as two:
         for message in bag.messages(["/joint_states"]):
@@ -218,9 +245,8 @@ def test_several_topics_need_a_choice(swing_bag: Path, here: Cli, tmp_path: Path
             two.write("/right/joint_states", JOINT_STATE, message.log_time_ns, message.data)
     done = here("assess", tmp_path / "two.mcap", "-o", tmp_path / "a.csv")
     assert done.returncode == 2
-    assert (
-        "several topics hold joint states; give --topic one of /left/joint_states, /right/joint_states" in done.stderr
-    )
+    choice = "several topics hold joint states; --topic must be one of /left/joint_states, /right/joint_states"
+    assert choice in done.stderr
     assert not (tmp_path / "a.csv").exists()
     assert (
         here("assess", tmp_path / "two.mcap", "-o", tmp_path / "a.csv", "--topic", "left/joint_states").returncode == 0

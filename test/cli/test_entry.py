@@ -89,10 +89,13 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "missing parameters of a node": (["monitor", "--params", "no.yaml"], "no.yaml: cannot be read"),
     "missing bag": (["assess", "no.mcap", "-o", "a.csv"], "no.mcap: there is no such file"),
     "not a bag": (["assess", ROBOT, "-o", "a.csv"], "is no recording in one of the formats"),
-    "wrong topic": (["assess", TOUR, "-o", "a.csv", "--topic", "/arm"], "no joint states on /arm; give --topic one of"),
+    "wrong topic": (
+        ["assess", TOUR, "-o", "a.csv", "--topic", "/arm"],
+        "no joint states on /arm; --topic must be one",
+    ),
     "wrong topic of a demo": (
         ["demo", "--bag", TOUR, "--topic", "/arm"],
-        "no joint states on /arm; give --topic one of /joint_states",
+        "no joint states on /arm; --topic must be one of /joint_states",
     ),
     "topic of a demo without a bag": (["demo", "--topic", "/arm"], "demo: --topic = /arm: the simulated cell has"),
     "robot of a demo without a bag": (["demo", "--robot", ROBOT], "demo: --robot: the simulated cell is an"),

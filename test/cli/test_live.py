@@ -16,7 +16,7 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.cli import COMMANDS, main
 from scara_effmass.cli.options import node_arguments
-from scara_effmass.cli.processes import keep_to_this_machine
+from scara_effmass.cli.processes import isolate_ros_domain
 from scara_effmass.share import share
 
 if TYPE_CHECKING:
@@ -105,11 +105,11 @@ def test_demo_runs_the_live_monitor_and_says_the_same_as_assess(swing_bag: Path,
     assert {**result["tightest"], "bag": ""} == {**offline["tightest"], "bag": ""}
     assert "1000 joint states sent, 1000 answered, 0 lost" in done.stdout
     assert "VIOLATION" in done.stdout
-    assert str(tmp_path / "out" / "run.png") in done.stdout
+    assert str(tmp_path / "out" / "report.html") in done.stdout
     assert (tmp_path / "out" / "run.png").read_bytes().startswith(PNG)
     assert ET.parse(tmp_path / "out" / "run.svg").getroot().tag.endswith("svg")  # noqa: S314 - our own file
     files = {path.name for path in (tmp_path / "out").iterdir()}
-    assert files == {"recording", "run.png", "run.svg", "summary.json"}
+    assert files == {"recording", "report.html", "run.png", "run.svg", "summary.json"}
     assert result["recording"]["lost"] == 0
     with open_bag(swing_bag) as sent, open_bag(tmp_path / "out" / "recording") as recorded:
         pairs = zip(sent.messages(["/joint_states"]), recorded.messages(["/joint_states"]), strict=True)
@@ -170,11 +170,11 @@ def children_of(pid: int) -> list[int]:
 def test_a_demo_goes_where_nobody_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
-    keep_to_this_machine()
+    isolate_ros_domain()
     first = os.environ["ROS_DOMAIN_ID"]
     with socket.socket(type=socket.SOCK_DGRAM) as somebody:
         somebody.bind(("", 7400 + 250 * int(first) + 10))
-        keep_to_this_machine()
+        isolate_ros_domain()
         second = os.environ["ROS_DOMAIN_ID"]
     assert first != second
     assert 1 <= int(second) <= 101

@@ -1,0 +1,178 @@
+"""Assessments of one contact point over time, as figures and reports use them."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from scara_effmass.values import NAN, Verdict
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from scara_effmass.values import ContactAssessment, FloatArray
+
+NO_JOINT_STATE = "no joint state"
+"""Reason of the episodes in which no joint state arrived."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSeries:
+    """Assessments at `time` (m,) [s] since `start_ns`; unknown values are NaN. Speeds [m/s], masses [kg].
+
+    `reasons` holds the reason of each verdict that differs from the one before, by index.
+    """
+
+    start_ns: int
+    reasons: dict[int, str]
+    time: FloatArray
+    verdict: NDArray[np.int64]
+    speed: FloatArray
+    allowable_speed: FloatArray
+    margin: FloatArray
+    effective_mass: FloatArray
+    lumped_mass: FloatArray
+    full_mass: FloatArray
+    iso_mass: FloatArray
+
+    def with_gaps(self, timeout: float) -> TimeSeries:
+        """Return a copy with a row of NaN after each gap longer than `timeout` [s] begins, which breaks a line."""
+        gaps = np.flatnonzero(np.diff(self.time) > timeout) + 1
+        columns = {name: np.insert(getattr(self, name), gaps, NAN) for name in _VALUES}
+        return TimeSeries(
+            start_ns=self.start_ns,
+            reasons={},
+            time=np.insert(self.time, gaps, self.time[gaps - 1] + timeout),
+            verdict=np.insert(self.verdict, gaps, Verdict.UNKNOWN),
+            **columns,
+        )
+
+
+_VALUES = tuple(field.name for field in fields(TimeSeries))[4:]
+
+
+class Episode(NamedTuple):
+    """An interval of one verdict other than OK, from `start` to `stop` [s] since the first joint state.
+
+    `min_margin` [m/s] is NaN where no margin is known; `reason` is that of the first joint state.
+    """
+
+    start: float
+    stop: float
+    verdict: Verdict
+    min_margin: float
+    reason: str
+
+
+class TimeSeriesBuilder:
+    """Collects the assessments of one contact point: 72 bytes each, so an hour at 1 kHz takes 260 MB."""
+
+    def __init__(self) -> None:
+        """Start empty."""
+        self._stamps_ns = array("q")
+        self._verdicts = array("q")
+        self._values = array("d")
+        self._reasons: dict[int, str] = {}
+
+    def add(self, contact: ContactAssessment, at_ns: int) -> None:
+        """Add an assessment made at `at_ns`; it is placed at its own stamp where that stamp is valid."""
+        known = contact.effective_mass > 0.0
+        decided = contact.verdict is not Verdict.UNKNOWN
+        if not self._verdicts or contact.verdict != self._verdicts[-1]:
+            self._reasons[len(self._verdicts)] = contact.reason
+        self._stamps_ns.append(contact.stamp_ns if known else at_ns)
+        self._verdicts.append(contact.verdict)
+        self._values.extend(
+            (
+                contact.speed if known else NAN,
+                contact.allowable_speed if decided else NAN,
+                contact.margin if decided else NAN,
+                contact.effective_mass if known else NAN,
+                contact.lumped_mass,
+                contact.full_mass,
+                contact.iso_mass if contact.iso_mass > 0.0 else NAN,
+            )
+        )
+
+    def build(self) -> TimeSeries:
+        """Return the assessments so far, in order of time."""
+        stamps_ns = np.array(self._stamps_ns)
+        order = np.argsort(stamps_ns, kind="stable")
+        stamps_ns = stamps_ns[order]
+        columns = np.array(self._values).reshape(-1, len(_VALUES))[order].T
+        start_ns = int(stamps_ns[0]) if len(stamps_ns) else 0
+        rank = np.empty(len(order), np.int64)
+        rank[order] = np.arange(len(order))
+        return TimeSeries(
+            start_ns=start_ns,
+            reasons={int(rank[index]): reason for index, reason in self._reasons.items()},
+            time=(stamps_ns - start_ns) / 1e9,
+            verdict=np.array(self._verdicts)[order],
+            **dict(zip(_VALUES, columns, strict=True)),
+        )
+
+
+def decimate(time: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
+    """Return at most 5 points per pixel column that draw like all: first, last, minimum, maximum, and one NaN.
+
+    `time` (m,) is ascending. Equal columns of time become equal columns of pixels, so no peak and no gap is lost.
+    """
+    if len(time) <= 5 * columns:
+        return time, values
+    span = time[-1] - time[0] or 1.0
+    column = np.minimum((columns * (time - time[0]) / span).astype(np.int64), columns - 1)
+    starts = np.flatnonzero(np.diff(column, prepend=-1))
+    stops = np.append(starts[1:], len(time))
+    chosen: set[int] = set()
+    for start, stop in zip(starts.tolist(), stops.tolist(), strict=True):
+        part = values[start:stop]
+        missing = np.isnan(part)
+        chosen |= {start, stop - 1}
+        if not missing.all():
+            chosen |= {start + int(np.nanargmin(part)), start + int(np.nanargmax(part))}
+        if missing.any():
+            chosen.add(start + int(np.argmax(missing)))
+    indices = np.array(sorted(chosen))
+    return time[indices], values[indices]
+
+
+def verdict_spans(series: TimeSeries, timeout: float) -> list[tuple[float, float, Verdict]]:
+    """Return intervals of equal verdict as (start, stop, verdict) [s]; a silence beyond `timeout` [s] is UNKNOWN."""
+    spans: list[tuple[float, float, Verdict]] = []
+
+    def extend(start: float, stop: float, verdict: Verdict) -> None:
+        if spans and spans[-1][2] is verdict:
+            spans[-1] = (spans[-1][0], stop, verdict)
+        elif stop > start:
+            spans.append((start, stop, verdict))
+
+    ends = np.append(series.time[1:], series.time[-1:])
+    for start, stop, number in zip(series.time.tolist(), ends.tolist(), series.verdict.tolist(), strict=True):
+        extend(start, min(stop, start + timeout), Verdict(number))
+        if stop > start + timeout:
+            extend(start + timeout, stop, Verdict.UNKNOWN)
+    return spans
+
+
+def episodes(series: TimeSeries, timeout: float) -> list[Episode]:
+    """Return the intervals without verdict OK, in order; a silence beyond `timeout` [s] is one of UNKNOWN."""
+    time, verdict = series.time, series.verdict
+    if not len(time):
+        return []
+    silent = np.diff(time) > timeout
+    starts = [0, *(np.flatnonzero(silent | (np.diff(verdict) != 0)) + 1).tolist()]
+    found: list[Episode] = []
+    for start, stop in zip(starts, [*starts[1:], len(time)], strict=True):
+        end = float(time[min(stop, len(time) - 1)])
+        last = min(end, float(time[stop - 1]) + timeout)
+        if verdict[start] != Verdict.OK:
+            margins = series.margin[start:stop]
+            min_margin = NAN if np.isnan(margins).all() else float(np.nanmin(margins))
+            reason = series.reasons[max(index for index in series.reasons if index <= start)]
+            found.append(Episode(float(time[start]), last, Verdict(verdict[start]), min_margin, reason))
+        if end > last:
+            found.append(Episode(last, end, Verdict.UNKNOWN, NAN, NO_JOINT_STATE))
+    return found

@@ -1,0 +1,150 @@
+"""`scara-effmass demo`: run all nodes on the simulated cell and write the report of its impacts."""
+
+from __future__ import annotations
+
+import json
+import time
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+from scara_effmass.cli.console import print_json, print_lines, printer
+from scara_effmass.cli.live import StatusLine
+from scara_effmass.cli.processes import (
+    RECORDING,
+    SIM_TIME,
+    START_TIMEOUT_S,
+    child_process,
+    isolate_ros_domain,
+    monitor_command,
+    record_command,
+    removed_on_failure,
+    require_running,
+)
+from scara_effmass.cli.report import validation_lines
+from scara_effmass.errors import EffmassError
+from scara_effmass.settings import ValidatorSettings
+
+if TYPE_CHECKING:
+    import argparse
+
+    from scara_effmass_msgs.msg import ImpactValidation
+
+    from scara_effmass.model.dynamics import RobotDynamics
+    from scara_effmass.settings import MonitorSettings
+    from scara_effmass.values import ContactAssessment
+
+MAX_SLOWDOWN = 10.0
+"""Longest run in times its simulated duration: the simulation waits for nodes that fall behind."""
+IMPACTS = 12
+"""Three configurations with four obstacle masses each."""
+FIRST_IMPACT_S = 4.0
+IMPACT_PERIOD_S = 3.5
+RECORDER_DELAY_S = 5.0
+"""Largest delay of recorded log times: simulated time waits for monitor and force node, not for the recorder."""
+VALIDATION_DELAY_S = 3.0
+"""Time from an impact to its validation, which follows once the rebounds are over."""
+ENDPOINTS = (("contact_state", 1, 2), ("force", 1, 1), ("impact", 1, 1), ("impact_validation", 1, 1))
+"""Topic, publishers and subscribers (this process included) that must exist before the simulation starts."""
+INTRODUCTION = (
+    ("simulated", "robot, carts and force: the simulated cell (MuJoCo), no real robot, nothing is measured"),
+    ("live", "monitor, force and validator nodes compute their messages and verdicts now, over DDS"),
+    ("clock", "simulated, at most real time; it waits for the monitor and force nodes when they fall behind"),
+    ("experiment", "an i4-550L drives into four carts (0.50 to 7.35 kg) in three configurations, at 0.25 m/s"),
+)
+
+
+def run_sim(args: argparse.Namespace, arm: RobotDynamics, settings: MonitorSettings) -> int:
+    """Run the simulated cell; return 0 when the series of impacts is accepted, else 1. Raises EffmassError."""
+    from scara_effmass.analysis.validation import ValidationSettings, validate  # noqa: PLC0415 - not for --help
+    from scara_effmass.analysis.validation_record import record  # noqa: PLC0415
+    from scara_effmass.analysis.validation_report import PAGE, require_room, write_report  # noqa: PLC0415
+
+    require_room(args.out, overwrite=args.force)
+    if not args.json:
+        print_lines(INTRODUCTION)
+    with removed_on_failure(args.out / RECORDING):
+        validations, record_report = _run_live(args, arm, settings)
+        validation_settings = ValidationSettings(
+            monitor=settings.model_copy(update={"timeout": RECORDER_DELAY_S}),
+            validator=ValidatorSettings(clock_tolerance=RECORDER_DELAY_S),
+        )
+        validation = validate([args.out / RECORDING], arm, validation_settings)
+        write_report(validation, validation_settings, arm.robot, args.out, overwrite=args.force)
+    result = validation.result
+    live = {_stamp_ns(message) for message in validations}
+    offline = {impact.stamp_ns for impact in result.impacts}
+    counts = {"live": len(live), "offline": len(offline), "both": len(live & offline)}
+    if args.json:
+        print_json({**counts, "recording": record_report, **record(validation, validation_settings, arm.robot)})
+    else:
+        recorded = f"{record_report['messages']} messages, {record_report['lost']} lost: {record_report['bag']}"
+        print_lines(
+            [
+                ("impacts", f"{len(live)} validated live, {len(offline)} offline, {len(live & offline)} the same"),
+                *validation_lines(validation),
+                ("recorded", recorded),
+                ("open", args.out / PAGE),
+            ]
+        )
+    return 0 if result.accepted else 1
+
+
+def _run_live(
+    args: argparse.Namespace, arm: RobotDynamics, settings: MonitorSettings
+) -> tuple[list[ImpactValidation], dict[str, Any]]:
+    """Start all nodes and receive until the last impact; return the validator's messages and the recorder's report."""
+    isolate_ros_domain()
+    from scara_effmass.nodes.monitor_client import MonitorClient  # noqa: PLC0415 - reads the domain when it is made
+
+    start_s = float(round(time.time()))
+    duration_s = min(args.duration, FIRST_IMPACT_S + IMPACTS * IMPACT_PERIOD_S)
+    cell = ["-p", "sim.scene:=cell", "-p", f"sim.start:={start_s}"]
+    commands = (
+        ["daq", "--source", "sim", *SIM_TIME, *cell],
+        ["validator", *SIM_TIME],
+        monitor_command(args, settings),
+    )
+    sim_command = ["sim", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=2"]
+    validations: list[ImpactValidation] = []
+    console = printer()
+    with ExitStack() as stack:
+        recorder = stack.enter_context(child_process(record_command(args)))
+        processes = [recorder, *(stack.enter_context(child_process(command)) for command in commands)]
+        status = StatusLine(console, duration_s, visible=not args.json)
+
+        def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
+            status.show(contacts, at_ns / 1e9 - start_s, client.speed_scaling)
+
+        def on_validation(message: ImpactValidation) -> None:
+            validations.append(message)
+            if not args.json:
+                console.print(_impact_line(message, start_s))
+
+        def finished() -> bool:
+            timed_out = client.now_ns / 1e9 > start_s + duration_s + VALIDATION_DELAY_S
+            return timed_out or len(validations) >= IMPACTS or any(process.ended for process in processes)
+
+        with MonitorClient(arm.contact_points, on_cycle, on_validation) as client, status:
+            if not client.spin(START_TIMEOUT_S, lambda: all(client.has_ends(*end) for end in ENDPOINTS) or finished()):
+                raise EffmassError(f"nodes: not running after {START_TIMEOUT_S:g} s")
+            require_running(processes)
+            # The recorder subscribes once it receives the first /clock message, which the simulation publishes.
+            processes.append(stack.enter_context(child_process(sim_command)))
+            client.spin(START_TIMEOUT_S + MAX_SLOWDOWN * duration_s, finished)
+            require_running(processes)
+            record_report: dict[str, Any] = json.loads(recorder.finish())
+    if not validations:
+        raise EffmassError("no impact was validated: this machine may be too busy for the simulation")
+    return validations, record_report
+
+
+def _impact_line(message: ImpactValidation, start_s: float) -> str:
+    return (
+        f"{_stamp_ns(message) / 1e9 - start_s:6.1f} s  impact {message.count}: {message.speed:.3f} m/s, "
+        f"{message.reduced_mass:.3f} kg reduced mass: {message.measured_force:.1f} N simulated, "
+        f"{message.predicted_force:.1f} N predicted ({message.relative_error:+.1%})"
+    )
+
+
+def _stamp_ns(message: ImpactValidation) -> int:
+    return int(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)

@@ -1,0 +1,140 @@
+"""Time series of a contact point: no peak, gap or episode is lost on the way to a figure or report."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scara_effmass.analysis.time_series import (
+    NO_JOINT_STATE,
+    TimeSeriesBuilder,
+    decimate,
+    episodes,
+    verdict_spans,
+)
+from scara_effmass.safety import unknown_contact
+from scara_effmass.values import Verdict
+
+if TYPE_CHECKING:
+    from scara_effmass.analysis.time_series import (
+        TimeSeries,
+    )
+
+OK, WARN, VIOLATION, UNKNOWN = Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN
+TIMEOUT = 0.2
+
+assessed = unknown_contact("tool", "", 1, 0.0)._replace(
+    verdict=OK, speed=0.2, allowable_speed=1.0, margin=0.8, effective_mass=2.0, lumped_mass=2.0, iso_mass=2.77
+)
+
+
+def series(times: list[float], verdicts: list[Verdict]) -> TimeSeries:
+    builder = TimeSeriesBuilder()
+    for number, (time, verdict) in enumerate(zip(times, verdicts, strict=True)):
+        stamp_ns = 10**12 + round(time * 1e9)
+        row = assessed._replace(stamp_ns=stamp_ns, verdict=verdict, reason=f"row {number}", margin=0.1 - time)
+        builder.add(row, stamp_ns)
+    return builder.build()
+
+
+def test_assessments_are_in_order_of_their_stamps() -> None:
+    builder = TimeSeriesBuilder()
+    builder.add(assessed._replace(speed=0.5, stamp_ns=3_000_000_000, reason="late"), 3_004_000_000)
+    builder.add(assessed._replace(stamp_ns=1_000_000_000, verdict=WARN, reason="early"), 1_001_000_000)
+    kept = builder.build()
+    assert kept.time.tolist() == [0.0, 2.0]
+    assert kept.speed.tolist() == [0.2, 0.5]
+    assert kept.iso_mass.tolist() == [2.77, 2.77]
+    assert np.isnan(kept.full_mass).all()
+    assert kept.reasons == {1: "late", 0: "early"}
+
+
+def test_unknown_values_are_nan() -> None:
+    builder = TimeSeriesBuilder()
+    builder.add(unknown_contact("tool", "the header stamp is zero", 0, 0.0), 1_000_000_000)
+    held = assessed._replace(verdict=UNKNOWN, reason="held after: stale", allowable_speed=0.0)
+    builder.add(held._replace(stamp_ns=2_000_000_000), 2_001_000_000)
+    kept = builder.build()
+    assert kept.time.tolist() == [0.0, 1.0]
+    assert np.isnan(kept.speed[0])
+    assert np.isnan(kept.effective_mass[0])
+    assert kept.speed[1] == 0.2
+    assert np.isnan(kept.allowable_speed).all()
+    assert np.isnan(kept.margin).all()
+
+
+def test_an_empty_time_series_has_no_episodes() -> None:
+    empty = TimeSeriesBuilder().build()
+    assert len(empty.time) == 0
+    assert episodes(empty, TIMEOUT) == []
+
+
+@given(st.lists(st.one_of(st.floats(-1e3, 1e3), st.just(float("nan"))), min_size=1, max_size=400), st.integers(1, 20))
+def test_decimation_keeps_peaks_gaps_and_ends_of_every_column(values: list[float], columns: int) -> None:
+    y = np.array(values)
+    t = np.linspace(0.0, 0.1 * (len(y) - 1), len(y))
+    few_t, few_y = decimate(t, y, columns)
+    assert len(few_t) <= max(5 * columns, 0) or len(few_t) == len(t)
+    assert np.all(np.diff(few_t) > 0.0)
+    assert few_t[0] == t[0]
+    assert few_t[-1] == t[-1]
+    assert np.isin(few_t, t).all()
+    edges = np.linspace(0.0, t[-1] if t[-1] > 0.0 else 1.0, columns + 1)
+    for left, right in zip(edges[:-1] + 1e-9, edges[1:] - 1e-9, strict=True):
+        inside, kept = y[(t > left) & (t < right)], few_y[(few_t > left - 2e-9) & (few_t < right + 2e-9)]
+        if np.isnan(inside).any():
+            assert np.isnan(kept).any()
+        if not np.isnan(inside).all():
+            assert np.nanmax(kept) >= np.nanmax(inside)
+            assert np.nanmin(kept) <= np.nanmin(inside)
+
+
+def test_a_single_peak_among_a_million_points_stays() -> None:
+    y = np.zeros(1_000_000)
+    y[123_456] = 7.0
+    _, few = decimate(np.linspace(0.0, 1e3, len(y)), y, 1500)
+    assert few.max() == 7.0
+    assert len(few) < 7500
+
+
+def test_verdict_spans_join_equal_verdicts_and_show_silence_as_unknown() -> None:
+    spans = verdict_spans(series([0.0, 0.1, 0.2, 1.0, 1.1], [OK, OK, WARN, WARN, OK]), TIMEOUT)
+    expected = [(0.0, 0.2, OK), (0.2, 0.4, WARN), (0.4, 1.0, UNKNOWN), (1.0, 1.1, WARN)]
+    assert [span[2] for span in spans] == [span[2] for span in expected]
+    assert np.array([span[:2] for span in spans]) == pytest.approx(np.array([span[:2] for span in expected]))
+
+
+def test_episodes_have_interval_margin_and_reason() -> None:
+    run = series([0.0, 0.1, 0.2, 0.3, 1.0, 1.1, 1.2], [OK, WARN, VIOLATION, VIOLATION, VIOLATION, OK, WARN])
+    rows = episodes(run, TIMEOUT)
+    assert [(row.verdict, round(row.start, 3), round(row.stop, 3)) for row in rows] == [
+        (WARN, 0.1, 0.2),
+        (VIOLATION, 0.2, 0.5),
+        (UNKNOWN, 0.5, 1.0),
+        (VIOLATION, 1.0, 1.1),
+        (WARN, 1.2, 1.2),
+    ]
+    assert [row.min_margin for row in rows[:2]] == pytest.approx([0.0, -0.2])
+    assert [row.reason for row in rows] == ["row 1", "row 2", NO_JOINT_STATE, "row 2", "row 6"]
+
+
+steps = st.lists(st.tuples(st.floats(0.001, 1.0), st.sampled_from(list(Verdict))), min_size=2, max_size=40)
+
+
+@given(steps)
+def test_spans_and_episodes_cover_the_whole_time_once(steps: list[tuple[float, Verdict]]) -> None:
+    times = np.cumsum([step for step, _ in steps])
+    run = series((times - times[0]).tolist(), [verdict for _, verdict in steps])
+    spans = verdict_spans(run, TIMEOUT)
+    assert spans[0][0] == 0.0
+    assert spans[-1][1] == pytest.approx(times[-1] - times[0])
+    assert all(first[1] == second[0] for first, second in pairwise(spans))
+    assert all(first[2] is not second[2] for first, second in pairwise(spans))
+    for verdict in (WARN, VIOLATION, UNKNOWN):
+        duration = sum(stop - start for start, stop, other in spans if other is verdict)
+        assert sum(e.stop - e.start for e in episodes(run, TIMEOUT) if e.verdict is verdict) == pytest.approx(duration)
