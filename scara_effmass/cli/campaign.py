@@ -70,11 +70,11 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate and record what is not there yet, and print what was done."""
     from scara_effmass.sim.campaign import run_campaign  # noqa: PLC0415 - MuJoCo, not needed for --help
-    from scara_effmass.sim.experiment import cell_for  # noqa: PLC0415
+    from scara_effmass.sim.experiment import build_sim  # noqa: PLC0415
 
     campaign = _campaign(args)
     for each in campaign.runs:
-        cell_for(each.setup)  # refuses a contact that cannot be simulated before anything is written
+        build_sim(each.setup)  # refuses a contact that cannot be simulated before anything is written
     steps: list[CampaignStep] = []
     progress = Progress(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
     with progress:

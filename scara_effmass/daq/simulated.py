@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from scara_effmass.daq.source import Reading, Unit
-from scara_effmass.sim.force import RandomImpacts, SimulatedSignal
+from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,20 +46,20 @@ class SimulatedForce:
         self._block = max(1, round(settings.block_time * sim.sample_rate))
         self._true_rate = sim.sample_rate * (1.0 + sim.clock_error)
         self._closed = threading.Event()
-        self._signal: SimulatedSignal | None = None
+        self._signal: SyntheticSignal | None = None
         self._start_ns = 0
         self._next = 0
 
     def start(self) -> None:
         """Make the noise, and begin at sample 0."""
         sim = self._settings.sim
-        self._signal = SimulatedSignal(
+        self._signal = SyntheticSignal(
             channels=sim.channels,
             sample_rate=sim.sample_rate,
             noise=sim.noise,
             seed=sim.seed,
             sensitivity=self._settings.sensor.sensitivity,
-            impacts=RandomImpacts(sim.seed, sim.sample_rate, sim.impact_period),
+            pulses=RandomPulses(sim.seed, sim.sample_rate, sim.impact_period),
         )
         self.limit = self._signal.limit
         self._next = 0

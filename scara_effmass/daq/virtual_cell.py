@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from scara_effmass.daq.source import Reading, Unit
-from scara_effmass.sim.converter import ForceSensor
-from scara_effmass.sim.live import LiveBench, LiveSettings
+from scara_effmass.sim.adc import ForceSensor
+from scara_effmass.sim.live import LiveSettings, LiveSim
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,14 +53,14 @@ class VirtualCellForce:
         self._settings = settings
         self._now_ns = now_ns
         self._closed = threading.Event()
-        self._bench: LiveBench | None = None
+        self._bench: LiveSim | None = None
         self._due_ns = 0
         self._ahead: LiveOutput | None = None
 
     def start(self) -> None:
         """Put the robot at its start, at `sim.start` or now."""
         start_ns = round(self._settings.sim.start * 1e3) * MS or self._now_ns()
-        self._bench = LiveBench(LiveSettings(sensor=self._sensor, seed=self._settings.sim.seed), start_ns)
+        self._bench = LiveSim(LiveSettings(sensor=self._sensor, seed=self._settings.sim.seed), start_ns)
         self._due_ns = start_ns
         self._ahead = None
         self._closed.clear()

@@ -21,14 +21,14 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.settings import READ_ONLY, checked
-from scara_effmass.sim.live import LiveBench, LiveSettings
+from scara_effmass.sim.live import LiveSettings, LiveSim
 from scara_effmass.wire import topics
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from scara_effmass import values
-    from scara_effmass.sim.live import PlacedCart
+    from scara_effmass.sim.live import CartPlacement
 
 _NS = 1_000_000_000
 _MS = 1_000_000
@@ -83,7 +83,7 @@ class SimNode(LifecycleBase):
         if self._settings.clock and self.get_parameter("use_sim_time").value:
             raise SettingsError(f"{self.get_name()}: clock = true: it makes the time; use_sim_time = false")
         self._states: deque[values.JointState] = deque()
-        self._carts: deque[PlacedCart] = deque()
+        self._carts: deque[CartPlacement] = deque()
 
     def set_up(self) -> None:
         """Create the endpoints."""
@@ -96,7 +96,7 @@ class SimNode(LifecycleBase):
     def start(self) -> None:
         """Put the robot at its start."""
         start_ns = round(self._settings.start * 1e3) * _MS or int(self.get_clock().now().nanoseconds)
-        self._bench = LiveBench(LiveSettings(seed=self._settings.seed), start_ns)
+        self._bench = LiveSim(LiveSettings(seed=self._settings.seed), start_ns)
         self._states.clear()
         self._carts.clear()
         if self._pace is not None:
@@ -171,7 +171,7 @@ class SimClock:
         self._done_ns[topic] = max(self._done_ns.get(topic, 0), sec * _NS + nanosec)
 
 
-def _about(cart: PlacedCart, seed: int) -> dict[str, object]:
+def _about(cart: CartPlacement, seed: int) -> dict[str, object]:
     return {
         "generated": True,
         "description": "simulated cell (MuJoCo), the robot drives into a cart",

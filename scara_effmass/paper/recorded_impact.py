@@ -9,7 +9,7 @@ import numpy as np
 
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.paper.protocol import ALONG_X
-from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse
+from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse_kinematics
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -37,7 +37,7 @@ class RecordedImpact:
 
 def mass_at(scara: Scara, point: tuple[float, float]) -> float:
     """Return m_n of the simplified model [kg], right arm, tool at `point`, along x (Eq. 28)."""
-    q1, q2 = inverse(np.array(point), ElbowConfig.RIGHT)
+    q1, q2 = inverse_kinematics(np.array(point), ElbowConfig.RIGHT)
     return float(scara.lumped(q1, q2, ALONG_X))
 
 

@@ -1,1 +1,1 @@
-"""Where motion comes from when there is no robot: paths, inverse kinematics, recordings. Knows nothing of masses."""
+"""The simulated cell: robot, cart and force sensor in MuJoCo, and the generator of the reference recordings."""

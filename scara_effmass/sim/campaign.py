@@ -12,10 +12,10 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.messages import joint_state_message, serialized
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, OutputError
-from scara_effmass.sim.converter import ForceSensor
-from scara_effmass.sim.drive import SERVO
+from scara_effmass.sim.adc import ForceSensor
+from scara_effmass.sim.controller import DEFAULT_GAINS
 from scara_effmass.sim.experiment import run_impact
-from scara_effmass.sim.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES, REST_S, ImpactSetup
+from scara_effmass.sim.impact_setup import CONFIGURATIONS, DWELL_S, OBSTACLE_MASSES, ImpactSetup
 from scara_effmass.sim.recordings import EPOCH_NS, SEED
 from scara_effmass.sim.rng import uniform
 from scara_effmass.sim.spring_contact import POLYETHYLENE
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from scara_effmass.sim.drive import Servo
+    from scara_effmass.sim.controller import ServoGains
     from scara_effmass.sim.experiment import ImpactRun
     from scara_effmass.sim.impact_setup import Configuration
     from scara_effmass.sim.spring_contact import SpringContact
@@ -44,7 +44,7 @@ START_SPREAD_S = 0.01
 """in when the robot sets off;"""
 CLOCK_SPREAD = 50e-6
 """and in the rate of the converter's clock."""
-APART_NS = 10_000_000_000
+RUN_SPACING_NS = 10_000_000_000
 """From the start of one run to that of the next."""
 PUBLISHED_NS = 1_000_000
 """So long after its last sample came out of the converter, a block is published."""
@@ -61,7 +61,7 @@ class Campaign:
     speed: float = 0.25
     """[m/s]"""
     contact: SpringContact = POLYETHYLENE
-    servo: Servo = SERVO
+    servo: ServoGains = DEFAULT_GAINS
     noise: float = 0.1
     """of the force, standard deviation [N]"""
     tip_mass: float = 0.0
@@ -87,11 +87,11 @@ class Campaign:
             servo=self.servo,
             sensor=ForceSensor(clock_error=CLOCK_SPREAD * (2.0 * clock - 1.0), noise=self.noise, seed=seed),
             offset=OFFSET_SPREAD_M * (2.0 * offset - 1.0),
-            rest=REST_S + START_SPREAD_S * start,
+            dwell=DWELL_S + START_SPREAD_S * start,
             tip_mass=self.tip_mass,
             guide_friction=self.guide_friction,
             seed=seed,
-            start_ns=EPOCH_NS + number * APART_NS,
+            start_ns=EPOCH_NS + number * RUN_SPACING_NS,
         )
         return Run(f"{configuration.name}_{round(obstacle_mass * 1e3)}g_{repetition}", repetition, setup)
 

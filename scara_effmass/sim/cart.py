@@ -1,4 +1,4 @@
-"""The cart that is hit: where it waits, what it weighs, and what holds it back."""
+"""The cart that the robot hits: position, mass, guide friction and brake."""
 
 from __future__ import annotations
 
@@ -11,51 +11,48 @@ from scara_effmass.errors import SettingsError
 if TYPE_CHECKING:
     from scara_effmass.values import Vector3
 
-UNIT = 1e-6
-"""The length of a unit vector is 1 within this."""
-SLOW_MPS = 1e-3
-"""Below it, friction of the guide is in proportion to the speed, so that it ends with the motion."""
+UNIT_LENGTH_TOLERANCE = 1e-6
+VISCOUS_SPEED_MPS = 1e-3
+"""Guide friction is proportional to the speed below this, so that it vanishes at rest."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cart:
-    """The cart, its guide and where it stands when it waits.
+    """A cart on a guide, in the robot's base frame. Raises SettingsError for impossible values.
 
-    The force cell is on the cart, `tip_mass` of the cart's `mass` on the far side of it. `surface` is the unit normal
-    of the plate on the robot, into which the tip is pressed; along the guide where it is None. Behind `travel` a brake
-    stops the cart gently, as the end of a real guide would have to. Raises SettingsError for what cannot be.
+    The force cell sits between the tip and the rest of the cart: `tip_mass` of `mass` is in front of it. A brake
+    behind `travel` stops the cart smoothly.
     """
 
     tip: Vector3
-    """Where the tip waits, in the robot's base frame [m]."""
+    """position of the tip at rest [m]"""
     direction: Vector3
-    """Unit vector along the guide, away from the robot."""
+    """unit vector along the guide, away from the robot"""
     mass: float
-    """m_H, all that slides [kg]"""
+    """m_H, the whole sliding mass [kg]"""
     tip_mass: float = 0.0
     """[kg]"""
     surface: Vector3 | None = None
+    """unit normal of the plate on the robot that the tip touches; None: `direction`"""
     guide_friction: float = 0.5
     """[N]"""
     travel: float = 0.15
-    """free of the brake [m]"""
+    """distance to the brake [m]"""
     brake_time: float = 0.05
-    """in which the brake takes away 63 % of the speed [s]"""
+    """time constant of the brake [s]"""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.tip_mass < self.mass < math.inf:
-            raise SettingsError(
-                f"mass = {self.mass} with tip_mass = {self.tip_mass}: 0 <= tip_mass < mass would be right"
-            )
+            raise SettingsError(f"mass = {self.mass}, tip_mass = {self.tip_mass}: must be 0 <= tip_mass < mass")
         for name in ("direction", "surface"):
             vector = getattr(self, name)
-            if vector is not None and not abs(math.hypot(*vector) - 1.0) < UNIT:
-                raise SettingsError(f"{name} = {vector}: a unit vector would be right")
+            if vector is not None and not abs(math.hypot(*vector) - 1.0) < UNIT_LENGTH_TOLERANCE:
+                raise SettingsError(f"{name} = {vector}: must be a unit vector")
 
     def resistance(self, position: float, speed: float) -> float:
-        """Return what guide and brake do to the cart [N], at `position` [m] beyond where it waited."""
-        friction = -self.guide_friction * speed / SLOW_MPS
-        if abs(speed) > SLOW_MPS:
+        """Return the force of guide and brake on the cart [N], `position` [m] from its rest position."""
+        friction = -self.guide_friction * speed / VISCOUS_SPEED_MPS
+        if abs(speed) > VISCOUS_SPEED_MPS:
             friction = -math.copysign(self.guide_friction, speed)
         braking = -self.mass / self.brake_time * speed if position > self.travel else 0.0
         return friction + braking

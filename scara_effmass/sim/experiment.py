@@ -1,11 +1,11 @@
-"""The paper's experiment: the robot runs into the waiting cart in the middle of a straight path at 250 mm/s.
+"""One impact of the paper's experiment: the robot hits the waiting cart in the middle of a straight path.
 
-The robot moves on as planned, so it often comes after the cart and hits it again, weaker. `ImpactRun` is what the
-suite would have recorded of it, beside what truly happened.
+The robot follows its planned path after the impact, so it often catches up with the cart and hits it again, weaker.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -13,35 +13,34 @@ import numpy as np
 from scara_effmass.errors import RobotError, SettingsError
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.share import share
-from scara_effmass.sim.as_recorded import force_blocks, joint_states
-from scara_effmass.sim.collision_sim import NEAR_NS, TICK_NS, CollisionSim
-from scara_effmass.sim.drive import Drive, Plan
-from scara_effmass.sim.ground_truth import true_contacts
+from scara_effmass.sim.collision_sim import CONTROL_PERIOD_NS, FINE_STEP_NS, CollisionSim
+from scara_effmass.sim.controller import JointController, JointTrajectory
+from scara_effmass.sim.ground_truth import find_contacts
 from scara_effmass.sim.impact_setup import Q3
+from scara_effmass.sim.measurement import measure_force, measure_joint_states
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from scara_effmass.sim.collision_sim import ContactSample
-    from scara_effmass.sim.drive import Encoders
+    from scara_effmass.sim.controller import EncoderReading
     from scara_effmass.sim.ground_truth import TrueContact
     from scara_effmass.sim.impact_setup import ImpactSetup
     from scara_effmass.values import ForceBlock, JointState
 
-LEAST_STEPS = 40
-"""A contact of fewer steps than this is not followed well: at 40 the peak is 0.1 % off."""
-MOST_DAMPED = 0.1
-"""Damping may take no more than this share of the closing speed in a step."""
+MIN_CONTACT_STEPS = 40
+"""Steps in the shortest contact; the peak is then 0.1 % off."""
+MAX_SPEED_LOSS = 0.1
+"""Largest share of the closing speed that damping may take in one step."""
 ROBOT = ("config", "omron_i4_550l.yaml")
-PLACED_M = 1e-6
-"""The tool has to be where the bench's own kinematics put it."""
+MAX_POSITION_ERROR_M = 1e-6
+"""Between the robot file's kinematics and those of `scara_kinematics`."""
 
 
 class ImpactTruth(NamedTuple):
-    """What truly happened: the contacts, the impact first, and the masses [kg] that met in it.
+    """Ground truth of a run: the contacts, the impact first, and the masses [kg] at its onset.
 
-    `effective_mass` is the robot's along the normal of the plate at onset, from MuJoCo; `reduced_mass` that of robot
-    and cart.
+    `effective_mass` is MuJoCo's along the normal of the plate; `reduced_mass` is that of robot and cart.
     """
 
     contacts: tuple[TrueContact, ...]
@@ -55,7 +54,7 @@ class ImpactTruth(NamedTuple):
 
 
 class ImpactRun(NamedTuple):
-    """A run, as it would have been recorded; all stamps are ROS time."""
+    """A run as the suite would record it, with its ground truth; all stamps are ROS time."""
 
     setup: ImpactSetup
     joint_states: tuple[JointState, ...]
@@ -63,76 +62,76 @@ class ImpactRun(NamedTuple):
     truth: ImpactTruth
 
 
-def cell_for(setup: ImpactSetup, robot: Path | None = None) -> tuple[CollisionSim, Drive]:
-    """Return the cell of a run, the robot in the pose of impact and at rest, and its drive; the cart is away.
+def build_sim(setup: ImpactSetup, robot: Path | None = None) -> tuple[CollisionSim, JointController]:
+    """Return simulation and controller of a run: the robot at rest at the impact point, the cart not yet placed.
 
-    Raises RobotError when `robot`, a Denavit-Hartenberg file, is not the robot whose kinematics the bench knows,
-    SettingsError for a contact too short or too damped for the steps of the simulation.
+    `robot` is a Denavit-Hartenberg file, by default the shipped one. Raises RobotError when its kinematics are not
+    those of the i4-550L, SettingsError for a contact too short or too damped for the simulation step.
     """
     path = robot or share(*ROBOT)
-    cell = CollisionSim(path, setup.cart, setup.contact)
-    cell.put(np.array(setup.configuration.pose), np.zeros(len(cell.joints)))
-    missed = float(np.linalg.norm(cell.tool - np.array([*setup.configuration.point, -Q3])))
-    if missed > PLACED_M:
-        raise RobotError(f"{path}: its tool misses the point of impact by {missed * 1e3:.3f} mm; the i4-550L is needed")
-    masses = _masses(cell, setup)
-    seconds = setup.contact.duration(setup.speed, masses.reduced)
-    if not seconds > (least := LEAST_STEPS * NEAR_NS / 1e9):
+    sim = CollisionSim(path, setup.cart, setup.contact)
+    sim.set_state(np.array(setup.configuration.joint_positions), np.zeros(len(sim.joints)))
+    error_m = float(np.linalg.norm(sim.tool_position - np.array([*setup.configuration.point, -Q3])))
+    if error_m > MAX_POSITION_ERROR_M:
+        raise RobotError(f"{path}: tool {error_m * 1e3:.3f} mm from the impact point: must be an i4-550L")
+    _, mu = _masses(sim, setup)
+    duration_s = setup.contact.duration(setup.speed, mu)
+    if not duration_s > (min_s := MIN_CONTACT_STEPS * FINE_STEP_NS / 1e9):
         raise SettingsError(
-            f"stiffness = {setup.contact.stiffness:g}: the contact would last {seconds * 1e3:.2f} ms;"
-            f" {least * 1e3:g} ms or more, that is less stiffness, would be right"
+            f"stiffness = {setup.contact.stiffness:g}: the contact lasts {duration_s * 1e3:.2f} ms:"
+            f" must be > {min_s * 1e3:g} ms; reduce the stiffness"
         )
-    if not setup.contact.damping <= (most := MOST_DAMPED * masses.reduced * 1e9 / NEAR_NS):
-        raise SettingsError(f"damping = {setup.contact.damping:g}: {most:.0f} N s/m or less would be right")
-    return cell, Drive(cell, setup.servo, cell.joint_inertias())
+    if not setup.contact.damping <= (max_damping := MAX_SPEED_LOSS * mu * 1e9 / FINE_STEP_NS):
+        raise SettingsError(f"damping = {setup.contact.damping:g}: must be <= {max_damping:.0f} N s/m")
+    return sim, JointController(sim, setup.servo)
 
 
 def run_impact(setup: ImpactSetup, robot: Path | None = None) -> ImpactRun:
-    """Do one run with the robot in `robot`, the shipped one by default.
+    """Simulate one run with the robot in the file `robot`, by default the shipped one.
 
-    Raises RobotError, SettingsError as `cell_for`, and SettingsError where the cart is not hit.
+    Raises RobotError and SettingsError as `build_sim`, and SettingsError where the cart is not hit.
     """
-    cell, drive = cell_for(setup, robot)
-    plan = Plan(cell, setup.moves)
-    cell.put(plan.q[0], np.zeros_like(plan.q[0]))
-    cell.place_cart()
-    readings: list[Encoders] = []
-    touches: list[ContactSample] = []
-    for number in range(len(plan)):
-        reading, near = drive.tick(plan, number)
+    sim, controller = build_sim(setup, robot)
+    trajectory = JointTrajectory(sim, setup.moves)
+    sim.set_state(trajectory.q[0], np.zeros_like(trajectory.q[0]))
+    sim.place_cart()
+    readings: list[EncoderReading] = []
+    samples: list[ContactSample] = []
+    for index in range(len(trajectory)):
+        reading, contact = controller.advance(trajectory, index)
         readings.append(reading)
-        touches += near
-    contacts = true_contacts(touches)
+        samples += contact
+    contacts = find_contacts(samples)
     if not contacts:
-        raise SettingsError(f"offset = {setup.offset}: the cart is not hit; a tip within the path would be right")
+        raise SettingsError(f"offset = {setup.offset}: the cart is not hit: must be within the path")
+    end_ns = sim.time_ns
     return ImpactRun(
         setup,
-        joint_states(cell.joints, readings, setup),
-        force_blocks(touches, cell.time_ns, setup),
-        _truth(cell, readings, contacts, setup),
+        measure_joint_states(sim.joints, readings, setup),
+        measure_force(samples, end_ns, setup),
+        _truth(sim, readings, contacts, setup),
     )
 
 
 def _truth(
-    cell: CollisionSim, readings: list[Encoders], contacts: tuple[TrueContact, ...], setup: ImpactSetup
+    sim: CollisionSim, readings: list[EncoderReading], contacts: tuple[TrueContact, ...], setup: ImpactSetup
 ) -> ImpactTruth:
     onset_ns = contacts[0].onset_ns
-    before = readings[onset_ns // TICK_NS]
-    cell.put(before.q + before.qd * (onset_ns % TICK_NS) / 1e9, before.qd)
-    masses = _masses(cell, setup)
-    shifted = tuple(contact._replace(onset_ns=contact.onset_ns + setup.start_ns) for contact in contacts)
-    return ImpactTruth(shifted, masses.effective, masses.reduced)
+    before = readings[onset_ns // CONTROL_PERIOD_NS]
+    sim.set_state(before.q + before.qd * (onset_ns % CONTROL_PERIOD_NS) / 1e9, before.qd)
+    effective_mass, mu = _masses(sim, setup)
+    stamped = tuple(contact._replace(onset_ns=contact.onset_ns + setup.start_ns) for contact in contacts)
+    return ImpactTruth(stamped, effective_mass, mu)
 
 
-class _Masses(NamedTuple):
-    effective: float
-    reduced: float
+def _masses(sim: CollisionSim, setup: ImpactSetup) -> tuple[float, float]:
+    """Return effective and reduced mass [kg] along the normal of the plate in the current state.
 
-
-def _masses(cell: CollisionSim, setup: ImpactSetup) -> _Masses:
-    """Return the masses [kg] that meet where the robot stands; the cart has to be moved along its guide."""
+    The guide lets the cart move along the path only: along the normal, its mass is m_H / cos^2 of the angle between.
+    """
     direction = np.array(setup.configuration.direction)
     normal = direction if setup.surface is None else np.array(setup.surface)
-    effective = cell.effective_mass(normal)
-    cart_mass = setup.obstacle_mass / float(normal @ direction) ** 2  # along the normal
-    return _Masses(effective, reduced_mass(effective, cart_mass))
+    effective_mass = sim.effective_mass(normal)
+    cosine = float(normal @ direction)
+    obstacle_mass = setup.obstacle_mass / cosine**2 if cosine else math.inf
+    return effective_mass, reduced_mass(effective_mass, obstacle_mass)

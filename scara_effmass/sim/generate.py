@@ -59,16 +59,16 @@ def about(recording: ReferenceRecording) -> str:
         "revision": REVISION,
         "seed": SEED,
     }
-    if recording.hits:
+    if recording.pulses:
         facts["impacts"] = [
             {
-                "seconds": hit.seconds,
-                "peak_force_n": hit.peak_force,
-                "duration_s": hit.duration,
-                "impulse_n_s": hit.impact.impulse,
-                "rebound": hit.rebound,
+                "seconds": pulse.onset_s,
+                "peak_force_n": pulse.peak_force,
+                "duration_s": pulse.duration,
+                "impulse_n_s": pulse.impulse,
+                "rebound": pulse.rebound,
             }
-            for hit in recording.hits
+            for pulse in recording.pulses
         ]
     return json.dumps(facts)
 

@@ -1,4 +1,4 @@
-"""What truly happened between tip and plate: every contact, from the forces of all steps."""
+"""The true contacts between tip and plate, from the contact samples of all steps."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 class TrueContact(NamedTuple):
-    """One contact, as the axis of the force cell has it: `peak_force` [N], `impulse` [N s], `duration` [s].
+    """One contact, in the axis of the force cell: `peak_force` [N], `impulse` [N s], `duration` [s].
 
-    `speed` is that at which plate and tip closed, along the normal of the plate [m/s].
+    `speed` is the closing speed of tip and plate along the normal of the plate [m/s].
     """
 
     onset_ns: int
@@ -25,28 +25,28 @@ class TrueContact(NamedTuple):
     impulse: float
 
 
-def true_contacts(touches: Sequence[ContactSample]) -> tuple[TrueContact, ...]:
-    """Return the contacts in `touches`, which are in order of time, but for one that is cut off at either end."""
-    pressed = np.array([False, *(touch.force > 0.0 for touch in touches), False])
+def find_contacts(samples: Sequence[ContactSample]) -> tuple[TrueContact, ...]:
+    """Return the complete contacts in `samples`, which are in time order."""
+    pressed = np.array([False, *(sample.force > 0.0 for sample in samples), False])
     begins = np.flatnonzero(~pressed[:-1] & pressed[1:]).tolist()
     ends = np.flatnonzero(pressed[:-1] & ~pressed[1:]).tolist()
     return tuple(
-        _contact(touches[begin - 1 : end + 1])
+        _contact(samples[begin - 1 : end + 1])
         for begin, end in zip(begins, ends, strict=True)
-        if begin > 0 and end < len(touches)
+        if begin > 0 and end < len(samples)
     )
 
 
-def _contact(touches: Sequence[ContactSample]) -> TrueContact:
-    """Return the contact from the second of `touches` to the one before the last."""
-    before, first, last = touches[0], touches[1], touches[-1]
+def _contact(samples: Sequence[ContactSample]) -> TrueContact:
+    """Return the contact that fills `samples` except for the first and the last one."""
+    before, first, last = samples[0], samples[1], samples[-1]
     step_s = (first.time_ns - before.time_ns) / 1e9
     speed = (first.depth - before.depth) / step_s
     onset_ns = first.time_ns - round(first.depth / speed * 1e9)
     return TrueContact(
         onset_ns=onset_ns,
         speed=speed,
-        peak_force=max(touch.measured for touch in touches),
+        peak_force=max(sample.measured for sample in samples),
         duration=(last.time_ns - onset_ns) / 1e9,
-        impulse=sum(touch.measured for touch in touches) * step_s,
+        impulse=sum(sample.measured for sample in samples) * step_s,
     )

@@ -1,4 +1,4 @@
-"""What is varied in the paper's experiment: the configuration, the cart, the tip, the speed, and what measures."""
+"""Parameters of one impact in the paper's experiment: configuration, cart, tip, speed, controller and force sensor."""
 
 from __future__ import annotations
 
@@ -7,37 +7,37 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from scara_effmass.errors import SettingsError
+from scara_effmass.sim.adc import FORCE_SENSOR
 from scara_effmass.sim.cart import Cart
-from scara_effmass.sim.converter import FORCE_SENSOR
-from scara_effmass.sim.drive import SERVO
-from scara_effmass.sim.motion import LineMove, Quintic, Trapezoid, pose_at
+from scara_effmass.sim.controller import DEFAULT_GAINS
+from scara_effmass.sim.motion import LinearMove, QuinticScaling, TrapezoidalScaling, joint_positions_at
 from scara_effmass.sim.recordings import EPOCH_NS
 from scara_effmass.sim.scara_kinematics import ElbowConfig
 from scara_effmass.sim.spring_contact import POLYETHYLENE
 
 if TYPE_CHECKING:
-    from scara_effmass.sim.converter import ForceSensor
-    from scara_effmass.sim.drive import Servo
-    from scara_effmass.sim.motion import Move, Pose
+    from scara_effmass.sim.adc import ForceSensor
+    from scara_effmass.sim.controller import ServoGains
+    from scara_effmass.sim.motion import JointPositions, Move
     from scara_effmass.sim.spring_contact import SpringContact
     from scara_effmass.values import Vector3
 
 PATH_M = 0.2
 ACCELERATION = 2.5
-"""Of the path [m/s2]; length and acceleration are choices, as in the reference recordings."""
+"""On the path [m/s2]; length and acceleration are chosen here, as in the reference recordings."""
 Q3 = 0.236
 """From the paper [m]."""
-REST_S = 0.3
+DWELL_S = 0.3
 
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """Where the robot is hit, and how it gets there."""
+    """Impact point, elbow configuration and path direction."""
 
     name: str
     point: tuple[float, float]
-    """of the impact: x, y [m]"""
-    arm: ElbowConfig = ElbowConfig.RIGHT
+    """x, y of the impact [m]"""
+    elbow_config: ElbowConfig = ElbowConfig.RIGHT
     heading: float = 0.0
     """of the path, from the x axis [rad]"""
 
@@ -46,24 +46,26 @@ class Configuration:
         """Unit vector along the path."""
         return (math.cos(self.heading), math.sin(self.heading), 0.0)
 
-    def along(self, distance: float) -> tuple[float, float]:
-        """Return x, y [m] of the point of the path so far behind that of the impact [m]."""
+    def path_point(self, distance: float) -> tuple[float, float]:
+        """Return x, y [m] of the path `distance` [m] behind the impact point."""
         x, y, _ = self.direction
         return self.point[0] + distance * x, self.point[1] + distance * y
 
-    def line(self, speed: float) -> LineMove:
+    def path(self, speed: float) -> LinearMove:
         """Return the path at `speed` [m/s], with the impact in its middle."""
-        law = Trapezoid(length=PATH_M, speed=speed, acceleration=ACCELERATION)
-        return LineMove(self.along(-PATH_M / 2.0), self.along(PATH_M / 2.0), self.arm, Q3, law)
+        start, end = self.path_point(-PATH_M / 2.0), self.path_point(PATH_M / 2.0)
+        time_scaling = TrapezoidalScaling(length=PATH_M, speed=speed, acceleration=ACCELERATION)
+        return LinearMove(start, end, self.elbow_config, Q3, time_scaling)
 
-    def rest(self, distance: float, seconds: float) -> LineMove:
-        """Return a rest at the point of the path `distance` [m] behind that of the impact."""
-        return LineMove(self.along(distance), self.along(distance), self.arm, Q3, Quintic(seconds))
+    def dwell(self, distance: float, seconds: float) -> LinearMove:
+        """Return a dwell at the path point `distance` [m] behind the impact point."""
+        point = self.path_point(distance)
+        return LinearMove(point, point, self.elbow_config, Q3, QuinticScaling(seconds))
 
     @property
-    def pose(self) -> Pose:
-        """Of the robot at the impact."""
-        return pose_at(self.point, self.arm, Q3)
+    def joint_positions(self) -> JointPositions:
+        """Joint positions at the impact."""
+        return joint_positions_at(self.point, self.elbow_config, Q3)
 
 
 CONFIGURATIONS = (
@@ -71,46 +73,46 @@ CONFIGURATIONS = (
     Configuration("300_0", (0.3, 0.0)),
     Configuration("300_-200", (0.3, -0.2)),
 )
-"""The paper's table of its three points is lost but for (300, 200) mm; these span the range, light to heavy."""
+"""From light to heavy. Only (300, 200) mm is in the text of the paper; the other two are chosen here."""
 OBSTACLE_MASSES = (0.50, 2.39, 3.72, 7.35)
-"""Of the paper's cart [kg]."""
+"""Masses of the paper's cart [kg]."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImpactSetup:
-    """One run: everything that decides about it. Raises SettingsError for a speed that the path is too short for."""
+    """All parameters of one run. Raises SettingsError for a speed that the path is too short for."""
 
     configuration: Configuration
     obstacle_mass: float
     speed: float = 0.25
     """[m/s]"""
     contact: SpringContact = POLYETHYLENE
-    servo: Servo = SERVO
+    servo: ServoGains = DEFAULT_GAINS
     sensor: ForceSensor = FORCE_SENSOR
     offset: float = 0.0
-    """of the tip, along the path behind the point of impact [m]"""
-    rest: float = REST_S
+    """of the tip, along the path behind the impact point [m]"""
+    dwell: float = DWELL_S
     """before and after the path [s]"""
     tip_mass: float = 0.0
-    """of the cart's, before the force cell [kg]"""
+    """in front of the force cell [kg]"""
     guide_friction: float = 0.5
     """[N]"""
     surface: Vector3 | None = None
-    """unit normal of the plate, where it is not along the path"""
+    """unit normal of the plate; None: along the path"""
     seed: int = 0
-    """of encoders and stamps; the sensor has its own"""
+    """of encoder noise and stamps; the sensor has its own"""
     start_ns: int = EPOCH_NS
 
     def __post_init__(self) -> None:
-        fastest = math.sqrt(PATH_M * ACCELERATION)
-        if not 0.0 < self.speed < fastest:
-            raise SettingsError(f"speed = {self.speed}: more than 0 and less than {fastest:.3f} m/s would be right")
+        max_speed = math.sqrt(PATH_M * ACCELERATION)
+        if not 0.0 < self.speed < max_speed:
+            raise SettingsError(f"speed = {self.speed}: must be > 0 and < {max_speed:.3f} m/s")
 
     @property
     def cart(self) -> Cart:
-        """The cart as it waits."""
+        """The cart at rest."""
         return Cart(
-            tip=(*self.configuration.along(self.offset), -Q3),
+            tip=(*self.configuration.path_point(self.offset), -Q3),
             direction=self.configuration.direction,
             mass=self.obstacle_mass,
             tip_mass=self.tip_mass,
@@ -120,7 +122,10 @@ class ImpactSetup:
 
     @property
     def moves(self) -> tuple[Move, ...]:
-        """Rest, path, rest."""
-        half = PATH_M / 2.0
-        where = self.configuration
-        return where.rest(-half, self.rest), where.line(self.speed), where.rest(half, self.rest)
+        """Dwell, path, dwell."""
+        half, configuration = PATH_M / 2.0, self.configuration
+        return (
+            configuration.dwell(-half, self.dwell),
+            configuration.path(self.speed),
+            configuration.dwell(half, self.dwell),
+        )

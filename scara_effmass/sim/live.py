@@ -1,4 +1,4 @@
-"""The virtual cell as a going concern: one impact after the other, for as long as someone asks."""
+"""Run the simulation continuously: one impact after the other, with a fresh cart for each."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.sim.collision_sim import TICK_NS
-from scara_effmass.sim.converter import FORCE_SENSOR, Converter
-from scara_effmass.sim.drive import SERVO, Plan
-from scara_effmass.sim.experiment import cell_for
-from scara_effmass.sim.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES, PATH_M, Q3, REST_S, ImpactSetup
-from scara_effmass.sim.motion import LineMove, Quintic
-from scara_effmass.sim.recordings import measured
+from scara_effmass.sim.adc import FORCE_SENSOR, Adc
+from scara_effmass.sim.collision_sim import CONTROL_PERIOD_NS
+from scara_effmass.sim.controller import DEFAULT_GAINS, JointTrajectory
+from scara_effmass.sim.experiment import build_sim
+from scara_effmass.sim.impact_setup import CONFIGURATIONS, DWELL_S, OBSTACLE_MASSES, PATH_M, Q3, ImpactSetup
+from scara_effmass.sim.motion import LinearMove, QuinticScaling
+from scara_effmass.sim.recordings import quantize
 from scara_effmass.sim.spring_contact import POLYETHYLENE
 from scara_effmass.values import JointState
 
@@ -24,40 +24,40 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from scara_effmass.sim.adc import ForceSensor
     from scara_effmass.sim.collision_sim import CollisionSim, ContactSample
-    from scara_effmass.sim.converter import ForceSensor
-    from scara_effmass.sim.drive import Encoders, Servo
+    from scara_effmass.sim.controller import EncoderReading, ServoGains
     from scara_effmass.sim.impact_setup import Configuration
     from scara_effmass.sim.motion import Move
     from scara_effmass.sim.spring_contact import SpringContact
     from scara_effmass.values import FloatArray
 
-FRAME = 10
-"""Force comes in portions of so many ticks."""
-FIRST_REST_S = 2.0
-"""Before the first impact: a force node needs a second or two until it knows the converter's clock."""
+FORCE_PERIODS = 10
+"""Control periods per portion of force samples."""
+FIRST_DWELL_S = 2.0
+"""Before the first impact: a force node needs one to two seconds to estimate the converter clock."""
 QUINTIC_PEAK = 1.875
-"""Greatest speed of a quintic move over its mean speed."""
+"""Peak speed of a quintic move over its mean speed."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveSettings:
-    """What the cell does, again and again. All configurations have to be of one arm."""
+    """Impacts of the continuous simulation, repeated forever. All configurations must have one elbow configuration."""
 
     impacts: tuple[tuple[Configuration, float], ...] = field(
         default_factory=lambda: tuple(product(CONFIGURATIONS, OBSTACLE_MASSES))
     )
     """configuration and obstacle mass [kg] of each"""
     speed: float = 0.25
-    """of the impact, and the greatest on the way to the next [m/s]"""
+    """of the impact, and the peak speed between impacts [m/s]"""
     contact: SpringContact = POLYETHYLENE
-    servo: Servo = SERVO
+    servo: ServoGains = DEFAULT_GAINS
     sensor: ForceSensor = FORCE_SENSOR
     seed: int = 0
 
 
-class PlacedCart(NamedTuple):
-    """From `stamp_ns` on, the cart waits with this mass [kg], for an impact in this configuration."""
+class CartPlacement(NamedTuple):
+    """A cart of `obstacle_mass` [kg] placed at `stamp_ns` for an impact in this configuration."""
 
     stamp_ns: int
     configuration: str
@@ -65,91 +65,94 @@ class PlacedCart(NamedTuple):
 
 
 class LiveOutput(NamedTuple):
-    """What came up since the last time: joint states, samples of force (n,) [N] from number `first_sample` on."""
+    """New joint states, cart placements, and force samples (n,) [N] from number `first_sample` on."""
 
     joint_states: tuple[JointState, ...]
     first_sample: int
     force: FloatArray
-    carts: tuple[PlacedCart, ...]
+    carts: tuple[CartPlacement, ...]
 
 
 @final
-class LiveBench:
-    """The cell, advanced by whoever has the clock. The robot starts at rest, with the first cart to come.
+class LiveSim:
+    """The simulated cell, advanced by the caller's clock; the robot starts at rest.
 
-    What comes out depends on the settings and on `start_ns` alone, not on how time is portioned: two processes, one
-    for the joint states and one for the force, can each have a bench of their own and see the same cell.
+    The output depends on settings and `start_ns` only, not on how the caller divides the time: one process can
+    publish the joint states and another one the force of the same cell, each from its own LiveSim.
     """
 
     def __init__(self, settings: LiveSettings, start_ns: int, robot: Path | None = None) -> None:
-        """Begin at the ROS time `start_ns`. Raises SettingsError for more than one arm.
+        """Start at ROS time `start_ns`. Raises SettingsError for several elbow configurations or no impacts.
 
-        `advance_to` raises what `cell_for` does.
+        `advance_to` raises as `build_sim`.
         """
-        if len({configuration.arm for configuration, _ in settings.impacts}) != 1:
-            raise SettingsError("impacts: all configurations with the same arm, and at least one, would be right")
+        if len({configuration.elbow_config for configuration, _ in settings.impacts}) != 1:
+            raise SettingsError("impacts: must have one elbow configuration")
         self.settings = settings
         self.start_ns = start_ns
         self._robot = robot
-        self._now_ns = 0
-        self._converter = Converter(settings.sensor, 0)
+        self._elapsed_ns = 0
+        self._adc = Adc(settings.sensor, 0)
         self._noise = random.Random(settings.seed)  # noqa: S311 - noise, no secret
-        self._touches: list[ContactSample] = []
-        self._ticks = self._run()
+        self._contact: list[ContactSample] = []
+        self._periods = self._run()
 
     def advance_to(self, now_ns: int) -> LiveOutput:
-        """Let the cell go on until the ROS time `now_ns`, in whole milliseconds; return what came up.
-
-        Force comes in portions of FRAME ticks.
-        """
+        """Advance to ROS time `now_ns`, in whole control periods; return the new output."""
         states: list[JointState] = []
-        carts: list[PlacedCart] = []
-        first = self._converter.samples
+        carts: list[CartPlacement] = []
+        first = self._adc.samples
         force = [np.empty(0)]
-        while self.start_ns + self._now_ns + TICK_NS <= now_ns:
-            names, reading, touches, cart = next(self._ticks)
-            q, qd = measured(reading.q, reading.qd, self._noise)
+        while self.start_ns + self._elapsed_ns + CONTROL_PERIOD_NS <= now_ns:
+            names, reading, contact, cart = next(self._periods)
+            q, qd = quantize(reading.q, reading.qd, self._noise)
             q.flags.writeable = qd.flags.writeable = False
-            states.append(JointState(self.start_ns + self._now_ns, names, q, qd))
+            states.append(JointState(self.start_ns + self._elapsed_ns, names, q, qd))
             if cart is not None:
                 carts.append(cart)
-            self._now_ns += TICK_NS
-            self._touches += touches
-            if self._now_ns % (FRAME * TICK_NS) == 0:
-                # What a near contact does until the end of the tick, only the next one tells.
-                known_ns = touches[-1].time_ns if touches else self._now_ns
-                force.append(self._converter.push(self._touches, known_ns))
-                self._touches.clear()
+            self._elapsed_ns += CONTROL_PERIOD_NS
+            self._contact += contact
+            if self._elapsed_ns % (FORCE_PERIODS * CONTROL_PERIOD_NS) == 0:
+                # Contact after its last sample is known only in the next period.
+                known_ns = contact[-1].time_ns if contact else self._elapsed_ns
+                force.append(self._adc.push(self._contact, known_ns))
+                self._contact.clear()
         samples = np.concatenate(force)
         samples.flags.writeable = False
         return LiveOutput(tuple(states), first, samples, tuple(carts))
 
-    def _run(self) -> Iterator[tuple[tuple[str, ...], Encoders, list[ContactSample], PlacedCart | None]]:
-        before: tuple[Configuration, CollisionSim] | None = None
+    def _run(self) -> Iterator[tuple[tuple[str, ...], EncoderReading, list[ContactSample], CartPlacement | None]]:
+        """Yield joint names, encoder reading, contact and placed cart of each control period."""
+        previous: tuple[Configuration, CollisionSim] | None = None
         for configuration, mass in cycle(self.settings.impacts):
-            rest_s = FIRST_REST_S if before is None else REST_S
+            settings = self.settings
             setup = ImpactSetup(
-                configuration, mass, self.settings.speed, self.settings.contact, self.settings.servo, rest=rest_s
+                configuration=configuration,
+                obstacle_mass=mass,
+                speed=settings.speed,
+                contact=settings.contact,
+                servo=settings.servo,
+                dwell=FIRST_DWELL_S if previous is None else DWELL_S,
             )
-            cell, drive = cell_for(setup, self._robot)
-            rest, *impact = setup.moves
-            approach: list[Move] = [rest]
-            if before is not None:
-                approach.insert(0, self._transfer(before[0], configuration))
-            there, here = Plan(cell, approach), Plan(cell, impact)
-            cell.time_ns = self._now_ns
-            cell.put(*((there.q[0], there.qd[0]) if before is None else (before[1].q, before[1].qd)))
-            for number in range(len(there)):
-                yield (cell.joints, *drive.tick(there, number), None)
-            cell.place_cart()
-            cart: PlacedCart | None = PlacedCart(self.start_ns + self._now_ns, configuration.name, mass)
-            for number in range(len(here)):
-                yield (cell.joints, *drive.tick(here, number), cart)
+            sim, controller = build_sim(setup, self._robot)
+            dwell, *impact_moves = setup.moves
+            approach_moves: list[Move] = [dwell]
+            if previous is not None:
+                approach_moves.insert(0, self._transfer(previous[0], configuration))
+            approach, impact = JointTrajectory(sim, approach_moves), JointTrajectory(sim, impact_moves)
+            sim.time_ns = self._elapsed_ns
+            sim.set_state(*((approach.q[0], approach.qd[0]) if previous is None else (previous[1].q, previous[1].qd)))
+            for index in range(len(approach)):
+                yield (sim.joints, *controller.advance(approach, index), None)
+            sim.place_cart()
+            cart: CartPlacement | None = CartPlacement(self.start_ns + self._elapsed_ns, configuration.name, mass)
+            for index in range(len(impact)):
+                yield (sim.joints, *controller.advance(impact, index), cart)
                 cart = None
-            before = configuration, cell
+            previous = configuration, sim
 
-    def _transfer(self, last: Configuration, following: Configuration) -> LineMove:
-        """Return the way from the end of one path to the start of the next; the cart is out of the way."""
-        start, end = last.along(PATH_M / 2.0), following.along(-PATH_M / 2.0)
+    def _transfer(self, previous: Configuration, configuration: Configuration) -> LinearMove:
+        """Return the move from the end of one path to the start of the next; no cart is placed."""
+        start, end = previous.path_point(PATH_M / 2.0), configuration.path_point(-PATH_M / 2.0)
         seconds = QUINTIC_PEAK * float(np.hypot(end[0] - start[0], end[1] - start[1])) / self.settings.speed
-        return LineMove(start, end, following.arm, Q3, Quintic(seconds))
+        return LinearMove(start, end, configuration.elbow_config, Q3, QuinticScaling(seconds))

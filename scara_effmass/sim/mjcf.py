@@ -1,4 +1,4 @@
-"""The cell in MuJoCo's format, the robot from its Denavit-Hartenberg file; independent of the room `model`."""
+"""The simulated cell as MJCF, from the robot's Denavit-Hartenberg file; independent of the room `model`."""
 
 from __future__ import annotations
 
@@ -16,92 +16,85 @@ if TYPE_CHECKING:
     from scara_effmass.sim.cart import Cart
 
 TOOL = "tool"
-"""The contact point of the file at which the robot is hit, and the name of the site there."""
-TENSOR = 6
-_OFF = ("contact", "constraint", "gravity", "sensor", "actuation", "limit")
-_MJCF_JOINT = {"revolute": "hinge", "prismatic": "slide"}
+"""Contact point of the robot file, and the MJCF site there."""
+EXAMPLE = "config/omron_i4_550l.yaml is an example"
+_DISABLED = ("contact", "constraint", "gravity", "sensor", "actuation", "limit")
+_JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
+_TENSOR_SIZE = 6
 
 
-def cell_mjcf(robot: Path, cart: Cart) -> tuple[str, tuple[str, ...]]:
-    """Return the robot in the file `robot`, the cart and nothing else as MJCF, and the names of the robot's joints.
+def sim_mjcf(robot: Path, cart: Cart) -> tuple[str, tuple[str, ...]]:
+    """Return the MJCF of robot and cart, and the names of the robot's joints.
 
-    The joint of the cart comes last. Raises RobotError.
+    The cart's joint comes last. Raises RobotError.
     """
-    arm, names = _arm(robot)
-    world = ET.Element("mujoco", model="cell")
-    ET.SubElement(world, "compiler", angle="radian", inertiafromgeom="false")
-    option = ET.SubElement(world, "option", integrator="Euler", gravity="0 0 0")
-    ET.SubElement(option, "flag", dict.fromkeys(_OFF, "disable"))
-    bodies = ET.SubElement(world, "worldbody")
-    bodies.append(arm)
-    body = ET.SubElement(bodies, "body", name="cart", pos=" ".join(map(repr, cart.tip)))
-    ET.SubElement(body, "joint", name="guide", type="slide", axis=" ".join(map(repr, cart.direction)))
-    # It does not turn, so any moments of inertia will do.
-    ET.SubElement(body, "inertial", pos="0 0 0", mass=repr(cart.mass), diaginertia="1e-3 1e-3 1e-3")
-    return ET.tostring(world, encoding="unicode"), names
+    robot_body, names = _load_robot(robot)
+    root = ET.Element("mujoco", model="cell")
+    ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
+    option = ET.SubElement(root, "option", integrator="Euler", gravity="0 0 0")
+    ET.SubElement(option, "flag", dict.fromkeys(_DISABLED, "disable"))
+    world = ET.SubElement(root, "worldbody")
+    world.append(robot_body)
+    body = ET.SubElement(world, "body", name="cart", pos=_text(*cart.tip))
+    ET.SubElement(body, "joint", name="guide", type="slide", axis=_text(*cart.direction))
+    # The cart does not rotate: its moments of inertia have no effect.
+    ET.SubElement(body, "inertial", pos="0 0 0", mass=_text(cart.mass), diaginertia="1e-3 1e-3 1e-3")
+    return ET.tostring(root, encoding="unicode"), names
 
 
-def _arm(path: Path) -> tuple[ET.Element, tuple[str, ...]]:
-    """Return an element `body`, with a site `tool` at its end, and the names of the joints.
-
-    Each joint has a body that moves about or along its z, and in it one that is fixed, the link, with the inertia:
-    so every pose is one factor of a row, Rz(theta) Tz(d) or Tx(a) Rx(alpha).
-    """
+def _load_robot(path: Path) -> tuple[ET.Element, tuple[str, ...]]:
+    """Return the robot's `body` element, with a site at the tool, and its joint names."""
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
-        return _built(document)
+        return _robot_body(document)
     except OSError as error:
         raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise RobotError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
     except KeyError as error:
-        raise RobotError(
-            f"{path}: {error.args[0]} is missing; config/omron_i4_550l.yaml shows what is needed"
-        ) from None
+        raise RobotError(f"{path}: {error.args[0]} is missing; {EXAMPLE}") from None
     except (TypeError, ValueError) as error:
-        raise RobotError(f"{path}: {error}; config/omron_i4_550l.yaml shows what is needed") from None
+        raise RobotError(f"{path}: {error}; {EXAMPLE}") from None
 
 
-def _built(document: dict[str, Any]) -> tuple[ET.Element, tuple[str, ...]]:
+def _robot_body(document: dict[str, Any]) -> tuple[ET.Element, tuple[str, ...]]:
+    """Return body and joint names: two bodies per Denavit-Hartenberg row.
+
+    The outer body moves with the joint and holds Tx(a) Rx(alpha) of the row before; the inner one, the link, holds
+    Rz(theta) Tz(d) and the inertia.
+    """
     base = parent = ET.Element("body", name="base")
     names = []
-    foot = {"pos": "0 0 0"}
+    frame = {"pos": "0 0 0"}
     for row, link in zip(document["joints"], document["links"], strict=True):
-        names.append(str(row["name"]))
-        moved = ET.SubElement(parent, "body", {"name": f"{names[-1]}_body", **foot})
-        ET.SubElement(
-            moved,
-            "joint",
-            name=names[-1],
-            type=_MJCF_JOINT[row["type"]],
-            axis="0 0 1",
-            armature=_text(row.get("armature", 0.0)),
-        )
-        turned = _turn(float(row.get("theta", 0.0)), 2)
-        parent = ET.SubElement(
-            moved, "body", name=str(link["name"]), pos=_text(0.0, 0.0, row.get("d", 0.0)), quat=turned
-        )
-        _weigh(parent, link)
-        foot = {"pos": _text(row["a"], 0.0, 0.0), "quat": _turn(float(row["alpha"]), 0)}
-    end = ET.SubElement(parent, "body", {"name": "payload", **foot})
+        name = str(row["name"])
+        names.append(name)
+        joint_body = ET.SubElement(parent, "body", {"name": f"{name}_body", **frame})
+        armature = _text(row.get("armature", 0.0))
+        ET.SubElement(joint_body, "joint", name=name, type=_JOINT_TYPES[row["type"]], axis="0 0 1", armature=armature)
+        offset = {"pos": _text(0.0, 0.0, row.get("d", 0.0)), "quat": _quaternion(float(row.get("theta", 0.0)), axis=2)}
+        parent = ET.SubElement(joint_body, "body", {"name": str(link["name"]), **offset})
+        _add_inertial(parent, link)
+        frame = {"pos": _text(row["a"], 0.0, 0.0), "quat": _quaternion(float(row["alpha"]), axis=0)}
+    end = ET.SubElement(parent, "body", {"name": "payload", **frame})
     if payload := document.get("payload"):
-        _weigh(end, payload)
+        _add_inertial(end, payload)
     ET.SubElement(end, "site", name=TOOL, pos=_text(*document["contact_points"][TOOL]))
     return base, tuple(names)
 
 
-def _weigh(body: ET.Element, link: dict[str, Any]) -> None:
+def _add_inertial(body: ET.Element, link: dict[str, Any]) -> None:
     inertia = link["inertia"]
     if isinstance(inertia, (int, float)):
-        # Where only I_zz is stated, the other two do not matter; half of it each is what a body can have.
+        # Only I_zz matters here; I_xx = I_yy = I_zz / 2 makes the tensor valid for MuJoCo.
         inertia = (inertia / 2.0, inertia / 2.0, inertia, 0.0, 0.0, 0.0)
-    if len(inertia) != TENSOR:
-        raise ValueError(f"inertia of {link.get('name', 'payload')} = {inertia}: one number or six would be right")
+    if len(inertia) != _TENSOR_SIZE:
+        raise ValueError(f"inertia of {link.get('name', 'payload')} = {inertia}: must be one number or six")
     com = _text(*link.get("com", (0.0, 0.0, 0.0)))
     ET.SubElement(body, "inertial", pos=com, mass=_text(link["mass"]), fullinertia=_text(*inertia))
 
 
-def _turn(angle: float, axis: int) -> str:
+def _quaternion(angle: float, *, axis: int) -> str:
     quaternion = [math.cos(angle / 2.0), 0.0, 0.0, 0.0]
     quaternion[1 + axis] = math.sin(angle / 2.0)
     return _text(*quaternion)

@@ -1,6 +1,6 @@
-"""Random numbers that stay the same from version to version: from the raw bits of PCG64, which numpy promises to keep.
+"""Random numbers that do not change with the numpy version.
 
-Those of numpy's distributions it does not.
+They use the raw bits of PCG64, which numpy keeps stable; its distributions may change.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ _CHUNK = 4096
 
 
 def uniform(key: tuple[int, ...], count: int) -> FloatArray:
-    """Return `count` numbers from 0 to below 1, with 53 random bits each; the same ones for the same `key`."""
+    """Return the first `count` numbers in [0, 1) of the stream `key`, with 53 random bits each."""
     return next_uniform(PCG64(list(key)), count)
 
 
 def next_uniform(bits: PCG64, count: int) -> FloatArray:
-    """Return the next `count` numbers from 0 to below 1 of a stream, with 53 random bits each."""
+    """Return the next `count` numbers in [0, 1) of a stream, with 53 random bits each."""
     return np.asarray((bits.random_raw(count) >> np.uint64(11)) * 2.0**-53)
 
 
 def normal_pair(radius: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return two arrays of standard normal numbers from two of uniform ones, by the method of Box and Muller."""
+    """Return two arrays of standard normal numbers from two uniform ones (Box-Muller)."""
     radius = np.sqrt(-2.0 * np.log1p(-radius))
     return radius * np.cos(2.0 * np.pi * angle), radius * np.sin(2.0 * np.pi * angle)
 
 
 def normal(key: tuple[int, ...], first: int, count: int) -> FloatArray:
-    """Return the numbers from number `first` on of an endless normal sequence of mean 0 and standard deviation 1.
+    """Return `count` standard normal numbers of the endless stream `key`, from number `first` on.
 
-    It has no memory: any part of it can be asked for, in any order.
+    Any part of the stream can be requested, in any order.
     """
     chunks = range(first // _CHUNK, (first + count - 1) // _CHUNK + 1)
     parts = [_normal_chunk(key, chunk) for chunk in chunks]

@@ -1,9 +1,9 @@
-"""Kinematics of the tool axis of a SCARA, inverted in closed form; written independently of the room `model`.
+"""Inverse kinematics of a SCARA's tool axis in closed form, independent of the room `model`.
 
     x = l1 cos q1 + l2 cos(q1 + q2)        y = l1 sin q1 + l2 sin(q1 + q2)
 
-Solved by the law of cosines for q2, whose sign is the arm: positive for the right arm, as in the paper, where
-(300, 200) mm in the right arm is q = (-15.35, 98.08) deg.
+The law of cosines gives q2 up to its sign, which is the elbow configuration. The right arm has q2 > 0: in the paper's
+section 5, the right arm reaches (300, 200) mm with q = (-15.35, 98.08) deg.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ L2 = 0.275
 
 
 class ElbowConfig(Enum):
-    """On which side the elbow is; the value is the sign of q2."""
+    """Right or left arm of a SCARA; the value is the sign of q2."""
 
     RIGHT = 1.0
     LEFT = -1.0
 
 
-def inverse(xy: FloatArray, arm: ElbowConfig) -> FloatArray:
-    """Return q1 and q2 [rad], shape (..., 2), that put the tool axis at `xy` (..., 2) [m].
+def inverse_kinematics(xy: FloatArray, elbow_config: ElbowConfig) -> FloatArray:
+    """Return q1 and q2 [rad], shape (..., 2), with the tool axis at `xy` (..., 2) [m].
 
     q1 lies in (-pi, pi]. Raises RobotError where `xy` is out of reach.
     """
@@ -40,16 +40,16 @@ def inverse(xy: FloatArray, arm: ElbowConfig) -> FloatArray:
     if np.any(np.abs(cosine) > 1.0):
         radius = np.hypot(x, y)
         reach = f"{abs(L1 - L2):.4f} to {L1 + L2:.4f} m"
-        raise RobotError(f"radii from {radius.min():.4f} to {radius.max():.4f} m are asked for; {reach} are in reach")
-    q2 = arm.value * np.arccos(cosine)
+        raise RobotError(f"radius = {radius.min():.4f} to {radius.max():.4f} m: must be in reach, {reach}")
+    q2 = elbow_config.value * np.arccos(cosine)
     q1 = np.arctan2(y, x) - np.arctan2(L2 * np.sin(q2), L1 + L2 * np.cos(q2))
     return np.stack((np.pi - (np.pi - q1) % (2.0 * np.pi), q2), axis=-1)
 
 
-def inverse_velocity(q: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Return the rates of q1 and q2 [rad/s], shape (..., 2), that move the tool axis with `velocity` (..., 2) [m/s].
+def joint_rates(q: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Return the rates of q1 and q2 [rad/s], shape (..., 2), for the tool velocity `velocity` (..., 2) [m/s].
 
-    Undefined, and infinite or NaN, at the singular poses sin q2 = 0.
+    Infinite or NaN at the singular poses sin q2 = 0.
     """
     q12 = q[..., 0] + q[..., 1]
     vx, vy = velocity[..., 0], velocity[..., 1]

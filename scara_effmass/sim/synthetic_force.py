@@ -1,19 +1,50 @@
-"""Force for a recording: noise, and impacts at chosen times."""
+"""Synthetic force, not computed from any motion: noise and half-sine pulses, in counts of a 24-bit converter.
+
+The same seed gives the same samples, for any block size and numpy version; see `rng`.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
+from numpy.random import PCG64
 
-from scara_effmass.sim.force import HalfSine, SimulatedSignal
+from scara_effmass.sim.adc import MAX_COUNT, newtons_per_count
+from scara_effmass.sim.rng import next_uniform, normal_pair, uniform
 from scara_effmass.values import ForceBlock
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from scara_effmass.values import FloatArray
+
+NOISE_SAMPLES = 2**21
+"""Period of the noise: 164 s at 12.8 kS/s, 16 s at 128 kS/s; 17 MB, for any number of channels."""
+CHANNEL_SPACING = NOISE_SAMPLES // 8
+"""Offset between the noise of consecutive channels."""
+_CHUNK = 2**15
+
+PEAKS = (20.0, 800.0)
+"""Range of random peak forces [N], log-uniform."""
+DURATIONS = (0.5e-3, 4.0e-3)
+"""Range of random durations [s], uniform."""
+REBOUND_SHARE = 0.2
+"""Share of random pulses with a rebound."""
+REBOUND_PEAKS = (0.3, 0.6)
+"""Range of a rebound's peak over the first one."""
+REBOUND_GAPS = (0.01, 0.03)
+"""Range of the time from the end of the first contact to the rebound [s]."""
+MIN_PERIOD_S = 0.1
+"""Pulses might overlap with a shorter period."""
+_NOISE_STREAM, _PULSE_STREAM = 1, 2
+
 SAMPLE_RATE = 12_800.0
-"""Of a NI-9230 at its fastest [Hz]."""
+"""Sample rate of recorded synthetic force [Hz], the fastest of an NI-9230."""
 BLOCK_SAMPLES = 1280
 BLOCK_NS = 100_000_000
 NOISE = 0.05
@@ -25,29 +56,126 @@ SOURCE = "simulated force: noise and half-sine impacts at chosen times, not comp
 
 
 class Pulse(NamedTuple):
-    """A half-sine impact: when it begins [s], its peak [N], how long it lasts [s]."""
+    """A half-sine pulse F(t) = peak sin(pi t / duration): `onset_s` [s], `peak_force` [N], `duration` [s]."""
 
-    seconds: float
+    onset_s: float
     peak_force: float
     duration: float
     rebound: int = 0
 
     @property
-    def impact(self) -> HalfSine:
-        """It, in samples."""
-        return HalfSine(self.seconds * SAMPLE_RATE, self.peak_force, self.duration, self.rebound)
+    def impulse(self) -> float:
+        """Integral of F [N s]."""
+        return 2.0 / math.pi * self.peak_force * self.duration
+
+    def reaches_into(self, first: int, end: int, sample_rate: float) -> bool:
+        """Return whether the pulse reaches into the samples from `first` to before `end`."""
+        onset = self.onset_s * sample_rate
+        return onset < end and onset + self.duration * sample_rate >= first
+
+    def sample(self, sample_rate: float) -> tuple[int, FloatArray]:
+        """Return the number of the first sample in the pulse, and the force [N] from there to its end."""
+        onset = self.onset_s * sample_rate
+        first = math.ceil(onset)
+        numbers = np.arange(first, math.floor(onset + self.duration * sample_rate) + 1)
+        phase = np.pi * (numbers - onset) / (self.duration * sample_rate)
+        return first, self.peak_force * np.sin(phase)
 
 
-def synthetic_force(hits: Sequence[Pulse], duration_s: float, start_ns: int, seed: int) -> Iterator[ForceBlock]:
-    """Yield blocks of 0.1 s, from `start_ns` on until no whole one fits into `duration_s` [s]."""
-    impacts = tuple(hit.impact for hit in hits)
-    signal = SimulatedSignal(
+PulseSchedule = Callable[[int, int, int], tuple[Pulse, ...]]
+"""(channel, first, end) -> the pulses of the channel that reach into the samples from `first` to before `end`."""
+
+
+@dataclass(frozen=True, slots=True)
+class RandomPulses:
+    """An endless `PulseSchedule`: one pulse per `period` [s], half to one and a half periods apart.
+
+    It has no state: the number of a pulse is its random key. Raises ValueError for too short a period.
+    """
+
+    seed: int
+    sample_rate: float
+    period: float
+
+    def __post_init__(self) -> None:
+        if not self.period >= MIN_PERIOD_S:
+            raise ValueError(f"period = {self.period}: must be >= {MIN_PERIOD_S} s")
+
+    def __call__(self, channel: int, first: int, end: int) -> tuple[Pulse, ...]:
+        """See `PulseSchedule`."""
+        samples = self.period * self.sample_rate
+        # Pulse k starts k + 1 periods after the start, +- a quarter, and ends before the next one can start.
+        numbers = range(max(0, math.floor(first / samples - 0.75)), max(0, math.ceil(end / samples - 0.75)))
+        return tuple(
+            pulse
+            for number in numbers
+            for pulse in _random_pulses(self, channel, number)
+            if pulse.reaches_into(first, end, self.sample_rate)
+        )
+
+
+@final
+class SyntheticSignal:
+    """Synthetic force of several channels [N], compression positive, in whole counts.
+
+    `noise` is a standard deviation [N], `sensitivity` in [mV/N]. All channels share one noise of NOISE_SAMPLES,
+    CHANNEL_SPACING apart.
+    """
+
+    def __init__(
+        self,
+        *,
+        channels: int,
+        sample_rate: float,
+        noise: float,
+        seed: int,
+        sensitivity: float,
+        pulses: PulseSchedule,
+    ) -> None:
+        self.sample_rate = sample_rate
+        self.pulses = pulses
+        self.step = newtons_per_count(sensitivity)
+        """Resolution [N]."""
+        self.limit = self.step * MAX_COUNT
+        """Largest force that fits the converter [N]."""
+        self._channels = channels
+        self._noise = _normal(seed)
+        self._noise *= noise / self.step
+        np.rint(self._noise, out=self._noise)
+
+    def samples(self, first: int, count: int) -> FloatArray:
+        """Return the samples (channels, count) from number `first` on, read-only."""
+        counts = np.empty((self._channels, count))
+        for channel, row in enumerate(counts):
+            self._copy_noise(row, first + channel * CHANNEL_SPACING)
+            for pulse in self.pulses(channel, first, first + count):
+                onset, force = _pulse_counts(pulse, self.sample_rate, self.step)
+                begin, end = max(onset, first), min(onset + len(force), first + count)
+                if begin < end:
+                    row[begin - first : end - first] += force[begin - onset : end - onset]
+        np.clip(counts, -MAX_COUNT, MAX_COUNT, out=counts)
+        counts *= self.step
+        counts.flags.writeable = False
+        return counts
+
+    def _copy_noise(self, row: FloatArray, first: int) -> None:
+        done = 0
+        while done < len(row):
+            start = (first + done) % NOISE_SAMPLES
+            part = self._noise[start : start + len(row) - done]
+            row[done : done + len(part)] = part
+            done += len(part)
+
+
+def synthetic_force(pulses: Sequence[Pulse], duration_s: float, start_ns: int, seed: int) -> Iterator[ForceBlock]:
+    """Yield the whole blocks of 0.1 s that fit into `duration_s` [s], from `start_ns` on."""
+    signal = SyntheticSignal(
         channels=1,
         sample_rate=SAMPLE_RATE,
         noise=NOISE,
         seed=seed,
         sensitivity=SENSITIVITY,
-        impacts=lambda _channel, _first, _end: impacts,
+        pulses=lambda _channel, _first, _end: tuple(pulses),
     )
     none_saturated = np.empty(0, np.uint32)
     none_saturated.flags.writeable = False
@@ -69,3 +197,44 @@ def synthetic_force(hits: Sequence[Pulse], duration_s: float, start_ns: int, see
             tare_stamp_ns=0,
             relative_uncertainty=0.0,
         )
+
+
+@lru_cache(maxsize=1024)
+def _random_pulses(schedule: RandomPulses, channel: int, number: int) -> tuple[Pulse, ...]:
+    """Return pulse `number` of a channel, and its rebound if it has one."""
+    key = (schedule.seed, _PULSE_STREAM, channel, number)
+    onset, peak, duration, rebounds, rebound_peak, gap = uniform(key, 6).tolist()
+    pulse = Pulse(
+        onset_s=(number + 0.75 + 0.5 * onset) * schedule.period,
+        peak_force=PEAKS[0] * (PEAKS[1] / PEAKS[0]) ** peak,
+        duration=_interpolate(DURATIONS, duration),
+    )
+    if rebounds >= REBOUND_SHARE:
+        return (pulse,)
+    # A linear contact lasts equally long at any speed.
+    later_s = pulse.onset_s + pulse.duration + _interpolate(REBOUND_GAPS, gap)
+    force = pulse.peak_force * _interpolate(REBOUND_PEAKS, rebound_peak)
+    return pulse, Pulse(later_s, force, pulse.duration, rebound=1)
+
+
+@lru_cache(maxsize=1024)
+def _pulse_counts(pulse: Pulse, sample_rate: float, step: float) -> tuple[int, FloatArray]:
+    """Return first sample and counts of a pulse, cached so that every block gets the same digits."""
+    first, force = pulse.sample(sample_rate)
+    counts = np.rint(force / step)
+    counts.flags.writeable = False
+    return first, counts
+
+
+def _normal(seed: int) -> FloatArray:
+    """Return NOISE_SAMPLES standard normal numbers, made in chunks to limit the memory."""
+    bits = PCG64([seed, _NOISE_STREAM])
+    normal = np.empty(NOISE_SAMPLES)
+    for pair in normal.reshape(-1, 2, _CHUNK):
+        pair[:] = normal_pair(next_uniform(bits, _CHUNK), next_uniform(bits, _CHUNK))
+    return normal
+
+
+def _interpolate(limits: tuple[float, float], share: float) -> float:
+    minimum, maximum = limits
+    return minimum + (maximum - minimum) * share

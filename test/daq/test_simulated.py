@@ -10,7 +10,7 @@ import pytest
 from scara_effmass.daq.simulated import SimulatedForce
 from scara_effmass.daq.source import Unit, make_source
 from scara_effmass.settings import DaqSettings, ForceSourceKind, SensorSettings, SimSettings, checked
-from scara_effmass.sim.force import RandomImpacts, SimulatedSignal
+from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
 
 if TYPE_CHECKING:
     from scara_effmass.daq.source import Reading
@@ -67,13 +67,13 @@ def test_sim_source_declares_that_it_is_simulated() -> None:
 def test_its_samples_are_those_of_the_simulated_signal() -> None:
     source, clock = started()
     clock.ns += NS
-    signal = SimulatedSignal(
+    signal = SyntheticSignal(
         channels=2,
         sample_rate=12_800.0,
         noise=SETTINGS.sim.noise,
         seed=5,
         sensitivity=SETTINGS.sensor.sensitivity,
-        impacts=RandomImpacts(5, 12_800.0, 0.2),
+        pulses=RandomPulses(5, 12_800.0, 0.2),
     )
     readings = [block(source) for _ in range(10)]
     assert [reading.first_sample for reading in readings] == [number * BLOCK for number in range(10)]

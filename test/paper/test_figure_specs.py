@@ -14,7 +14,7 @@ from matplotlib.contour import QuadContourSet
 from scara_effmass.analysis.plot_style import ISO_RED, STYLE
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.paper.figure_specs import FIGURE_SPECS
-from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse
+from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse_kinematics
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,7 +65,7 @@ def test_the_red_line_of_figure_6_is_where_the_mass_is_the_standards(material: M
     scara = material.scara
     q1, q2 = np.radians(red_line(angles)).T
     np.testing.assert_allclose(scara.lumped(q1, q2), scara.iso_mass, rtol=0.06)
-    q = inverse(red_line(workspace), ElbowConfig.RIGHT)
+    q = inverse_kinematics(red_line(workspace), ElbowConfig.RIGHT)
     assert np.median(np.abs(scara.lumped(q[:, 0], q[:, 1]) / scara.iso_mass - 1.0)) < 0.01
 
 
@@ -88,14 +88,14 @@ def test_figure_15_takes_the_smaller_one(material: Material) -> None:
     points = red_line(axes)
     both = []
     for side in ElbowConfig:
-        q = inverse(points, side)
+        q = inverse_kinematics(points, side)
         mu = reduced_mass(scara.lumped(q[:, 0], q[:, 1]), 2.39)
         both.append(np.where(np.abs(q[:, 0]) <= scara.q1_max, mu, np.inf))
     assert np.median(np.abs(np.minimum(*both) / iso - 1.0)) < 0.01
 
 
 def assert_on_mu_iso(scara: Scara, points: FloatArray, side: ElbowConfig, phi: float) -> None:
-    q = inverse(points, side)
+    q = inverse_kinematics(points, side)
     mu = reduced_mass(scara.lumped(q[:, 0], q[:, 1], phi), 2.39)
     assert np.median(np.abs(mu / reduced_mass(scara.iso_mass, 2.39) - 1.0)) < 0.01
 

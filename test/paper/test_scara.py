@@ -16,7 +16,7 @@ from scara_effmass.paper.scara import agreement, closed_form_of, matrix_masses
 from scara_effmass.paper.workspace import spread_positions
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
-from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse
+from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse_kinematics
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -60,7 +60,7 @@ def test_matrix_masses_do_not_depend_on_the_quill(arm: RobotDynamics, scara: Sca
 
 def test_tool_is_where_the_benchs_inverse_kinematics_puts_it(scara: Scara) -> None:
     xy = np.array([[0.3, 0.2], [0.1, -0.4], [-0.3, 0.3]])
-    q = inverse(xy, ElbowConfig.RIGHT)
+    q = inverse_kinematics(xy, ElbowConfig.RIGHT)
     np.testing.assert_allclose(np.stack(scara.tool(q[:, 0], q[:, 1]), axis=1), xy, atol=1e-12)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import OutputError
-from scara_effmass.sim.campaign import APART_NS, Campaign, record, run_campaign
+from scara_effmass.sim.campaign import RUN_SPACING_NS, Campaign, record, run_campaign
 from scara_effmass.sim.experiment import run_impact
 from scara_effmass.sim.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES
 from scara_effmass.sim.topics import FORCE_TOPIC
@@ -50,7 +50,7 @@ def test_the_paper_s_experiment_is_complete() -> None:
     which = {(run.setup.configuration.name, run.setup.obstacle_mass, run.repetition) for run in runs}
     assert which == set(product((c.name for c in CONFIGURATIONS), OBSTACLE_MASSES, (1, 2, 3)))
     assert len({run.setup.seed for run in runs}) == 36
-    assert np.all(np.diff([run.setup.start_ns for run in runs]) == APART_NS)
+    assert np.all(np.diff([run.setup.start_ns for run in runs]) == RUN_SPACING_NS)
 
 
 def test_runs_differ_a_little() -> None:
@@ -58,7 +58,7 @@ def test_runs_differ_a_little() -> None:
     speeds = [setup.speed for setup in setups]
     assert 0.245 < min(speeds) < 0.247
     assert 0.253 < max(speeds) < 0.255
-    assert len({(setup.offset, setup.rest, setup.sensor.clock_error) for setup in setups}) == 36
+    assert len({(setup.offset, setup.dwell, setup.sensor.clock_error) for setup in setups}) == 36
     assert max(abs(setup.offset) for setup in setups) < 1e-3
     assert max(abs(setup.sensor.clock_error) for setup in setups) < 50e-6
 

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 import pytest
 import yaml
@@ -15,8 +16,8 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.sim.cart import Cart
-from scara_effmass.sim.collision_sim import NEAR_NS, CollisionSim
-from scara_effmass.sim.motion import pose_at
+from scara_effmass.sim.collision_sim import FINE_STEP_NS, CollisionSim
+from scara_effmass.sim.motion import joint_positions_at
 from scara_effmass.sim.scara_kinematics import ElbowConfig
 from scara_effmass.sim.spring_contact import HERTZ, SpringContact
 
@@ -32,7 +33,7 @@ NO_TORQUE = np.zeros(4)
 SETTINGS = MonitorSettings()
 
 
-def cell_of(robot: Path) -> CollisionSim:
+def sim_of(robot: Path) -> CollisionSim:
     return CollisionSim(robot, Cart((9.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0), SpringContact())
 
 
@@ -42,21 +43,21 @@ def cell_of(robot: Path) -> CollisionSim:
     st.floats(0.0, 0.4),
     st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4),
 )
-def test_the_mass_that_mujoco_presents_is_the_full_one_of_the_model(
+def test_mujocos_effective_mass_is_that_of_the_full_model(
     robot: Path, q1: float, q2: float, q3: float, qd: list[float]
 ) -> None:
     q, rates = np.array([q1, q2, q3, 0.3]), np.array(qd)
     (ours,) = RobotDynamics(load_robot(robot, SETTINGS)).effective_masses(q, rates, 1e-2)
     if ours.direction == (0.0, 0.0, 0.0) or ours.full > 1e4:
         return
-    cell = cell_of(robot)
-    cell.put(q, rates)
+    sim = sim_of(robot)
+    sim.set_state(q, rates)
     direction = np.array(ours.direction)
-    assert cell.tool_velocity() == pytest.approx(direction * ours.speed, abs=1e-12)
-    assert cell.effective_mass(direction) == pytest.approx(ours.full, rel=1e-9)
+    assert sim.tool_velocity() == pytest.approx(direction * ours.speed, abs=1e-12)
+    assert sim.effective_mass(direction) == pytest.approx(ours.full, rel=1e-9)
 
 
-def test_armature_counts_as_in_the_model(robot: Path, tmp_path: Path) -> None:
+def test_armature_has_the_effect_that_it_has_in_the_model(robot: Path, tmp_path: Path) -> None:
     document = yaml.safe_load(robot.read_text())
     for joint, armature in zip(document["joints"], (0.4, 0.2, 1.5, 0.01), strict=True):
         joint["armature"] = armature
@@ -64,12 +65,12 @@ def test_armature_counts_as_in_the_model(robot: Path, tmp_path: Path) -> None:
     heavy.write_text(yaml.safe_dump(document))
     q, qd = np.array([0.3, 1.2, 0.1, 0.0]), np.array([0.2, -0.1, 0.05, 0.0])
     (ours,) = RobotDynamics(load_robot(heavy, SETTINGS)).effective_masses(q, qd, 1e-3)
-    cell = cell_of(heavy)
-    cell.put(q, qd)
-    assert cell.effective_mass(np.array(ours.direction)) == pytest.approx(ours.full, rel=1e-9)
+    sim = sim_of(heavy)
+    sim.set_state(q, qd)
+    assert sim.effective_mass(np.array(ours.direction)) == pytest.approx(ours.full, rel=1e-9)
 
 
-def test_a_general_row_and_tensor_are_placed_as_in_the_model(robot: Path, tmp_path: Path) -> None:
+def test_general_dh_rows_and_inertia_tensors_match_the_model(robot: Path, tmp_path: Path) -> None:
     document = yaml.safe_load(robot.read_text())
     document["joints"][0] |= {"theta": 0.4, "d": 0.1, "alpha": 0.7}
     document["joints"][2] |= {"theta": -1.1, "a": 0.05}
@@ -79,38 +80,38 @@ def test_a_general_row_and_tensor_are_placed_as_in_the_model(robot: Path, tmp_pa
     odd.write_text(yaml.safe_dump(document))
     q, qd = np.array([0.3, 1.2, 0.1, -0.4]), np.array([0.2, -0.1, 0.05, 0.3])
     (ours,) = RobotDynamics(load_robot(odd, SETTINGS)).effective_masses(q, qd, 1e-3)
-    cell = cell_of(odd)
-    cell.put(q, qd)
-    assert cell.tool_velocity() == pytest.approx(np.array(ours.direction) * ours.speed, abs=1e-12)
-    assert cell.effective_mass(np.array(ours.direction)) == pytest.approx(ours.full, rel=1e-9)
+    sim = sim_of(odd)
+    sim.set_state(q, qd)
+    assert sim.tool_velocity() == pytest.approx(np.array(ours.direction) * ours.speed, abs=1e-12)
+    assert sim.effective_mass(np.array(ours.direction)) == pytest.approx(ours.full, rel=1e-9)
 
 
 @pytest.mark.parametrize("mass", MASSES)
 @pytest.mark.parametrize("point", POINTS)
-def test_a_free_arm_reaches_the_theoretical_peak(
+def test_a_free_impact_has_the_theoretical_peak_and_duration(
     free_impact: type[FreeImpact], point: tuple[float, float], mass: float
 ) -> None:
     impact = free_impact(point, mass, SpringContact()).run()
-    assert impact.peak == pytest.approx(SpringContact().peak(0.25, impact.reduced_mass), rel=2e-4)
+    assert impact.peak == pytest.approx(SpringContact().peak_force(0.25, impact.reduced_mass), rel=2e-4)
     seconds = math.pi * math.sqrt(impact.reduced_mass / SpringContact().stiffness)
-    pressed = [touch for touch in impact.touches if touch.force > 0.0]
-    assert len(pressed) * NEAR_NS / 1e9 == pytest.approx(seconds, abs=2 * NEAR_NS / 1e9, rel=2e-3)
+    pressed = [sample for sample in impact.samples if sample.force > 0.0]
+    assert len(pressed) * FINE_STEP_NS / 1e9 == pytest.approx(seconds, abs=2 * FINE_STEP_NS / 1e9, rel=2e-3)
 
 
 @pytest.mark.parametrize(
     "contact", [SpringContact(), SpringContact(1.1e8, HERTZ), SpringContact(damping=150.0, friction=0.3)]
 )
-def test_the_step_is_short_enough(free_impact: type[FreeImpact], contact: SpringContact) -> None:
+def test_a_finer_step_leaves_the_peak_unchanged(free_impact: type[FreeImpact], contact: SpringContact) -> None:
     usual, half, tenth = (
         free_impact((0.3, 0.2), 0.5, contact, step_ns=step).run().peak
-        for step in (NEAR_NS, NEAR_NS // 2, NEAR_NS // 10)
+        for step in (FINE_STEP_NS, FINE_STEP_NS // 2, FINE_STEP_NS // 10)
     )
     assert usual == pytest.approx(tenth, rel=2e-3)
     assert half == pytest.approx(tenth, rel=1e-3)
 
 
 @pytest.mark.parametrize(("contact", "exponent"), [(SpringContact(), 0.5), (SpringContact(1.1e8, HERTZ), 0.6)])
-def test_the_peak_grows_with_the_power_of_mu_that_theory_has(
+def test_the_peak_grows_with_the_theoretical_power_of_mu(
     free_impact: type[FreeImpact], contact: SpringContact, exponent: float
 ) -> None:
     impacts = [free_impact(point, mass, contact).run() for point in POINTS for mass in MASSES]
@@ -128,64 +129,69 @@ def damped_peak(zeta: float) -> float:
 
 
 @pytest.mark.parametrize("zeta", [0.01, 0.05, 0.1, 0.2])
-def test_damping_lowers_the_peak_as_theory_has_it(free_impact: type[FreeImpact], zeta: float) -> None:
+def test_damping_lowers_the_peak_by_the_theoretical_factor(free_impact: type[FreeImpact], zeta: float) -> None:
     free = free_impact((0.3, 0.0), 2.39, SpringContact())
-    c = zeta * SpringContact().critical_damping(free.reduced_mass)
+    c = zeta * 2.0 * math.sqrt(free.reduced_mass * SpringContact().stiffness)
     impact = free_impact((0.3, 0.0), 2.39, SpringContact(damping=c)).run()
-    assert impact.peak / SpringContact().peak(0.25, free.reduced_mass) == pytest.approx(
+    assert impact.peak / SpringContact().peak_force(0.25, free.reduced_mass) == pytest.approx(
         damped_peak(zeta), rel=0.015 * zeta
     )
 
 
 @pytest.mark.parametrize(("restitution", "change"), [(0.95, -0.03), (0.5, -0.19)])
-def test_damping_changes_the_peak_as_much_as_is_known(restitution: float, change: float) -> None:
+def test_the_theoretical_factor_matches_known_values(restitution: float, change: float) -> None:
     zeta = -math.log(restitution) / math.hypot(math.pi, math.log(restitution))
     assert damped_peak(zeta) - 1.0 == pytest.approx(change, abs=0.01)
 
 
+def stored_energy(contact: SpringContact, depth: float) -> float:
+    power = contact.exponent + 1.0
+    return float(contact.stiffness * max(depth, 0.0) ** power / power)
+
+
 @pytest.mark.parametrize("contact", [SpringContact(), SpringContact(1.1e8, HERTZ)])
-def test_energy_is_kept_step_by_step(free_impact: type[FreeImpact], robot: Path, contact: SpringContact) -> None:
+def test_energy_is_conserved_in_every_step(free_impact: type[FreeImpact], robot: Path, contact: SpringContact) -> None:
     before: list[tuple[FloatArray, FloatArray]] = []
     impact = free_impact((0.3, -0.2), 3.72, contact)
-    impact.run(lambda cell: before.append((cell.data.qpos.copy(), cell.data.qvel.copy())))
-    scratch = CollisionSim(robot, impact.cell.cart, contact)
-    for (q, v), (_, later), touch in zip(before, before[1:], impact.touches, strict=False):
-        # The velocity at q: halfway between that of the half step before it and that of the one after.
+    impact.run(lambda sim: before.append((sim.data.qpos.copy(), sim.data.qvel.copy())))
+    scratch = CollisionSim(robot, impact.sim.cart, contact)
+    for (q, v), (_, later), sample in zip(before, before[1:], impact.samples, strict=False):
+        # The velocity at q is the mean of the half steps before and after it.
         scratch.data.qpos[:], scratch.data.qvel[:] = q, (v + later) / 2.0
-        assert scratch.kinetic_energy() + contact.energy(touch.depth) == pytest.approx(impact.energy, rel=3e-4)
-    assert min(touch.depth for touch in impact.touches) < 0.0 < contact.energy(2e-5)
+        energy = impact.kinetic_energy(scratch) + stored_energy(contact, sample.depth)
+        assert energy == pytest.approx(impact.energy, rel=3e-4)
+    assert min(sample.depth for sample in impact.samples) < 0.0
 
 
-def test_the_work_of_the_motors_and_of_friction_is_what_the_energy_changes_by(free_impact: type[FreeImpact]) -> None:
+def test_the_energy_changes_by_the_work_of_motors_damping_and_friction(free_impact: type[FreeImpact]) -> None:
     damping, torque = 200.0, np.array([3.0, -2.0, 5.0, 0.1])
     contact = SpringContact(damping=damping)
     impact = free_impact((0.3, 0.2), 2.39, contact, guide_friction=4.0)
-    cell, work = impact.cell, 0.0
-    step_ns = 2_000
+    sim, work = impact.sim, 0.0
     for _ in range(2000):
-        q, cart = cell.q, cell.cart_position
-        touch = cell.step(torque, step_ns)
-        work += float(torque @ (cell.q - q))
-        work -= 4.0 * (cell.cart_position - cart)
-        if touch.depth > 0.0:
-            deeper = cell.depth() - touch.depth
-            work -= (touch.force - contact.stiffness * touch.depth) * deeper
-    assert touch.force == 0.0
+        q, cart = sim.q, sim.cart_position
+        sample = sim.step(torque, 2_000)
+        work += float(torque @ (sim.q - q)) - 4.0 * (sim.cart_position - cart)
+        if sample.depth > 0.0:
+            mujoco.mj_kinematics(sim.model, sim.data)
+            depth = sim.tool_position[0] - sim.cart.tip[0] - sim.cart_position
+            work -= (sample.force - contact.stiffness * sample.depth) * (depth - sample.depth)
+    assert sample.force == 0.0
     assert abs(work) > 0.1 * impact.energy
-    assert cell.kinetic_energy() - impact.energy == pytest.approx(work, abs=2e-3 * impact.energy)
+    assert impact.kinetic_energy(sim) - impact.energy == pytest.approx(work, abs=2e-3 * impact.energy)
 
 
 @pytest.mark.parametrize("mass", MASSES)
 def test_the_impulse_is_the_momentum_of_the_cart(free_impact: type[FreeImpact], mass: float) -> None:
     impact = free_impact((0.3, 0.2), mass, SpringContact(damping=100.0)).run()
-    impulse = sum(touch.force for touch in impact.touches) * NEAR_NS / 1e9
-    assert impulse == pytest.approx(mass * impact.cell.cart_speed, rel=1e-9)
+    impulse = sum(sample.force for sample in impact.samples) * FINE_STEP_NS / 1e9
+    assert impulse == pytest.approx(mass * impact.sim.cart_speed, rel=1e-9)
 
 
-def test_a_tip_in_front_of_the_cell_hides_its_own_share(free_impact: type[FreeImpact]) -> None:
+def test_the_force_cell_does_not_measure_the_force_on_its_tip_mass(free_impact: type[FreeImpact]) -> None:
     impact = free_impact((0.3, 0.2), 0.5, SpringContact(), tip_mass=0.02).run()
-    touch = max(impact.touches, key=lambda touch: touch.force)
-    assert touch.measured == pytest.approx(touch.force * (1.0 - 0.02 / 0.5))
+    sample = max(impact.samples, key=lambda sample: sample.force)
+    assert sample.measured == pytest.approx(sample.force * (1.0 - 0.02 / 0.5))
 
 
 @pytest.mark.parametrize("surface", [(math.cos(0.5), math.sin(0.5), 0.0), (0.8, 0.0, 0.6), (0.8, -0.36, 0.48)])
@@ -193,45 +199,45 @@ def test_an_inclined_plate_is_hit_along_its_normal(
     free_impact: type[FreeImpact], surface: tuple[float, float, float]
 ) -> None:
     impact = free_impact((0.3, 0.0), 2.39, SpringContact(), surface=surface).run()
-    assert impact.peak == pytest.approx(SpringContact().peak(impact.speed, impact.reduced_mass), rel=1e-3)
-    touch = max(impact.touches, key=lambda touch: touch.force)
-    assert touch.measured == pytest.approx(touch.force * surface[0])
+    assert impact.peak == pytest.approx(SpringContact().peak_force(impact.speed, impact.reduced_mass), rel=1e-3)
+    sample = max(impact.samples, key=lambda sample: sample.force)
+    assert sample.measured == pytest.approx(sample.force * surface[0])
 
 
-def test_friction_of_the_tip_takes_energy_and_leaves_the_peak(free_impact: type[FreeImpact]) -> None:
+def test_tip_friction_dissipates_energy_and_keeps_the_peak(free_impact: type[FreeImpact]) -> None:
     smooth, rough = (free_impact((0.3, 0.0), 2.39, SpringContact(friction=mu)).run() for mu in (0.0, 0.3))
-    assert smooth.cell.kinetic_energy() == pytest.approx(smooth.energy, rel=1e-4)
-    lost = 1.0 - rough.cell.kinetic_energy() / rough.energy
+    assert smooth.kinetic_energy(smooth.sim) == pytest.approx(smooth.energy, rel=1e-4)
+    lost = 1.0 - rough.kinetic_energy(rough.sim) / rough.energy
     assert 0.001 < lost < 0.2
     assert rough.peak == pytest.approx(smooth.peak, rel=0.1)
 
 
-def test_the_guide_and_the_brake_stop_the_cart(robot: Path) -> None:
-    cell = CollisionSim(
+def test_guide_friction_and_brake_stop_the_cart(robot: Path) -> None:
+    sim = CollisionSim(
         robot, Cart((0.9, 0.0, 0.0), (1.0, 0.0, 0.0), 2.0, guide_friction=1.0, travel=0.02), SpringContact()
     )
-    cell.place_cart()
-    cell.data.qvel[4] = 0.3
+    sim.place_cart()
+    sim.data.qvel[4] = 0.3
     places = []
     for _ in range(1000):
-        cell.tick(NO_TORQUE)
-        places.append(cell.cart_position)
+        sim.advance(NO_TORQUE)
+        places.append(sim.cart_position)
     # m v^2 / 2 = 0.09 J, of which friction takes 0.02 J up to the brake; v = 0.265 m/s there, tau v = 13 mm at most.
     assert 0.02 < places[-1] < 0.02 + 0.0133
-    assert abs(cell.cart_speed) < 1e-4
+    assert abs(sim.cart_speed) < 1e-4
 
 
-def test_the_torques_of_a_motion_move_the_robot_along_it(robot: Path) -> None:
-    cell = cell_of(robot)
+def test_inverse_dynamics_torques_reproduce_the_motion(robot: Path) -> None:
+    sim = sim_of(robot)
     t = np.arange(500) * 1e-3
     shape = np.outer(1.0 - np.cos(2.0 * t), [0.4, -0.3, 0.05, 0.2])
-    q = np.array(pose_at((0.3, 0.2), ElbowConfig.RIGHT, 0.2)) + shape
+    q = np.array(joint_positions_at((0.3, 0.2), ElbowConfig.RIGHT, 0.2)) + shape
     qd = np.outer(2.0 * np.sin(2.0 * t), [0.4, -0.3, 0.05, 0.2])
     qdd = np.outer(4.0 * np.cos(2.0 * t), [0.4, -0.3, 0.05, 0.2])
-    cell.put(q[0], qd[0])
-    for torque in cell.inverse_dynamics(q, qd, qdd)[:-1]:
-        cell.tick(torque)
-    assert cell.q == pytest.approx(q[-1], abs=2e-3)
+    sim.set_state(q[0], qd[0])
+    for torque in sim.inverse_dynamics(q, qd, qdd)[:-1]:
+        sim.advance(torque)
+    assert sim.q == pytest.approx(q[-1], abs=2e-3)
     assert np.abs(q[-1] - q[0]).max() > 0.1
 
 
@@ -245,19 +251,19 @@ def test_the_torques_of_a_motion_move_the_robot_along_it(robot: Path) -> None:
         ({"surface": (0.0, 0.0, math.nan)}, "surface = "),
     ],
 )
-def test_a_cart_that_cannot_be_is_refused(change: dict[str, Any], message: str) -> None:
+def test_an_impossible_cart_is_refused(change: dict[str, Any], message: str) -> None:
     cart = Cart((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0)
     with pytest.raises(SettingsError, match=message):
         replace(cart, **change)
 
 
-def test_a_cart_is_not_placed_where_the_robot_is(robot: Path) -> None:
-    cell = CollisionSim(robot, Cart((0.25, 0.2, -0.236), (1.0, 0.0, 0.0), 1.0), SpringContact())
-    cell.put(np.array(pose_at((0.3, 0.2), ElbowConfig.RIGHT, 0.236)), NO_TORQUE)
-    with pytest.raises(ValueError, match=r"50\.0 mm behind the tip"):
-        cell.place_cart()
-    assert not cell.cart_placed
-    assert not any(touch.force for touch in cell.tick(NO_TORQUE))
+def test_a_cart_in_the_robots_place_is_refused(robot: Path) -> None:
+    sim = CollisionSim(robot, Cart((0.25, 0.2, -0.236), (1.0, 0.0, 0.0), 1.0), SpringContact())
+    sim.set_state(np.array(joint_positions_at((0.3, 0.2), ElbowConfig.RIGHT, 0.236)), NO_TORQUE)
+    with pytest.raises(ValueError, match=r"tool 50\.0 mm behind the tip: must be in front of it"):
+        sim.place_cart()
+    assert not sim.cart_placed
+    assert not any(sample.force for sample in sim.advance(NO_TORQUE))
 
 
 @pytest.mark.parametrize(
@@ -274,15 +280,15 @@ def test_a_cart_is_not_placed_where_the_robot_is(robot: Path) -> None:
         ),
     ],
 )
-def test_a_robot_file_that_cannot_be_used_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+def test_an_invalid_robot_file_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text(text)
     with pytest.raises(RobotError, match=message) as caught:
-        cell_of(path)
+        sim_of(path)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
 
 
-def test_a_robot_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_missing_robot_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match="cannot be read"):
-        cell_of(tmp_path / "none.yaml")
+        sim_of(tmp_path / "none.yaml")

@@ -12,13 +12,13 @@ from scara_effmass.errors import RobotError, SettingsError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
+from scara_effmass.sim.adc import ForceSensor
 from scara_effmass.sim.collision_sim import CollisionSim
-from scara_effmass.sim.converter import ForceSensor
-from scara_effmass.sim.drive import Servo
-from scara_effmass.sim.experiment import cell_for, run_impact
+from scara_effmass.sim.controller import ServoGains
+from scara_effmass.sim.experiment import build_sim, run_impact
 from scara_effmass.sim.impact_setup import CONFIGURATIONS, ImpactSetup
 from scara_effmass.sim.recordings import EPOCH_NS, POSITION_STEP, VELOCITY_STEP
-from scara_effmass.sim.scara_kinematics import inverse_velocity
+from scara_effmass.sim.scara_kinematics import joint_rates
 from scara_effmass.sim.spring_contact import SpringContact
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def test_the_masses_are_those_of_the_model(run: ImpactRun, robot: Path) -> None:
     number, rest_ns = divmod(run.truth.impact.onset_ns - EPOCH_NS, 1_000_000)
     before = run.joint_states[number]
     at_onset = before.position + before.velocity * rest_ns / 1e9
-    rates = inverse_velocity(at_onset[:2], np.array([0.25, 0.0]))
+    rates = joint_rates(at_onset[:2], np.array([0.25, 0.0]))
     along_x = np.array([*rates, 0.0, rates.sum()])
     (ours,) = RobotDynamics(load_robot(robot, settings)).effective_masses(at_onset, along_x, 0.01)
     assert run.truth.effective_mass == pytest.approx(ours.full, rel=2e-5)
@@ -69,7 +69,7 @@ def test_the_masses_are_those_of_the_model(run: ImpactRun, robot: Path) -> None:
 def test_the_controller_hardly_bends_the_law(configuration: Configuration, mass: float) -> None:
     truth = run_impact(replace(SETUP, configuration=configuration, obstacle_mass=mass)).truth
     peak = truth.impact.peak_force
-    assert peak == pytest.approx(SpringContact().peak(truth.impact.speed, truth.reduced_mass), rel=5e-3)
+    assert peak == pytest.approx(SpringContact().peak_force(truth.impact.speed, truth.reduced_mass), rel=5e-3)
     assert 160.0 < peak < 860.0
     assert 1e-3 < truth.impact.duration < 4e-3
     # What comes after is weaker, so the impact is the largest force there is.
@@ -78,8 +78,8 @@ def test_the_controller_hardly_bends_the_law(configuration: Configuration, mass:
 
 def test_a_stiff_controller_makes_the_robot_heavier() -> None:
     heavy = replace(SETUP, configuration=CONFIGURATIONS[2], obstacle_mass=7.35)
-    truths = [run_impact(replace(heavy, servo=Servo(bandwidth=hz))).truth for hz in (1.0, 5.0, 30.0, 60.0)]
-    excess = [t.impact.peak_force / SpringContact().peak(t.impact.speed, t.reduced_mass) - 1.0 for t in truths]
+    truths = [run_impact(replace(heavy, servo=ServoGains(bandwidth=hz))).truth for hz in (1.0, 5.0, 30.0, 60.0)]
+    excess = [t.impact.peak_force / SpringContact().peak_force(t.impact.speed, t.reduced_mass) - 1.0 for t in truths]
     assert excess == sorted(excess)
     assert abs(excess[0]) < 1e-3
     assert excess[-1] > 0.01
@@ -181,10 +181,10 @@ def test_a_speed_that_the_path_is_too_short_for_is_refused(speed: float) -> None
 
 
 def test_a_contact_that_the_steps_cannot_follow_is_refused() -> None:
-    with pytest.raises(SettingsError, match=r"would last 0\.18 ms"):
-        cell_for(replace(SETUP, contact=SpringContact(2e8)))
-    with pytest.raises(SettingsError, match=r"damping = 1e\+06: 6803 N s/m or less"):
-        cell_for(replace(SETUP, contact=SpringContact(damping=1e6)))
+    with pytest.raises(SettingsError, match=r"the contact lasts 0\.18 ms"):
+        build_sim(replace(SETUP, contact=SpringContact(2e8)))
+    with pytest.raises(SettingsError, match=r"damping = 1e\+06: must be <= 6803"):
+        build_sim(replace(SETUP, contact=SpringContact(damping=1e6)))
 
 
 @pytest.mark.parametrize(
@@ -193,12 +193,12 @@ def test_a_contact_that_the_steps_cannot_follow_is_refused() -> None:
 )
 def test_a_controller_that_would_not_be_stable_is_refused(name: str, value: float) -> None:
     with pytest.raises(SettingsError, match=f"{name} = "):
-        Servo(**{name: value})
+        ServoGains(**{name: value})
 
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda c: c.name)
-@pytest.mark.parametrize("servo", [Servo(60.0, 0.3), Servo(60.0, 1.0, 2e-3), Servo(0.5, 0.3)], ids=str)
-def test_the_controllers_that_are_allowed_are_stable(configuration: Configuration, servo: Servo) -> None:
+@pytest.mark.parametrize("servo", [ServoGains(60.0, 0.3), ServoGains(60.0, 1.0, 2e-3), ServoGains(0.5, 0.3)], ids=str)
+def test_the_controllers_that_are_allowed_are_stable(configuration: Configuration, servo: ServoGains) -> None:
     run = run_impact(replace(SETUP, configuration=configuration, servo=servo))
     late = np.array([state.velocity for state in run.joint_states[-50:]])
     assert np.abs(late).max() < (0.02 if servo.bandwidth > 1.0 else 1.0)
@@ -209,6 +209,6 @@ def test_another_robot_is_refused(robot: Path, tmp_path: Path) -> None:
     document["joints"][0]["a"] = 0.3
     path = tmp_path / "longer.yaml"
     path.write_text(yaml.safe_dump(document))
-    with pytest.raises(RobotError, match="misses the point of impact by"):
-        cell_for(SETUP, path)
-    assert isinstance(cell_for(SETUP, robot)[0], CollisionSim)
+    with pytest.raises(RobotError, match="must be an i4-550L"):
+        build_sim(SETUP, path)
+    assert isinstance(build_sim(SETUP, robot)[0], CollisionSim)

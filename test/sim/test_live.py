@@ -9,10 +9,10 @@ import pytest
 
 from scara_effmass.errors import SettingsError
 from scara_effmass.sim import live
-from scara_effmass.sim.converter import ForceSensor
+from scara_effmass.sim.adc import ForceSensor
 from scara_effmass.sim.impact_setup import CONFIGURATIONS
-from scara_effmass.sim.live import LiveBench, LiveSettings
-from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse
+from scara_effmass.sim.live import LiveSettings, LiveSim
+from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse_kinematics
 
 if TYPE_CHECKING:
     from scara_effmass.sim.live import LiveOutput
@@ -25,14 +25,14 @@ SECONDS = 8
 
 
 def portions(step_ns: int, seconds: float = SECONDS) -> list[LiveOutput]:
-    bench = LiveBench(FAST, START_NS)
+    bench = LiveSim(FAST, START_NS)
     times = range(step_ns, round(seconds * SECOND) + 1, step_ns)
     return [bench.advance_to(START_NS + t) for t in times]
 
 
 @pytest.fixture(scope="module")
 def whole() -> LiveOutput:
-    return LiveBench(FAST, START_NS).advance_to(START_NS + SECONDS * SECOND)
+    return LiveSim(FAST, START_NS).advance_to(START_NS + SECONDS * SECOND)
 
 
 @pytest.mark.parametrize("step_ns", [1_000_000, 7_300_000, 100_000_000])
@@ -54,7 +54,7 @@ def test_it_does_not_depend_on_how_time_is_portioned(whole: LiveOutput, step_ns:
 def test_states_come_each_millisecond_and_nothing_comes_twice(whole: LiveOutput) -> None:
     stamps = [state.stamp_ns - START_NS for state in whole.joint_states]
     assert stamps == [i * 1_000_000 for i in range(SECONDS * 1000)]
-    bench = LiveBench(FAST, START_NS)
+    bench = LiveSim(FAST, START_NS)
     assert len(bench.advance_to(START_NS + SECOND).joint_states) == 1000
     for now_ns in (START_NS + SECOND, START_NS, START_NS + SECOND + 999_999):
         again = bench.advance_to(now_ns)
@@ -75,8 +75,8 @@ def test_each_impact_happens_with_its_cart(whole: LiveOutput) -> None:
 def test_a_contact_does_not_notice_where_a_portion_of_force_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     forces = []
     for frame in (1, 10):
-        monkeypatch.setattr(live, "FRAME", frame)
-        forces.append(LiveBench(FAST, START_NS).advance_to(START_NS + 2_900_000_000).force)
+        monkeypatch.setattr(live, "FORCE_PERIODS", frame)
+        forces.append(LiveSim(FAST, START_NS).advance_to(START_NS + 2_900_000_000).force)
     assert forces[0].max() > 200.0
     assert np.abs(forces[0] - forces[1]).max() < 2 * FAST.sensor.step
 
@@ -95,19 +95,19 @@ def test_the_robot_goes_on_without_jumps_and_no_faster_than_it_may(whole: LiveOu
     assert steps.max() < 0.25 * 1.6
     for cart, configuration in zip(whole.carts, CONFIGURATIONS[:2], strict=False):
         at = (cart.stamp_ns - START_NS) // 1_000_000
-        start = inverse(np.array(configuration.along(-0.1)), ElbowConfig.RIGHT)
+        start = inverse_kinematics(np.array(configuration.path_point(-0.1)), ElbowConfig.RIGHT)
         assert q[at, :2] == pytest.approx(start, abs=2e-4)
 
 
 def test_configurations_of_two_arms_are_refused() -> None:
-    left = replace(CONFIGURATIONS[0], arm=ElbowConfig.LEFT)
+    left = replace(CONFIGURATIONS[0], elbow_config=ElbowConfig.LEFT)
     for impacts in (((left, 1.0), (CONFIGURATIONS[0], 1.0)), ()):
-        with pytest.raises(SettingsError, match="same arm"):
-            LiveBench(replace(FAST, impacts=impacts), START_NS)
+        with pytest.raises(SettingsError, match="one elbow configuration"):
+            LiveSim(replace(FAST, impacts=impacts), START_NS)
 
 
 def test_it_keeps_ahead_of_real_time() -> None:
-    bench = LiveBench(LiveSettings(), START_NS)
+    bench = LiveSim(LiveSettings(), START_NS)
     bench.advance_to(START_NS)
     started = time.process_time()
     bench.advance_to(START_NS + 6 * SECOND)

@@ -15,23 +15,30 @@ from hypothesis import strategies as st
 from scara_effmass.errors import RobotError
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.sim.motion import JointMove, LineMove, Quintic, Trapezoid, pose_at, sampled
-from scara_effmass.sim.recordings import RECORDINGS, measured, straight, tour_moves
-from scara_effmass.sim.scara_kinematics import L1, L2, ElbowConfig, inverse, inverse_velocity
+from scara_effmass.sim.motion import (
+    JointMove,
+    LinearMove,
+    QuinticScaling,
+    TrapezoidalScaling,
+    joint_positions_at,
+    sample_moves,
+)
+from scara_effmass.sim.recordings import RECORDINGS, quantize, straight, tour_moves
+from scara_effmass.sim.scara_kinematics import L1, L2, ElbowConfig, inverse_kinematics, joint_rates
 
 if TYPE_CHECKING:
-    from scara_effmass.sim.motion import Move, TimeLaw
+    from scara_effmass.sim.motion import Move, TimeScaling
     from scara_effmass.sim.recordings import ReferenceRecording
     from scara_effmass.values import FloatArray
 
 ROBOT = load_robot(Path(__file__).parents[2] / "config" / "omron_i4_550l.yaml", MonitorSettings())
 
-arms = st.sampled_from(list(ElbowConfig))
+elbow_configs = st.sampled_from(list(ElbowConfig))
 radii = st.floats(0.02, 0.5499)
 angles = st.floats(-math.pi, math.pi)
 durations = st.floats(0.1, 5.0)
-trapezoids = st.builds(Trapezoid, st.floats(0.1, 0.5), st.floats(0.05, 0.5), st.floats(3.0, 20.0))
-laws = st.one_of(st.builds(Quintic, durations), trapezoids)
+trapezoids = st.builds(TrapezoidalScaling, st.floats(0.1, 0.5), st.floats(0.05, 0.5), st.floats(3.0, 20.0))
+time_scalings = st.one_of(st.builds(QuinticScaling, durations), trapezoids)
 
 
 def tool(q: FloatArray) -> FloatArray:
@@ -42,25 +49,27 @@ def tool(q: FloatArray) -> FloatArray:
     return np.asarray(data.oMf[frame].translation[:2])
 
 
-@given(radii, angles, arms)
-def test_the_inverse_is_one_of_the_forward_kinematics(radius: float, angle: float, arm: ElbowConfig) -> None:
+@given(radii, angles, elbow_configs)
+def test_the_inverse_is_one_of_the_forward_kinematics(radius: float, angle: float, elbow_config: ElbowConfig) -> None:
     xy = radius * np.array([math.cos(angle), math.sin(angle)])
-    q = inverse(xy, arm)
+    q = inverse_kinematics(xy, elbow_config)
     assert tool(np.array([*q, 0.1, 0.2])) == pytest.approx(xy, abs=1e-9)
-    assert np.sign(q[1]) == arm.value
+    assert np.sign(q[1]) == elbow_config.value
     assert -math.pi < q[0] <= math.pi
 
 
 def test_the_papers_pose() -> None:
-    assert np.degrees(inverse(np.array([0.3, 0.2]), ElbowConfig.RIGHT)) == pytest.approx([-15.35, 98.08], abs=0.005)
+    assert np.degrees(inverse_kinematics(np.array([0.3, 0.2]), ElbowConfig.RIGHT)) == pytest.approx(
+        [-15.35, 98.08], abs=0.005
+    )
 
 
-@given(st.floats(-2.0, 2.0), st.floats(0.05, 2.5), arms, st.floats(-1, 1), st.floats(-1, 1))
+@given(st.floats(-2.0, 2.0), st.floats(0.05, 2.5), elbow_configs, st.floats(-1, 1), st.floats(-1, 1))
 def test_the_inverse_velocity_moves_the_tool_as_asked(
-    q1: float, bend: float, arm: ElbowConfig, vx: float, vy: float
+    q1: float, bend: float, elbow_config: ElbowConfig, vx: float, vy: float
 ) -> None:
-    q = np.array([q1, arm.value * bend])
-    qd = inverse_velocity(q, np.array([vx, vy]))
+    q = np.array([q1, elbow_config.value * bend])
+    qd = joint_rates(q, np.array([vx, vy]))
     data = ROBOT.model.createData()
     jacobian = pin.computeFrameJacobian(
         ROBOT.model, data, np.array([*q, 0.0, 0.0]), ROBOT.contact_frames["tool"], pin.LOCAL_WORLD_ALIGNED
@@ -70,8 +79,8 @@ def test_the_inverse_velocity_moves_the_tool_as_asked(
 
 @pytest.mark.parametrize("xy", [(0.551, 0.0), (0.4, 0.4)])
 def test_what_is_out_of_reach_is_refused(xy: tuple[float, float]) -> None:
-    with pytest.raises(RobotError, match=r"0\.0000 to 0\.5500 m are in reach"):
-        inverse(np.array(xy), ElbowConfig.RIGHT)
+    with pytest.raises(RobotError, match=r"must be in reach, 0\.0000 to 0\.5500 m"):
+        inverse_kinematics(np.array(xy), ElbowConfig.RIGHT)
 
 
 def test_the_lengths_are_those_of_the_shipped_robot() -> None:
@@ -80,39 +89,39 @@ def test_the_lengths_are_those_of_the_shipped_robot() -> None:
 
 
 @settings(deadline=None)
-@given(laws)
-def test_a_time_law_goes_from_0_to_1_and_from_rest_to_rest(law: TimeLaw) -> None:
-    t = np.linspace(0.0, law.duration, 2001)
-    s, rate = law.at(t)
+@given(time_scalings)
+def test_a_time_law_goes_from_0_to_1_and_from_rest_to_rest(time_scaling: TimeScaling) -> None:
+    t = np.linspace(0.0, time_scaling.duration, 2001)
+    s, rate = time_scaling.at(t)
     assert s[[0, -1]] == pytest.approx([0.0, 1.0], abs=1e-12)
     assert rate[[0, -1]] == pytest.approx([0.0, 0.0], abs=1e-9)
     assert np.all(np.diff(s) >= -1e-12)
     # Between two samples the path grows by a rate that lies between theirs.
     half, mean = np.abs(np.diff(rate)) / 2.0, (rate[1:] + rate[:-1]) / 2.0
-    assert np.all(np.abs(np.diff(s) / t[1] - mean) <= half + 1e-5 / law.duration)
+    assert np.all(np.abs(np.diff(s) / t[1] - mean) <= half + 1e-5 / time_scaling.duration)
 
 
 @given(trapezoids)
-def test_a_trapezoid_keeps_its_speed_and_its_acceleration(law: Trapezoid) -> None:
-    t = np.linspace(0.0, law.duration, 1001)
-    _, rate = law.at(t)
-    speed = rate * law.length
-    assert speed.max() <= law.speed * (1.0 + 1e-12)
-    assert np.abs(np.diff(speed)).max() <= law.acceleration * t[1] * (1.0 + 1e-6)
-    assert speed[500] == pytest.approx(law.speed)
+def test_a_trapezoid_keeps_its_speed_and_its_acceleration(time_scaling: TrapezoidalScaling) -> None:
+    t = np.linspace(0.0, time_scaling.duration, 1001)
+    _, rate = time_scaling.at(t)
+    speed = rate * time_scaling.length
+    assert speed.max() <= time_scaling.speed * (1.0 + 1e-12)
+    assert np.abs(np.diff(speed)).max() <= time_scaling.acceleration * t[1] * (1.0 + 1e-6)
+    assert speed[500] == pytest.approx(time_scaling.speed)
 
 
 MOVES: tuple[Move, ...] = (
-    JointMove((0.0, 1.0, 0.1, 0.0), (1.0, -1.0, 0.2, 2.0), Quintic(1.0)),
-    LineMove((0.2, 0.3), (0.4, -0.1), ElbowConfig.LEFT, 0.1, Quintic(1.0)),
-    LineMove((0.2, 0.3), (0.4, -0.1), ElbowConfig.RIGHT, 0.1, Trapezoid(0.447, 0.6, 4.0)),
+    JointMove((0.0, 1.0, 0.1, 0.0), (1.0, -1.0, 0.2, 2.0), QuinticScaling(1.0)),
+    LinearMove((0.2, 0.3), (0.4, -0.1), ElbowConfig.LEFT, 0.1, QuinticScaling(1.0)),
+    LinearMove((0.2, 0.3), (0.4, -0.1), ElbowConfig.RIGHT, 0.1, TrapezoidalScaling(0.447, 0.6, 4.0)),
 )
 
 
 @pytest.mark.parametrize("move", MOVES)
 def test_velocities_are_the_derivatives_of_positions(move: Move) -> None:
     step = 1e-6
-    t = np.linspace(0.01, move.law.duration - 0.01, 57)
+    t = np.linspace(0.01, move.time_scaling.duration - 0.01, 57)
     _, qd = move.at(t)
     assert (move.at(t + step)[0] - move.at(t - step)[0]) / (2.0 * step) == pytest.approx(qd, abs=1e-6)
 
@@ -126,8 +135,13 @@ def test_a_line_is_straight_and_keeps_the_tools_orientation() -> None:
 
 
 def test_sampling_runs_through_the_moves() -> None:
-    start, end = pose_at((0.3, 0.2), ElbowConfig.RIGHT, 0.1), pose_at((0.2, 0.3), ElbowConfig.RIGHT, 0.1)
-    q, qd = sampled((JointMove(start, end, Quintic(0.5)), JointMove(end, start, Quintic(0.25))), frequency=100.0)
+    start, end = (
+        joint_positions_at((0.3, 0.2), ElbowConfig.RIGHT, 0.1),
+        joint_positions_at((0.2, 0.3), ElbowConfig.RIGHT, 0.1),
+    )
+    q, qd = sample_moves(
+        (JointMove(start, end, QuinticScaling(0.5)), JointMove(end, start, QuinticScaling(0.25))), frequency=100.0
+    )
     assert q.shape == qd.shape == (75, 4)
     assert q[0] == pytest.approx(start)
     assert q[50] == pytest.approx(end)
@@ -136,7 +150,7 @@ def test_sampling_runs_through_the_moves() -> None:
 
 def test_each_move_of_the_tour_starts_where_the_last_one_ended() -> None:
     for before, after in pairwise(tour_moves()):
-        end, _ = before.at(np.array([before.law.duration]))
+        end, _ = before.at(np.array([before.time_scaling.duration]))
         start, _ = after.at(np.array([0.0]))
         assert end == pytest.approx(start, abs=1e-9)
 
@@ -172,7 +186,7 @@ def test_a_recording_is_continuous(recording: ReferenceRecording) -> None:
 
 def test_measuring_adds_no_more_than_a_count_and_a_half() -> None:
     q, qd = np.full((1000, 4), 0.5), np.zeros((1000, 4))
-    counted_q, counted_qd = measured(q, qd, random.Random(1))  # noqa: S311
+    counted_q, counted_qd = quantize(q, qd, random.Random(1))  # noqa: S311
     assert np.abs(counted_q - q).max() <= 1.5 * 2.0 * math.pi / 2**20
     assert np.abs(counted_qd - qd).max() <= 1.5e-4
     assert len(np.unique(counted_q[:, 0])) > 1

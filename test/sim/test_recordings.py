@@ -21,9 +21,9 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.sim.converter import FORCE_SENSOR
+from scara_effmass.sim.adc import FORCE_SENSOR
 from scara_effmass.sim.generate import CAMPAIGN, CHECKSUMS, generate
-from scara_effmass.sim.recordings import EPOCH_NS, POSITION_STEP, RECORDINGS, SEED, TOUR_HITS, VELOCITY_STEP
+from scara_effmass.sim.recordings import EPOCH_NS, POSITION_STEP, RECORDINGS, SEED, TOUR_PULSES, VELOCITY_STEP
 from scara_effmass.sim.topics import FORCE_TOPIC
 from scara_effmass.values import Verdict
 from scara_effmass.wire.topics import RECORDING_INFO
@@ -216,7 +216,7 @@ def test_the_impacts_of_the_tour_are_where_it_says() -> None:
     impacts = about(BAGS / "tour")["impacts"]
     assert isinstance(impacts, list)
     quiet = np.ones(len(samples), dtype=bool)
-    assert len(impacts) == len(TOUR_HITS)
+    assert len(impacts) == len(TOUR_PULSES)
     for impact in impacts:
         first, last = (round(t * 12_800) for t in (impact["seconds"], impact["seconds"] + impact["duration_s"]))
         contact = slice(first - 1, last + 2)

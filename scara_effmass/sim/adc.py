@@ -1,9 +1,9 @@
-"""From the force in the cell to samples: a quartz sensor of the type 208C03 on an NI-9230, imagined.
+"""Force sensor and analogue-to-digital converter: a model of a PCB 208C03 on an NI-9230.
 
-    clip at the sensor's range -> decimation filter -> AC coupling -> noise -> 24 bits over 60 V
+    sensor range -> decimation filter -> AC coupling -> noise -> 24 bits over 60 V
 
-The converter samples eight times as fast as its rate and has a filter of linear phase: flat to 0.4535 of the rate,
-100 dB down from 0.5465 on, its delay 38 samples. Its clock is its own.
+The converter oversamples eight times. Its linear-phase filter is flat up to 0.4535 of the sample rate, 100 dB down
+from 0.5465, and delays by 38 samples. The converter runs on its own clock.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from scara_effmass.sim.force import FULL_SCALE, LARGEST_COUNT
 from scara_effmass.sim.rng import normal
 
 if TYPE_CHECKING:
@@ -23,14 +22,21 @@ if TYPE_CHECKING:
     from scara_effmass.sim.collision_sim import ContactSample
     from scara_effmass.values import FloatArray
 
+FULL_SCALE = 30.0
+"""Range of the converter, of either sign [V]."""
+MAX_COUNT = 2**23 - 1
 OVERSAMPLING = 8
 FILTER_DELAY = 38
-"""Of the decimation filter [samples]."""
+"""Delay of the decimation filter [samples]."""
 _TAPS = 2 * FILTER_DELAY * OVERSAMPLING + 1
 _KAISER_BETA = 10.06
 """0.1102 (A - 8.7) for A = 100 dB (Kaiser, 1974)."""
-_NOISE = 3
-"""This stream of the seed."""
+_NOISE_STREAM = 3
+
+
+def newtons_per_count(sensitivity: float) -> float:
+    """Return the resolution [N] of a sensor of `sensitivity` [mV/N] on the converter."""
+    return FULL_SCALE * 1e3 / sensitivity / MAX_COUNT
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +46,7 @@ class ForceSensor:
     sample_rate: float = 12_800.0
     """nominal [Hz]"""
     clock_error: float = 0.0
-    """relative; positive: it takes more samples"""
+    """relative; positive: more samples than nominal"""
     sensitivity: float = 2.248
     """[mV/N]"""
     range: float = 2224.0
@@ -53,12 +59,12 @@ class ForceSensor:
 
     @property
     def step(self) -> float:
-        """What one count is [N]."""
-        return FULL_SCALE * 1e3 / self.sensitivity / LARGEST_COUNT
+        """Resolution [N]."""
+        return newtons_per_count(self.sensitivity)
 
     @property
     def saturation(self) -> float:
-        """From this force on, a sample is at the end of the range [N]; the coupling lets a plateau sink meanwhile."""
+        """Force from which a sample counts as saturated [N]: 1 % below the range, as the AC coupling decays."""
         return self.range * (1.0 - 1e-2)
 
     @property
@@ -68,7 +74,7 @@ class ForceSensor:
 
     @property
     def filter_delay(self) -> float:
-        """From the force to its sample [s]."""
+        """Delay from the force to its sample [s]."""
         return FILTER_DELAY / self.true_rate
 
 
@@ -76,15 +82,15 @@ FORCE_SENSOR = ForceSensor()
 
 
 @final
-class Converter:
-    """Takes in the force as it goes on and gives out samples when they are due."""
+class Adc:
+    """Converts the contact force to samples, in portions of any length."""
 
     def __init__(self, sensor: ForceSensor, start_ns: int) -> None:
-        """Take sample 0 at `start_ns`, when nothing has pressed on the sensor for long."""
+        """Take sample 0 at `start_ns`, after a long time without force."""
         self.sensor = sensor
         self.start_ns = start_ns
         self.samples = 0
-        """given out so far"""
+        """number of samples returned so far"""
         self._fine_rate = sensor.true_rate * OVERSAMPLING
         self._fine = np.zeros(_TAPS - 1)
         self._fine_end = 0
@@ -92,44 +98,44 @@ class Converter:
         self._forces = [0.0]
         self._mean = 0.0
 
-    def push(self, touches: Sequence[ContactSample], until_ns: int) -> FloatArray:
-        """Take in the force up to `until_ns`, zero after the last of `touches`; return the samples (n,) [N] due."""
-        self._times += [(touch.time_ns - self.start_ns) / 1e9 for touch in touches]
-        self._forces += [touch.measured for touch in touches]
-        if not touches or touches[-1].time_ns < until_ns:
+    def push(self, contact: Sequence[ContactSample], until_ns: int) -> FloatArray:
+        """Add the force up to `until_ns`, zero after the last of `contact`; return the samples (n,) [N] due."""
+        self._times += [(sample.time_ns - self.start_ns) / 1e9 for sample in contact]
+        self._forces += [sample.measured for sample in contact]
+        if not contact or contact[-1].time_ns < until_ns:
             self._times.append((until_ns - self.start_ns) / 1e9)
             self._forces.append(0.0)
         end = math.floor(self._times[-1] * self._fine_rate) + 1
         times = np.arange(self._fine_end, end) / self._fine_rate
-        felt = np.clip(np.interp(times, self._times, self._forces), -self.sensor.range, self.sensor.range)
+        sensed = np.clip(np.interp(times, self._times, self._forces), -self.sensor.range, self.sensor.range)
         self._times, self._forces = self._times[-1:], self._forces[-1:]
-        self._fine = np.concatenate((self._fine, felt))
+        self._fine = np.concatenate((self._fine, sensed))
         self._fine_end = max(end, self._fine_end)
         count = max(0, (self._fine_end - 1) // OVERSAMPLING + 1 - self.samples)
-        return self._converted(self._filtered(count))
+        return self._quantize(self._decimate(count))
 
-    def _filtered(self, count: int) -> FloatArray:
-        """Return the next `count` samples behind the decimation filter, and forget what is behind them."""
+    def _decimate(self, count: int) -> FloatArray:
+        """Return the next `count` samples after the decimation filter, and drop the input they used up."""
         if not count:
             return np.empty(0)
-        used = OVERSAMPLING * count
-        windows = np.lib.stride_tricks.sliding_window_view(self._fine, _TAPS)[:used:OVERSAMPLING]
+        consumed = OVERSAMPLING * count
+        windows = np.lib.stride_tricks.sliding_window_view(self._fine, _TAPS)[:consumed:OVERSAMPLING]
         filtered = windows @ _FILTER if self._fine.any() else np.zeros(count)
-        self._fine = self._fine[used:]
+        self._fine = self._fine[consumed:]
         return filtered
 
-    def _converted(self, force: FloatArray) -> FloatArray:
-        """Return the samples of `force` (n,) without its mean over the past, with noise, in whole counts [N]."""
+    def _quantize(self, force: FloatArray) -> FloatArray:
+        """Return `force` (n,) [N] with AC coupling and noise, in whole counts."""
         sensor = self.sensor
         count = len(force)
         keep = math.exp(-2.0 * math.pi * sensor.corner / sensor.sample_rate)
         kept = keep ** np.arange(1, count + 1)
         mean = kept * (self._mean + (1.0 - keep) * np.cumsum(force / kept))
         self._mean = float(mean[-1]) if count else self._mean
-        noise = sensor.noise * normal((sensor.seed, _NOISE), self.samples, count)
+        noise = sensor.noise * normal((sensor.seed, _NOISE_STREAM), self.samples, count)
         counts = np.rint((force - mean + noise) / sensor.step)
         self.samples += count
-        return np.asarray(np.clip(counts, -LARGEST_COUNT, LARGEST_COUNT) * sensor.step)
+        return np.asarray(np.clip(counts, -MAX_COUNT, MAX_COUNT) * sensor.step)
 
 
 def _decimation_filter() -> FloatArray:

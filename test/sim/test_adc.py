@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from scara_effmass.sim.adc import FILTER_DELAY, Adc, ForceSensor
 from scara_effmass.sim.collision_sim import ContactSample
-from scara_effmass.sim.converter import FILTER_DELAY, Converter, ForceSensor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +31,7 @@ def touches(force: Callable[[FloatArray], FloatArray], seconds: float) -> list[C
 
 
 def converted(sensor: ForceSensor, force: Callable[[FloatArray], FloatArray], seconds: float) -> FloatArray:
-    return Converter(sensor, 0).push(touches(force, seconds), round(seconds * 1e9))
+    return Adc(sensor, 0).push(touches(force, seconds), round(seconds * 1e9))
 
 
 def half_sine(onset: float, peak: float, duration: float) -> Callable[[FloatArray], FloatArray]:
@@ -85,7 +85,7 @@ def test_a_lasting_force_fades_as_the_coupling_has_it() -> None:
 
 
 def test_samples_are_whole_counts_with_the_noise_asked_for() -> None:
-    samples = Converter(ForceSensor(noise=0.2, seed=5), 0).push((), 2_000_000_000)
+    samples = Adc(ForceSensor(noise=0.2, seed=5), 0).push((), 2_000_000_000)
     step = 60.0 / 2**24 / 2.248e-3
     assert ForceSensor().step == pytest.approx(step, rel=1e-6)
     counts = samples / ForceSensor().step
@@ -105,7 +105,7 @@ def test_beyond_its_range_the_sensor_says_no_more() -> None:
 
 @pytest.mark.parametrize("clock_error", [-50e-6, 0.0, 50e-6])
 def test_the_converter_counts_by_its_own_clock(clock_error: float) -> None:
-    converter = Converter(ForceSensor(clock_error=clock_error), 0)
+    converter = Adc(ForceSensor(clock_error=clock_error), 0)
     seconds = 100
     for second in range(seconds):
         converter.push((), (second + 1) * 1_000_000_000)
@@ -114,13 +114,13 @@ def test_the_converter_counts_by_its_own_clock(clock_error: float) -> None:
 
 FORCE = touches(half_sine(0.005, 300.0, 2e-3), 0.03)
 SENSOR = ForceSensor(seed=3)
-WHOLE = Converter(SENSOR, 0).push(FORCE, 100_000_000)
+WHOLE = Adc(SENSOR, 0).push(FORCE, 100_000_000)
 
 
 @settings(max_examples=50)
 @given(st.lists(st.integers(1, len(FORCE)), max_size=10))
 def test_the_samples_do_not_depend_on_the_portions(cuts: list[int]) -> None:
-    converter = Converter(SENSOR, 0)
+    converter = Adc(SENSOR, 0)
     bounds = sorted({0, *cuts, len(FORCE)})
     parts = [
         converter.push(FORCE[first:end], 100_000_000 if end == len(FORCE) else FORCE[end - 1].time_ns)
