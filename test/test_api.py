@@ -31,6 +31,7 @@ def test_unknown_name_is_an_attribute_error() -> None:
         _ = scara_effmass.nonsense
 
 
+@pytest.mark.live
 def test_import_alone_loads_no_room() -> None:
     code = "import sys, scara_effmass; print([name for name in sys.modules if name.startswith('scara_effmass.')])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout == "[]\n"
