@@ -196,3 +196,28 @@ class RefusedImpact(NamedTuple):
     excluded: bool
     reason: str
     detail: str
+
+
+class RunInfo(NamedTuple):
+    """What a recording or a simulation states about its run: `RunInfo.msg`, field by field.
+
+    `stamp_ns` 0: from the arrival of the message on. Numbers that are 0, a zero `plate_normal` and an empty
+    `configuration` are not stated. Nothing has been checked; see `impacts.run_info`.
+    """
+
+    stamp_ns: int = 0
+    frame_id: str = ""
+    configuration: str = ""
+    obstacle_mass: float = 0.0
+    impact_position: Vector3 = (0.0, 0.0, 0.0)
+    plate_normal: Vector3 = (0.0, 0.0, 0.0)
+    simulated: bool = False
+    note: str = ""
+    contact_stiffness: float = 0.0
+    contact_exponent: float = 0.0
+    true_onset_ns: int = 0
+    true_speed: float = 0.0
+    true_effective_mass: float = 0.0
+    true_peak_force: float = 0.0
+    true_duration: float = 0.0
+    true_impulse: float = 0.0

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from scara_effmass.bags.recording_info import recording_infos
+from scara_effmass.bags.run_info import first_run_info
 from scara_effmass.errors import BagError
-from scara_effmass.impacts.run_info import json_object
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -69,7 +68,6 @@ def cycles(bag: Bag, topic: str, monitor: Monitor) -> Iterator[Cycle]:
 
 
 def generated_description(bag: Bag) -> str:
-    """Return how the motion in `bag` was generated, empty where it does not say so."""
-    _, text = next(recording_infos(bag), (0, ""))
-    info = json_object(text) or {}
-    return str(info["description"]) if info.get("generated") and "description" in info else ""
+    """Return how the motion in `bag` was generated, empty if it was measured or the bag does not state it."""
+    info = first_run_info(bag)
+    return info.note.partition("\n")[0] if info is not None and info.simulated else ""

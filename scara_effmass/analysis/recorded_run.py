@@ -6,13 +6,12 @@ from heapq import merge
 from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.analysis.assessment import cycles
+from scara_effmass.bags import run_info
 from scara_effmass.bags.definitions import check_definition
-from scara_effmass.bags.recording_info import recording_infos
 from scara_effmass.errors import BagError, DecodeError, SettingsError
-from scara_effmass.impacts.run_info import run_info
+from scara_effmass.impacts.run_info import check_run_info
 from scara_effmass.wire.force import decode_force_block, decode_impact
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT
-from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from collections import Counter
@@ -21,9 +20,8 @@ if TYPE_CHECKING:
     from scara_effmass.analysis.assessment import Cycle
     from scara_effmass.bags.bag import Bag
     from scara_effmass.bags.batches import Topic
-    from scara_effmass.impacts.run_info import RunInfo
     from scara_effmass.safety import Monitor
-    from scara_effmass.values import ForceBlock, Impact
+    from scara_effmass.values import ForceBlock, Impact, RunInfo
 
 USUAL = {FORCE_BLOCK: "force", IMPACT: "impact"}
 """Where the suite publishes what is measured, the surer kind first: impacts can be found anew in force blocks."""
@@ -37,20 +35,17 @@ class Measured(NamedTuple):
 
 
 def run_infos(bag: Bag) -> list[RunInfo]:
-    """Return what `bag` says of its runs on `RECORDING_INFO`, from `since_ns` on if it says so.
+    """Return the run information in `bag`; a stamp that is not stated becomes the log time.
 
-    Else the first holds from the beginning on, each other one from when it was recorded.
-
-    Raises BagError for a value that cannot be one. What is no JSON object says nothing.
+    The first one holds from the beginning on if it states no stamp. Raises BagError for a value that cannot be used.
     """
     infos: list[RunInfo] = []
-    for log_time_ns, text in recording_infos(bag):
+    for log_time_ns, info in run_info.run_infos(bag):
         try:
-            info = run_info(text, log_time_ns if infos else 0)
+            check_run_info(info)
         except SettingsError as error:
-            raise BagError(f"{bag.path}: {RECORDING_INFO}: {error}") from None
-        if info is not None:
-            infos.append(info)
+            raise BagError(f"{bag.path}: run information: {error}") from None
+        infos.append(info._replace(stamp_ns=info.stamp_ns or (log_time_ns if infos else 0)))
     return infos
 
 

@@ -13,13 +13,14 @@ from pyarrow import csv, parquet
 
 from scara_effmass import __version__
 from scara_effmass.analysis.output import completed
-from scara_effmass.bags.messages import serialized
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
+from scara_effmass.values import RunInfo
+from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import ContactStateEncoder
-from scara_effmass.wire.message_types import CONTACT_STATE, STRING
-from scara_effmass.wire.topics import RECORDING_INFO
+from scara_effmass.wire.message_types import CONTACT_STATE, RUN_INFO
+from scara_effmass.wire.run_info import run_info_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -152,7 +153,8 @@ class _BagSink:
 
     def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
         if not self._topics:
-            self._writer.write(RECORDING_INFO, STRING, log_time_ns, serialized(STRING, {"data": self._about}))
+            info = RunInfo(stamp_ns=log_time_ns, note=self._about)
+            self._writer.write(f"/{topics.RUN_INFO}", RUN_INFO, log_time_ns, run_info_message(info))
         if bag not in self._topics:
             # One topic per recording: their times may overlap.
             name = re.sub(r"\W", "_", Path(bag).stem)

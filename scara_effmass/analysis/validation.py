@@ -31,9 +31,8 @@ if TYPE_CHECKING:
 
     from scara_effmass.bags.bag import Bag
     from scara_effmass.impacts.result import Result
-    from scara_effmass.impacts.run_info import RunInfo
     from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.values import ForceBlock, RefusedImpact, ValidatedImpact
+    from scara_effmass.values import ForceBlock, RefusedImpact, RunInfo, ValidatedImpact
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +132,7 @@ class _Feed:
         self._force = measured_topic(bag, settings.force_topic)
         self._infos = tuple(run_infos(bag))
         self._joint_states = self._blocks = self._lost = self._heard_ns = 0
-        self._simulated = any(bool(info.about.get("simulated")) for info in self._infos)
+        self._simulated = any(info.simulated for info in self._infos)
         self._sources: Counter[str] = Counter()
         self._uncertainty = 0.0
         self._unreadable: Counter[str] = Counter()
@@ -182,8 +181,8 @@ class _Feed:
         first = given.obstacle_mass if mass is None else mass
         self._validator.set_run(0, obstacle_mass=first, configuration=given.configuration)
         for info in self._infos:
-            recorded = info.obstacle_mass if mass is None else mass
-            self._validator.set_run(info.since_ns, obstacle_mass=recorded, configuration=info.configuration)
+            stated = info if mass is None else info._replace(obstacle_mass=mass)
+            self._validator.set_run_info(stated, 0)
 
     def _measure(self, each: Measured) -> None:
         value, self._heard_ns = each.value, each.log_time_ns

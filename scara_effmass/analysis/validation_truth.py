@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -10,8 +11,8 @@ if TYPE_CHECKING:
     from scara_effmass.analysis.validation import ValidatedRecording, Validation
     from scara_effmass.values import ValidatedImpact
 
-LAW = ("stiffness", "exponent")
-NEEDED = ("speed", "effective_mass", "peak_force")
+LINEAR = 1.0
+"""Exponent of a linear spring."""
 
 
 class Deviation(NamedTuple):
@@ -36,22 +37,19 @@ def deviations(validation: Validation) -> list[Deviation]:
 
 def stated_stiffness(validation: Validation) -> float | None:
     """Return the stiffness [N/m] of the simulated contact; None for none, several, or no linear spring."""
-    contacts = [info.about for recording in validation.recordings for info in recording.infos]
-    (stiffness, exponent) = (contacts[0].get(name) for name in LAW) if contacts else (None, None)
-    same = all(about.get("stiffness") == stiffness and about.get("exponent") == exponent for about in contacts)
-    return float(stiffness) if same and exponent == 1.0 and isinstance(stiffness, int | float) else None
+    infos = [info for recording in validation.recordings for info in recording.infos]
+    contacts = {(info.contact_stiffness, info.contact_exponent) for info in infos}
+    ((stiffness, exponent),) = contacts if len(contacts) == 1 else ((0.0, 0.0),)
+    return stiffness if exponent == LINEAR and 0.0 < stiffness < math.inf else None
 
 
 def _of(recording: ValidatedRecording) -> Iterator[tuple[str, float]]:
     if len(recording.impacts) != 1 or len(recording.infos) != 1:
         return
-    truth = recording.infos[0].about.get("truth")
-    if not isinstance(truth, dict):
-        return
-    values = [truth.get(name) for name in NEEDED]
-    numbers = [float(value) for value in values if isinstance(value, int | float) and value > 0.0]
-    if len(numbers) == len(NEEDED):
-        yield from _compared(recording.impacts[0], *numbers)
+    info = recording.infos[0]
+    truth = (info.true_speed, info.true_effective_mass, info.true_peak_force)
+    if all(0.0 < value < math.inf for value in truth):
+        yield from _compared(recording.impacts[0], *truth)
 
 
 def _compared(

@@ -26,7 +26,8 @@ NS = 1_000_000_000
 
 EXAMPLES = """\
 Without topics it records those of the suite: joint_states, contact_state, allowable_speed, speed_scaling, force,
-impact, wrench, impact_validation, robot_description, /diagnostics, /tf, /tf_static, /scara_effmass/recording_info.
+impact, wrench, impact_validation, robot_description, /diagnostics, /tf, /tf_static, run_info,
+/scara_effmass/recording_info.
 It ends on Ctrl-C or SIGTERM. At any moment, what is more than a second old is on the disk and can be read; a recorder
 that was killed leaves its last file without an index, which --repair makes. ROS arguments stand behind --.
 

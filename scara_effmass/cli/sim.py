@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import argparse
 
 EXAMPLES = """\
-A simulated robot drives into simulated carts, again and again: joint states at 1 kHz, and on recording_info which
+A simulated robot drives into simulated carts, again and again: joint states at 1 kHz, and on run_info which
 cart waits. Start the force node with the same --start, and it has the force of the same impacts.
 
 examples:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\
 ROS arguments stand behind -- or --ros-args; they win over the options. What is hit may change while it runs:
-set its parameter obstacle_mass, or let the bench or a replayed recording say it on recording_info.
+set its parameter obstacle_mass, or let the bench or a replayed recording say it on run_info.
 
 examples:
   scara-effmass validator --obstacle-mass 2.39

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.recording_info import recording_infos
+from scara_effmass.bags.run_info import first_run_info
 from scara_effmass.daq.even_time import EvenBlocks
 from scara_effmass.daq.force_file import NS, UNITS, ForceFile, RecordedBlock
 from scara_effmass.daq.source import Unit
 from scara_effmass.daq.stamped_topic import stamped_samples
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.impacts.run_info import json_object
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
 
 if TYPE_CHECKING:
@@ -136,7 +135,8 @@ def _samples(bag: Bag, topic: Topic, settings: BagSettings, block_time: float) -
         raise
     except ValueError as error:
         raise BagError("; ".join([f"{origin}: {error}", *bag.losses])) from None
-    simulated = _is_generated(bag)
+    info = first_run_info(bag)
+    simulated = info is not None and info.simulated
     return ForceFile(
         description=f"{bag.path.name}, {topic.name}{stream.description}",
         channel=topic.name.rpartition("/")[2],
@@ -148,9 +148,3 @@ def _samples(bag: Bag, topic: Topic, settings: BagSettings, block_time: float) -
         losses=lambda: bag.losses,
         close=bag.close,
     )
-
-
-def _is_generated(bag: Bag) -> bool:
-    """Whether the recording says that it was computed."""
-    _, text = next(recording_infos(bag), (0, ""))
-    return bool((json_object(text) or {}).get("generated"))

@@ -11,9 +11,10 @@ from bisect import bisect_right
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.clocks import ForceClock
 from scara_effmass.impacts.robot_track import NANOSECONDS, RobotTrack, Unusable
-from scara_effmass.impacts.run_info import obstacle_mass as checked_mass
+from scara_effmass.impacts.run_info import check_obstacle_mass, check_run_info
 from scara_effmass.values import RefusedImpact
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     from scara_effmass.impacts.robot_track import OnsetState
     from scara_effmass.settings import ValidatorSettings
-    from scara_effmass.values import Impact
+    from scara_effmass.values import Impact, RunInfo
 
 APART = "force and contact states are seconds apart: their clocks differ"
 NO_OBSTACLE = "obstacle_mass is not given"
@@ -40,15 +41,34 @@ class Runs:
 
     def __init__(self, obstacle_mass: float, configuration: str) -> None:
         self._runs = [Run(0, obstacle_mass, configuration)]
+        self._setting = self._runs[0]
 
-    def begin(self, since_ns: int, obstacle_mass: float | None, configuration: str | None) -> None:
-        """Begin a run; what is None stays as it was. Raises SettingsError."""
-        before = self.at(since_ns)
-        run = Run(
-            max(since_ns, 0),
-            before.obstacle_mass if obstacle_mass is None else checked_mass(obstacle_mass),
-            before.configuration if configuration is None else configuration,
-        )
+    def set(self, since_ns: int, obstacle_mass: float | None, configuration: str | None) -> None:
+        """Begin a run by a setting; None: as before. Raises SettingsError."""
+        if obstacle_mass is not None:
+            check_obstacle_mass(obstacle_mass)
+        self._setting = _changed(self._setting, obstacle_mass, configuration)
+        self._begin(_changed(self.at(since_ns), obstacle_mass, configuration)._replace(since_ns=since_ns))
+
+    def begin(self, info: RunInfo, received_ns: int) -> None:
+        """Begin the run that `info`, received then, states; for what it does not state, the settings hold.
+
+        Raises SettingsError for a value that cannot be used: then the obstacle mass is not known from then on.
+        """
+        try:
+            check_run_info(info)
+        except SettingsError:
+            self.forget_obstacle(received_ns)
+            raise
+        mass = info.obstacle_mass or self._setting.obstacle_mass
+        self._begin(Run(info.stamp_ns or received_ns, mass, info.configuration or self._setting.configuration))
+
+    def forget_obstacle(self, since_ns: int) -> None:
+        """Begin a run whose obstacle mass is not known."""
+        self._begin(self.at(since_ns)._replace(since_ns=since_ns, obstacle_mass=0.0))
+
+    def _begin(self, run: Run) -> None:
+        run = run._replace(since_ns=max(run.since_ns, 0))
         self._runs = sorted([other for other in self._runs if other.since_ns != run.since_ns] + [run])
 
     def at(self, onset_ns: int) -> Run:
@@ -64,6 +84,12 @@ class Runs:
     def forget(self) -> None:
         """Let the latest run hold from the beginning of time on: the clock begins anew."""
         self._runs = [self._runs[-1]._replace(since_ns=0)]
+
+
+def _changed(run: Run, obstacle_mass: float | None, configuration: str | None) -> Run:
+    if obstacle_mass is not None:
+        run = run._replace(obstacle_mass=float(obstacle_mass))
+    return run if configuration is None else run._replace(configuration=configuration)
 
 
 class Paired(NamedTuple):

@@ -1,60 +1,28 @@
-"""What a recording, a replay or the bench says of a run on `recording_info`: what is hit, in which configuration."""
+"""Rules for the values of a RunInfo on which predictions depend."""
 
 from __future__ import annotations
 
-import json
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.settings.validator import HEAVIEST
+from scara_effmass.settings.validator import MAX_OBSTACLE_MASS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from scara_effmass.values import RunInfo
 
 LATEST_NS = 2**63 - 1
 
 
-class RunInfo(NamedTuple):
-    """What is said of the run from `since_ns` on; None: nothing of that.
-
-    `obstacle_mass` is m_H [kg], 0 where it is not given; `about` is all that is said.
-    """
-
-    since_ns: int
-    obstacle_mass: float | None
-    configuration: str | None
-    about: Mapping[str, Any]
+def check_run_info(info: RunInfo) -> None:
+    """Raise SettingsError for a stamp, configuration or obstacle mass that cannot be used."""
+    if abs(info.stamp_ns) > LATEST_NS:
+        raise SettingsError(f"stamp = {info.stamp_ns} ns: must be ROS time")
+    if not info.configuration.isprintable():
+        raise SettingsError(f"configuration = {info.configuration!r}: must be printable")
+    check_obstacle_mass(info.obstacle_mass)
 
 
-def json_object(text: str) -> dict[str, Any] | None:
-    """Return the JSON object in `text`; None: it is none, and says nothing."""
-    try:
-        about = json.loads(text)
-    except (ValueError, RecursionError):
-        return None
-    return about if isinstance(about, dict) else None
-
-
-def run_info(text: str, said_ns: int) -> RunInfo | None:
-    """Return what the JSON object `text` says, from `said_ns` on unless it says since when.
-
-    None: it is no JSON object, and says nothing. Raises SettingsError for a value that cannot be one.
-    """
-    about = json_object(text)
-    if about is None:
-        return None
-    mass, name, since_ns = (about.get(key) for key in ("obstacle_mass", "configuration", "since_ns"))
-    since_ns = said_ns if since_ns is None else since_ns
-    if isinstance(since_ns, bool) or not isinstance(since_ns, int) or abs(since_ns) > LATEST_NS:
-        raise SettingsError(f"since_ns = {since_ns!r}: nanoseconds of ROS time, a whole number, would be right")
-    if name is not None and not str(name).isprintable():
-        raise SettingsError(f"configuration = {name!r}: a name that can be printed would be right")
-    return RunInfo(since_ns, None if mass is None else obstacle_mass(mass), None if name is None else str(name), about)
-
-
-def obstacle_mass(value: object) -> float:
-    """Return `value` as a mass [kg], 0 for one that is not given. Raises SettingsError."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= HEAVIEST:
-        wanted = f"0 (not given) to {HEAVIEST:g} kg would be right"
-        raise SettingsError(f"obstacle_mass = {value!r}: {wanted}")
-    return float(value)
+def check_obstacle_mass(mass: float) -> None:
+    """Raise SettingsError for an obstacle mass [kg] out of range; 0 means not stated."""
+    if not 0.0 <= mass <= MAX_OBSTACLE_MASS:
+        raise SettingsError(f"obstacle_mass = {mass!r}: must be 0 (not stated) to {MAX_OBSTACLE_MASS:g} kg")

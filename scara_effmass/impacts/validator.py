@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from scara_effmass.impacts.agreement import Agreement
     from scara_effmass.impacts.pairing import Paired
     from scara_effmass.settings import ValidatorSettings
-    from scara_effmass.values import ContactAssessment, ForceBlock, Impact
+    from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RunInfo
 
 Key = TypeVar("Key", str, float)
 
@@ -59,9 +59,20 @@ class Validator:
     def set_run(self, since_ns: int, *, obstacle_mass: float | None = None, configuration: str | None = None) -> None:
         """Let an obstacle mass [kg] or a configuration hold for impacts from `since_ns` on; None: as before.
 
-        Raises SettingsError.
+        They also hold for what later run information does not state. Raises SettingsError.
         """
-        self._pairing.runs.begin(since_ns, obstacle_mass, configuration)
+        self._pairing.runs.set(since_ns, obstacle_mass, configuration)
+
+    def set_run_info(self, info: RunInfo, received_ns: int) -> None:
+        """Let `info` hold from its stamp on, or from `received_ns` without one, in place of the run before it.
+
+        Raises SettingsError for a value that cannot be used: then the obstacle mass is not known from then on.
+        """
+        self._pairing.runs.begin(info, received_ns)
+
+    def forget_obstacle(self, received_ns: int) -> None:
+        """Treat the obstacle mass as not known from `received_ns` on: unreadable run information arrived."""
+        self._pairing.runs.forget_obstacle(received_ns)
 
     def add_state(self, contact: ContactAssessment, received_ns: int) -> list[ValidatedImpact]:
         """Take a contact state that arrived at `received_ns` (0: not known), and return what is now validated."""

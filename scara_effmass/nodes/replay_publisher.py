@@ -35,7 +35,7 @@ COMPUTED = (
     *(IMPACT_VALIDATION, "diagnostics"),
 )
 """What the live nodes publish themselves: not replayed unless asked for by name. Force is played by daq_node."""
-LATCHED = (ROBOT_DESCRIPTION, "tf_static", "recording_info")
+LATCHED = (ROBOT_DESCRIPTION, "tf_static", wire_topics.RUN_INFO, "recording_info")
 """What is published once and kept for those who come later."""
 
 

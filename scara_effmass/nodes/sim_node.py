@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 import time
 from array import array
@@ -12,10 +11,10 @@ from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, Field
 from rosgraph_msgs.msg import Clock as ClockMessage
-from scara_effmass_msgs.msg import ContactState, ForceBlock
+from scara_effmass_msgs.msg import ContactState, ForceBlock, RunInfo
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
+from scara_effmass import values
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
@@ -23,11 +22,11 @@ from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.settings import READ_ONLY, checked
 from scara_effmass.sim.live import LiveSettings, LiveSim
 from scara_effmass.wire import topics
+from scara_effmass.wire.run_info import run_info_message
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from scara_effmass import values
     from scara_effmass.sim.live import CartPlacement
 
 _NS = 1_000_000_000
@@ -70,7 +69,7 @@ class NodeSettings(BaseModel):
 
 
 class SimNode(LifecycleBase):
-    """Publishes `joint_states` at 1 kHz, and says on `recording_info` which cart waits, and that all is simulated.
+    """Publishes `joint_states` at 1 kHz, and the run information of the cart that waits.
 
     Its time is ROS time; with `clock`, it makes that time, and lets it stand while others fall behind.
     """
@@ -89,7 +88,7 @@ class SimNode(LifecycleBase):
         """Create the endpoints."""
         warn = self.get_logger().warning
         self._joint_states = self.publisher(JointState, topics.JOINT_STATES, topics.STREAM_QOS, warn)
-        self._info = self.publisher(String, topics.RECORDING_INFO, topics.INFO_QOS, warn)
+        self._info = self.publisher(RunInfo, topics.RUN_INFO, topics.INFO_QOS, warn)
         self._pace = SimClock(self) if self._settings.clock else None
         self.create_steady_timer(_PERIOD_S, self._publish_what_is_due)
 
@@ -116,7 +115,7 @@ class SimNode(LifecycleBase):
         self._states += output.joint_states
         self._carts += output.carts
         while self._carts and self._carts[0].stamp_ns <= now_ns:
-            self._info.publish(String(data=json.dumps(_about(self._carts.popleft(), self._settings.seed))))
+            self._info.publish(run_info_message(_run_info(self._carts.popleft(), self._settings.seed)))
         while self._states and self._states[0].stamp_ns <= now_ns:
             self._joint_states.publish(_message(self._states.popleft()))
 
@@ -171,16 +170,20 @@ class SimClock:
         self._done_ns[topic] = max(self._done_ns.get(topic, 0), sec * _NS + nanosec)
 
 
-def _about(cart: CartPlacement, seed: int) -> dict[str, object]:
-    return {
-        "generated": True,
-        "description": "simulated cell (MuJoCo), the robot drives into a cart",
-        "generator": "sim_node",
-        "seed": seed,
-        "configuration": cart.configuration,
-        "obstacle_mass": cart.obstacle_mass,
-        "since_ns": cart.stamp_ns,
-    }
+def _run_info(cart: CartPlacement, seed: int) -> values.RunInfo:
+    setup = cart.setup
+    return values.RunInfo(
+        stamp_ns=cart.stamp_ns,
+        frame_id="base_link",
+        configuration=setup.configuration.name,
+        obstacle_mass=setup.obstacle_mass,
+        impact_position=setup.impact_position,
+        plate_normal=setup.plate_normal,
+        simulated=True,
+        note=f"simulated (MuJoCo): the robot drives into a cart\ngenerator = sim_node, seed = {seed}",
+        contact_stiffness=setup.contact.stiffness,
+        contact_exponent=setup.contact.exponent,
+    )
 
 
 def _message(state: values.JointState) -> JointState:

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation
+from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.impacts.detection import Detector
-from scara_effmass.impacts.run_info import run_info
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
@@ -26,6 +25,7 @@ from scara_effmass.settings import READ_ONLY, DetectionSettings, ValidatorSettin
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import contact_from
 from scara_effmass.wire.force import decode_force_block, decode_impact
+from scara_effmass.wire.run_info import decode_run_info, run_info_from_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticStatus
     from rclpy.event_handler import QoSMessageLostInfo
 
+    from scara_effmass import values
     from scara_effmass.impacts.result import Result
     from scara_effmass.values import ValidatedImpact
 
@@ -97,10 +98,13 @@ class ValidatorNode(LifecycleBase):
         if not settings.find_impacts:
             self._subscribe(Impact, topics.IMPACT, self._on_impact, raw=True)
         self._subscribe(ForceBlock, topics.FORCE, self._on_force, raw=True)
-        self.own(
-            self.create_subscription(String, topics.RECORDING_INFO, self._on_info, qos_profile(topics.INFO_QOS)),
-            self.destroy_subscription,
-        )
+        for kind, topic, callback in (
+            (RunInfo, topics.RUN_INFO, self._on_run_info),
+            (String, topics.RECORDING_INFO, self._on_recording_info),
+        ):
+            qos = qos_profile(topics.INFO_QOS)
+            subscription = self.create_subscription(kind, topic, callback, qos, raw=kind is RunInfo)
+            self.own(subscription, self.destroy_subscription)
         self.own(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
         self.own(self.create_service(Trigger, "~/write_report", self._on_write_report), self.destroy_service)
 
@@ -152,19 +156,30 @@ class ValidatorNode(LifecycleBase):
             for impact in self._detector.feed(block):
                 self._publish(self._validator.add_impact(impact, self._now_ns()))
 
-    def _on_info(self, message: String) -> None:
-        """Take the obstacle mass and the configuration from what a recording, or the bench, says of itself."""
+    def _on_run_info(self, data: bytes) -> None:
+        try:
+            self._begin_run(decode_run_info(data))
+        except DecodeError as error:
+            self._refuse_run(error)
+
+    def _on_recording_info(self, message: String) -> None:
+        """Take run information in the JSON of an older recording; other text is ignored."""
+        if info := run_info_from_json(message.data):
+            self._begin_run(info)
+
+    def _begin_run(self, info: values.RunInfo) -> None:
         if self._validator is None:
             return
-        now_ns = self._now_ns()
         try:
-            info = run_info(message.data, now_ns)
+            self._validator.set_run_info(info, self._now_ns())
         except SettingsError as error:
-            self.get_logger().error(f"{topics.RECORDING_INFO}: {error}; until it is told, what is hit is not known")
-            self._validator.set_run(now_ns, obstacle_mass=0.0)
-            return
-        if info is not None:
-            self._validator.set_run(info.since_ns, obstacle_mass=info.obstacle_mass, configuration=info.configuration)
+            self._refuse_run(error)
+
+    def _refuse_run(self, error: EffmassError) -> None:
+        """Forget the obstacle mass: nothing is predicted with that of another run."""
+        self.get_logger().error(f"{topics.RUN_INFO}: {error}; the obstacle mass is not known until the next RunInfo")
+        if self._validator is not None:
+            self._validator.forget_obstacle(self._now_ns())
 
     def _publish(self, impacts: Iterable[ValidatedImpact]) -> None:
         for impact in impacts:

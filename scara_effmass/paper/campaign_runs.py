@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.analysis.forces import forces_of
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 LEAD_S, SHOWN_S = 0.5e-3, 5e-3
 """From so long before the onset the force is kept, until so long after it."""
-ALONG_X = [1.0, 0.0, 0.0]
+ALONG_X = (1.0, 0.0, 0.0)
 
 
 class CampaignRun(NamedTuple):
@@ -73,16 +74,17 @@ def _run(path: Path, scara: Scara, joints: tuple[str, str], settings: DetectionS
 def _what_was_set(bag: Bag) -> tuple[tuple[float, float], float]:
     """Return the point of the impact [m] and the mass of the cart [kg]."""
     for info in run_infos(bag):
-        if info.obstacle_mass is None or not {"point", "direction"} <= info.about.keys():
+        if not info.obstacle_mass or not any(info.plate_normal):
             continue
-        if info.about["direction"] != ALONG_X:
-            raise BagError(f"{bag.path}: direction = {info.about['direction']}; {ALONG_X} would be right")
-        try:
-            x, y = map(float, info.about["point"])
-        except (TypeError, ValueError):
-            raise BagError(f"{bag.path}: point = {info.about['point']}; x and y [m] would be right") from None
+        if info.plate_normal != ALONG_X:
+            raise BagError(f"{bag.path}: plate_normal = {info.plate_normal}: must be {ALONG_X}")
+        x, y, _ = info.impact_position
+        if not math.isfinite(x + y):
+            raise BagError(f"{bag.path}: impact_position = {info.impact_position}: must be finite [m]")
         return (x, y), info.obstacle_mass
-    raise BagError(f"{bag.path}: does not say point, direction and obstacle_mass; a campaign's recording does")
+    raise BagError(
+        f"{bag.path}: states no obstacle_mass, impact_position and plate_normal; a campaign's recording does"
+    )
 
 
 def _impact(bag: Bag, settings: DetectionSettings) -> Impact:

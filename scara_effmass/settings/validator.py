@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scara_effmass.settings.loading import READ_ONLY
 from scara_effmass.settings.monitor import MassModel
 
-HEAVIEST = 1000.0
+MAX_OBSTACLE_MASS = 1000.0
 """Largest mass of what is hit [kg]."""
 
 
@@ -73,7 +73,7 @@ class ValidatorSettings(BaseModel):
     obstacle_mass: float = Field(
         0.0,
         ge=0.0,
-        le=HEAVIEST,
+        le=MAX_OBSTACLE_MASS,
         description="mass of what is hit, m_H [kg]; 0: not given, then nothing can be predicted",
     )
     configuration: str = Field("", description="name of the robot's configuration, by which results are grouped")

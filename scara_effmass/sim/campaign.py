@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.messages import joint_state_message, serialized
+from scara_effmass.bags.messages import joint_state_message
+from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.sim.adc import ForceSensor
@@ -19,23 +19,25 @@ from scara_effmass.sim.impact_setup import CONFIGURATIONS, DWELL_S, OBSTACLE_MAS
 from scara_effmass.sim.recordings import EPOCH_NS, SEED
 from scara_effmass.sim.rng import uniform
 from scara_effmass.sim.spring_contact import POLYETHYLENE
-from scara_effmass.sim.topics import FORCE_TOPIC, JOINT_STATES_TOPIC
+from scara_effmass.sim.topics import FORCE_TOPIC, JOINT_STATES_TOPIC, RUN_INFO_TOPIC
+from scara_effmass.values import RunInfo
 from scara_effmass.wire.force import force_block_message
-from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE, STRING
-from scara_effmass.wire.topics import RECORDING_INFO
+from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE, RUN_INFO
+from scara_effmass.wire.run_info import run_info_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from scara_effmass.sim.controller import ServoGains
-    from scara_effmass.sim.experiment import ImpactRun
+    from scara_effmass.sim.experiment import ImpactRun, ImpactTruth
     from scara_effmass.sim.impact_setup import Configuration
     from scara_effmass.sim.spring_contact import SpringContact
     from scara_effmass.values import ForceBlock
 
-REVISION = 1
+REVISION = 2
 """To be raised when the recordings change."""
+SUMMARY = "impact of the i4-550L on a cart, simulated with MuJoCo; nothing was measured"
 SPEED_SPREAD = 0.02
 """Runs differ in speed by up to so much, relative, of either sign;"""
 OFFSET_SPREAD_M = 1e-3
@@ -103,20 +105,15 @@ class Run(NamedTuple):
     repetition: int
     setup: ImpactSetup
 
-    def about(self) -> dict[str, object]:
-        """Return what its recording says of itself, but for the truth."""
+    @property
+    def note(self) -> str:
+        """All settings of the run as text; recordings with the same note are of the same run."""
         setup = self.setup
-        return {
-            "generated": True,
-            "simulated": True,
-            "description": "impact of the i4-550L on a cart, on the virtual test bench (MuJoCo); nothing was measured",
+        settings = {
             "generator": "scara-effmass campaign",
             "revision": REVISION,
-            "units": "SI",
             "seed": setup.seed,
             "configuration": setup.configuration.name,
-            "point": list(setup.configuration.point),
-            "direction": list(setup.configuration.direction),
             "obstacle_mass": setup.obstacle_mass,
             "repetition": self.repetition,
             "speed": setup.speed,
@@ -130,6 +127,29 @@ class Run(NamedTuple):
             "servo_bandwidth": setup.servo.bandwidth,
             "servo_damping_ratio": setup.servo.damping_ratio,
         }
+        return "\n".join([SUMMARY, *(f"{name} = {value}" for name, value in settings.items())])
+
+    def info(self, truth: ImpactTruth) -> RunInfo:
+        """Return the run information of its recording."""
+        setup, impact = self.setup, truth.impact
+        return RunInfo(
+            stamp_ns=setup.start_ns,
+            frame_id="base_link",
+            configuration=setup.configuration.name,
+            obstacle_mass=setup.obstacle_mass,
+            impact_position=setup.impact_position,
+            plate_normal=setup.plate_normal,
+            simulated=True,
+            note=self.note,
+            contact_stiffness=setup.contact.stiffness,
+            contact_exponent=setup.contact.exponent,
+            true_onset_ns=impact.onset_ns,
+            true_speed=impact.speed,
+            true_effective_mass=truth.effective_mass,
+            true_peak_force=impact.peak_force,
+            true_duration=impact.duration,
+            true_impulse=impact.impulse,
+        )
 
 
 class CampaignStep(NamedTuple):
@@ -152,7 +172,7 @@ def run_campaign(folder: Path, campaign: Campaign, *, overwrite: bool = False) -
     for number, run in enumerate(runs, 1):
         path = folder / run.name
         kept = not overwrite and path.exists()
-        if kept and _recorded(path) != run.about():
+        if kept and _recorded_note(path) != run.note:
             raise OutputError(f"{path}: is there, and not of this run; another folder, or replacing it, would be right")
         if not kept:
             record(path, run, overwrite=overwrite)
@@ -162,18 +182,6 @@ def run_campaign(folder: Path, campaign: Campaign, *, overwrite: bool = False) -
 def record(path: Path, run: Run, *, overwrite: bool = False) -> ImpactRun:
     """Do a run and record it as the live suite does: joint states and force as they come. Raises OutputError."""
     result = run_impact(run.setup)
-    impact = result.truth.impact
-    truth = {
-        "onset_ns": impact.onset_ns,
-        "speed": impact.speed,
-        "effective_mass": result.truth.effective_mass,
-        "reduced_mass": result.truth.reduced_mass,
-        "peak_force": impact.peak_force,
-        "duration": impact.duration,
-        "impulse": impact.impulse,
-        "contacts": len(result.truth.contacts),
-    }
-    info = json.dumps({**run.about(), "truth": truth})
     messages = [
         (state.stamp_ns, JOINT_STATES_TOPIC, JOINT_STATE, joint_state_message(state)) for state in result.joint_states
     ]
@@ -181,7 +189,8 @@ def record(path: Path, run: Run, *, overwrite: bool = False) -> ImpactRun:
         (_published_ns(block), FORCE_TOPIC, FORCE_BLOCK, force_block_message(block)) for block in result.force_blocks
     ]
     with BagWriter(path, overwrite=overwrite) as bag:
-        bag.write(RECORDING_INFO, STRING, run.setup.start_ns, serialized(STRING, {"data": info}))
+        info = run_info_message(run.info(result.truth))
+        bag.write(RUN_INFO_TOPIC, RUN_INFO, run.setup.start_ns, info)
         for log_time_ns, topic, kind, data in sorted(messages):
             bag.write(topic, kind, log_time_ns, data)
     return result
@@ -192,14 +201,11 @@ def _published_ns(block: ForceBlock) -> int:
     return block.stamp_ns + round(taken_s * 1e9) + PUBLISHED_NS
 
 
-def _recorded(path: Path) -> object:
-    """Return what the bag at `path` says of itself, but for the truth; None where it says nothing."""
+def _recorded_note(path: Path) -> str | None:
+    """Return the note of the bag at `path`; None where it is no complete recording of one run."""
     try:
         with open_bag(path) as bag:
-            about = [json.loads(bag.deserialize(message).data) for message in bag.messages([RECORDING_INFO])]
-            if bag.losses or len(about) != 1 or not isinstance(about[0], dict):
-                return None
-            about[0].pop("truth", None)
-            return about[0]
-    except (BagError, ValueError):
+            notes = [info.note for _, info in run_infos(bag)]
+            return notes[0] if len(notes) == 1 and not bag.losses else None
+    except BagError:
         return None

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import heapq
-import json
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
-from scara_effmass.bags.messages import joint_state_message, serialized
+from scara_effmass.bags.messages import joint_state_message
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.sim.campaign import Campaign, run_campaign
 from scara_effmass.sim.recordings import EPOCH_NS, RECORDINGS, REVISION, SEED
 from scara_effmass.sim.synthetic_force import BLOCK_NS
-from scara_effmass.sim.topics import FORCE_TOPIC, JOINT_STATES_TOPIC
+from scara_effmass.sim.topics import FORCE_TOPIC, JOINT_STATES_TOPIC, RUN_INFO_TOPIC
+from scara_effmass.values import RunInfo
 from scara_effmass.wire.force import force_block_message
-from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE, STRING
-from scara_effmass.wire.topics import RECORDING_INFO
+from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE, RUN_INFO
+from scara_effmass.wire.run_info import run_info_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -50,33 +50,24 @@ def generate(folder: Path, *, overwrite: bool = False) -> tuple[Path, ...]:
     return (*bags, sums)
 
 
-def about(recording: ReferenceRecording) -> str:
-    """Return what a recording says of itself, as JSON."""
-    facts: dict[str, object] = {
-        "generated": True,
-        "description": recording.description,
-        "generator": "python -m scara_effmass.sim",
-        "revision": REVISION,
-        "seed": SEED,
-    }
-    if recording.pulses:
-        facts["impacts"] = [
-            {
-                "seconds": pulse.onset_s,
-                "peak_force_n": pulse.peak_force,
-                "duration_s": pulse.duration,
-                "impulse_n_s": pulse.impulse,
-                "rebound": pulse.rebound,
-            }
+def run_info(recording: ReferenceRecording) -> RunInfo:
+    """Return the run information of a recording: generated, how, and which contacts its force holds."""
+    lines = [
+        recording.description,
+        f"generator = python -m scara_effmass.sim, revision = {REVISION}, seed = {SEED}",
+        *(
+            f"contact at {pulse.onset_s} s: peak {pulse.peak_force} N, duration {pulse.duration} s, "
+            f"impulse {pulse.impulse} N s, rebound {pulse.rebound}"
             for pulse in recording.pulses
-        ]
-    return json.dumps(facts)
+        ),
+    ]
+    return RunInfo(stamp_ns=EPOCH_NS, simulated=True, note="\n".join(lines))
 
 
 def _write(folder: Path, recording: ReferenceRecording, *, overwrite: bool) -> Path:
     path = folder / recording.name
     with BagWriter(path, overwrite=overwrite) as bag:
-        bag.write(RECORDING_INFO, STRING, EPOCH_NS, serialized(STRING, {"data": about(recording)}))
+        bag.write(RUN_INFO_TOPIC, RUN_INFO, EPOCH_NS, run_info_message(run_info(recording)))
         for log_time_ns, topic, kind, data in _messages(recording):
             bag.write(topic, kind, log_time_ns, data)
     return path

@@ -121,6 +121,16 @@ class ImpactSetup:
         )
 
     @property
+    def impact_position(self) -> Vector3:
+        """Nominal point of impact in the base frame [m]."""
+        return (*self.configuration.point, -Q3)
+
+    @property
+    def plate_normal(self) -> Vector3:
+        """Unit normal of the struck plate in the base frame, away from the robot."""
+        return self.configuration.direction if self.surface is None else self.surface
+
+    @property
     def moves(self) -> tuple[Move, ...]:
         """Dwell, path, dwell."""
         half, configuration = PATH_M / 2.0, self.configuration

@@ -57,11 +57,10 @@ class LiveSettings:
 
 
 class CartPlacement(NamedTuple):
-    """A cart of `obstacle_mass` [kg] placed at `stamp_ns` for an impact in this configuration."""
+    """The cart placed at `stamp_ns` for the impact of `setup`."""
 
     stamp_ns: int
-    configuration: str
-    obstacle_mass: float
+    setup: ImpactSetup
 
 
 class LiveOutput(NamedTuple):
@@ -145,7 +144,7 @@ class LiveSim:
             for index in range(len(approach)):
                 yield (sim.joints, *controller.advance(approach, index), None)
             sim.place_cart()
-            cart: CartPlacement | None = CartPlacement(self.start_ns + self._elapsed_ns, configuration.name, mass)
+            cart: CartPlacement | None = CartPlacement(self.start_ns + self._elapsed_ns, setup)
             for index in range(len(impact)):
                 yield (sim.joints, *controller.advance(impact, index), cart)
                 cart = None

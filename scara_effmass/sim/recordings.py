@@ -32,7 +32,7 @@ JOINTS = ("joint1", "joint2", "joint3", "joint4")
 EPOCH_NS = 1_767_225_600_000_000_000
 """2026-01-01 00:00:00 UTC, a fictitious start: recordings do not depend on the day they are generated."""
 SEED = 550
-REVISION = 2
+REVISION = 3
 """Increase it when a recording changes."""
 
 POSITION_STEP = np.array([2.0 * math.pi / 2**20, 2.0 * math.pi / 2**20, 1e-6, 2.0 * math.pi / 2**20])

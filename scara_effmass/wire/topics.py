@@ -15,8 +15,9 @@ FORCE = "force"
 IMPACT = "impact"
 WRENCH = "wrench"
 IMPACT_VALIDATION = "impact_validation"
+RUN_INFO = "run_info"
 RECORDING_INFO = "/scara_effmass/recording_info"
-"""Topic on which a recording states its origin, as JSON."""
+"""Topic of the JSON text (std_msgs/String) in recordings made before `RunInfo.msg`."""
 READINESS = "/scara_effmass/readiness"
 """Topic on which every node reports to a replay whether it is ready."""
 
@@ -32,6 +33,7 @@ RECORDED = (
     DIAGNOSTICS,
     "/tf",
     "/tf_static",
+    RUN_INFO,
     RECORDING_INFO,
 )
 """Topics that `record` records by default."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.messages import serialized
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
@@ -16,8 +14,8 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.campaign import Campaign, run_campaign
 from scara_effmass.wire.force import decode_force_block, force_block_message
-from scara_effmass.wire.message_types import FORCE_BLOCK
-from scara_effmass.wire.topics import RECORDING_INFO
+from scara_effmass.wire.message_types import FORCE_BLOCK, RUN_INFO
+from scara_effmass.wire.run_info import decode_run_info, run_info_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,7 +51,7 @@ def arm() -> RobotDynamics:
 
 @pytest.fixture
 def altered(tmp_path: Path) -> Altered:
-    """Copy a recording: every force block through `block`, `info` over what it says of itself, a topic left out."""
+    """Copy a recording: force blocks through `block`, run information changed by `info`, one topic left out."""
 
     def copy(
         path: Path,
@@ -70,10 +68,8 @@ def altered(tmp_path: Path) -> Altered:
                     continue
                 if message.type == FORCE_BLOCK and block:
                     data = force_block_message(block(decode_force_block(data)))
-                elif message.topic == RECORDING_INFO and info:
-                    about = {**json.loads(bag.deserialize(message).data), **info}
-                    kept = {key: value for key, value in about.items() if value is not None}
-                    data = serialized(message.type, {"data": json.dumps(kept)})
+                elif message.type == RUN_INFO and info:
+                    data = run_info_message(decode_run_info(data)._replace(**info))
                 writer.write(message.topic, message.type, message.log_time_ns, data)
         return copied
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,8 @@ import pytest
 
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.messages import joint_state_message
+from scara_effmass.bags.messages import joint_state_message, serialized
+from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detection import Detector
@@ -20,17 +22,17 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MassModel, ValidatorSettings
 from scara_effmass.values import JointState
 from scara_effmass.wire.force import impact_message
-from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE
+from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE, RUN_INFO, STRING
 from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from typing import Any, Protocol
+    from typing import Protocol
 
     from scara_effmass.analysis.validation import Validation
     from scara_effmass.impacts.result import Result
     from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.values import ForceBlock
+    from scara_effmass.values import ForceBlock, RunInfo
 
     class Altered(Protocol):
         def __call__(self, path: Path, **changes: object) -> Path: ...
@@ -45,11 +47,10 @@ def validation(campaign: list[Path], arm: RobotDynamics) -> Validation:
     return validate(campaign, arm, SETTINGS)
 
 
-def about(path: Path) -> dict[str, Any]:
+def stated(path: Path) -> RunInfo:
     with open_bag(path) as bag:
-        (message,) = bag.messages([RECORDING_INFO])
-        said: dict[str, Any] = json.loads(bag.deserialize(message).data)
-        return said
+        ((_, info),) = run_infos(bag)
+    return info
 
 
 def by_hand(paths: list[Path], arm: RobotDynamics) -> Result:
@@ -57,8 +58,7 @@ def by_hand(paths: list[Path], arm: RobotDynamics) -> Result:
     validator = Validator(SETTINGS.validator)
     for path in paths:
         validator.begin_recording()
-        said = about(path)
-        validator.set_run(0, obstacle_mass=said["obstacle_mass"], configuration=said["configuration"])
+        validator.set_run_info(stated(path), 0)
         monitor, detector = Monitor(arm, SETTINGS.monitor), Detector(SETTINGS.detection)
         with open_bag(path) as bag:
             for block in bag.joint_state_blocks():
@@ -105,13 +105,12 @@ def test_every_recording_has_its_own_impact(campaign: list[Path], validation: Va
     assert [recording.path for recording in validation.recordings] == campaign
     for recording in validation.recordings:
         (impact,) = recording.impacts
-        said = about(recording.path)
-        assert (impact.configuration, impact.obstacle_mass) == (said["configuration"], said["obstacle_mass"])
-        truth = said["truth"]
-        assert abs(impact.stamp_ns - truth["onset_ns"]) < 1_000_000
-        assert impact.measured_force == pytest.approx(truth["peak_force"], rel=0.005)
+        info = stated(recording.path)
+        assert (impact.configuration, impact.obstacle_mass) == (info.configuration, info.obstacle_mass)
+        assert abs(impact.stamp_ns - info.true_onset_ns) < 1_000_000
+        assert impact.measured_force == pytest.approx(info.true_peak_force, rel=0.005)
         full = next(each for each in impact.predictions if each.model == "full")
-        assert full.effective_mass == pytest.approx(truth["effective_mass"], rel=0.01)
+        assert full.effective_mass == pytest.approx(info.true_effective_mass, rel=0.01)
         assert recording.joint_states > 1000
         assert recording.force_blocks > 10
         assert (recording.lost_samples, recording.simulated, recording.losses) == (0, True, ())
@@ -222,7 +221,7 @@ def test_the_wrong_sign_in_one_of_several_recordings(
 def test_a_missing_mass_is_not_that_of_the_recording_before(
     campaign: list[Path], arm: RobotDynamics, altered: Altered
 ) -> None:
-    nameless = altered(campaign[1], info={"obstacle_mass": None, "configuration": None})
+    nameless = altered(campaign[1], info={"obstacle_mass": 0.0, "configuration": ""})
     result = validate([campaign[0], nameless], arm, SETTINGS).result
     assert len(result.impacts) == 1
     assert result.unpaired == {"obstacle_mass is not given": 1}
@@ -259,20 +258,76 @@ def test_joint_states_of_another_robot(
         validate([path], arm, SETTINGS)
 
 
-@pytest.mark.parametrize("mass", ["2.39", -1.0, True, 1e4])
-def test_a_recorded_mass_that_is_none(campaign: list[Path], arm: RobotDynamics, altered: Altered, mass: object) -> None:
-    path = altered(campaign[0], info={"obstacle_mass": mass})
-    with pytest.raises(BagError, match=f"{path}: {RECORDING_INFO}: obstacle_mass = {mass!r}: .* would be right"):
-        validate([path], arm, SETTINGS)
-
-
-@pytest.mark.parametrize(("key", "value"), [("since_ns", 1e300), ("configuration", "\ud800")])
-def test_what_is_said_of_a_run_and_cannot_be(
-    campaign: list[Path], arm: RobotDynamics, altered: Altered, key: str, value: object
+@pytest.mark.parametrize(
+    ("info", "message"),
+    [
+        *(({"obstacle_mass": mass}, "obstacle_mass = .*: must be 0") for mass in (-1.0, 1e4, math.nan, math.inf)),
+        ({"configuration": "a\nb"}, "configuration = .*: must be printable"),
+    ],
+)
+def test_unusable_run_information_is_refused(
+    campaign: list[Path], arm: RobotDynamics, altered: Altered, info: dict[str, object], message: str
 ) -> None:
-    path = altered(campaign[0], info={key: value})
-    with pytest.raises(BagError, match=f"{path}: {RECORDING_INFO}: {key} = .* would be right"):
+    path = altered(campaign[0], info=info)
+    with pytest.raises(BagError, match=f"{path}: run information: {message}"):
         validate([path], arm, SETTINGS)
+
+
+def test_undecodable_run_information_is_refused(campaign: list[Path], arm: RobotDynamics, tmp_path: Path) -> None:
+    path = tmp_path / "cut"
+    with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
+        for message in bag.messages():
+            writer.write(*(message._replace(data=message.data[:20]) if message.type == RUN_INFO else message))
+    with pytest.raises(BagError, match=f"{path}: /run_info: RunInfo: "):
+        validate([path], arm, SETTINGS)
+
+
+# Recordings made before RunInfo state the run in JSON.
+
+
+def older(source: Path, path: Path, text: str) -> Path:
+    """Copy `source` to `path` with `text` as its run information."""
+    with open_bag(source) as bag, BagWriter(path) as writer:
+        for message in bag.messages():
+            if message.type == RUN_INFO:
+                data = serialized(STRING, {"data": text})
+                writer.write(RECORDING_INFO, STRING, message.log_time_ns, data)
+            else:
+                writer.write(*message)
+    return path
+
+
+def test_older_recording_gives_the_same_result(
+    campaign: list[Path], arm: RobotDynamics, tmp_path: Path, validation: Validation
+) -> None:
+    info = stated(campaign[0])
+    truth = {"speed": info.true_speed, "effective_mass": info.true_effective_mass, "peak_force": info.true_peak_force}
+    fields = {"simulated": True, "configuration": "300_200", "obstacle_mass": 0.5, "truth": truth}
+    path = older(campaign[0], tmp_path / "older", json.dumps(fields | {"stiffness": 2e6, "exponent": 1.0}))
+    (recording,) = validate([path], arm, SETTINGS).recordings
+    (impact,), (expected,) = recording.impacts, validation.recordings[0].impacts
+    for name in ("stamp_ns", "measured_force", "speed", "effective_mass", "obstacle_mass", "configuration"):
+        assert getattr(impact, name) == getattr(expected, name)
+    assert recording.infos[0].true_peak_force == info.true_peak_force
+    assert recording.infos[0].contact_stiffness == info.contact_stiffness
+
+
+@pytest.mark.parametrize("text", ["no JSON", "[1]", "[" * 100_000])
+def test_older_recording_without_json_states_nothing(
+    campaign: list[Path], arm: RobotDynamics, tmp_path: Path, text: str
+) -> None:
+    result = validate([older(campaign[0], tmp_path / "older", text)], arm, SETTINGS).result
+    assert result.unpaired == {"obstacle_mass is not given": 1}
+
+
+@pytest.mark.parametrize(
+    "text", ['{"obstacle_mass": "2.39"}', '{"since_ns": 1e300}', '{"configuration": "\\ud800"}'], ids=str
+)
+def test_older_recording_with_unusable_values_is_refused(
+    campaign: list[Path], arm: RobotDynamics, tmp_path: Path, text: str
+) -> None:
+    with pytest.raises(BagError, match=r"run information: .* must be"):
+        validate([older(campaign[0], tmp_path / "older", text)], arm, SETTINGS)
 
 
 def test_of_several_force_topics_one_must_be_named(campaign: list[Path], arm: RobotDynamics, tmp_path: Path) -> None:

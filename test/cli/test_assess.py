@@ -17,6 +17,7 @@ from pyarrow import parquet
 from scara_effmass import __version__
 from scara_effmass.analysis.tables import SCHEMA
 from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.model.dynamics import RobotDynamics
@@ -116,8 +117,8 @@ def test_mcap_holds_contact_states_at_the_recorded_times(swing_bag: Path, here: 
             assert (state.direction.x, state.direction.y, state.direction.z) == contact.direction
             for field in set(contact._fields) - {"stamp_ns", "direction"}:
                 assert same(getattr(state, field), getattr(contact, field)), field
-        (about,) = bag.messages(["/scara_effmass/recording_info"])
-        assert json.loads(bag.deserialize(about).data)["limits_hash"] == TABLE_HASH
+        ((_, info),) = run_infos(bag)
+        assert json.loads(info.note)["limits_hash"] == TABLE_HASH
 
 
 def test_options_reach_the_core(swing_bag: Path, here: Cli, tmp_path: Path) -> None:
@@ -161,7 +162,7 @@ def test_several_bags_share_a_table_each_with_a_monitor_of_its_own(
     with open_bag(tmp_path / "a.mcap") as bag:
         counts = {topic.name: topic.count for topic in bag.topics}
     assert counts == {
-        "/scara_effmass/recording_info": 1,
+        "/run_info": 1,
         "/bag_0_swing/contact_state": 1000,
         "/bag_1_long/contact_state": 30_000,
     }

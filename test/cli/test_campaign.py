@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from scara_effmass.bags.files import find_bags, open_bag
-from scara_effmass.wire.topics import RECORDING_INFO
+from scara_effmass.bags.run_info import run_infos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from scara_effmass.values import RunInfo
 
     Cli = Callable[..., subprocess.CompletedProcess[str]]
     Start = Callable[..., subprocess.Popen[str]]
@@ -23,11 +25,10 @@ if TYPE_CHECKING:
 SMALL = ("--configuration", "300_0", "--mass", "0.5", "--repetitions", "2")
 
 
-def said(bag: Path) -> dict[str, object]:
-    with open_bag(bag) as opened:
-        (message,) = opened.messages([RECORDING_INFO])
-        about: dict[str, object] = json.loads(opened.deserialize(message).data)
-    return about
+def stated(path: Path) -> RunInfo:
+    with open_bag(path) as bag:
+        ((_, info),) = run_infos(bag)
+    return info
 
 
 def test_it_records_then_keeps_then_replaces(here: Cli, tmp_path: Path) -> None:
@@ -37,7 +38,7 @@ def test_it_records_then_keeps_then_replaces(here: Cli, tmp_path: Path) -> None:
     assert "2 impacts on the simulated cell (MuJoCo); nothing was measured" in first.stdout
     assert "kept" not in first.stdout
     assert [bag.name for bag in find_bags(folder)] == ["300_0_500g_1", "300_0_500g_2"]
-    assert said(folder / "300_0_500g_1")["simulated"] is True
+    assert stated(folder / "300_0_500g_1").simulated
 
     again = here("campaign", "-o", folder, *SMALL, "--json")
     result = json.loads(again.stdout)
@@ -59,13 +60,14 @@ def test_the_tip_is_as_asked_for(here: Cli, tmp_path: Path) -> None:
     one = (*SMALL[:-1], "1")
     result = json.loads(here("campaign", "-o", tmp_path / "soft", *one, *tip, "--json").stdout)
     assert (result["stiffness"], result["exponent"], result["damping"], result["friction"]) == (5e5, 1.0, 20.0, 0.2)
-    about = said(tmp_path / "soft" / "300_0_500g_1")
-    assert (about["stiffness"], about["damping"], about["friction"]) == (5e5, 20.0, 0.2)
+    info = stated(tmp_path / "soft" / "300_0_500g_1")
+    assert info.contact_stiffness == 5e5
+    assert {"damping = 20.0", "friction = 0.2"} <= set(info.note.splitlines())
     done = here("campaign", "-o", tmp_path / "hertz", *one, "--hertz")
     assert "Hertz contact 3400 N/mm^1.5" in done.stdout
-    about = said(tmp_path / "hertz" / "300_0_500g_1")
-    assert about["exponent"] == 1.5
-    assert about["stiffness"] == pytest.approx(3400.0 * 1000.0**1.5)
+    info = stated(tmp_path / "hertz" / "300_0_500g_1")
+    assert info.contact_exponent == 1.5
+    assert info.contact_stiffness == pytest.approx(3400.0 * 1000.0**1.5)
 
 
 @pytest.mark.parametrize(
@@ -115,6 +117,6 @@ def test_an_interruption_leaves_whole_bags_and_the_rest_is_made_later(here: Cli,
     assert process.wait() == 130
     bags = sorted(folder.iterdir())
     assert 2 <= len(bags) < 50
-    assert all(said(bag)["simulated"] is True for bag in bags)
+    assert all(stated(bag).simulated for bag in bags)
     done = here("campaign", "-o", folder, *SMALL[:-1], str(len(bags)), "--json")
     assert json.loads(done.stdout)["kept"] == len(bags)

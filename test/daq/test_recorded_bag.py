@@ -20,10 +20,11 @@ from scara_effmass.daq.recorded import RecordedForce
 from scara_effmass.daq.source import Unit
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.settings import BagSettings, DaqSettings
-from scara_effmass.values import ForceBlock
+from scara_effmass.values import ForceBlock, RunInfo
 from scara_effmass.wire.contact_state import float64_message
 from scara_effmass.wire.force import force_block_message
-from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
+from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, RUN_INFO, WRENCH, WRENCH_STAMPED
+from scara_effmass.wire.run_info import run_info_message
 from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
@@ -326,7 +327,15 @@ def test_a_block_defined_otherwise_is_not_decoded(tmp_path: Path) -> None:
 def test_a_generated_recording_is_simulated(tmp_path: Path) -> None:
     text = "std_msgs/msg/String"
     messages = wrench_messages([T0, T0 + MS, T0 + 2 * MS], [T0, T0 + MS, T0 + 2 * MS])
-    for name, about, simulated in (("a", {"generated": True}, True), ("b", {"generated": False}, False), ("c", [], 0)):
+    for name, simulated in (("simulated", True), ("measured", False)):
+        info = ("/run_info", RUN_INFO, T0, run_info_message(RunInfo(simulated=simulated)))
+        with opened(write(tmp_path / name, [info, *messages])) as recorded:
+            assert recorded.simulated == simulated
+    for name, about, simulated in (
+        ("a", {"generated": True}, True),
+        ("b", {"generated": False}, False),
+        ("c", [], False),
+    ):
         info = (RECORDING_INFO, text, T0, serialized(text, {"data": json.dumps(about)}))
         with opened(write(tmp_path / name, [info, *messages])) as recorded:
             assert recorded.simulated == simulated

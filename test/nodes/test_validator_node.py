@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from scara_effmass_msgs.msg import ContactState, Impact, ImpactValidation
+from scara_effmass_msgs.msg import ContactState, Impact, ImpactValidation, RunInfo
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -19,9 +20,12 @@ from scara_effmass.nodes.validator_node import ValidatorNode
 from scara_effmass.safety import unknown_contact
 from scara_effmass.settings import ValidatorSettings
 from scara_effmass.values import Impact as FoundImpact
+from scara_effmass.values import RunInfo as RunInfoValue
 from scara_effmass.values import Verdict
 from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.force import impact_message
+from scara_effmass.wire.run_info import run_info_message
+from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,23 +73,29 @@ class Bench:
         harness.subscribe()
         self.states = node.create_publisher(ContactState, "contact_state", DEEP)
         self.impacts = node.create_publisher(Impact, "impact", DEEP)
-        self.info = node.create_publisher(String, "/scara_effmass/recording_info", LATCHED)
-        ends = (self.states, self.impacts, self.info)
+        self.run_info = node.create_publisher(RunInfo, "run_info", LATCHED)
+        self.recording_info = node.create_publisher(String, RECORDING_INFO, LATCHED)
+        ends = (self.states, self.impacts, self.run_info, self.recording_info)
         harness.spin_until(
             lambda: all(end.get_subscription_count() for end in ends) and node.count_publishers("impact_validation")
         )
 
-    def tell(self, mass: float, *infos: str) -> None:
-        """Say what is hit, and wait until `mass` [kg] is what is known of it."""
+    def state_run(self, mass: float, *infos: bytes | str | RunInfoValue) -> None:
+        """Publish run information, as JSON where it is text, and wait until the obstacle mass is `mass` [kg]."""
         for info in infos:
-            self.info.publish(String(data=info))
+            if isinstance(info, str):
+                self.recording_info.publish(String(data=info))
+            else:
+                self.run_info.publish(info if isinstance(info, bytes) else run_info_message(info))
         self.harness.diagnostic("validator: series", "obstacle mass [kg]", f"{mass:g}".__eq__)
 
     def run(self, *masses: float, first: int = 0) -> None:
         """Let the robot hit something of each mass, told before unless it is 0."""
-        runs = [{"obstacle_mass": mass, "since_ns": START_NS + n * S} for n, mass in enumerate(masses, first) if mass]
-        if runs:
-            self.tell(masses[-1], *map(json.dumps, runs))
+        infos = [
+            RunInfoValue(obstacle_mass=mass, stamp_ns=START_NS + n * S) for n, mass in enumerate(masses, first) if mass
+        ]
+        if infos:
+            self.state_run(masses[-1], *infos)
         encoder = ContactStateEncoder("tool", "base_link")
         for number, peak in enumerate(PEAKS[first : first + len(masses)], first):
             for millisecond in range(number * 1000 + 400, number * 1000 + 600):
@@ -131,31 +141,42 @@ def test_without_a_mass_an_impact_is_counted_and_not_predicted(bench: Bench) -> 
 
 
 @pytest.mark.parametrize(
-    "told",
+    "malformed",
     [
         '{"obstacle_mass": 2.39, "since_ns": 1e999}',
         '{"obstacle_mass": true}',
         '{"obstacle_mass": "2.39"}',
         '{"obstacle_mass": NaN}',
         '{"configuration": "\\ud800"}',
+        b"\x00\x01\x00\x00 too short",
+        RunInfoValue(obstacle_mass=math.nan),
+        RunInfoValue(obstacle_mass=2.39, configuration="a\nb"),
     ],
 )
-def test_what_is_hit_is_not_known_when_what_is_said_of_it_cannot_be(bench: Bench, told: str) -> None:
+def test_malformed_run_information_makes_the_obstacle_mass_unknown(
+    bench: Bench, malformed: bytes | str | RunInfoValue
+) -> None:
     assert bench.harness.set_parameters(obstacle_mass=2.39) == ""
-    bench.tell(2.39, "[" * 100_000)  # no JSON object: says nothing
+    bench.state_run(2.39, "[" * 100_000)  # no JSON object: ignored
     bench.run(0.0)
     bench.harness.spin_until(lambda: len(bench.heard) == 1)
-    bench.tell(0.0, told)
+    bench.state_run(0.0, malformed)
     bench.run(0.0, first=1)
     not_paired = "not paired: obstacle_mass is not given"
     assert bench.harness.diagnostic("validator: series", not_paired, bool).endswith("| 1")
-    bench.tell(0.5, '{"obstacle_mass": 0.5, "configuration": [1]}')
+    bench.state_run(0.5, '{"obstacle_mass": 0.5, "configuration": [1]}')
     bench.run(0.0, first=2)
     bench.harness.spin_until(lambda: len(bench.heard) == 2)
 
 
-def test_a_changed_configuration_leaves_the_mass_that_was_told(bench: Bench) -> None:
-    bench.tell(0.5, '{"obstacle_mass": 0.5}')
+def test_run_information_without_a_mass_leaves_that_of_the_parameter(bench: Bench) -> None:
+    assert bench.harness.set_parameters(obstacle_mass=2.39) == ""
+    bench.state_run(0.5, RunInfoValue(obstacle_mass=0.5))
+    bench.state_run(2.39, RunInfoValue(configuration="near"))
+
+
+def test_configuration_parameter_leaves_the_stated_mass(bench: Bench) -> None:
+    bench.state_run(0.5, RunInfoValue(obstacle_mass=0.5))
     assert bench.harness.set_parameters(configuration="elbow up") == ""
     bench.run(0.0)
     bench.harness.spin_until(lambda: len(bench.heard) == 1)

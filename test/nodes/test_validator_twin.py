@@ -50,7 +50,7 @@ def test_live_is_what_it_is_offline(new_harness: Callable[..., NodeHarness], tmp
             running.callback(process.terminate)
         for status, key in (("monitor: input", "lost"), ("daq: source", "state"), ("validator: series", "accepted")):
             harness.diagnostic(status, key, bool)  # it is active
-        topics = ["/joint_states", "/scara_effmass/recording_info"]
+        topics = ["/joint_states", "/run_info"]
         words = [str(BIN / "scara-effmass"), "replay", str(BAG), "--rate", "0", "--topics", *topics]
         replay = running.enter_context(subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL))
         harness.spin_until(lambda: heard)

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-import json
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from scara_effmass.bags.files import find_bags, open_bag
-from scara_effmass.bags.messages import serialized
+from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.paper.campaign_runs import LEAD_S, SHOWN_S, campaign_runs
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.share import share
-from scara_effmass.wire.topics import RECORDING_INFO
+from scara_effmass.wire.message_types import RUN_INFO
+from scara_effmass.wire.run_info import decode_run_info, run_info_message
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from scara_effmass.paper.campaign_runs import CampaignRun
     from scara_effmass.paper.scara import Scara
+    from scara_effmass.values import RunInfo
 
 JOINTS = ("joint1", "joint2")
-TEXT = "std_msgs/msg/String"
 ONE = "300_0_500g_1"
 
 
@@ -33,22 +34,20 @@ def shipped(scara: Scara) -> list[CampaignRun]:
     return campaign_runs(share("bags", "campaign"), scara, JOINTS, DetectionSettings())
 
 
-def said(bag: Path) -> dict[str, object]:
-    with open_bag(bag) as opened:
-        (message,) = opened.messages([RECORDING_INFO])
-        about: dict[str, object] = json.loads(opened.deserialize(message).data)
-    return about
+def stated(path: Path) -> RunInfo:
+    with open_bag(path) as bag:
+        ((_, info),) = run_infos(bag)
+    return info
 
 
-def copied(path: Path, changes: dict[str, object], blocks: int = 1000) -> Path:
-    """Write the shipped run ONE to `path`, with `changes` of what it says (None: says no more), and so many blocks."""
+def copied(path: Path, changes: dict[str, Any], blocks: int = 1000) -> Path:
+    """Write the shipped run ONE to `path`, with `changes` of its run information, and that many force blocks."""
     source = share("bags", "campaign", ONE)
-    about = {key: value for key, value in {**said(source), **changes}.items() if value is not None}
     with open_bag(source) as bag, BagWriter(path) as copy:
         for message in bag.messages():
             data = message.data
-            if message.topic == RECORDING_INFO:
-                data = serialized(TEXT, {"data": json.dumps(about)})
+            if message.type == RUN_INFO:
+                data = run_info_message(decode_run_info(data)._replace(**changes))
             if message.topic == "/force":
                 blocks -= 1
                 if blocks < 0:
@@ -61,14 +60,12 @@ def test_the_impacts_are_the_true_ones(shipped: list[CampaignRun]) -> None:
     bags = find_bags(share("bags", "campaign"))
     assert len(shipped) == len(bags) == 12
     for bag, (impact, motion) in zip(bags, shipped, strict=True):
-        about = said(bag)
-        truth = about["truth"]
-        assert isinstance(truth, dict)
-        assert [*impact.point] == about["point"]
-        assert impact.obstacle_mass_kg == about["obstacle_mass"]
+        info = stated(bag)
+        assert impact.point == info.impact_position[:2]
+        assert impact.obstacle_mass_kg == info.obstacle_mass
         assert impact.simulated
-        assert impact.peak_force_n == pytest.approx(truth["peak_force"], rel=5e-3)
-        assert impact.speed_m_s == pytest.approx(truth["speed"], rel=2e-3)
+        assert impact.peak_force_n == pytest.approx(info.true_peak_force, rel=5e-3)
+        assert impact.speed_m_s == pytest.approx(info.true_speed, rel=2e-3)
         assert motion.contact_x_m == pytest.approx(impact.point[0], abs=1.2e-3)
         assert motion.about == f"simulated run {bag.name}"
 
@@ -84,15 +81,14 @@ def test_the_force_begins_before_the_onset_and_rises_from_there(shipped: list[Ca
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"point": None}, "point"),
-        ({"obstacle_mass": None}, "obstacle_mass"),
-        ({"direction": [0.0, 1.0, 0.0]}, "direction"),
-        ({"point": "somewhere"}, "point"),
-        ({"point": [1.0]}, "point"),
+        ({"plate_normal": (0.0, 0.0, 0.0)}, "states no"),
+        ({"obstacle_mass": 0.0}, "obstacle_mass"),
+        ({"plate_normal": (0.0, 1.0, 0.0)}, "plate_normal"),
+        ({"impact_position": (math.nan, 0.0, 0.0)}, "impact_position"),
     ],
 )
 def test_a_recording_that_does_not_say_what_was_set_is_refused(
-    scara: Scara, tmp_path: Path, changes: dict[str, object], named: str
+    scara: Scara, tmp_path: Path, changes: dict[str, Any], named: str
 ) -> None:
     path = copied(tmp_path / "run", changes)
     with pytest.raises(BagError, match=named) as caught:

@@ -36,6 +36,10 @@ CONTRACT = {
         "count correlation fitted_stiffness bias rmse non_conservative accepted reason"
     ),
     "NodeReadiness": "header node active use_sim_time peers",
+    "RunInfo": (
+        "header configuration obstacle_mass impact_position plate_normal simulated note contact_stiffness "
+        "contact_exponent true_onset true_speed true_effective_mass true_peak_force true_duration true_impulse"
+    ),
 }
 
 

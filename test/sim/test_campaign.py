@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
@@ -10,12 +9,12 @@ import numpy as np
 import pytest
 
 from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.run_info import run_infos
 from scara_effmass.errors import OutputError
 from scara_effmass.sim.campaign import RUN_SPACING_NS, Campaign, record, run_campaign
 from scara_effmass.sim.experiment import run_impact
 from scara_effmass.sim.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES
 from scara_effmass.sim.topics import FORCE_TOPIC
-from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,18 +83,16 @@ def test_a_bag_holds_what_the_run_gave(made: Path, run: ImpactRun) -> None:
         )
 
 
-def test_a_bag_says_that_it_is_simulated_and_with_which_mass(made: Path, run: ImpactRun) -> None:
+def test_bag_states_run_information_and_ground_truth(made: Path, run: ImpactRun) -> None:
     with open_bag(made / "300_200_7350g_1") as bag:
-        (message,) = bag.messages([RECORDING_INFO])
-        about = json.loads(bag.deserialize(message).data)
-    assert about["generated"] is True
-    assert about["simulated"] is True
-    assert about["obstacle_mass"] == 7.35
-    assert about["configuration"] == "300_200"
-    assert about["repetition"] == 1
-    assert about["stiffness"] == 2e6
-    assert about["truth"]["peak_force"] == run.truth.impact.peak_force
-    assert about["truth"]["contacts"] == len(run.truth.contacts)
+        ((_, info),) = run_infos(bag)
+    assert info == SMALL.runs[1].info(run.truth)
+    assert info.simulated
+    assert (info.configuration, info.obstacle_mass) == ("300_200", 7.35)
+    assert (info.contact_stiffness, info.contact_exponent) == (2e6, 1.0)
+    assert (info.impact_position, info.plate_normal) == ((0.3, 0.2, -0.236), (1.0, 0.0, 0.0))
+    assert info.true_peak_force == run.truth.impact.peak_force
+    assert {"repetition = 1", "damping = 0.0"} <= set(info.note.splitlines())
 
 
 def test_a_force_block_is_logged_after_its_last_sample_was_taken(made: Path) -> None:

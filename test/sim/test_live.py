@@ -63,8 +63,8 @@ def test_states_come_each_millisecond_and_nothing_comes_twice(whole: LiveOutput)
 
 def test_each_impact_happens_with_its_cart(whole: LiveOutput) -> None:
     first, second = whole.carts[:2]
-    assert (first.configuration, first.obstacle_mass) == ("300_200", 0.5)
-    assert (second.configuration, second.obstacle_mass) == ("300_0", 7.35)
+    assert (first.setup.configuration.name, first.setup.obstacle_mass) == ("300_200", 0.5)
+    assert (second.setup.configuration.name, second.setup.obstacle_mass) == ("300_0", 7.35)
     peaks = []
     for cart in whole.carts[:2]:
         sample = round((cart.stamp_ns - START_NS) / 1e9 * 12_800)

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 import subprocess
 import sys
@@ -16,6 +15,7 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
 from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.run_info import run_infos
 from scara_effmass.errors import OutputError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
@@ -26,16 +26,16 @@ from scara_effmass.sim.generate import CAMPAIGN, CHECKSUMS, generate
 from scara_effmass.sim.recordings import EPOCH_NS, POSITION_STEP, RECORDINGS, SEED, TOUR_PULSES, VELOCITY_STEP
 from scara_effmass.sim.topics import FORCE_TOPIC
 from scara_effmass.values import Verdict
-from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
     from scara_effmass.sim.recordings import ReferenceRecording
-    from scara_effmass.values import ContactAssessment, FloatArray, ForceBlock, JointState
+    from scara_effmass.values import ContactAssessment, FloatArray, ForceBlock, JointState, RunInfo
 
 ROOT = Path(__file__).parents[2]
 BAGS = ROOT / "bags"
 NAMES = [recording.name for recording in RECORDINGS]
 RUNS = [f"campaign/{run.name}" for run in CAMPAIGN.runs]
+TRUTH = ("true_speed", "true_effective_mass", "true_peak_force", "true_duration", "true_impulse")
 ULPS = 1e-12
 """What sine and arc cosine may differ by from one library or processor to another [rad]."""
 
@@ -70,11 +70,10 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def about(bag: Path) -> dict[str, object]:
-    with open_bag(bag) as opened:
-        (message,) = opened.messages([RECORDING_INFO])
-        result: dict[str, object] = json.loads(opened.deserialize(message).data)
-    return result
+def stated(path: Path) -> RunInfo:
+    with open_bag(path) as bag:
+        ((_, info),) = run_infos(bag)
+    return info
 
 
 @pytest.fixture(scope="module")
@@ -92,8 +91,7 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_committed_recordings_are_what_the_generator_makes(fresh: Path, name: str) -> None:
     with open_bag(BAGS / name) as committed, open_bag(fresh / name) as made:
         assert committed.topics == made.topics
-        said = [message.data for message in committed.messages([RECORDING_INFO])]
-        assert said == [message.data for message in made.messages([RECORDING_INFO])]
+        assert list(run_infos(committed)) == list(run_infos(made))
     for one, other in zip(states(BAGS / name), states(fresh / name), strict=True):
         assert (one.stamp_ns, one.names) == (other.stamp_ns, other.names)
         assert one.position == pytest.approx(other.position, abs=ULPS)
@@ -116,13 +114,12 @@ def same_or_a_count_apart(one: FloatArray, other: FloatArray, step: FloatArray |
 @pytest.mark.live
 @pytest.mark.parametrize("name", RUNS)
 def test_the_committed_campaign_is_what_the_generator_makes(fresh: Path, name: str) -> None:
-    said, says = about(BAGS / name), about(fresh / name)
-    truth, remade = said.pop("truth"), says.pop("truth")
-    assert said == says
-    assert isinstance(truth, dict)
-    assert isinstance(remade, dict)
-    assert abs(truth.pop("onset_ns") - remade.pop("onset_ns")) <= 1
+    infos = [stated(folder / name)._asdict() for folder in (BAGS, fresh)]
+    onset_ns, remade_onset_ns = (info.pop("true_onset_ns") for info in infos)
+    assert abs(onset_ns - remade_onset_ns) <= 1
+    truth, remade = ([info.pop(field) for field in TRUTH] for info in infos)
     assert truth == pytest.approx(remade, rel=1e-9)
+    assert infos[0] == infos[1]
     with open_bag(BAGS / name) as committed, open_bag(fresh / name) as made:
         assert committed.topics == made.topics
         for message, remade_message in zip(committed.messages(), made.messages(), strict=True):
@@ -146,11 +143,10 @@ def test_the_committed_campaign_is_what_the_generator_makes(fresh: Path, name: s
 
 
 def test_the_campaign_covers_every_configuration_and_mass_and_says_that_it_is_simulated() -> None:
-    said = [about(BAGS / name) for name in RUNS]
-    assert all(each["generated"] and each["simulated"] for each in said)
-    assert all("nothing was measured" in str(each["description"]) for each in said)
-    cases = {(each["configuration"], each["obstacle_mass"]) for each in said}
-    assert len(cases) == len(said) == 12
+    infos = [stated(BAGS / name) for name in RUNS]
+    assert all(info.simulated and "nothing was measured" in info.note for info in infos)
+    cases = {(info.configuration, info.obstacle_mass) for info in infos}
+    assert len(cases) == len(infos) == 12
     assert {configuration for configuration, _ in cases} == {"300_200", "300_0", "300_-200"}
     assert {mass for _, mass in cases} == {0.50, 2.39, 3.72, 7.35}
     assert all(block.simulated and "simulated" in block.source for name in RUNS for block in force(BAGS / name))
@@ -172,10 +168,10 @@ def test_the_committed_files_have_the_committed_checksums() -> None:
 @pytest.mark.live
 @pytest.mark.parametrize("recording", RECORDINGS, ids=NAMES)
 def test_a_recording_says_that_it_was_generated(recording: ReferenceRecording) -> None:
-    said = about(BAGS / recording.name)
-    assert said["generated"] is True
-    assert said["seed"] == SEED
-    assert said["generator"] == "python -m scara_effmass.sim"
+    info = stated(BAGS / recording.name)
+    assert info.simulated
+    assert f"seed = {SEED}" in info.note
+    assert "python -m scara_effmass.sim" in info.note
     with open_bag(BAGS / recording.name) as bag:
         assert bag.start_ns == EPOCH_NS
 
@@ -213,17 +209,16 @@ def test_the_force_of_the_tour_is_there_without_a_gap_and_says_that_it_is_simula
 
 def test_the_impacts_of_the_tour_are_where_it_says() -> None:
     samples = np.concatenate([block.force for block in force(BAGS / "tour")])
-    impacts = about(BAGS / "tour")["impacts"]
-    assert isinstance(impacts, list)
     quiet = np.ones(len(samples), dtype=bool)
-    assert len(impacts) == len(TOUR_PULSES)
-    for impact in impacts:
-        first, last = (round(t * 12_800) for t in (impact["seconds"], impact["seconds"] + impact["duration_s"]))
+    note = stated(BAGS / "tour").note
+    for pulse in TOUR_PULSES:
+        assert f"contact at {pulse.onset_s} s: peak {pulse.peak_force} N, duration {pulse.duration} s" in note
+        first, last = (round(t * 12_800) for t in (pulse.onset_s, pulse.onset_s + pulse.duration))
         contact = slice(first - 1, last + 2)
         quiet[contact] = False
         # Half a sample beside the peak of the shortest one, the cosine is 0.99.
-        assert samples[contact].max() == pytest.approx(impact["peak_force_n"], rel=0.01)
-        assert samples[contact].sum() / 12_800 == pytest.approx(impact["impulse_n_s"], rel=0.02)
+        assert samples[contact].max() == pytest.approx(pulse.peak_force, rel=0.01)
+        assert samples[contact].sum() / 12_800 == pytest.approx(pulse.impulse, rel=0.02)
     assert np.abs(samples[quiet]).max() < 0.5
 
 

@@ -426,7 +426,7 @@ def test_the_obstacle_at_the_onset_counts(make_state: MakeState, make_impact: Ma
 @pytest.mark.parametrize("mass", [-1.0, NAN, math.inf, 1001.0])
 def test_a_mass_that_cannot_be(mass: float) -> None:
     validator = Validator(ValidatorSettings())
-    with pytest.raises(SettingsError, match=r"^obstacle_mass = .*: 0 \(not given\) to 1000 kg"):
+    with pytest.raises(SettingsError, match=r"^obstacle_mass = .*: must be 0 \(not stated\) to 1000 kg"):
         validator.set_run(0, obstacle_mass=mass)
     assert validator.obstacle_mass == 0.0
 

@@ -1,0 +1,134 @@
+"""Run information on the wire: `RunInfo.msg` as CDR, and the JSON text of recordings made before it existed."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from typing import TYPE_CHECKING, Any
+
+from scara_effmass.values import RunInfo
+from scara_effmass.wire.cdr import LITTLE_ENDIAN, Cursor, padded, sec_and_nanosec, with_text
+
+if TYPE_CHECKING:
+    from scara_effmass.values import Vector3
+
+LATEST_NS = 2**63 - 1
+UNUSABLE_NS = LATEST_NS + 1
+"""Stands for a time in JSON that is none."""
+
+_STAMP = struct.Struct("<iI")
+_MASS_AND_PLATE = struct.Struct("<7d")
+"""From obstacle_mass to plate_normal."""
+_TRUTH = struct.Struct("<ddiI5d")
+"""From contact_stiffness on."""
+
+
+def run_info_message(info: RunInfo) -> bytes:
+    """Return a scara_effmass_msgs/RunInfo."""
+    header = with_text(_STAMP.pack(*sec_and_nanosec(info.stamp_ns)), info.frame_id)
+    numbers = _MASS_AND_PLATE.pack(info.obstacle_mass, *info.impact_position, *info.plate_normal)
+    truth = _TRUTH.pack(
+        info.contact_stiffness,
+        info.contact_exponent,
+        *sec_and_nanosec(info.true_onset_ns),
+        info.true_speed,
+        info.true_effective_mass,
+        info.true_peak_force,
+        info.true_duration,
+        info.true_impulse,
+    )
+    note = padded(with_text(bytes((info.simulated,)), info.note))
+    return LITTLE_ENDIAN + padded(with_text(header, info.configuration)) + numbers + note + truth
+
+
+def decode_run_info(data: bytes) -> RunInfo:
+    """Return the RunInfo in `data`, CDR of either byte order, values unchecked; raises DecodeError."""
+    cursor = Cursor(data, "RunInfo")
+    stamp_ns, frame_id = cursor.header()
+    info = RunInfo(
+        stamp_ns=stamp_ns,
+        frame_id=frame_id,
+        configuration=cursor.text("configuration"),
+        obstacle_mass=cursor.float64("obstacle_mass"),
+        impact_position=_vector(cursor, "impact_position"),
+        plate_normal=_vector(cursor, "plate_normal"),
+        simulated=cursor.flag("simulated"),
+        note=cursor.text("note"),
+        contact_stiffness=cursor.float64("contact_stiffness"),
+        contact_exponent=cursor.float64("contact_exponent"),
+        true_onset_ns=cursor.stamp_ns("true_onset"),
+        true_speed=cursor.float64("true_speed"),
+        true_effective_mass=cursor.float64("true_effective_mass"),
+        true_peak_force=cursor.float64("true_peak_force"),
+        true_duration=cursor.float64("true_duration"),
+        true_impulse=cursor.float64("true_impulse"),
+    )
+    cursor.end("true_impulse")
+    return info
+
+
+def run_info_from_json(text: str) -> RunInfo | None:
+    """Return the run information in the JSON `text` of an older recording; None where it is no JSON object.
+
+    A value of the wrong type becomes one that `impacts.run_info.checked` refuses.
+    """
+    try:
+        fields = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(fields, dict):
+        return None
+    truth = fields["truth"] if isinstance(fields.get("truth"), dict) else {}
+    has_plate = "point" in fields and "direction" in fields
+    return RunInfo(
+        stamp_ns=_nanoseconds(fields.get("since_ns")),
+        configuration="" if fields.get("configuration") is None else str(fields["configuration"]),
+        obstacle_mass=_number(fields.get("obstacle_mass")),
+        impact_position=_vector_from(fields["point"]) if has_plate else (0.0, 0.0, 0.0),
+        plate_normal=_vector_from(fields["direction"]) if has_plate else (0.0, 0.0, 0.0),
+        simulated=bool(fields.get("simulated") or fields.get("generated")),
+        note=str(fields.get("description", "")),
+        contact_stiffness=_known(fields.get("stiffness")),
+        contact_exponent=_known(fields.get("exponent")),
+        true_onset_ns=_nanoseconds(truth.get("onset_ns")),
+        true_speed=_known(truth.get("speed")),
+        true_effective_mass=_known(truth.get("effective_mass")),
+        true_peak_force=_known(truth.get("peak_force")),
+        true_duration=_known(truth.get("duration")),
+        true_impulse=_known(truth.get("impulse")),
+    )
+
+
+def _vector(cursor: Cursor, field: str) -> Vector3:
+    return (cursor.float64(f"{field}.x"), cursor.float64(f"{field}.y"), cursor.float64(f"{field}.z"))
+
+
+def _number(value: Any) -> float:  # noqa: ANN401 - whatever JSON holds
+    """Return `value` as float: 0 where it is not stated, NaN where it is no number."""
+    if value is None:
+        return 0.0
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return math.nan
+    return float(value) if abs(value) <= LATEST_NS else math.nan
+
+
+def _known(value: Any) -> float:  # noqa: ANN401 - whatever JSON holds
+    """Return a ground truth `value`, 0 where it is unknown or no positive number."""
+    number = _number(value)
+    return number if 0.0 < number < math.inf else 0.0
+
+
+def _vector_from(values: Any) -> Vector3:  # noqa: ANN401 - whatever JSON holds
+    """Return a list of two or three numbers as a vector, NaN where it is none."""
+    numbers = [_number(value) for value in values] if isinstance(values, list) else []
+    x, y, z = {2: [*numbers, 0.0], 3: numbers}.get(len(numbers), [math.nan] * 3)
+    return (x, y, z)
+
+
+def _nanoseconds(value: Any) -> int:  # noqa: ANN401 - whatever JSON holds
+    """Return `value` as ROS time: 0 where it is not stated, UNUSABLE_NS where it is none."""
+    if value is None:
+        return 0
+    whole = isinstance(value, int) and not isinstance(value, bool) and abs(value) <= LATEST_NS
+    return value if whole else UNUSABLE_NS
