@@ -17,6 +17,7 @@ BoolArray = NDArray[np.bool_]
 Vector3 = tuple[float, float, float]
 
 NAN = float("nan")
+ZERO_VECTOR: Vector3 = (0.0, 0.0, 0.0)
 
 
 class JointState(NamedTuple):

@@ -15,7 +15,7 @@ from scara_effmass.iso15066 import (
     BODY_POINTS,
     BODY_REGIONS,
     EDITION,
-    LIGHTEST_MASS,
+    MIN_EFFECTIVE_MASS,
     TABLE_HASH,
     SpeedLimits,
     limits_for,
@@ -88,8 +88,8 @@ def _mass(text: str) -> float:
         mass = float(text)
     except ValueError:
         mass = math.nan
-    if not LIGHTEST_MASS <= mass < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} kg: give a mass of at least {LIGHTEST_MASS:g} kg")
+    if not MIN_EFFECTIVE_MASS <= mass < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} kg: give a mass of at least {MIN_EFFECTIVE_MASS:g} kg")
     return mass
 
 

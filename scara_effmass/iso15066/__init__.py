@@ -1,6 +1,6 @@
-"""The standard's limits: its table, the limits that hold for given settings, and the speed they allow.
+"""ISO/TS 15066:2016, Annex A: the limits table, the contact formulas, and the speed that the limits allow.
 
-Source: ISO/TS 15066:2016, Annex A; `EDITION` says what is not confirmed about ISO 10218-2:2025.
+`EDITION` states what is unconfirmed about ISO 10218-2:2025, which carries the limits on.
 """
 
 from scara_effmass.iso15066.contact import (
@@ -11,14 +11,14 @@ from scara_effmass.iso15066.contact import (
     transferred_energy,
 )
 from scara_effmass.iso15066.limits import Criterion, Limit, limits_for
-from scara_effmass.iso15066.speed_limit import LIGHTEST_MASS, SpeedLimit, SpeedLimits
+from scara_effmass.iso15066.speed_limit import MIN_EFFECTIVE_MASS, SpeedLimit, SpeedLimits
 from scara_effmass.iso15066.table import BODY_POINTS, BODY_REGIONS, EDITION, TABLE_HASH, BodyPoint, BodyRegion
 
 __all__ = [
     "BODY_POINTS",
     "BODY_REGIONS",
     "EDITION",
-    "LIGHTEST_MASS",
+    "MIN_EFFECTIVE_MASS",
     "TABLE_HASH",
     "BodyPoint",
     "BodyRegion",

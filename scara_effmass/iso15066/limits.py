@@ -1,4 +1,4 @@
-"""The limits that hold for the chosen body regions and kind of contact; settings may tighten them, never loosen."""
+"""Limits of the chosen body regions for a type of contact. Settings may tighten them but never loosen them."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ Criterion = Literal["force", "pressure"]
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What one body region bears in one kind of contact.
+    """Limits of one body region in one type of contact.
 
-    `force_points` and `pressure_points` are the rows of Table A.2 that set the limit, the strictest of the region;
-    empty where an own limit from the settings is stricter still. `obstacle_mass_kg` is infinite for a clamped body
-    part. `energy_j` is the standard's, for information: it decides nothing.
+    `force_points` and `pressure_points` are the strictest rows of Table A.2 for the region, which set the limit;
+    empty if a stricter limit from the settings replaces them. `obstacle_mass_kg` is infinite for a clamped body
+    part. `energy_j` is the standard's value, for information only.
     """
 
     region: str
@@ -43,32 +43,32 @@ class Limit:
 
     @property
     def permissible_force_n(self) -> float:
-        """Smaller of the force limit and of pressure limit times contact area [N]."""
+        """Smaller of the force limit and the pressure limit times the contact area [N]."""
         return min(self.force_n, self.pressure_n_cm2 * self.contact_area_cm2)
 
     @property
     def criterion(self) -> Criterion:
-        """Which of the two limits is the smaller at this contact area; force when they are equal."""
+        """The smaller of the two limits at this contact area; force if they are equal."""
         return "force" if self.force_n <= self.pressure_n_cm2 * self.contact_area_cm2 else "pressure"
 
     @property
     def clause(self) -> str:
-        """Where the limits come from: rows of Table A.2, or the settings."""
+        """Source of the limits: rows of Table A.2 or settings."""
         force = _rows(self.force_points) or "own limit (max_force)"
         pressure = _rows(self.pressure_points) or "own limit (max_pressure)"
         return f"force: {force}; pressure: {pressure}"
 
 
 def limits_for(settings: MonitorSettings) -> tuple[Limit, ...]:
-    """Return the limits of the regions in `settings.body_regions`, from head to foot.
+    """Return the limits of `settings.body_regions`, from head to foot; by default of all regions that have one.
 
-    Without a choice these are all regions that have a limit for `settings.contact`. An own limit counts for those
-    regions where it is the stricter one. Raises LimitError for a region that is unknown, named twice or without a
-    limit for this contact, and for an own value that is looser than the standard's in every chosen region.
+    A limit from `settings` replaces the standard's in the regions where it is stricter. Raises LimitError for a region
+    that is unknown, repeated or without a limit for this contact, and for a setting that is looser than the standard in
+    every chosen region.
     """
     regions = _chosen_regions(settings.body_regions, settings.contact)
     limits = tuple(_standard_limit(region, settings.contact, settings.contact_area) for region in regions)
-    _refuse_loosening(settings, limits)
+    _check_not_looser(settings, limits)
     return tuple(_tightened(limit, settings) for limit in limits)
 
 
@@ -77,14 +77,14 @@ def _chosen_regions(names: tuple[str, ...], contact: ContactType) -> tuple[BodyR
     covered = {point.region for point in BODY_POINTS if clamped or point.transient_factor is not None}
     for name in names:
         if name not in BODY_REGIONS:
-            raise LimitError(f"body_regions = {name!r}: no such region; there are {', '.join(BODY_REGIONS)}")
+            raise LimitError(f"body_regions = {name!r}: must be one of {', '.join(BODY_REGIONS)}")
         if names.count(name) > 1:
-            raise LimitError(f"body_regions = {name!r}: named {names.count(name)} times; name each region once")
+            raise LimitError(f"body_regions = {name!r}: must be named once, not {names.count(name)} times")
         if name not in covered:
             rows = _rows([point for point in BODY_POINTS if point.region == name])
             raise LimitError(
-                f"body_regions = {name!r}: the standard gives no transient limit ({rows}); leave it out and "
-                "rule out its contact by other means, or set contact to quasi_static"
+                f"body_regions = {name!r}: the standard states no transient limit ({rows}): leave it out and prevent "
+                "its contact by other means, or set contact to quasi_static"
             )
     return tuple(region for region in BODY_REGIONS.values() if region.name in (names or covered))
 
@@ -113,58 +113,53 @@ def _standard_limit(region: BodyRegion, contact: ContactType, area_cm2: float) -
 
 
 def _strictest(values: Mapping[BodyPoint, float | None]) -> tuple[float, tuple[BodyPoint, ...]]:
-    """Return the smallest value that is given, and the rows that hold it."""
-    given = {point: value for point, value in values.items() if value is not None}
-    smallest = min(given.values())
-    return smallest, tuple(point for point, value in given.items() if value == smallest)
+    """Return the smallest of `values`, and the rows that state it."""
+    smallest = min(value for value in values.values() if value is not None)
+    return smallest, tuple(point for point, value in values.items() if value == smallest)
 
 
-def _refuse_loosening(settings: MonitorSettings, limits: tuple[Limit, ...]) -> None:
-    """Refuse an own value that would tighten nothing: it asks for more than the standard gives in every region."""
+def _check_not_looser(settings: MonitorSettings, limits: tuple[Limit, ...]) -> None:
+    """Raise LimitError for a setting that is looser than the standard in every region, and so tightens nothing."""
     force = max(limits, key=lambda limit: limit.force_n)
     if settings.max_force > force.force_n:
         raise LimitError(
-            f"max_force = {settings.max_force:g} N: looser than the standard's {force.force_n:g} N for {force.region} "
-            f"({force.contact.value}, {_rows(force.force_points)}); give at most that, or 0 for no own limit"
+            f"max_force = {settings.max_force:g} N: must be at most the standard's {force.force_n:g} N "
+            f"for {force.region} ({force.contact.value}, {_rows(force.force_points)}), or 0 for no own limit"
         )
     pressure = max(limits, key=lambda limit: limit.pressure_n_cm2)
     if settings.max_pressure > pressure.pressure_n_cm2:
         raise LimitError(
-            f"max_pressure = {settings.max_pressure:g} N/cm2: looser than the standard's "
+            f"max_pressure = {settings.max_pressure:g} N/cm2: must be at most the standard's "
             f"{pressure.pressure_n_cm2:g} N/cm2 for {pressure.region} "
-            f"({pressure.contact.value}, {_rows(pressure.pressure_points)}); give at most that, or 0 for no own limit"
+            f"({pressure.contact.value}, {_rows(pressure.pressure_points)}), or 0 for no own limit"
         )
     stiffness = min(limits, key=lambda limit: limit.stiffness_n_m)
     if 0.0 < _N_M_PER_N_MM * settings.stiffness < stiffness.stiffness_n_m:
         raise LimitError(
-            f"stiffness = {settings.stiffness:g} N/mm: softer than the standard's "
-            f"{stiffness.stiffness_n_m / _N_M_PER_N_MM:g} N/mm for {stiffness.region} (Table A.3); "
-            "give at least that, or 0 for the standard's"
+            f"stiffness = {settings.stiffness:g} N/mm: must be at least the standard's "
+            f"{stiffness.stiffness_n_m / _N_M_PER_N_MM:g} N/mm for {stiffness.region} (Table A.3), or 0 for it"
         )
     mass = min(limits, key=lambda limit: limit.obstacle_mass_kg)
     if 0.0 < settings.obstacle_mass < mass.obstacle_mass_kg:
-        bound = (
-            f"a clamped body part counts as infinitely heavy (contact = {mass.contact.value}); give 0"
-            if math.isinf(mass.obstacle_mass_kg)
-            else f"lighter than the standard's {mass.obstacle_mass_kg:g} kg for {mass.region} (Table A.3); "
-            "give at least that, or 0 for the standard's"
-        )
-        raise LimitError(f"obstacle_mass = {settings.obstacle_mass:g} kg: {bound}")
+        rule = f"at least the standard's {mass.obstacle_mass_kg:g} kg for {mass.region} (Table A.3), or 0 for it"
+        if math.isinf(mass.obstacle_mass_kg):
+            rule = f"0: a clamped body part is infinitely heavy (contact = {mass.contact.value})"
+        raise LimitError(f"obstacle_mass = {settings.obstacle_mass:g} kg: must be {rule}")
 
 
 def _tightened(limit: Limit, settings: MonitorSettings) -> Limit:
-    own_force, own_pressure = settings.max_force or math.inf, settings.max_pressure or math.inf
+    max_force, max_pressure = settings.max_force or math.inf, settings.max_pressure or math.inf
     return replace(
         limit,
-        force_n=min(limit.force_n, own_force),
-        force_points=() if own_force < limit.force_n else limit.force_points,
-        pressure_n_cm2=min(limit.pressure_n_cm2, own_pressure),
-        pressure_points=() if own_pressure < limit.pressure_n_cm2 else limit.pressure_points,
+        force_n=min(limit.force_n, max_force),
+        force_points=() if max_force < limit.force_n else limit.force_points,
+        pressure_n_cm2=min(limit.pressure_n_cm2, max_pressure),
+        pressure_points=() if max_pressure < limit.pressure_n_cm2 else limit.pressure_points,
         stiffness_n_m=max(limit.stiffness_n_m, _N_M_PER_N_MM * settings.stiffness),
         obstacle_mass_kg=max(limit.obstacle_mass_kg, settings.obstacle_mass),
     )
 
 
 def _rows(points: Sequence[BodyPoint]) -> str:
-    """Return "Table A.2 row 28, 29", or nothing for no point."""
+    """Return "Table A.2 row 28, 29", or an empty string without points."""
     return ", ".join([point.clause for point in points[:1]] + [str(point.number) for point in points[1:]])

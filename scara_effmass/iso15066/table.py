@@ -1,4 +1,4 @@
-"""The biomechanical limits of ISO/TS 15066:2016, Annex A: body points, body regions, and a hash over both."""
+"""Biomechanical limits of ISO/TS 15066:2016, Annex A: body points (Table A.2) and body regions (Table A.3)."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ EDITION = "ISO/TS 15066:2016, Annex A (carried into ISO 10218-2:2025; changes of
 
 @dataclass(frozen=True, slots=True)
 class BodyPoint:
-    """One row of Table A.2: what a place on the body bears while it is clamped, and in a free impact.
+    """One row of Table A.2: the quasi-static limits of one body point.
 
-    `transient_factor` multiplies the quasi-static limits; None where the standard gives no transient limit.
+    `transient_factor` multiplies them for a free impact; None if the standard gives no transient limit.
     """
 
     number: int
@@ -42,7 +42,7 @@ class BodyPoint:
 
 @dataclass(frozen=True, slots=True)
 class BodyRegion:
-    """A part of the body as a spring and a mass, and the energy it may take up (for information)."""
+    """A body region as a spring and a mass; its energy limit is for information only."""
 
     name: str
     stiffness_n_m: float
@@ -106,7 +106,7 @@ BODY_POINTS: tuple[BodyPoint, ...] = tuple(
     )
     for number, (name, region, pressure, force) in enumerate(_POINT_ROWS, start=1)
 )
-"""The 29 rows of Table A.2, in its order."""
+"""The 29 rows of Table A.2, in their order."""
 
 BODY_REGIONS: Mapping[str, BodyRegion] = MappingProxyType(
     {
@@ -121,4 +121,4 @@ TABLE_HASH: str = hashlib.sha256(
         [[asdict(point) for point in BODY_POINTS], [asdict(region) for region in BODY_REGIONS.values()]], sort_keys=True
     ).encode()
 ).hexdigest()[:16]
-"""First 16 hexadecimal digits of the SHA-256 over every row: two reports with the same hash used the same table."""
+"""First 16 hexadecimal digits of the SHA-256 of all rows; reports with the same hash used the same table."""

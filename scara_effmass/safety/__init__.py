@@ -1,4 +1,4 @@
-"""What is decided: a verdict per contact point and joint state. Pure: time is an argument, in nanoseconds."""
+"""Verdicts: one per contact point and joint state. Pure: time is an argument, in nanoseconds."""
 
 from scara_effmass.safety.monitor import Monitor, no_robot_decision, unknown_contact
 

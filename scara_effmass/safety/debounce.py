@@ -1,54 +1,56 @@
-"""A verdict gets worse at once, and better only after the worse one has been gone for a while."""
+"""Debounce verdicts: a worse one shows at once, a better one after the release time."""
 
 from __future__ import annotations
 
 from scara_effmass.values import Verdict
 
-WORST_FIRST = (Verdict.UNKNOWN, Verdict.VIOLATION, Verdict.WARN)
-"""UNKNOWN is the worst: nothing is allowed under it."""
 _SEVERITY = {Verdict.OK: 0, Verdict.WARN: 1, Verdict.VIOLATION: 2, Verdict.UNKNOWN: 3}
+_WORST_FIRST = (Verdict.UNKNOWN, Verdict.VIOLATION, Verdict.WARN)
 
 
 def severity(verdict: Verdict) -> int:
-    """Return 0 for OK up to 3 for UNKNOWN."""
+    """Return 0 for OK to 3 for UNKNOWN, under which nothing is allowed."""
     return _SEVERITY[verdict]
 
 
 class VerdictDebouncer:
-    """Debounces the verdicts of one contact point, on the header time of its joint states."""
+    """Debounces the verdicts of one contact point over the header time of its joint states.
+
+    A verdict other than OK is held for `release_ns` after the last joint state that caused it.
+    """
 
     def __init__(self) -> None:
-        """Start with nothing held; `release_ns` is how long a verdict is held after its cause was last seen."""
+        """Start without history, and with a release time of 0."""
         self.release_ns = 0
-        self._seen: dict[Verdict, tuple[int, str]] = {}
-        self._lapse = ""
+        self._last_seen: dict[Verdict, tuple[int, str]] = {}
+        self._stale_reason = ""
 
     def clear(self) -> None:
-        """Forget what was shown."""
-        self._seen.clear()
-        self._lapse = ""
+        """Discard the verdicts that are held."""
+        self._last_seen.clear()
+        self._stale_reason = ""
 
     def mark_stale(self, reason: str) -> None:
-        """Note that nothing was known for `reason`, up to the next joint state that can be used."""
-        self._lapse = reason
+        """Hold UNKNOWN with `reason` from the next valid joint state on."""
+        self._stale_reason = reason
 
     def update(self, verdict: Verdict, reason: str, stamp_ns: int) -> tuple[Verdict, str]:
-        """Return what to show at `stamp_ns` when `verdict` is what holds by itself."""
-        seen = self._seen
-        if self._lapse:
-            seen[Verdict.UNKNOWN] = (stamp_ns, self._lapse)
-            self._lapse = ""
+        """Return the debounced verdict and its reason, given those of the joint state at `stamp_ns`."""
+        last_seen = self._last_seen
+        if self._stale_reason:
+            last_seen[Verdict.UNKNOWN] = (stamp_ns, self._stale_reason)
+            self._stale_reason = ""
         if verdict is not Verdict.OK:
-            seen[verdict] = (stamp_ns, reason)
-        elif not seen:
+            last_seen[verdict] = (stamp_ns, reason)
+        elif not last_seen:
             return verdict, reason
-        for worse in WORST_FIRST:
+        for worse in _WORST_FIRST:
             if worse is verdict:
                 break
-            last = seen.get(worse)
-            if last is None:
+            entry = last_seen.get(worse)
+            if entry is None:
                 continue
-            if stamp_ns - last[0] < self.release_ns:
-                return worse, f"held after: {last[1]}"
-            del seen[worse]
+            if stamp_ns - entry[0] < self.release_ns:
+                return worse, f"held after: {entry[1]}"
+            del last_seen[worse]
         return verdict, reason

@@ -80,7 +80,7 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "unknown option": (["limits", "--colour"], "--colour"),
     "missing argument": (["assess", TOUR], "-o/--output"),
     "unknown model": (["doctor", "--model", "heavy"], "'heavy'"),
-    "unknown region": (["limits", "--region", "tail"], "body_regions = 'tail': no such region; there are skull"),
+    "unknown region": (["limits", "--region", "tail"], "body_regions = 'tail': must be one of skull"),
     "region without a limit": (["limits", "--region", "face"], "no transient limit"),
     "mass that is none": (["limits", "--mass", "nan"], "'nan' kg: give a mass of at least"),
     "ROS arguments where no node runs": (["limits", "--ros-args", "-p", "a:=1"], "--ros-args"),
@@ -99,7 +99,7 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     ),
     "topic of a demo without a bag": (["demo", "--topic", "/arm"], "demo: --topic = /arm: the simulated cell has"),
     "robot of a demo without a bag": (["demo", "--robot", ROBOT], "demo: --robot: the simulated cell is an"),
-    "region of an assessment": (["assess", TOUR, "-o", "a.csv", "--region", "tail"], "no such region"),
+    "region of an assessment": (["assess", TOUR, "-o", "a.csv", "--region", "tail"], "must be one of skull"),
     "wrong suffix": (["assess", TOUR, "-o", "a.xls"], "one of .parquet, .csv, .mcap would be right"),
     "unwritable folder": (["assess", TOUR, "-o", "/proc/none/a.csv"], "/proc/none/a.csv: cannot be written"),
     "unwritable folder for a bag": (

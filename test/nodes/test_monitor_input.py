@@ -76,7 +76,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "NaN position": ({"position": (*Q[:2], NAN, Q[3])}, "the position of joint3 is nan"),
     "infinite position": ({"position": (INF, *Q[1:])}, "the position of joint1 is inf"),
     "beyond a limit": ({"position": (2.5, *Q[1:])}, "joint1 at 2.5000 rad lies outside its limits"),
-    "impossible speed": ({"velocity": (0.1, 20.0, 0.1, 0.1)}, "joint2 at 20.0000 rad/s is faster than it can be"),
+    "impossible speed": ({"velocity": (0.1, 20.0, 0.1, 0.1)}, "joint2 at 20.0000 rad/s exceeds its maximum speed"),
     "stamp zero": ({"stamp_ns": 0}, "the header stamp is zero"),
     "negative stamp": ({"stamp_ns": -3 * S}, "the header stamp is zero"),
     "last second of time": ({"stamp_ns": (2**31 - 1) * S}, "the header stamp is "),

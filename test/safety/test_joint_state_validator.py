@@ -82,7 +82,10 @@ BAD = {
     "infinite position": (state(position=(0.0, 0.0, 0.1, INF)), "the position of joint4 is inf"),
     "beyond a limit": (state(position=(0.0, 2.7, 0.1, 0.0)), "joint2 at 2.7000 rad lies outside its limits"),
     "below a limit": (state(position=(0.0, 0.0, -0.1, 0.0)), "joint3 at -0.1000 m lies outside its limits"),
-    "too fast for a joint": (state(velocity=(0.1, 0.1, -4.0, 0.1)), "joint3 at -4.0000 m/s is faster than it can be"),
+    "too fast for a joint": (
+        state(velocity=(0.1, 0.1, -4.0, 0.1)),
+        "joint3 at -4.0000 m/s exceeds its maximum speed",
+    ),
 }
 
 
