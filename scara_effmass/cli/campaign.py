@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.progress import Progress
-
-from scara_effmass.cli.options import add_force, add_json, printer
+from scara_effmass.cli.console import print_json, print_lines, progress_bar
+from scara_effmass.cli.options import add_force, add_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -76,16 +72,15 @@ def run(args: argparse.Namespace) -> int:
     for each in campaign.runs:
         build_sim(each.setup)  # refuses a contact that cannot be simulated before anything is written
     steps: list[CampaignStep] = []
-    progress = Progress(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
-    with progress:
+    with progress_bar() as progress:
         task = progress.add_task("simulated impacts", total=len(campaign.runs))
         for step in run_campaign(args.output, campaign, overwrite=args.force):
             steps.append(step)
             progress.update(task, completed=step.number, description=f"simulated {step.path.name}")
     if args.json:
-        printer().print_json(json.dumps(_as_dict(args.output, campaign, steps), allow_nan=False))
+        print_json(_as_dict(args.output, campaign, steps))
     else:
-        _print(args.output, campaign, steps)
+        print_lines(_lines(args.output, campaign, steps))
     return 0
 
 
@@ -141,8 +136,8 @@ def _as_dict(output: Path, campaign: Campaign, steps: Sequence[CampaignStep]) ->
     }
 
 
-def _print(output: Path, campaign: Campaign, steps: Sequence[CampaignStep]) -> None:
-    contact, console = campaign.contact, printer()
+def _lines(output: Path, campaign: Campaign, steps: Sequence[CampaignStep]) -> list[tuple[str, str]]:
+    contact = campaign.contact
     kept = sum(step.kept for step in steps)
     cases = f"{len(campaign.configurations)} configurations, {len(campaign.obstacle_masses)} obstacle masses"
     often = "once" if campaign.repetitions == 1 else f"{campaign.repetitions} times"
@@ -156,8 +151,7 @@ def _print(output: Path, campaign: Campaign, steps: Sequence[CampaignStep]) -> N
     ]
     if kept:
         lines.append(("kept", f"{kept}, which were there already; --force makes them anew"))
-    for subject, text in [*lines, ("written", str(output))]:
-        console.print(f"{subject:<16}{text}")
+    return [*lines, ("written", str(output))]
 
 
 def _number(text: str) -> float:

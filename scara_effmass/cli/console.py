@@ -12,6 +12,8 @@ from rich.progress import Progress
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from rich.progress import ProgressColumn
+
 PIPE_WIDTH = 160
 """Columns where no terminal sets them: wide enough for every table."""
 
@@ -29,10 +31,10 @@ def print_lines(lines: Iterable[tuple[str, object]]) -> None:
 
 
 def print_json(result: object) -> None:
-    """Print `result` as JSON. Raises ValueError for NaN and infinity, which JSON does not have."""
-    printer().print_json(json.dumps(result, allow_nan=False))
+    """Print `result` as JSON, paths as text. Raises ValueError for NaN and infinity, which JSON does not have."""
+    printer().print_json(json.dumps(result, allow_nan=False, default=str))
 
 
-def progress_bar(*columns: str) -> Progress:
+def progress_bar(*columns: ProgressColumn) -> Progress:
     """Return a progress bar on stderr, to be used in a `with`; it is invisible unless stderr is a terminal."""
     return Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import platform
@@ -15,7 +14,8 @@ from rich import box
 from rich.table import Table
 
 from scara_effmass import __version__
-from scara_effmass.cli.options import add_json, add_params, add_robot, arm_from, printer, settings_from
+from scara_effmass.cli.console import print_json, printer
+from scara_effmass.cli.options import add_json, add_params, add_robot, arm_from, settings_from
 from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
 from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, load_settings
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     console = printer()
     if args.json:
         result = {"healthy": healthy, "findings": [finding._asdict() for finding in findings], "joints": joints}
-        console.print_json(json.dumps(result, allow_nan=False))
+        print_json(result)
     else:
         _show(findings, joints)
         console.print(

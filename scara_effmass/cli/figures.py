@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import Progress
-
-from scara_effmass.cli.options import add_force, add_json, arm_from, printer
+from scara_effmass.cli.console import print_json, print_lines, progress_bar
+from scara_effmass.cli.options import add_force, add_json, arm_from
 from scara_effmass.settings import DetectionSettings, MonitorSettings
 from scara_effmass.share import share
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterator
 
     from scara_effmass.paper.figure_set import FigureSet
     from scara_effmass.paper.figure_specs import Material
@@ -51,15 +48,14 @@ def run(args: argparse.Namespace) -> int:
     """Draw, compare, write, and print what matches."""
     from scara_effmass.paper.figure_set import STEPS, make_figure_set  # noqa: PLC0415 - not needed for --help
 
-    progress = Progress(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
-    with progress:
+    with progress_bar() as progress:
         task = progress.add_task("figures", total=STEPS)
         material = _material(args.campaign or share("bags", "campaign"))
         album = make_figure_set(material, args.output, overwrite=args.force, advance=lambda: progress.advance(task))
     if args.json:
-        printer().print_json(json.dumps({"output": str(args.output), **album.as_dict()}, allow_nan=False))
+        print_json({"output": str(args.output), **album.as_dict()})
     else:
-        _print(album, args.output)
+        print_lines(_lines(album, args.output))
     return 0
 
 
@@ -84,21 +80,18 @@ def _material(campaign: Path) -> Material:
     return Material(arm, scara, motion, tuple(run.impact for run in runs))
 
 
-def _print(album: FigureSet, output: Path) -> None:
+def _lines(album: FigureSet, output: Path) -> Iterator[tuple[str, str]]:
     from scara_effmass.paper.claim import Outcome  # noqa: PLC0415
 
-    console = printer()
-    console.print(f"{'figures':<16}{len(album.figures)}")
+    yield "figures", str(len(album.figures))
     for line in album.left_out:
-        console.print(f"{'left out':<16}{line}")
+        yield "left out", line
     counted = ", ".join(f"{count} {outcome}" for outcome, count in album.counts.items())
-    console.print(f"{'claims':<16}{counted}")
+    yield "claims", counted
     for claim in album.claims:
         if claim.outcome is Outcome.NO_MATCH:
-            console.print(f"{'no match':<16}{claim.where}: {claim.paper}; here {claim.ours} ({claim.rule})")
+            yield "no match", f"{claim.where}: {claim.paper}; here {claim.ours} ({claim.rule})"
     check = album.agreement
-    console.print(
-        f"{'check':<16}Eqs. 27 and 28 against the mass matrices at {check.poses} positions: "
-        f"largest relative differences {check.full:.1e} and {check.lumped:.1e}"
-    )
-    console.print(f"{'written':<16}{output / 'index.html'}")
+    differences = f"{check.full:.1e} and {check.lumped:.1e}"
+    yield "check", f"Eqs. 27 and 28 against {check.poses} mass matrices: max. relative differences {differences}"
+    yield "written", str(output / "index.html")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.table import Table
 
-from scara_effmass.cli.options import add_json, add_limits, add_params, printer, settings_from
+from scara_effmass.cli.console import print_json, printer
+from scara_effmass.cli.options import add_json, add_limits, add_params, settings_from
 from scara_effmass.iso15066 import (
     BODY_POINTS,
     BODY_REGIONS,
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
             "contact_area_cm2": settings.contact_area,
             "allowable_speeds": [_speed(mass, limit) for mass in args.masses for limit in limits],
         }
-        printer().print_json(json.dumps(result, allow_nan=False))
+        print_json(result)
         return 0
     console = printer()
     console.print(_points_table(points))

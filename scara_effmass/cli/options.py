@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-
+from scara_effmass.cli.console import printer as printer  # noqa: PLC0414 - moved
 from scara_effmass.settings import ContactType, MassModel, MonitorSettings, checked, load_settings
 
 if TYPE_CHECKING:
@@ -16,9 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
     from scara_effmass.model.dynamics import RobotDynamics
-
-PIPE_WIDTH = 160
-"""Columns where no terminal sets them: enough for every table, so that none is cut in a file."""
 
 
 def add_params(parser: argparse.ArgumentParser, node: str = "monitor_node") -> None:
@@ -99,8 +94,3 @@ def arm_from(settings: MonitorSettings) -> RobotDynamics:
     from scara_effmass.model.load import load_robot  # noqa: PLC0415
 
     return RobotDynamics(load_robot(settings.robot_path, settings))
-
-
-def printer() -> Console:
-    """Return the console for results."""
-    return Console(highlight=False, markup=False, soft_wrap=True, width=None if sys.stdout.isatty() else PIPE_WIDTH)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -11,11 +10,13 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.status import Status
 
-from scara_effmass.cli.options import add_force, add_json, printer
+from scara_effmass.cli.console import print_json, print_lines
+from scara_effmass.cli.options import add_force, add_json
 from scara_effmass.errors import SettingsError
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterator
 
     from scara_effmass.bags.recording_report import RecordingReport
     from scara_effmass.bags.repair import RepairReport
@@ -95,9 +96,9 @@ def _record(args: argparse.Namespace) -> int:
     else:
         report = record(options, say=console.print)
     if args.json:
-        printer().print_json(json.dumps(_plain(report), allow_nan=False))
+        print_json(_plain(report))
     else:
-        _print(report, named=bool(args.topics))
+        print_lines(_lines(report, named=bool(args.topics)))
     return 1 if report.recording.lost or report.recording.stopped_by_disk else 0
 
 
@@ -115,21 +116,21 @@ def _plain(report: RecordReport) -> dict[str, object]:
     }
 
 
-def _print(report: RecordReport, *, named: bool) -> None:
-    console, recording = printer(), report.recording
+def _lines(report: RecordReport, *, named: bool) -> Iterator[tuple[str, str]]:
+    recording = report.recording
     for name, topic in recording.topics.items():
         causes = ", ".join(f"{count} by the {cause}" for cause, count in asdict(topic.lost).items() if count)
         lost = f", lost {causes}" if causes else ""
-        console.print(f"{'recorded':<16}{name}: {topic.recorded} messages{lost}")
+        yield "recorded", f"{name}: {topic.recorded} messages{lost}"
     for name, reason in report.refused.items():
-        console.print(f"{'not recorded':<16}{name}: {reason}")
+        yield "not recorded", f"{name}: {reason}"
     for name in report.unheard if named else ():
-        console.print(f"{'not recorded':<16}{name}: nobody published it")
+        yield "not recorded", f"{name}: nobody published it"
     for name in recording.unindexed:
-        console.print(f"{'without index':<16}{name}: make room on the disk, then --repair")
+        yield "without index", f"{name}: make room on the disk, then --repair"
     total = f"{recording.recorded} messages, {recording.lost} lost, {recording.size_bytes / MB:.1f} MB"
     files = f"{len(recording.files)} file{'s' if len(recording.files) != 1 else ''}"
-    console.print(f"{'in all':<16}{total} in {files}, {report.seconds:.1f} s: {recording.folder}")
+    yield "in all", f"{total} in {files}, {report.seconds:.1f} s: {recording.folder}"
 
 
 def _repair(args: argparse.Namespace) -> int:
@@ -139,21 +140,20 @@ def _repair(args: argparse.Namespace) -> int:
         raise SettingsError(f"record: {args.topics[0]}: --repair takes no topics, it keeps all of them")
     report = repair(args.repair)
     if args.json:
-        printer().print_json(json.dumps({**asdict(report), "intact": report.intact}, default=str))
+        print_json({**asdict(report), "intact": report.intact})
     else:
-        _print_repair(report)
+        print_lines(_repair_lines(report))
     return 1 if report.failed else 0
 
 
-def _print_repair(report: RepairReport) -> None:
-    console = printer()
+def _repair_lines(report: RepairReport) -> Iterator[tuple[str, str]]:
     for file in report.files:
-        console.print(f"{'intact' if file.intact else 'repaired':<16}{file.path}: {file.messages} messages")
+        yield "intact" if file.intact else "repaired", f"{file.path}: {file.messages} messages"
         for line in file.lost:
-            console.print(f"{'lost':<16}{line}")
+            yield "lost", line
         if file.kept_original:
-            console.print(f"{'kept':<16}{file.kept_original}: the file as it was")
+            yield "kept", f"{file.kept_original}: the file as it was"
     for line in report.failed:
-        console.print(f"{'not repaired':<16}{line}")
+        yield "not repaired", line
     if report.metadata_rewritten:
-        console.print(f"{'repaired':<16}{report.files[0].path.with_name('metadata.yaml')}")
+        yield "repaired", str(report.files[0].path.with_name("metadata.yaml"))

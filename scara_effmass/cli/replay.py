@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import math
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, TextColumn
 
-from scara_effmass.cli.options import add_json, printer
+from scara_effmass.cli.console import print_json, print_lines, progress_bar
+from scara_effmass.cli.options import add_json
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterator
 
     from scara_effmass.nodes.replay import ReplayProgress, ReplayReport
 
@@ -83,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         subscriber_timeout_s=args.wait,
     )
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:.1f} s"))
-    with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as progress:
+    with progress_bar(*columns) as progress:
         task = progress.add_task("replay", total=None)
 
         def show(now: ReplayProgress) -> None:
@@ -92,30 +91,25 @@ def run(args: argparse.Namespace) -> int:
 
         report = replay(options, show)
     if args.json:
-        printer().print_json(json.dumps({**asdict(report), "achieved_rate": report.achieved_rate}, allow_nan=False))
+        print_json({**asdict(report), "achieved_rate": report.achieved_rate})
     else:
-        _print(report)
+        print_lines(_lines(report))
     return 130 if report.interrupted else 0
 
 
-def _print(report: ReplayReport) -> None:
-    console = printer()
+def _lines(report: ReplayReport) -> Iterator[tuple[str, str]]:
     for topic, count in report.sent.items():
         heard = ", nobody listened" if topic in report.unheard else ""
-        console.print(f"{'sent':<16}{topic}: {count} messages{heard}")
+        yield "sent", f"{topic}: {count} messages{heard}"
     for topic, reason in report.skipped.items():
-        console.print(f"{'not replayed':<16}{topic}: {reason}")
-    console.print(
-        f"{'played':<16}{report.replayed_s:.2f} s in {report.wall_s:.2f} s, {report.achieved_rate:.2f} times real time"
-    )
+        yield "not replayed", f"{topic}: {reason}"
+    yield "played", f"{report.replayed_s:.2f} s in {report.wall_s:.2f} s, {report.achieved_rate:.2f} times real time"
     if report.answered or report.unanswered or report.not_awaited:
         not_awaited = f", {report.not_awaited} not awaited" if report.not_awaited else ""
-        console.print(f"{'answered':<16}{report.answered} joint states, {report.unanswered} unanswered{not_awaited}")
+        yield "answered", f"{report.answered} joint states, {report.unanswered} unanswered{not_awaited}"
     if report.late:
-        console.print(
-            f"{'late':<16}{report.late} messages by more than 10 ms, at worst {1e3 * report.worst_lateness_s:.0f} ms"
-        )
+        yield "late", f"{report.late} messages by more than 10 ms, at worst {1e3 * report.worst_lateness_s:.0f} ms"
     for topic in report.unacknowledged:
-        console.print(f"{'not received':<16}{topic}: a subscriber has not confirmed everything")
+        yield "not received", f"{topic}: a subscriber has not confirmed everything"
     for warning in report.warnings:
-        console.print(f"{'warning':<16}{warning}")
+        yield "warning", warning

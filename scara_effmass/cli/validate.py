@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel
-from rich.console import Console
-from rich.progress import Progress
 
-from scara_effmass.cli.options import add_force, add_json, add_params, add_robot, add_topic, arm_from, printer
+from scara_effmass.cli.console import print_json, print_lines, progress_bar
+from scara_effmass.cli.options import add_force, add_json, add_params, add_robot, add_topic, arm_from
 from scara_effmass.cli.report import validation_lines
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings, checked, load_settings
@@ -81,18 +78,14 @@ def run(args: argparse.Namespace) -> int:
     require_room(args.output, overwrite=args.force)
     paths = [path for given in args.bags for path in find_bags(given)]
     _require_different(paths)
-    with Progress(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as progress:
+    with progress_bar() as progress:
         task = progress.add_task("recordings", total=len(paths))
         validation = validate(paths, arm, settings, lambda share: progress.advance(task, share))
     write_report(validation, settings, arm.robot, args.output, overwrite=args.force)
-    console = printer()
     if args.json:
-        whole = {**record(validation, settings, arm.robot), "output": str(args.output)}
-        console.print_json(json.dumps(whole, allow_nan=False))
+        print_json({**record(validation, settings, arm.robot), "output": str(args.output)})
     else:
-        for subject, text in validation_lines(validation):
-            console.print(f"{subject:<16}{text}")
-        console.print(f"{'written':<16}{args.output / PAGE}")
+        print_lines([*validation_lines(validation), ("written", args.output / PAGE)])
     return 0 if validation.result.accepted else NOT_ACCEPTED
 
 
