@@ -77,9 +77,9 @@ def run(args: argparse.Namespace) -> int:
         duration_s=args.duration,
         passes=0 if args.loop else 1,
         topics=tuple(args.topics),
-        joint_states=args.topic or "",
+        joint_state_topic=args.topic or "",
         subscribers=args.subscribers,
-        subscriber_timeout_s=args.wait,
+        ready_timeout_s=args.wait,
     )
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:.1f} s"))
     with progress_bar(*columns) as progress:

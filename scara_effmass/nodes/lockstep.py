@@ -1,12 +1,13 @@
-"""Flow control of a replay without pace: the next joint state is sent when the monitor has answered the last one.
+"""Flow control at rate 0: the next joint state is sent when the monitor has answered the previous one.
 
-So the monitor's queue never holds more than one, nothing can be dropped, and its clock is exactly that of the
-recording, however slow it is. A joint state that is none of its robot's gets no answer: that is waited for in vain
-a few times, then no more for joint states with the same names.
+The monitor's queue then never holds more than one joint state, nothing is dropped, and its clock equals that of the
+recording, however slow it is. A joint state of another device gets no answer: after a few timeouts, joint states with
+the same names are sent without waiting.
 """
 
 from __future__ import annotations
 
+import struct
 import time
 from collections import Counter
 from typing import TYPE_CHECKING
@@ -16,7 +17,6 @@ from scara_effmass_msgs.msg import ContactState
 
 from scara_effmass.errors import DecodeError, EffmassError
 from scara_effmass.nodes.qos import qos_profile
-from scara_effmass.nodes.replay_stamps import header_stamp_ns
 from scara_effmass.wire.joint_state import JointStateDecoder
 from scara_effmass.wire.topics import CONTACT_STATE, STREAM_QOS
 
@@ -26,33 +26,43 @@ if TYPE_CHECKING:
     from rclpy.event_handler import QoSSubscriptionMatchedInfo
     from rclpy.node import Node
 
-Names = tuple[str, ...]
+    JointNames = tuple[str, ...]
 
-IN_VAIN = 3
-"""After as many joint states without an answer, those with the same names are no longer expected to get one."""
-GIVE_UP = 10
-"""So many unanswered in a row, of names that were answered before, mean that the monitor is gone."""
-SHORT_WAIT_NS = 10_000_000
-"""While nothing has been answered at all, unexpected answers are still waited for this long, lest it be flooded."""
-_SLICE_NS = 100_000_000
+MAX_UNANSWERED = 3
+"""Unanswered joint states after which those with the same names are sent without waiting."""
+MAX_UNANSWERED_IN_A_ROW = 10
+"""Unanswered joint states in a row, of names that were answered before, after which the monitor counts as hung."""
+UNKNOWN_NAMES_WAIT_NS = 10_000_000
+"""Wait for each joint state without an expected answer while nothing has been answered, to avoid a flood."""
+WAIT_SLICE_NS = 100_000_000
+_STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
+
+
+def header_stamp_ns(data: bytes) -> int:
+    """Return the stamp of a CDR message that begins with a std_msgs/Header, 0 if it is truncated."""
+    try:
+        sec, nanosec = _STAMP[data[1] & 1].unpack_from(data, 4)
+    except (IndexError, struct.error):
+        return 0
+    return int(sec) * 1_000_000_000 + int(nanosec)
 
 
 class Lockstep:
-    """Counts the `contact_state`s that come back, by the stamp of the joint state they answer."""
+    """Counts the `contact_state` messages that answer the joint states sent, matched by header stamp."""
 
     def __init__(self, node: Node, timeout_s: float) -> None:
-        """Listen on `contact_state`; `timeout_s` is how long an expected answer may take."""
+        """Subscribe to `contact_state`; `timeout_s` is the maximum wait for an expected answer [s]."""
         self.answered = 0
         self.unanswered = 0
         self.not_awaited = 0
         self.publishers = 0
         self._timeout_ns = round(timeout_s * 1e9)
         self._decoder = JointStateDecoder()
-        self._heard: set[Names] = set()
-        self._misses: Counter[Names] = Counter()
-        self._in_a_row = 0
-        self._awaited_ns: int | None = None
-        self._answer_is_here = False
+        self._answered_names: set[JointNames] = set()
+        self._unanswered_by_names: Counter[JointNames] = Counter()
+        self._unanswered_in_a_row = 0
+        self._awaited_stamp_ns: int | None = None
+        self._is_answered = False
         self.topic = node.create_subscription(
             ContactState,
             CONTACT_STATE,
@@ -62,46 +72,46 @@ class Lockstep:
             event_callbacks=SubscriptionEventCallbacks(matched=self._on_matched),
         ).topic_name
 
-    def expect(self, joint_state: bytes) -> Names:
-        """Prepare for the answer to a joint state that is about to be sent; return its names."""
-        self._answer_is_here = False
+    def expect(self, joint_state: bytes) -> JointNames:
+        """Prepare for the answer to a joint state that is about to be sent; return its joint names."""
+        self._is_answered = False
         try:
             state = self._decoder.decode(joint_state)
         except DecodeError:
-            # Answered too, by an UNKNOWN, but there is no telling its stamp.
-            self._awaited_ns = None
+            # The monitor answers it with UNKNOWN, whose stamp is not known here.
+            self._awaited_stamp_ns = None
             return ()
         # A stamp before 1970 is answered as 0.
-        self._awaited_ns = max(state.stamp_ns, 0)
+        self._awaited_stamp_ns = max(state.stamp_ns, 0)
         return state.names
 
-    def wait(self, names: Names, spin_until: Callable[[int, Callable[[], bool]], None]) -> None:
-        """Wait for the answer to the joint state just sent. Raises EffmassError when the monitor is gone."""
-        expected = names in self._heard or self._misses[names] < IN_VAIN
-        if not expected and self._heard:
+    def wait(self, names: JointNames, spin_until: Callable[[int, Callable[[], bool]], None]) -> None:
+        """Wait for the answer to the joint state just sent. Raises EffmassError if the monitor left or hangs."""
+        expected = names in self._answered_names or self._unanswered_by_names[names] < MAX_UNANSWERED
+        if not expected and self._answered_names:
             self.not_awaited += 1
             return
-        patience_ns = self._timeout_ns if expected else SHORT_WAIT_NS
-        # In slices: of a time in which the whole machine stood still, one counts.
-        slice_ns = min(patience_ns, _SLICE_NS)
-        for _ in range(round(patience_ns / slice_ns)):
-            spin_until(time.monotonic_ns() + slice_ns, lambda: self._answer_is_here or not self.publishers)
-        if self._answer_is_here:
+        timeout_ns = self._timeout_ns if expected else UNKNOWN_NAMES_WAIT_NS
+        # In slices: if the whole machine stalls, only one slice passes.
+        slice_ns = min(timeout_ns, WAIT_SLICE_NS)
+        for _ in range(round(timeout_ns / slice_ns)):
+            spin_until(time.monotonic_ns() + slice_ns, lambda: self._is_answered or not self.publishers)
+        if self._is_answered:
             self.answered += 1
-            self._heard.add(names)
-            self._in_a_row = 0
+            self._answered_names.add(names)
+            self._unanswered_in_a_row = 0
             return
         if not self.publishers:
             raise EffmassError(f"{self.topic}: its publisher left after {self.answered} answers; rate 0 needs it")
         self.unanswered += 1
-        self._misses[names] += 1
-        self._in_a_row += names in self._heard
-        if self._in_a_row >= GIVE_UP:
-            raise EffmassError(f"{self.topic}: no answer to {GIVE_UP} joint states in a row; the monitor hangs")
+        self._unanswered_by_names[names] += 1
+        self._unanswered_in_a_row += names in self._answered_names
+        if self._unanswered_in_a_row >= MAX_UNANSWERED_IN_A_ROW:
+            raise EffmassError(f"{self.topic}: {MAX_UNANSWERED_IN_A_ROW} joint states in a row without an answer")
 
     def _on_contact_state(self, data: bytes) -> None:
-        if self._awaited_ns is None or header_stamp_ns(data) == self._awaited_ns:
-            self._answer_is_here = True
+        if self._awaited_stamp_ns is None or header_stamp_ns(data) == self._awaited_stamp_ns:
+            self._is_answered = True
 
     def _on_matched(self, info: QoSSubscriptionMatchedInfo) -> None:
         self.publishers = info.current_count

@@ -1,8 +1,8 @@
-"""A recording into the live nodes: its messages on their topics, and its time as `/clock`.
+"""Replay a bag to the live nodes, with `/clock`.
 
-The clock stands at the start until there are listeners. Then it is set before each message and at least every 10 ms
-of the recording's time. The two travel on different topics, so a message may overtake its clock; then it seems at most
-those 10 ms newer than the clock, which the monitor's `future_tolerance` covers.
+The clock shows the start until every node that consumes the replay is ready. Then it is set before each message and
+at least every 10 ms of recorded time. Clock and messages travel on different topics, so a message may overtake its
+clock and then seems up to 10 ms newer than the clock; the monitor's `future_tolerance` covers this.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 import time
 from dataclasses import dataclass
 from itertools import chain, islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
@@ -19,125 +19,178 @@ from rosgraph_msgs.msg import Clock
 from scara_effmass.bags.batches import LATEST_NS
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import EffmassError, SettingsError
-from scara_effmass.nodes.lockstep import Lockstep
+from scara_effmass.nodes.lockstep import Lockstep, header_stamp_ns
 from scara_effmass.nodes.readiness import ReadinessReports
-from scara_effmass.nodes.replay_node import Interruption, ReplayNode, settling_time_ns
-from scara_effmass.nodes.replay_publisher import JOINT_STATES, clock_publisher, replay_publishers
-from scara_effmass.nodes.replay_stamps import StampCheck
-from scara_effmass.nodes.replay_timeline import timeline
+from scara_effmass.nodes.replay_node import (
+    JOINT_STATES,
+    Interruption,
+    ReplayNode,
+    ReplayPublisher,
+    replay_publishers,
+    settling_time_ns,
+)
+from scara_effmass.wire.topics import CLOCK
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from scara_effmass.bags.bag import Bag, RawMessage
 
+CLOCK_STEP_NS = 10_000_000
+"""Maximum recorded time between two clock messages."""
 LATE_NS = 10_000_000
-_PROGRESS_NS = 100_000_000
+STALE_NS = 200_000_000
+FUTURE_NS = 20_000_000
+"""A monitor with default settings refuses joint states with header stamps beyond these."""
 _HANDSHAKE_STEP_NS = 50_000_000
+_PROGRESS_NS = 100_000_000
 _NS = 1_000_000_000
 _DAY_S = 86400.0
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayOptions:
-    """What is replayed, and how. Raises SettingsError for a value that cannot be used."""
+    """Options of a replay. Raises SettingsError for an invalid value."""
 
     bag: Path
     rate: float = 1.0
-    """Times the original speed, whether or not the nodes keep up; 0: as fast as the monitor answers."""
+    """Speed relative to the recording, independent of the nodes; 0: as fast as the monitor answers."""
     start_s: float = 0.0
-    """Where in the recording to begin."""
+    """Start in the recording [s]."""
     duration_s: float = math.inf
-    """How much of it to replay."""
+    """Recorded time to replay [s]."""
     passes: int = 1
-    """How often; 0: until it is stopped. The clock jumps back in between."""
+    """Number of passes; 0: until interrupted. The clock jumps back between two passes."""
     topics: tuple[str, ...] = ()
-    """Topics to replay; empty: all but the clock and what the live nodes publish themselves."""
-    joint_states: str = ""
-    """The topic that is published as /joint_states; empty: each keeps its name."""
+    """Topics to replay; empty: all but the clock and the outputs of the live nodes."""
+    joint_state_topic: str = ""
+    """Topic that is published as /joint_states; empty: every topic keeps its name."""
     subscribers: int = 1
     """Minimum number of subscribers of the joint states, or of any topic without joint states, before the start."""
-    subscriber_timeout_s: float = 30.0
-    """Maximum wait for the nodes to get ready. DDS forgets a node that was killed after 20 s."""
+    ready_timeout_s: float = 30.0
+    """Maximum wait for the nodes [s]. DDS forgets a killed node after 20 s."""
     answer_timeout_s: float = 1.0
-    """How long an answer may take at rate 0."""
+    """Maximum wait for an answer at rate 0 [s]."""
 
     def __post_init__(self) -> None:
-        for key, value, good, right in (
+        for key, value, valid, rule in (
             ("rate", self.rate, 0.0 <= self.rate < math.inf, "0 or more"),
             ("start_s", self.start_s, 0.0 <= self.start_s < math.inf, "0 or more"),
             ("duration_s", self.duration_s, self.duration_s > 0.0, "more than 0"),
             ("passes", self.passes, self.passes >= 0, "0 (until stopped) or more"),
             ("subscribers", self.subscribers, self.subscribers >= 1, "1 or more"),
-            (
-                "subscriber_timeout_s",
-                self.subscriber_timeout_s,
-                0.0 <= self.subscriber_timeout_s <= _DAY_S,
-                "0 to 86400",
-            ),
-            ("answer_timeout_s", self.answer_timeout_s, 0.0 < self.answer_timeout_s <= _DAY_S, "up to 86400"),
+            ("ready_timeout_s", self.ready_timeout_s, 0.0 <= self.ready_timeout_s <= _DAY_S, "0 to 86400"),
+            ("answer_timeout_s", self.answer_timeout_s, 0.0 < self.answer_timeout_s <= _DAY_S, "more than 0, to 86400"),
         ):
-            if not good:
-                raise SettingsError(f"replay: {key.removesuffix('_s')} = {value}: {right} would be right")
+            if not valid:
+                raise SettingsError(f"replay: {key.removesuffix('_s')} = {value}: must be {rule}")
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayProgress:
-    """How far a replay has come."""
+    """Progress of a replay."""
 
     pass_number: int
     time_s: float
-    """Of the recording, since the start of the pass."""
+    """Recorded time since the start of the pass."""
     span_s: float
-    """How long one pass takes in time of the recording."""
+    """Recorded time of one pass."""
     sent: int
     unanswered: int
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayReport:
-    """What a replay did."""
+    """Result of a replay."""
 
     sent: Mapping[str, int]
-    """Messages per topic, as named where they were published; the clock is not among them."""
+    """Messages per published topic, without the clock."""
     skipped: Mapping[str, str]
-    """Topics of the recording that were not replayed, and why."""
+    """Topics of the recording that were not replayed, and the reason."""
     unheard: tuple[str, ...]
-    """Topics that nobody subscribed to."""
+    """Topics without any subscriber."""
     unacknowledged: tuple[str, ...]
     """Topics of which a reliable subscriber had not received everything at the end."""
     answered: int
-    """Joint states that the monitor answered; counted at rate 0 only, as are the next two."""
+    """Joint states that the monitor answered; this and the next two are counted at rate 0 only."""
     unanswered: int
-    """Joint states for whose answer it waited in vain."""
+    """Joint states without an answer in time."""
     not_awaited: int
-    """Joint states sent on without waiting, because their kind had never been answered."""
+    """Joint states sent without waiting, because none with these names was ever answered."""
     passes: int
-    """Passes begun."""
+    """Passes started."""
     replayed_s: float
-    """Time of the recording that went by."""
+    """Recorded time that was replayed."""
     wall_s: float
     late: int
-    """Messages sent more than 10 ms after they were due; at rate 0 nothing is due."""
+    """Messages sent more than 10 ms late; 0 at rate 0."""
     worst_lateness_s: float
     interrupted: bool
     warnings: tuple[str, ...]
 
     @property
     def achieved_rate(self) -> float:
-        """Time of the recording per time on the wall."""
+        """Recorded time per wall time."""
         return self.replayed_s / self.wall_s if self.wall_s > 0.0 else 0.0
 
 
-def replay(options: ReplayOptions, progress: Callable[[ReplayProgress], None] | None = None) -> ReplayReport:
-    """Replay a recording into the live nodes and return what was done; `progress` is called about ten times a second.
+class TimelineStep(NamedTuple):
+    """Recorded time at which to set the clock and then send the message, if there is one."""
 
-    SIGINT and SIGTERM end it early, with a report that says so. It runs in a ROS context of its own.
-    Raises BagError for a recording that cannot be read, EffmassError when nobody listens or answers.
+    time_ns: int
+    message: RawMessage | None
+
+
+def timeline(messages: Iterable[RawMessage], start_ns: int, end_ns: int) -> Iterator[TimelineStep]:
+    """Yield a step at the start, at each message and every 10 ms in the gaps, in order."""
+
+    def gap(until_ns: int) -> Iterator[TimelineStep]:
+        return (TimelineStep(time_ns, None) for time_ns in range(now_ns + CLOCK_STEP_NS, until_ns, CLOCK_STEP_NS))
+
+    now_ns = start_ns
+    yield TimelineStep(now_ns, None)
+    for message in messages:
+        yield from gap(message.log_time_ns)
+        now_ns = max(now_ns, message.log_time_ns)
+        yield TimelineStep(now_ns, message)
+    yield from gap(end_ns)
+
+
+class StampCheck:
+    """Compares header stamps with log times."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._off_count = 0
+        self._worst_ns = 0
+
+    def add(self, data: bytes, log_time_ns: int) -> None:
+        """Check one message."""
+        ahead_ns = header_stamp_ns(data) - log_time_ns
+        self._count += 1
+        if not -STALE_NS <= ahead_ns <= FUTURE_NS:
+            self._off_count += 1
+            self._worst_ns = max(self._worst_ns, ahead_ns, key=abs)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return a warning if stamps and log times disagree."""
+        if not self._off_count:
+            return ()
+        side = "ahead of" if self._worst_ns > 0 else "behind"
+        share = f"{self._off_count} of {self._count} joint states have header stamps"
+        difference = f"up to {abs(self._worst_ns) / _NS:.3f} s {side} their log time"
+        return (f"{share} {difference}: a monitor on this clock answers UNKNOWN",)
+
+
+def replay(options: ReplayOptions, on_progress: Callable[[ReplayProgress], None] | None = None) -> ReplayReport:
+    """Replay a bag to the live nodes; call `on_progress` about ten times a second.
+
+    SIGINT and SIGTERM end the replay early. It runs in its own ROS context. Raises BagError for an unreadable bag,
+    EffmassError if nodes are not ready in time or the monitor stops answering.
     """
-    with open_bag(options.bag) as bag, Interruption() as interruption, ReplayNode() as stage:
-        player = _Player(options, bag, stage, progress or (lambda _: None))
+    with open_bag(options.bag) as bag, Interruption() as interruption, ReplayNode() as node:
+        player = _Player(options, bag, node, on_progress or (lambda _: None))
         try:
             with interruption.allowed():
                 player.play()
@@ -147,34 +200,32 @@ def replay(options: ReplayOptions, progress: Callable[[ReplayProgress], None] | 
 
 
 class _Player:
-    """One replay: where it stands, and the endpoints it plays to."""
+    """State and endpoints of one replay."""
 
     def __init__(
-        self, options: ReplayOptions, bag: Bag, stage: ReplayNode, progress: Callable[[ReplayProgress], None]
+        self, options: ReplayOptions, bag: Bag, node: ReplayNode, on_progress: Callable[[ReplayProgress], None]
     ) -> None:
         self._options = options
         self._bag = bag
-        self._stage = stage
-        self._progress = progress
+        self._node = node
+        self._on_progress = on_progress
         self._start_ns = bag.start_ns + round(options.start_s * _NS)
         if self._start_ns > bag.end_ns:
-            length_s = bag.duration_ns / _NS
-            raise SettingsError(f"{bag.path}: start = {options.start_s} s: the recording is {length_s:.3f} s long")
-        longest_s = (LATEST_NS - self._start_ns) / _NS
+            rule = f"must be within the {bag.duration_ns / _NS:.3f} s recorded"
+            raise SettingsError(f"{bag.path}: start = {options.start_s} s: {rule}")
         self._stop_ns = LATEST_NS
-        if options.duration_s < longest_s:
+        if options.duration_s < (LATEST_NS - self._start_ns) / _NS:
             self._stop_ns = self._start_ns + round(options.duration_s * _NS)
         self._end_ns = min(self._stop_ns, bag.end_ns)
-        self._outlets, self._skipped = replay_publishers(bag, stage.node, options.topics, options.joint_states)
-        self._clock = clock_publisher(stage.node)
-        self._joint_states = next((o for o in self._outlets.values() if o.name == JOINT_STATES), None)
+        self._publishers, self._skipped = replay_publishers(bag, node.node, options.topics, options.joint_state_topic)
+        self._joint_states = next((p for p in self._publishers.values() if p.name == JOINT_STATES), None)
         if options.rate == 0.0 and self._joint_states is None:
             raise SettingsError(
-                f"{bag.path}: rate = 0: nothing is published as {JOINT_STATES}, whose answers set the pace; "
-                "name the topic that is to be, or a rate"
+                f"{bag.path}: rate = 0: nothing is published as {JOINT_STATES}; name its topic, or give a rate"
             )
-        self._answers = Lockstep(stage.node, options.answer_timeout_s) if options.rate == 0.0 else None
-        self._readiness = ReadinessReports(stage.node)  # after all other endpoints
+        self._lockstep = Lockstep(node.node, options.answer_timeout_s) if options.rate == 0.0 else None
+        self._clock = ReplayPublisher(node.node, CLOCK, Clock)  # after all other publishers
+        self._readiness = ReadinessReports(node.node)  # after all other subscriptions
         self._stamps = StampCheck()
         self._unacknowledged: list[str] = []
         self._passes = 0
@@ -183,43 +234,40 @@ class _Player:
         self._wall_ns = 0
         self._late = 0
         self._worst_lateness_ns = 0
-        self._shown_ns = 0
+        self._progress_ns = 0
         self.interrupted = False
 
     def play(self) -> None:
-        """Wait for listeners, play all passes, and wait until everything has arrived."""
+        """Wait for the nodes, play all passes, and wait until every subscriber has received everything."""
         self._wait_until_ready()
-        # What was published before the start, for those who come later, is there for them.
-        latched = [name for name, outlet in self._outlets.items() if outlet.latched]
+        latched = [name for name, publisher in self._publishers.items() if publisher.latched]
         if latched and self._start_ns > self._bag.start_ns:
             for message in self._bag.messages(latched, None, self._start_ns):
-                self._outlets[message.topic].send(message.data)
+                self._publishers[message.topic].send(message.data)
         while not self._options.passes or self._passes < self._options.passes:
             self._passes += 1
-            # Whoever reads a recording first opens its files and unpacks a first part: not on the clock.
-            messages = self._bag.messages(self._outlets.keys(), self._start_ns, self._stop_ns)
-            messages = chain(list(islice(messages, 1)), messages)
+            messages = self._bag.messages(self._publishers.keys(), self._start_ns, self._stop_ns)
+            messages = chain(list(islice(messages, 1)), messages)  # opens the files before the time is taken
             self._now_ns = self._start_ns
-            began_ns = time.monotonic_ns()
+            pass_start_ns = time.monotonic_ns()
             try:
-                self._play_once(messages, began_ns)
+                self._play_pass(messages, pass_start_ns)
             finally:
-                self._wall_ns += time.monotonic_ns() - began_ns
+                self._wall_ns += time.monotonic_ns() - pass_start_ns
                 self._replayed_ns += self._now_ns - self._start_ns
-        self._stage.settle()
-        self._unacknowledged = self._stage.wait_acknowledged(self._outlets.values())
+        self._unacknowledged = self._node.wait_acknowledged(self._publishers.values())
 
     def report(self) -> ReplayReport:
-        """Return what has been done so far."""
-        answers = self._answers
+        """Return the result so far."""
+        lockstep = self._lockstep
         return ReplayReport(
-            sent={outlet.name: outlet.sent for outlet in self._outlets.values()},
+            sent={publisher.name: publisher.sent for publisher in self._publishers.values()},
             skipped=self._skipped,
-            unheard=tuple(outlet.name for outlet in self._outlets.values() if not outlet.heard),
+            unheard=tuple(p.name for p in self._publishers.values() if not p.had_subscriber),
             unacknowledged=tuple(self._unacknowledged),
-            answered=answers.answered if answers else 0,
-            unanswered=answers.unanswered if answers else 0,
-            not_awaited=answers.not_awaited if answers else 0,
+            answered=lockstep.answered if lockstep else 0,
+            unanswered=lockstep.unanswered if lockstep else 0,
+            not_awaited=lockstep.not_awaited if lockstep else 0,
             passes=self._passes,
             replayed_s=self._replayed_ns / _NS,
             wall_s=self._wall_ns / _NS,
@@ -230,15 +278,12 @@ class _Player:
         )
 
     def _wait_until_ready(self) -> None:
-        """Return when every node that consumes the replay or runs on its clock has been ready for the settling time.
-
-        The clock shows the start meanwhile: some nodes do nothing before they have a time. Raises EffmassError.
-        """
-        timeout_s = self._options.subscriber_timeout_s
+        """Hold the clock at the start until all nodes have been ready for the settling time. Raises EffmassError."""
+        timeout_s = self._options.ready_timeout_s
         start_ns = ready_since_ns = time.monotonic_ns()
         while True:
             self._set_clock(self._start_ns)
-            self._stage.spin_until(time.monotonic_ns() + _HANDSHAKE_STEP_NS)
+            self._node.spin_until(time.monotonic_ns() + _HANDSHAKE_STEP_NS)
             now_ns = time.monotonic_ns()
             if unready := self._unready():
                 ready_since_ns = now_ns
@@ -248,24 +293,24 @@ class _Player:
                 return
 
     def _unready(self) -> str:
-        """Return what the replay still has to wait for, empty if nothing."""
-        inputs = [self._joint_states] if self._joint_states else list(self._outlets.values())
-        expected = self._options.subscribers
-        if not any(outlet.subscribers >= expected for outlet in inputs):
-            topics = ", ".join(outlet.name for outlet in inputs)
-            return f"{topics}: expected {expected} subscribers, found {max(outlet.subscribers for outlet in inputs)}"
-        if self._answers and not self._answers.publishers:
-            return f"{self._answers.topic}: no publisher; rate 0 needs a monitor that answers"
-        unready = self._readiness.unready(self._start_ns, [outlet.name for outlet in self._outlets.values()])
+        """Return what is not ready yet, empty if nothing."""
+        inputs = [self._joint_states] if self._joint_states else list(self._publishers.values())
+        expected, count = self._options.subscribers, max(publisher.subscribers for publisher in inputs)
+        if count < expected:
+            topics = ", ".join(publisher.name for publisher in inputs)
+            return f"{topics}: expected {expected} subscribers, found {count}"
+        if self._lockstep and not self._lockstep.publishers:
+            return f"{self._lockstep.topic}: no publisher; rate 0 needs a monitor that answers"
+        unready = self._readiness.unready(self._start_ns, [publisher.name for publisher in self._publishers.values()])
         return "; ".join(f"{name} {reason}" for name, reason in sorted(unready.items()))
 
-    def _play_once(self, messages: Iterator[RawMessage], began_ns: int) -> None:
+    def _play_pass(self, messages: Iterator[RawMessage], pass_start_ns: int) -> None:
         rate = self._options.rate
         clock_ns = -1
         for time_ns, message in timeline(messages, self._start_ns, self._end_ns):
             if rate:
-                due_ns = began_ns + round((time_ns - self._start_ns) / rate)
-                self._stage.spin_until(due_ns)
+                due_ns = pass_start_ns + round((time_ns - self._start_ns) / rate)
+                self._node.spin_until(due_ns)
                 lateness_ns = time.monotonic_ns() - due_ns
                 self._late += lateness_ns > LATE_NS
                 self._worst_lateness_ns = max(self._worst_lateness_ns, lateness_ns)
@@ -275,34 +320,34 @@ class _Player:
                 self._set_clock(time_ns)
             if message is not None:
                 self._send(message)
-            self._show()
+            self._report_progress()
 
     def _set_clock(self, time_ns: int) -> None:
         sec, nanosec = divmod(time_ns, _NS)
         self._clock.send(Clock(clock=Time(sec=sec, nanosec=nanosec)))
 
     def _send(self, message: RawMessage) -> None:
-        outlet = self._outlets[message.topic]
-        if outlet is self._joint_states:
-            self._stamps.see(message.data, message.log_time_ns)
-            if self._answers:
-                names = self._answers.expect(message.data)
-                outlet.send(message.data)
-                self._answers.wait(names, self._stage.spin_until)
-                return
-        outlet.send(message.data)
-
-    def _show(self) -> None:
-        now_ns = time.monotonic_ns()
-        if now_ns - self._shown_ns < _PROGRESS_NS:
+        publisher = self._publishers[message.topic]
+        if publisher is not self._joint_states:
+            publisher.send(message.data)
             return
-        self._shown_ns = now_ns
-        self._progress(
+        self._stamps.add(message.data, message.log_time_ns)
+        names = self._lockstep.expect(message.data) if self._lockstep else ()
+        publisher.send(message.data)
+        if self._lockstep:
+            self._lockstep.wait(names, self._node.spin_until)
+
+    def _report_progress(self) -> None:
+        now_ns = time.monotonic_ns()
+        if now_ns - self._progress_ns < _PROGRESS_NS:
+            return
+        self._progress_ns = now_ns
+        self._on_progress(
             ReplayProgress(
                 pass_number=self._passes,
                 time_s=(self._now_ns - self._start_ns) / _NS,
                 span_s=(self._end_ns - self._start_ns) / _NS,
-                sent=sum(outlet.sent for outlet in self._outlets.values()),
-                unanswered=self._answers.unanswered if self._answers else 0,
+                sent=sum(publisher.sent for publisher in self._publishers.values()),
+                unanswered=self._lockstep.unanswered if self._lockstep else 0,
             )
         )

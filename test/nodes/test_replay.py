@@ -37,9 +37,8 @@ from scara_effmass.bags.messages import joint_state_message, serialized
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, EffmassError, SettingsError
 from scara_effmass.nodes import lockstep
-from scara_effmass.nodes.lockstep import IN_VAIN
-from scara_effmass.nodes.replay import ReplayOptions, replay
-from scara_effmass.nodes.replay_timeline import CLOCK_STEP_NS, timeline
+from scara_effmass.nodes.lockstep import MAX_UNANSWERED
+from scara_effmass.nodes.replay import CLOCK_STEP_NS, ReplayOptions, replay, timeline
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import JointStateDecoder
 from scara_effmass.wire.topics import READINESS
@@ -77,7 +76,7 @@ Leap = Callable[[Callable[[], int]], None]
 def leap(monkeypatch: pytest.MonkeyPatch) -> Leap:
     """Let steady time be an hour ahead for each of what a function counts: whatever waits then has waited enough."""
     now_ns = time.monotonic_ns
-    monkeypatch.setattr(lockstep, "_SLICE_NS", 1 << 62)  # it counts leaps in full
+    monkeypatch.setattr(lockstep, "WAIT_SLICE_NS", 1 << 62)  # it counts leaps in full
 
     def by(hours: Callable[[], int]) -> None:
         monkeypatch.setattr("time.monotonic_ns", lambda: now_ns() + hours() * 3600 * 10**9)
@@ -224,7 +223,7 @@ class Listener:
 def play(bag: Path, progress: Callable[[ReplayProgress], None] | None = None, **options: Any) -> ReplayReport:  # noqa: ANN401
     """Replay, waiting for listeners and answers for as long as it takes."""
     return replay(
-        ReplayOptions(bag, **{"subscriber_timeout_s": PATIENCE_S, "answer_timeout_s": PATIENCE_S, **options}), progress
+        ReplayOptions(bag, **{"ready_timeout_s": PATIENCE_S, "answer_timeout_s": PATIENCE_S, **options}), progress
     )
 
 
@@ -287,7 +286,7 @@ def test_what_is_latched_before_the_start_is_there(tmp_path: Path) -> None:
 
 
 def test_a_start_behind_the_end_is_refused(bag: Path) -> None:
-    with pytest.raises(SettingsError, match=r"start = 5\.0 s: the recording is 0\.099 s long"):
+    with pytest.raises(SettingsError, match=r"start = 5\.0 s: must be within the 0\.099 s recorded"):
         play(bag, start_s=5.0)
 
 
@@ -318,12 +317,14 @@ def test_at_rate_0_joint_states_of_other_devices_do_not_stop_it(tmp_path: Path, 
     with BagWriter(path) as writer:
         writer.write_joint_states("/joint_states", states)
     with Listener("/joint_states", answers=True, foreign=gripper) as listener:
-        leap(lambda: min(listener.declined, IN_VAIN))  # who waits for the answer to one that is not answered is through
+        leap(
+            lambda: min(listener.declined, MAX_UNANSWERED)
+        )  # who waits for the answer to one that is not answered is through
         report = play(path, rate=0.0)
         assert same(listener.states(60), states)
     assert report.answered == 30
-    assert report.unanswered == IN_VAIN
-    assert report.not_awaited == 30 - IN_VAIN
+    assert report.unanswered == MAX_UNANSWERED
+    assert report.not_awaited == 30 - MAX_UNANSWERED
 
 
 def test_at_rate_0_a_monitor_that_leaves_ends_it(bag: Path) -> None:
@@ -348,13 +349,13 @@ def test_at_rate_0_the_live_monitor_answers_everything(bag: Path) -> None:
 
 def test_replay_without_subscribers_fails(bag: Path) -> None:
     with pytest.raises(EffmassError, match=r"within 0\.2 s: /joint_states: expected 1 subscribers, found 0"):
-        play(bag, subscriber_timeout_s=0.2)
+        play(bag, ready_timeout_s=0.2)
 
 
 def test_rate_0_without_a_monitor_fails(bag: Path) -> None:
     message = "/contact_state: no publisher; rate 0 needs a monitor"
     with Listener("/joint_states"), pytest.raises(EffmassError, match=message):
-        play(bag, rate=0.0, subscriber_timeout_s=5.0)
+        play(bag, rate=0.0, ready_timeout_s=5.0)
 
 
 ACTIVE = {"node": "/listener", "active": True, "use_sim_time": True, "peers": ["/listener"]}
@@ -366,17 +367,14 @@ AT_START = {"header": Header(stamp=Time(sec=START_NS // 10**9))}
     [
         ({"active": False, "use_sim_time": False}, "/listener is not active"),
         ({}, "/listener has not received the replay's /clock"),
-        (
-            {"header": Header(stamp=AT_START), "peers": ["/listener", "/cell/daq"]},
-            "/cell/daq has sent no readiness report",
-        ),
-        ({"header": Header(stamp=AT_START), "peers": []}, "/listener has not discovered /listener"),
+        ({**AT_START, "peers": ["/listener", "/cell/daq"]}, "/cell/daq has sent no readiness report"),
+        ({**AT_START, "peers": []}, "/listener has not discovered /listener"),
     ],
 )
 def test_replay_waits_for_nodes_that_are_not_ready(bag: Path, report: dict[str, Any], reason: str) -> None:
     with Listener("/joint_states", readiness=NodeReadiness(**{**ACTIVE, **report})) as listener:
         with pytest.raises(EffmassError, match=rf"not ready within 5 s: {reason}$"):
-            play(bag, subscriber_timeout_s=5.0)
+            play(bag, ready_timeout_s=5.0)
         assert listener.heard == {"/joint_states": []}
 
 
@@ -452,14 +450,14 @@ def test_what_live_nodes_publish_themselves_is_left_out_unless_asked_for(tmp_pat
         report = play(path)
     assert report.sent == {"/joint_states": 1}
     assert report.skipped == {
-        "/cell/allowable_speed": "the live nodes publish it themselves",
-        "/clock": "the replay makes the clock itself",
+        "/cell/allowable_speed": "the live nodes publish it",
+        "/clock": "the replay publishes its own clock",
     }
     Listener.TYPES = {**Listener.TYPES, "/cell/allowable_speed": Float64}
     with Listener("/cell/allowable_speed") as listener:
         report = play(path, topics=("/cell/allowable_speed",))
         listener.wait("/cell/allowable_speed", 1)
-    assert report.skipped["/joint_states"] == "not asked for"
+    assert report.skipped["/joint_states"] == "not selected"
 
 
 def test_any_topic_of_joint_states_can_be_published_as_joint_states(tmp_path: Path) -> None:
@@ -468,7 +466,7 @@ def test_any_topic_of_joint_states_can_be_published_as_joint_states(tmp_path: Pa
         writer.write_joint_states("/joint_states", [state(number) for number in range(5)])
         writer.write_joint_states("/arm/joint_states", [state(number) for number in range(5, 9)])
     with Listener("/joint_states") as listener:
-        report = play(path, joint_states="/arm/joint_states")
+        report = play(path, joint_state_topic="/arm/joint_states")
         assert same(listener.states(4), [state(number) for number in range(5, 9)])
     assert report.sent == {"/joint_states": 4}
     assert report.skipped == {"/joint_states": "/arm/joint_states is published in its place"}
@@ -482,9 +480,9 @@ def test_rate_0_needs_joint_states_to_set_the_pace(bag: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"topics": ("/wrist",)}, r"bag: no topic /wrist; there are /joint_states, /remark"),
-        ({"joint_states": "/wrist"}, r"bag: no topic /wrist; there are /joint_states, /remark"),
-        ({"joint_states": "/remark"}, r"bag: /remark holds no joint states; those that do: /joint_states"),
+        ({"topics": ("/wrist",)}, r"bag: no topic /wrist; expected one of /joint_states, /remark"),
+        ({"joint_state_topic": "/wrist"}, r"bag: no topic /wrist; expected one of /joint_states, /remark"),
+        ({"joint_state_topic": "/remark"}, r"bag: /remark holds no joint states; topics that do: /joint_states"),
     ],
 )
 def test_topics_that_are_not_there_are_refused(bag: Path, options: dict[str, Any], message: str) -> None:
@@ -503,13 +501,13 @@ def test_topics_that_are_not_there_are_refused(bag: Path, options: dict[str, Any
         ("duration_s", 0.0),
         ("duration_s", float("nan")),
         ("passes", -1),
-        ("subscriber_timeout_s", -1.0),
+        ("ready_timeout_s", -1.0),
         ("answer_timeout_s", 0.0),
     ],
 )
 def test_options_that_mean_nothing_are_refused(tmp_path: Path, key: str, value: float) -> None:
     options: dict[str, Any] = {key: value}
-    with pytest.raises(SettingsError, match=f"replay: {key.removesuffix('_s')} = {value}: .* would be right"):
+    with pytest.raises(SettingsError, match=f"replay: {key.removesuffix('_s')} = {value}: must be .*"):
         ReplayOptions(tmp_path, **options)
 
 
@@ -522,7 +520,7 @@ def test_header_stamps_from_another_clock_are_warned_of(tmp_path: Path) -> None:
     with Listener("/joint_states"):
         report = play(path, rate=4000.0)
     (warning,) = report.warnings
-    assert "4 of 10 joint states bear header stamps up to 200.000 s behind the time they were recorded at" in warning
+    assert "4 of 10 joint states have header stamps up to 200.000 s behind their log time" in warning
 
 
 def test_progress_goes_from_the_start_towards_the_end(bag: Path) -> None:
@@ -539,7 +537,7 @@ CHILD = """
 import json, sys
 from pathlib import Path
 from scara_effmass.nodes.replay import ReplayOptions, replay
-report = replay(ReplayOptions(Path(sys.argv[1]), passes=0, subscriber_timeout_s=600.0))
+report = replay(ReplayOptions(Path(sys.argv[1]), passes=0, ready_timeout_s=600.0))
 print(json.dumps({"interrupted": report.interrupted, "sent": report.sent, "passes": report.passes}))
 """
 
