@@ -1,4 +1,4 @@
-"""What a ROS workspace installs beside the code is all there is, each file where it is in the tree."""
+"""A ROS workspace installs all shipped files, in the folders that they have in the tree."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ ROOT = Path(__file__).parents[2]
 PREFIX = "share/scara_effmass/"
 
 
-def installed() -> set[tuple[str, str]]:
-    """Return the folder below the prefix and the path in the tree of every file that `setup.cfg` names."""
+def installed_files() -> set[tuple[str, str]]:
+    """Return (folder below the prefix, path in the tree) of every file named in `setup.cfg`."""
     config = ConfigParser(delimiters=("=",))
     config.optionxform = str  # type: ignore[assignment,method-assign]
     config.read(ROOT / "setup.cfg", encoding="utf-8")
@@ -26,8 +26,8 @@ def installed() -> set[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("folder", ["bags", "config", "launch"])
-def test_every_file_is_installed_where_it_is_in_the_tree(folder: str) -> None:
+def test_shipped_files_keep_their_folders(folder: str) -> None:
     files = {path for path in (ROOT / folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts}
     assert files
     in_tree = {(path.parent.relative_to(ROOT).as_posix(), path.relative_to(ROOT).as_posix()) for path in files}
-    assert {each for each in installed() if each[1].startswith(f"{folder}/")} == in_tree
+    assert {(target, path) for target, path in installed_files() if path.startswith(f"{folder}/")} == in_tree

@@ -1,4 +1,4 @@
-"""The ROS manifests against what the code and the messages really use."""
+"""The ROS manifests name exactly the packages that the code and the messages use."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ ROSDEP_KEYS = {
     "scipy": "python3-scipy",
     "yaml": "python3-yaml",
 }
-"""The keys that Jazzy's rosdep resolves to a version this code runs with."""
+"""rosdep keys that resolve, on Jazzy, to a version that this code supports."""
 
 PIP_ONLY = {"mcap", "mujoco", "nidaqmx", "nptdms", "pyarrow", "pydantic", "rosbags"}
-"""Not packaged for Ubuntu 24.04, or too old there; package.xml says so in a comment."""
+"""Libraries that Ubuntu 24.04 lacks or has in too old a version; a comment in package.xml names them."""
 
 
 def dependencies(path: Path) -> set[str]:
-    """Return all packages that a manifest depends on in any way."""
+    """Return all dependencies of a manifest."""
     root = ET.parse(path).getroot()
     return {str(element.text) for element in root if element.tag.endswith("depend")}
 
@@ -47,23 +47,23 @@ def is_ros(name: str) -> bool:
     return name.endswith(("_msgs", "_interfaces")) or name in {"rclpy", "std_srvs", "launch", "launch_ros"}
 
 
-def test_the_ros_packages_that_are_imported_are_named_and_no_others() -> None:
+def test_manifest_names_exactly_the_imported_ros_packages() -> None:
     imported = imported_packages(ROOT / "scara_effmass") | imported_packages(ROOT / "launch")
     named = dependencies(ROOT / "package.xml")
     assert {name for name in imported if is_ros(name)} == {name for name in named if is_ros(name)}
 
 
-def test_the_libraries_that_are_imported_are_named_or_known_to_have_no_key() -> None:
+def test_manifest_names_every_imported_library() -> None:
     imported = imported_packages(ROOT / "scara_effmass")
     named = dependencies(ROOT / "package.xml")
     assert {ROSDEP_KEYS[name] for name in imported & ROSDEP_KEYS.keys()} <= named
     manifest = (ROOT / "package.xml").read_text(encoding="utf-8")
     for name in imported & PIP_ONLY:
         assert name in manifest
-        assert not any(name in key for key in named), f"{name} has no rosdep key that works on Jazzy"
+        assert not any(name in key for key in named), f"{name} must have no rosdep key on Jazzy"
 
 
-def test_the_message_package_names_the_packages_of_its_fields() -> None:
+def test_message_manifest_names_the_packages_of_the_fields() -> None:
     text = "".join(path.read_text(encoding="utf-8") for path in MESSAGES)
     used = set(re.findall(r"^(\w+)/\w+ ", text, re.MULTILINE))
     named = dependencies(ROOT / "msg_schemas/package.xml")
@@ -71,11 +71,11 @@ def test_the_message_package_names_the_packages_of_its_fields() -> None:
 
 
 @pytest.mark.parametrize("path", MESSAGES, ids=lambda path: path.stem)
-def test_every_message_is_built(path: Path) -> None:
+def test_message_is_built(path: Path) -> None:
     assert f"msg/{path.name}\n" in (ROOT / "msg_schemas/CMakeLists.txt").read_text(encoding="utf-8")
 
 
-def test_every_executable_is_installed_where_ros_looks() -> None:
+def test_executables_are_installed_for_ros2_run() -> None:
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     executables = set(re.findall(r"^(\w+_node) = ", text, re.MULTILINE))
     assert executables

@@ -1,4 +1,4 @@
-"""The compiled messages are those of `msg_schemas/msg`, and what the contract promises."""
+"""The compiled messages match `msg_schemas/msg` and the public contract."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ def message(name: str) -> Any:  # noqa: ANN401, generated classes have no types
 
 
 @pytest.mark.parametrize("name", CONTRACT)
-def test_fields_are_those_of_the_contract(name: str) -> None:
+def test_fields_match_the_contract(name: str) -> None:
     assert list(message(name).get_fields_and_field_types()) == CONTRACT[name].split()
 
 
-def test_every_message_is_in_the_contract() -> None:
+def test_contract_names_every_message() -> None:
     assert {path.stem for path in SCHEMAS.glob("*.msg")} == set(CONTRACT)
 
 
 @pytest.fixture
-def node(own_domain: int) -> Iterator[Node]:  # noqa: ARG001 - where it is alone
+def node(own_domain: int) -> Iterator[Node]:  # noqa: ARG001 - isolates the node
     context = rclpy.Context()
     rclpy.init(context=context)
     node = rclpy.create_node("type_hashes", context=context)
@@ -67,7 +67,7 @@ def node(own_domain: int) -> Iterator[Node]:  # noqa: ARG001 - where it is alone
 
 
 @pytest.mark.parametrize("name", CONTRACT)
-def test_the_schemas_hash_to_what_the_type_support_announces(node: Node, name: str) -> None:
+def test_schema_hash_equals_the_announced_hash(node: Node, name: str) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     for path in SCHEMAS.glob("*.msg"):
         store.register(get_types_from_msg(path.read_text(encoding="utf-8"), f"scara_effmass_msgs/msg/{path.stem}"))
