@@ -1,11 +1,11 @@
-# The environment, the tests and the demo; `make` alone lists the targets.
+# Environment, demo, tests, benchmarks; `make` without a target lists the targets.
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 SHELL := /bin/sh
 
-# Unset: the first fitting Python that is found. Set: this one or none.
+# Python interpreter for .venv; unset: the first suitable one on the path.
 PYTHON ?=
 BIN := .venv/bin
 # Number of test processes; test/conftest.py sets the default.
@@ -16,7 +16,7 @@ N ?= 60
 SEED ?= 1
 PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist worksteal
 
-# Everything ROS stays on this machine, and a sourced ROS or another environment stays out.
+# Keep DDS traffic on this machine, and keep a sourced ROS or another environment out.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 ifneq ($(AMENT_PREFIX_PATH)$(_ROS_WHEELS_BOOTSTRAP_COMPLETE),)
 unexport LD_LIBRARY_PATH
@@ -28,49 +28,49 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
 
-setup: .venv/.installed  ## make .venv: locked requirements, messages built, this tree installed editable
+setup: .venv/.installed  ## make .venv: install the locked requirements, build the messages, install this tree editable
 
-demo: setup  ## run all nodes on the simulated cell, and make the report
+demo: setup  ## run all nodes on the simulated cell and write a report
 	$(BIN)/scara-effmass demo --force
 
-test: lint  ## lint, types and all tests
+test: lint  ## run lint, types and all tests
 	$(PYTEST)
 
-check: lint  ## lint, types and the tests without DDS and processes
+check: lint  ## run lint, types and the tests without DDS and processes
 	$(PYTEST) -m "not live"
 
-lint: setup  ## ruff and mypy
+lint: setup  ## run ruff and mypy
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
-coverage: setup  ## branch coverage of each room; ROOM restricts the tests
+coverage: setup  ## measure the branch coverage of each room; ROOM restricts the tests
 	@mkdir -p build
 	$(PYTEST) --cov --cov-report= $(addprefix test/,$(ROOM))
 	$(BIN)/python scripts/coverage_table.py $(ROOM)
 
-mutants: setup  ## mutation testing of the pure rooms; ROOM, N and SEED choose the sample
+mutants: setup  ## test mutants of the pure rooms; ROOM, N and SEED choose the sample
 	$(BIN)/python scripts/mutants.py $(ROOM) --number $(N) --seed $(SEED)
 
-bench: setup  ## time the core, the live nodes, the bag reader and the recorder
+bench: setup  ## measure the speed of core, nodes, bag reader, assess and recorder
 	$(BIN)/python benchmarks/run.py
 
-bags: setup  ## make the shipped recordings again
+bags: setup  ## generate the shipped recordings again
 	$(BIN)/python -m scara_effmass.sim -o bags --force
 
-colcon: .venv-colcon/.requirements  ## build the tree as a ROS workspace and check what it installs
+colcon: .venv-colcon/.requirements  ## build the tree as a ROS workspace and check the installation
 	scripts/check_colcon.sh .venv-colcon build/colcon
 
-lock: setup  ## renew the locked requirements
+lock: setup  ## update the locked requirements
 	$(BIN)/python -m pip install --quiet uv
 	scripts/lock_requirements.sh $(BIN)/python
 
-clean:  ## remove everything that was made
+clean:  ## remove all generated files
 	rm -rf .venv .venv-colcon build out .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
 .PHONY: help setup demo test check lint coverage mutants bench bags colcon lock clean
 
-# The stamps are written last: an interrupted set-up starts over.
+# The stamps are written last, so that an interrupted set-up starts over.
 .venv/.requirements: requirements.lock
 .venv-colcon/.requirements: requirements-colcon.lock
 %/.requirements:

@@ -1,7 +1,7 @@
-"""For ROS workspaces: what setup.cfg does not hold because package.xml and pyproject.toml state it.
+"""Set-up for colcon in ROS workspaces: version, description and executables, from package.xml and pyproject.toml.
 
-colcon runs this file in the build folder, where with symlinks neither of the two is; what is installed where it
-reads from setup.cfg by itself, as for every setup.py that says `setup()`.
+Both files are found beside the real path of this one, because colcon may run it from a build folder of symlinks.
+Everything else stands in setup.cfg.
 """
 
 from pathlib import Path

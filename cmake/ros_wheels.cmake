@@ -1,5 +1,5 @@
-# Builds msg_schemas against the ROS wheels of PyPI: pass this file to CMake as CMAKE_PROJECT_INCLUDE.
-# A ROS workspace with an installed ROS never sees it.
+# Build msg_schemas against the ROS wheels of PyPI: pass this file to CMake as CMAKE_PROJECT_INCLUDE.
+# A workspace with an installed ROS does not need it.
 
 find_package(Python3 REQUIRED COMPONENTS Interpreter)
 execute_process(
@@ -12,7 +12,7 @@ execute_process(
 set(ENV{AMENT_PREFIX_PATH} "${ROS_WHEELS_PREFIX}")
 list(PREPEND CMAKE_PREFIX_PATH "${ROS_WHEELS_PREFIX}")
 
-# The imported targets of the wheels name an include directory of the machine that built them.
+# The imported targets of the wheels contain an include directory of the machine that built them.
 function(drop_missing_include_directories)
   get_directory_property(targets IMPORTED_TARGETS)
   foreach(target IN LISTS targets)

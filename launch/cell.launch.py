@@ -1,4 +1,4 @@
-"""Starts the nodes of a cell: `ros2 launch scara_effmass cell.launch.py robot:=my_robot.urdf namespace:=cell`."""
+"""Start the nodes of a cell: `ros2 launch scara_effmass cell.launch.py robot:=my_robot.urdf namespace:=cell`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ARGUMENTS = (
     DeclareLaunchArgument(
         "params_file",
         default_value="",
-        description="YAML file with the parameters of the nodes, each below its name; empty: the defaults",
+        description="YAML file with the parameters of the nodes, one section per node; empty: the defaults",
     ),
     DeclareLaunchArgument(
         "robot",
@@ -27,7 +27,7 @@ ARGUMENTS = (
         "source",
         default_value="none",
         choices=["none", "ni9230", "bag", "sim", "bench"],
-        description="where force comes from; none: daq_node and validator_node are not started",
+        description="force source; none: daq_node and validator_node are not started",
     ),
     DeclareLaunchArgument(
         "namespace",
@@ -38,37 +38,37 @@ ARGUMENTS = (
         "use_sim_time",
         default_value="false",
         choices=["true", "false"],
-        description="take the time from /clock, as when a bag is replayed",
+        description="take the time from /clock, for a replayed bag",
     ),
     DeclareLaunchArgument(
         "log_level",
         default_value="info",
         choices=["debug", "info", "warn", "error", "fatal"],
-        description="least severity that the nodes log",
+        description="minimum severity that the nodes log",
     ),
 )
 
 
 def nodes(context: LaunchContext) -> list[Node]:
-    """Return the nodes, with those parameters alone that were asked for: an empty argument sets nothing."""
-    given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
-    started = [_node("monitor_node", given, {"robot": given["robot"]} if given["robot"] else {})]
-    if given["source"] != "none":
-        started.append(_node("daq_node", given, {"source": given["source"]}))
-        started.append(_node("validator_node", given, {}))
-    return started
+    """Return the nodes; an empty launch argument sets no parameter."""
+    arguments = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
+    actions = [_node("monitor_node", arguments, {"robot": arguments["robot"]} if arguments["robot"] else {})]
+    if arguments["source"] != "none":
+        actions.append(_node("daq_node", arguments, {"source": arguments["source"]}))
+        actions.append(_node("validator_node", arguments, {}))
+    return actions
 
 
-def _node(executable: str, given: dict[str, str], own: dict[str, str]) -> Node:
-    parameters: list[str | dict[str, str] | dict[str, bool]] = [{"use_sim_time": given["use_sim_time"] == "true"}]
-    if given["params_file"]:
-        parameters.append(given["params_file"])
+def _node(executable: str, arguments: dict[str, str], node_parameters: dict[str, str]) -> Node:
+    parameters: list[str | dict[str, str] | dict[str, bool]] = [{"use_sim_time": arguments["use_sim_time"] == "true"}]
+    if arguments["params_file"]:
+        parameters.append(arguments["params_file"])
     return Node(
         package="scara_effmass",
         executable=executable,
-        namespace=given["namespace"],
-        parameters=[*parameters, own],
-        arguments=["--ros-args", "--log-level", given["log_level"]],
+        namespace=arguments["namespace"],
+        parameters=[*parameters, node_parameters],
+        arguments=["--ros-args", "--log-level", arguments["log_level"]],
         output="screen",
     )
 

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Builds the tree as a ROS workspace and checks what the workspace then offers; usage: check_colcon.sh VENV DIRECTORY
+# Build the tree as a ROS workspace and check the installation; usage: check_colcon.sh VENV DIRECTORY
 set -eu
 cd "$(dirname "$0")/.."
 venv=$PWD/$1
@@ -28,7 +28,7 @@ check() (
     for folder in bags config launch; do
         diff -r -x __pycache__ "$folder" "$prefix/share/scara_effmass/$folder" || exit 1
     done
-    set +u  # the set-up files of a workspace read variables that may be unset
+    set +u  # local_setup.sh reads variables that may be unset
     . "$work/install/local_setup.sh"
     cd /
     ROS_DOMAIN_ID=$((100 + $$ % 100)) python - "$prefix/lib/scara_effmass/monitor_node" <<'PYTHON'

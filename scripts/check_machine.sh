@@ -1,6 +1,6 @@
 #!/bin/sh
-# Checks what the set-up needs before it starts; prints the Python to use, or one line and exits with 2.
-# usage: check_machine.sh DIRECTORY [PYTHON]   DIRECTORY: where the environment goes; PYTHON: insist on this one
+# Check the requirements of the set-up; print the Python to use, or print one line and exit with 2.
+# usage: check_machine.sh DIRECTORY [PYTHON]   DIRECTORY: location of the environment; PYTHON: the only one to accept
 set -u
 directory=$1
 wanted=${2:-}
@@ -11,7 +11,7 @@ refuse() {
 }
 
 [ "$(uname -sm)" = "Linux x86_64" ] ||
-    refuse "the ROS wheels exist for Linux x86_64 only, this is $(uname -sm); here, build in a ROS 2 Jazzy workspace with colcon"
+    refuse "machine = $(uname -sm): must be Linux x86_64 for the ROS wheels; build in a ROS 2 Jazzy workspace with colcon"
 
 version='import sys; print("%d.%d" % sys.version_info[:2])'
 python=
@@ -24,7 +24,7 @@ for candidate in ${wanted:-python3 python3.12 python3.11 python3.13 python3.10};
     esac
 done
 [ -n "$python" ] ||
-    refuse "Python 3.10 to 3.13 is needed (${seen:-no ${wanted:-python3} found}; choose one with 'make PYTHON=python3.12')"
+    refuse "${seen:-no ${wanted:-python3} found}: must be Python 3.10 to 3.13; choose one with 'make PYTHON=python3.12'"
 
 "$python" -c 'import ensurepip, venv' 2>/dev/null ||
     refuse "$python has no venv module: install it (Debian, Ubuntu: apt install python3-venv)"
@@ -39,6 +39,6 @@ printf '#include <string>\nint main() { return 0; }\n' | ${CXX:-c++} -x c++ -o /
 
 free=$(df -Pk "$directory" | awk 'NR == 2 { print $4 }')
 [ "$free" -ge 2097152 ] ||
-    refuse "2 GB of free disk are needed in $directory, there are $((free / 1024)) MB"
+    refuse "$directory: free disk space = $((free / 1024)) MB: must be at least 2048 MB"
 
 echo "$python"

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Writes the two locked requirement files, valid for every supported Python; usage: lock_requirements.sh PYTHON
+# Write the two locked requirement files for all supported Pythons; usage: lock_requirements.sh PYTHON
 set -eu
 python=$1
 cd "$(dirname "$0")/.."
