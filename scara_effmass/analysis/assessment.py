@@ -48,7 +48,7 @@ def joint_state_topic(bag: Bag, requested: str | None) -> str:
     raise BagError(f"{bag.path}: {problem}; --topic must be one of {', '.join(topics)}")
 
 
-def cycles(bag: Bag, topic: str, monitor: Monitor) -> Iterator[Cycle]:
+def assess_joint_states(bag: Bag, topic: str, monitor: Monitor) -> Iterator[Cycle]:
     """Yield the decision of `monitor` for each joint state on `topic`, decoded as the live node decodes it.
 
     A message that cannot be decoded gives UNKNOWN, as it does live, and later verdicts are held for a while.

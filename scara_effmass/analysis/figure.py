@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from scara_effmass.analysis.forces import Forces
+    from scara_effmass.analysis.forces import RecordedForce
     from scara_effmass.analysis.time_series import TimeSeries
     from scara_effmass.values import FloatArray
 
@@ -50,7 +50,13 @@ _STYLE: dict[Any, Any] = {
 
 
 def draw_run(
-    series: TimeSeries, *, title: str, subtitle: str, mass_model: str, timeout: float, forces: Forces | None = None
+    series: TimeSeries,
+    *,
+    title: str,
+    subtitle: str,
+    mass_model: str,
+    timeout: float,
+    forces: RecordedForce | None = None,
 ) -> Figure:
     """Return the figure of one contact point's series; the verdict used the mass of `mass_model`.
 
@@ -160,7 +166,7 @@ def _draw_masses(axes: Axes, series: TimeSeries, mass_model: str) -> None:
     _legend(axes)
 
 
-def _draw_forces(axes: Axes, forces: Forces, start_ns: int) -> None:
+def _draw_forces(axes: Axes, forces: RecordedForce, start_ns: int) -> None:
     time = (forces.stamp_ns - start_ns) / 1e9
     what = "simulated force" if forces.simulated else "measured force"
     axes.plot(*decimate(time, forces.force, COLUMNS), color="#000000", linewidth=1.0, label=what)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from scara_effmass.values import FloatArray, Impact
 
 
-class Forces(NamedTuple):
+class RecordedForce(NamedTuple):
     """Force (n,) [N] at the ROS times `stamp_ns` (n,), NaN right behind each gap, and the impacts in it."""
 
     stamp_ns: NDArray[np.int64]
@@ -33,7 +33,7 @@ class Forces(NamedTuple):
         return int(np.isfinite(self.force).sum())
 
 
-def forces_of(bag: Bag) -> Forces | None:
+def read_force(bag: Bag) -> RecordedForce | None:
     """Return the force of the first channel in `bag`, None where it has none. Raises BagError and DecodeError."""
     topic, impact_topic = (
         next((topic.name for topic in bag.topics if topic.type == kind), "") for kind in (FORCE_BLOCK, IMPACT)
@@ -53,6 +53,6 @@ def forces_of(bag: Bag) -> Forces | None:
     if not blocks:
         return None
     impacts = [decode_impact(message.data) for message in bag.messages([impact_topic])] if impact_topic else []
-    return Forces(
+    return RecordedForce(
         np.concatenate(stamps), np.concatenate(forces), blocks, lost, block.simulated, block.source, tuple(impacts)
     )

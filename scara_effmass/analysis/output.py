@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def require_free(path: Path, *, overwrite: bool) -> None:
+def check_output_path(path: Path, *, overwrite: bool) -> None:
     """Raise OutputError when `path` may not be written: it exists and is not to be replaced, or is a folder."""
     if path.is_dir():
         raise OutputError(f"{path}: is a folder; the name of a file would be right")
@@ -22,18 +22,18 @@ def require_free(path: Path, *, overwrite: bool) -> None:
 
 
 @contextmanager
-def completed(path: Path, *, overwrite: bool) -> Iterator[Path]:
+def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     """Give a path to write to in a `with`; what is there at its end is renamed to `path`, or removed after an error.
 
     Folders above are made. Raises OutputError.
     """
-    require_free(path, overwrite=overwrite)
+    check_output_path(path, overwrite=overwrite)
     unfinished = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         unfinished.touch()
         yield unfinished
-        require_free(path, overwrite=overwrite)
+        check_output_path(path, overwrite=overwrite)
         unfinished.replace(path)
     except OutputError:
         raise

@@ -5,7 +5,6 @@ from __future__ import annotations
 from heapq import merge
 from typing import TYPE_CHECKING, NamedTuple
 
-from scara_effmass.analysis.assessment import cycles
 from scara_effmass.bags import run_info
 from scara_effmass.bags.definitions import check_definition
 from scara_effmass.errors import BagError, DecodeError, SettingsError
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     from scara_effmass.analysis.assessment import Cycle
     from scara_effmass.bags.bag import Bag
     from scara_effmass.bags.batches import Topic
-    from scara_effmass.safety import Monitor
     from scara_effmass.values import ForceBlock, Impact, RunInfo
 
 USUAL = {FORCE_BLOCK: "force", IMPACT: "impact"}
@@ -67,17 +65,6 @@ def measured_topic(bag: Bag, asked: str | None) -> Topic:
         return chosen[0]
     problem = "several topics hold the force" if asked is None else f"no force on {asked}"
     raise BagError(f"{bag.path}: {problem}; give --force-topic one of {', '.join(topic.name for topic in found)}")
-
-
-def recorded_cycles(bag: Bag, topic: str, monitor: Monitor) -> Iterator[Cycle]:
-    """Yield as `cycles` does. Raises BagError at the end if none of the joint states was of the monitor's robot."""
-    count = 0
-    for cycle in cycles(bag, topic, monitor):
-        count += 1
-        yield cycle
-    if monitor.ignored == count > 0:
-        names = ", ".join(monitor.dynamics.robot.joint_names)
-        raise BagError(f"{bag.path}: {topic}: none of its joint states names a joint of the robot ({names})")
 
 
 def measured(bag: Bag, topic: Topic, unreadable: Counter[str]) -> Iterator[Measured]:

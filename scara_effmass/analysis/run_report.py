@@ -9,7 +9,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from scara_effmass.analysis.figure import FORMATS, draw_run, write
-from scara_effmass.analysis.output import completed, require_free
+from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.page import Picture, document, figure, table
 from scara_effmass.analysis.time_series import episodes
 from scara_effmass.values import Verdict
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
-    from scara_effmass.analysis.forces import Forces
+    from scara_effmass.analysis.forces import RecordedForce
     from scara_effmass.analysis.time_series import Episode, TimeSeries
     from scara_effmass.settings import MonitorSettings
 
@@ -39,7 +39,7 @@ def run_report(folder: Path, figures: int, settings: MonitorSettings, *, overwri
     """
     names = [f"run_{number}" if number > 1 else "run" for number in range(1, figures + 1)]
     for file in (PAGE, SUMMARY, *(f"{name}{suffix}" for name in names for suffix in FORMATS)):
-        require_free(folder / file, overwrite=overwrite)
+        check_output_path(folder / file, overwrite=overwrite)
     with ExitStack() as stack:
         yield RunReport(folder, names, settings, stack, overwrite=overwrite)
 
@@ -61,7 +61,7 @@ class RunReport:
         self._figures: list[str] = []
 
     def add(
-        self, series: TimeSeries, contact_point: str, run: str, *, generated: bool, forces: Forces | None = None
+        self, series: TimeSeries, contact_point: str, run: str, *, generated: bool, forces: RecordedForce | None = None
     ) -> None:
         """Draw `contact_point` in the run named `run`, with the forces of that run."""
         settings = self._settings
@@ -96,7 +96,7 @@ class RunReport:
         return summary
 
     def _create(self, file: str) -> Path:
-        return self._stack.enter_context(completed(self._folder / file, overwrite=self._overwrite))
+        return self._stack.enter_context(atomic_file(self._folder / file, overwrite=self._overwrite))
 
 
 CAPTION = (

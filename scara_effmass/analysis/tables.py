@@ -12,7 +12,7 @@ import pyarrow as pa
 from pyarrow import csv, parquet
 
 from scara_effmass import __version__
-from scara_effmass.analysis.output import completed
+from scara_effmass.analysis.output import atomic_file
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
@@ -126,7 +126,7 @@ def _columns(rows: list[tuple[str, int, ContactAssessment]]) -> dict[str, Sequen
 def _parquet(path: Path, provenance: Mapping[str, str], _frame: str, *, overwrite: bool) -> Iterator[Sink]:
     schema = SCHEMA.with_metadata(dict(provenance))
     with (
-        completed(path, overwrite=overwrite) as unfinished,
+        atomic_file(path, overwrite=overwrite) as unfinished,
         parquet.ParquetWriter(unfinished, schema, compression="zstd") as writer,
     ):
         rows = _TableSink(writer)
@@ -136,7 +136,7 @@ def _parquet(path: Path, provenance: Mapping[str, str], _frame: str, *, overwrit
 
 @contextmanager
 def _csv(path: Path, _provenance: Mapping[str, str], _frame: str, *, overwrite: bool) -> Iterator[Sink]:
-    with completed(path, overwrite=overwrite) as unfinished, csv.CSVWriter(unfinished, SCHEMA) as writer:
+    with atomic_file(path, overwrite=overwrite) as unfinished, csv.CSVWriter(unfinished, SCHEMA) as writer:
         rows = _TableSink(writer)
         yield rows
         rows.flush()

@@ -9,13 +9,12 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-from scara_effmass.analysis.assessment import joint_state_topic
+from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
 from scara_effmass.analysis.recorded_run import (
     Measured,
     in_order,
     measured,
     measured_topic,
-    recorded_cycles,
     run_infos,
 )
 from scara_effmass.bags.files import open_bag
@@ -141,7 +140,7 @@ class _Feed:
     def run(self, advance: Callable[[float], object]) -> None:
         """Feed all of it."""
         total = next(each.count for each in self._bag.topics if each.name == self._states)
-        states = recorded_cycles(self._bag, self._states, self._monitor)
+        states = assess_joint_states(self._bag, self._states, self._monitor)
         for each in in_order(states, measured(self._bag, self._force, self._unreadable)):
             if isinstance(each, Measured):
                 self._measure(each)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 
 from scara_effmass.analysis.figure import FORMATS, write
-from scara_effmass.analysis.output import completed, require_free
+from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.page import Picture
 from scara_effmass.analysis.plot_style import STYLE
 from scara_effmass.analysis.validation_figures import PLOTS
@@ -30,9 +30,9 @@ NAMES = (PAGE, RECORD, *(f"{plot.name}{suffix}" for plot in PLOTS for suffix in 
 def require_room(folder: Path, *, overwrite: bool) -> None:
     """Raise OutputError when a report may not be written into `folder`."""
     if folder.exists() and not folder.is_dir():
-        require_free(folder, overwrite=False)
+        check_output_path(folder, overwrite=False)
     for name in NAMES:
-        require_free(folder / name, overwrite=overwrite)
+        check_output_path(folder / name, overwrite=overwrite)
 
 
 def write_report(
@@ -40,7 +40,7 @@ def write_report(
 ) -> None:
     """Write `NAMES` into `folder`. Raises OutputError."""
     with ExitStack() as stack:
-        paths = {name: stack.enter_context(completed(folder / name, overwrite=overwrite)) for name in NAMES}
+        paths = {name: stack.enter_context(atomic_file(folder / name, overwrite=overwrite)) for name in NAMES}
         for plot in PLOTS:
             with mpl.rc_context(STYLE):
                 write(plot.draw(validation.result), *(paths[f"{plot.name}{suffix}"] for suffix in FORMATS))

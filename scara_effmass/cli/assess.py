@@ -14,7 +14,7 @@ from scara_effmass.cli.options import (
     add_params,
     add_robot,
     add_topic,
-    arm_from,
+    load_dynamics,
     settings_from,
 )
 from scara_effmass.cli.report import summary_lines
@@ -75,13 +75,13 @@ class Assessor:
 
         Raises EffmassError.
         """
-        from scara_effmass.analysis.assessment import cycles  # noqa: PLC0415
+        from scara_effmass.analysis.assessment import assess_joint_states  # noqa: PLC0415
         from scara_effmass.safety import Monitor  # noqa: PLC0415
 
         monitor = Monitor(self.arm, self.settings)
         self.summary.new_recording()
         name = str(bag.path)
-        for log_time_ns, state, decision in cycles(bag, topic, monitor):
+        for log_time_ns, state, decision in assess_joint_states(bag, topic, monitor):
             self.joint_states += 1
             advance()
             if decision is None:
@@ -145,7 +145,7 @@ def run(args: argparse.Namespace) -> int:
     from scara_effmass.safety import Monitor  # noqa: PLC0415
 
     settings = settings_from(args)
-    arm = arm_from(settings)
+    arm = load_dynamics(settings)
     Monitor(arm, settings)  # refuses limits that do not exist before anything is written
     paths = [path for folder in args.bags for path in find_bags(folder)]
     assessor = Assessor(arm, settings)
@@ -181,9 +181,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _add_to_report(report: RunReport, bag: Bag, robot: str, series: Mapping[str, TimeSeriesBuilder]) -> None:
     from scara_effmass.analysis.assessment import generated_description  # noqa: PLC0415
-    from scara_effmass.analysis.forces import forces_of  # noqa: PLC0415
+    from scara_effmass.analysis.forces import read_force  # noqa: PLC0415
 
-    forces = forces_of(bag)
+    forces = read_force(bag)
     generated = bool(generated_description(bag))
     for point, builder in series.items():
         report.add(builder.build(), point, f"{robot}: {bag.path.name}", generated=generated, forces=forces)

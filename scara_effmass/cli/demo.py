@@ -12,7 +12,7 @@ from scara_effmass.cli.options import (
     add_params,
     add_robot,
     add_topic,
-    arm_from,
+    load_dynamics,
     settings_from,
 )
 from scara_effmass.cli.processes import RECORDING
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
 def _choose_mass_model(args: argparse.Namespace) -> tuple[MonitorSettings, RobotDynamics, str]:
     """Return settings, robot, and a note if its lumped mass does not exist and another model is used."""
     settings = settings_from(args)
-    arm = arm_from(settings)
+    arm = load_dynamics(settings)
     if args.effective_mass_model or settings.effective_mass_model is not MassModel.LUMPED or not arm.lumped_reason:
         return settings, arm, ""
     model = MassModel.ISO if arm.full_reason else MassModel.FULL

@@ -127,7 +127,7 @@ class LiveRun:
 
 def run_bag(args: argparse.Namespace, arm: RobotDynamics, settings: MonitorSettings, note: str) -> int:
     """Replay the recording live and write the report; `note` says why another mass model is used."""
-    from scara_effmass.analysis.forces import forces_of  # noqa: PLC0415 - not needed for --help
+    from scara_effmass.analysis.forces import read_force  # noqa: PLC0415 - not needed for --help
     from scara_effmass.analysis.run_report import PAGE, run_report  # noqa: PLC0415
     from scara_effmass.bags.files import open_bag  # noqa: PLC0415
 
@@ -145,7 +145,7 @@ def run_bag(args: argparse.Namespace, arm: RobotDynamics, settings: MonitorSetti
             hint = f"does {arm.robot.name} fit the recording?"
             raise EffmassError(f"{bag.path}: the monitor answered none of {live.sent} joint states; {hint}")
         with open_bag(args.out / RECORDING) as recording:
-            forces = forces_of(recording)
+            forces = read_force(recording)
         title = f"{arm.robot.name}: {bag.path.name} through the live monitor"
         for point, builder in live.series.items():
             report.add(builder.build(), point, title, generated=bool(bag.description), forces=forces)

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from scara_effmass import __version__
 from scara_effmass.cli.console import print_json, printer
-from scara_effmass.cli.options import add_json, add_params, add_robot, arm_from, settings_from
+from scara_effmass.cli.options import add_json, add_params, add_robot, load_dynamics, settings_from
 from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
 from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, load_settings
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     findings = [*_installation(), *_environment(), *_converter(args.params), *_limits(settings)]
     joints: list[dict[str, Any]] = []
     try:
-        arm = arm_from(settings)
+        arm = load_dynamics(settings)
     except RobotError as error:
         findings.append(Finding("wrong", "robot", str(error)))
     else:

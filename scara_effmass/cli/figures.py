@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scara_effmass.cli.console import print_json, print_lines, progress_bar
-from scara_effmass.cli.options import add_force, add_json, arm_from
+from scara_effmass.cli.options import add_force, add_json, load_dynamics
 from scara_effmass.settings import DetectionSettings, MonitorSettings
 from scara_effmass.share import share
 
@@ -67,7 +67,7 @@ def _material(campaign: Path) -> Material:
     from scara_effmass.paper.protocol import POINT_OF_FIG_17, SHOWN_OBSTACLE_KG  # noqa: PLC0415
     from scara_effmass.paper.scara import closed_form_of  # noqa: PLC0415
 
-    arm = arm_from(MonitorSettings())
+    arm = load_dynamics(MonitorSettings())
     scara = closed_form_of(arm)
     joints = arm.robot.joint_names[0], arm.robot.joint_names[1]
     runs = campaign_runs(campaign, scara, joints, DetectionSettings())

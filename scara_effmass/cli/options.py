@@ -88,7 +88,7 @@ def node_arguments(params: Path | None, given: Mapping[str, Any], ros_arguments:
     return [*words, "--", *ros_arguments]
 
 
-def arm_from(settings: MonitorSettings) -> RobotDynamics:
+def load_dynamics(settings: MonitorSettings) -> RobotDynamics:
     """Return the robot that `settings` mean, with its models. Raises RobotError."""
     from scara_effmass.model.dynamics import RobotDynamics  # noqa: PLC0415 - not needed for --help
     from scara_effmass.model.load import load_robot  # noqa: PLC0415

@@ -9,7 +9,7 @@ from scara_effmass.values import Verdict
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from scara_effmass.analysis.forces import Forces
+    from scara_effmass.analysis.forces import RecordedForce
     from scara_effmass.analysis.summary import Summary, Tightest
     from scara_effmass.analysis.validation import Validation
 
@@ -61,7 +61,7 @@ def validation_lines(validation: Validation) -> Iterator[tuple[str, str]]:
             yield "not read", loss
 
 
-def force_lines(forces: Forces | None) -> Iterator[tuple[str, str]]:
+def force_lines(forces: RecordedForce | None) -> Iterator[tuple[str, str]]:
     """Yield subject and text of a recorded force and its impacts."""
     if forces is None:
         return
@@ -74,7 +74,7 @@ def force_lines(forces: Forces | None) -> Iterator[tuple[str, str]]:
         yield "  impact", f"at stamp {impact.stamp_ns / 1e9:.5f} s: {', '.join((text, *marks))}"
 
 
-def force_record(forces: Forces | None) -> dict[str, Any] | None:
+def force_record(forces: RecordedForce | None) -> dict[str, Any] | None:
     """Return the same for JSON."""
     if forces is None:
         return None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pydantic import BaseModel
 
 from scara_effmass.cli.console import print_json, print_lines, progress_bar
-from scara_effmass.cli.options import add_force, add_json, add_params, add_robot, add_topic, arm_from
+from scara_effmass.cli.options import add_force, add_json, add_params, add_robot, add_topic, load_dynamics
 from scara_effmass.cli.report import validation_lines
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings, checked, load_settings
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     from scara_effmass.bags.files import find_bags  # noqa: PLC0415
 
     settings = validation_settings(args)
-    arm = arm_from(settings.monitor)
+    arm = load_dynamics(settings.monitor)
     require_room(args.output, overwrite=args.force)
     paths = [path for given in args.bags for path in find_bags(given)]
     _require_different(paths)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from scara_effmass.analysis.forces import forces_of
+from scara_effmass.analysis.forces import read_force
 from scara_effmass.analysis.recorded_run import run_infos
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError
@@ -49,7 +49,7 @@ def campaign_runs(
 def _run(path: Path, scara: Scara, joints: tuple[str, str], settings: DetectionSettings) -> CampaignRun:
     with open_bag(path) as bag:
         point, obstacle_mass = _what_was_set(bag)
-        forces = forces_of(bag)
+        forces = read_force(bag)
         if forces is None:
             raise BagError(f"{path}: has no {FORCE_BLOCK}; the force of an impact would be right")
         impact = _impact(bag, settings)

@@ -11,7 +11,7 @@ import matplotlib as mpl
 
 from scara_effmass import __version__
 from scara_effmass.analysis.figure import FORMATS, write
-from scara_effmass.analysis.output import completed
+from scara_effmass.analysis.output import atomic_file
 from scara_effmass.analysis.page import Picture
 from scara_effmass.analysis.plot_style import STYLE
 from scara_effmass.paper.claim import Outcome
@@ -86,7 +86,7 @@ def make_figure_set(
     left_out += [f"Fig. {plate.number} {why}" for plate in plates if (why := plate.part_missing(material))]
     names = [f"{plate.name}{suffix}" for plate in plates for suffix in FORMATS] + [PAGE, CLAIMS]
     with ExitStack() as stack:
-        paths = {name: stack.enter_context(completed(folder / name, overwrite=overwrite)) for name in names}
+        paths = {name: stack.enter_context(atomic_file(folder / name, overwrite=overwrite)) for name in names}
         for plate in plates:
             with mpl.rc_context(STYLE):
                 write(plate.draw(material), *(paths[f"{plate.name}{suffix}"] for suffix in FORMATS))

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.image import imread
 
 from scara_effmass.analysis.figure import draw_run, write
-from scara_effmass.analysis.forces import Forces
+from scara_effmass.analysis.forces import RecordedForce
 from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Impact, Verdict
@@ -99,7 +99,9 @@ def test_force_and_its_impacts_are_drawn_below() -> None:
     stamp_ns = (np.arange(100) * 1e8).astype(np.int64)
     impact = Impact(5_000_000_000, "cell", 90.0, 2e-3, 0.1, 640.0, *(False, False, 0, 0.0, 0.1, 0.0, "test", False))
     cut = impact._replace(stamp_ns=7_000_000_000, peak_force=40.0, clipped=True)
-    forces = Forces(stamp_ns, np.linspace(0.0, 90.0, 100), 1, 0, simulated=True, source="test", impacts=(impact, cut))
+    forces = RecordedForce(
+        stamp_ns, np.linspace(0.0, 90.0, 100), 1, 0, simulated=True, source="test", impacts=(impact, cut)
+    )
     figure = draw_run(run(), title="", subtitle="", mass_model="lumped", timeout=0.2, forces=forces)
     assert len(figure.axes) == 4
     panel = lines(figure, 3)

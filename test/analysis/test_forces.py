@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scara_effmass.analysis.forces import forces_of
+from scara_effmass.analysis.forces import read_force
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.share import share
@@ -35,7 +35,7 @@ def test_blocks_are_put_together_with_a_gap_where_samples_were_lost(tmp_path: Pa
             bag.write("/force", FORCE_BLOCK, each.stamp_ns, force_block_message(each))
         bag.write("/impact", IMPACT, START_NS + 4 * MS, impact_message(impact))
     with open_bag(tmp_path / "bag") as bag:
-        forces = forces_of(bag)
+        forces = read_force(bag)
     assert forces is not None
     assert (forces.blocks, forces.lost, forces.simulated, forces.source) == (3, 10, False, "test")
     assert forces.impacts == (impact,)
@@ -46,4 +46,4 @@ def test_blocks_are_put_together_with_a_gap_where_samples_were_lost(tmp_path: Pa
 
 def test_a_recording_without_force_has_none() -> None:
     with open_bag(share("bags", "straight_300_200")) as bag:
-        assert forces_of(bag) is None
+        assert read_force(bag) is None

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from scara_effmass.analysis.output import completed, require_free
+from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.errors import OutputError
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def test_a_complete_file_takes_its_name_and_makes_its_folders(tmp_path: Path) -> None:
     path = tmp_path / "a" / "b" / "c.txt"
-    with completed(path, overwrite=False) as unfinished:
+    with atomic_file(path, overwrite=False) as unfinished:
         unfinished.write_text("whole")
         assert not path.exists()
         assert unfinished.suffix == ".txt"
@@ -26,7 +26,7 @@ def test_a_complete_file_takes_its_name_and_makes_its_folders(tmp_path: Path) ->
 @pytest.mark.parametrize("error", [ValueError("odd"), KeyboardInterrupt(), SystemExit(143)])
 def test_an_unfinished_file_goes(error: BaseException, tmp_path: Path) -> None:
     def write() -> None:
-        with completed(tmp_path / "c.txt", overwrite=False) as unfinished:
+        with atomic_file(tmp_path / "c.txt", overwrite=False) as unfinished:
             unfinished.write_text("half")
             raise error
 
@@ -41,7 +41,7 @@ def test_a_signal_that_breaks_in_at_the_start_leaves_nothing(tmp_path: Path, mon
         raise KeyboardInterrupt
 
     monkeypatch.setattr("pathlib.Path.touch", interrupted)
-    with pytest.raises(KeyboardInterrupt), completed(tmp_path / "c.txt", overwrite=False):
+    with pytest.raises(KeyboardInterrupt), atomic_file(tmp_path / "c.txt", overwrite=False):
         pass
     assert list(tmp_path.iterdir()) == []
 
@@ -49,7 +49,7 @@ def test_a_signal_that_breaks_in_at_the_start_leaves_nothing(tmp_path: Path, mon
 def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
     with (
         pytest.raises(OutputError, match=r"c\.txt: cannot be written: No space left"),
-        completed(tmp_path / "c.txt", overwrite=True),
+        atomic_file(tmp_path / "c.txt", overwrite=True),
     ):
         raise OSError(28, "No space left on device")
     assert list(tmp_path.iterdir()) == []
@@ -58,10 +58,10 @@ def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
 def test_what_exists_stays_unless_it_may_be_replaced(tmp_path: Path) -> None:
     path = tmp_path / "c.txt"
     path.write_text("precious")
-    with pytest.raises(OutputError, match="--force"), completed(path, overwrite=False):
+    with pytest.raises(OutputError, match="--force"), atomic_file(path, overwrite=False):
         pass
     assert path.read_text() == "precious"
-    with completed(path, overwrite=True) as unfinished:
+    with atomic_file(path, overwrite=True) as unfinished:
         unfinished.write_text("new")
     assert path.read_text() == "new"
 
@@ -70,7 +70,7 @@ def test_what_appears_meanwhile_stays_too(tmp_path: Path) -> None:
     path = tmp_path / "c.txt"
 
     def write() -> None:
-        with completed(path, overwrite=False) as unfinished:
+        with atomic_file(path, overwrite=False) as unfinished:
             unfinished.write_text("mine")
             path.write_text("another's")
 
@@ -82,4 +82,4 @@ def test_what_appears_meanwhile_stays_too(tmp_path: Path) -> None:
 
 def test_a_folder_is_no_file(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="is a folder"):
-        require_free(tmp_path, overwrite=True)
+        check_output_path(tmp_path, overwrite=True)

@@ -98,7 +98,10 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
         "no joint states on /arm; --topic must be one of /joint_states",
     ),
     "topic of a demo without a bag": (["demo", "--topic", "/arm"], "demo: --topic = /arm: the simulated cell has"),
-    "robot of a demo without a bag": (["demo", "--robot", ROBOT], "demo: --robot: the simulated cell is an"),
+    "robot of a demo without a bag": (
+        ["demo", "--robot", ROBOT],
+        "demo: --robot: the simulated cell has its own robot",
+    ),
     "region of an assessment": (["assess", TOUR, "-o", "a.csv", "--region", "tail"], "must be one of skull"),
     "wrong suffix": (["assess", TOUR, "-o", "a.xls"], "one of .parquet, .csv, .mcap would be right"),
     "unwritable folder": (["assess", TOUR, "-o", "/proc/none/a.csv"], "/proc/none/a.csv: cannot be written"),
