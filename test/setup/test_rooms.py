@@ -37,6 +37,7 @@ IMPORTERS = {
     "nidaqmx": {"daq"},
     "nptdms": {"daq"},
     "mujoco": {"sim"},
+    "jinja2": {"analysis"},
     "matplotlib": {"analysis", "paper"},
     "pyarrow": {"analysis", "bags"},
     "scipy": {"daq", "analysis", "impacts", "paper", "sim"},
