@@ -1,41 +1,41 @@
-"""The exceptions of the suite: one tree, whose leaves also are the builtin a caller would expect.
+"""Exceptions: one tree, whose leaves are also builtin exceptions.
 
-Each message is one line that names the file, the key and the value, and says what would be right.
+A message is one line: `FILE: key = value: must be RULE`.
 """
 
 from __future__ import annotations
 
 
 class EffmassError(Exception):
-    """Anything this suite refuses to do; the command line prints it in one line and exits with 2."""
+    """Base of all errors of this package; the command line prints one line and exits with 2."""
 
 
 class SettingsError(EffmassError, ValueError):
-    """A parameter, option or settings file that cannot be used."""
+    """Invalid parameter, option or settings file."""
 
 
 class RobotError(EffmassError, ValueError):
-    """A robot description that cannot be used, or a question the model of it cannot answer."""
+    """Invalid robot description, or a model that the robot does not have."""
 
 
 class LimitError(EffmassError, ValueError):
-    """A contact limit that the standard does not give, or a setting that would loosen one."""
+    """Limit that the standard does not state, or setting that would loosen one."""
 
 
 class BagError(EffmassError, ValueError):
-    """A recording that cannot be read or written."""
+    """Recording that cannot be read or written."""
 
 
 class DecodeError(EffmassError, ValueError):
-    """Message bytes that are not what their type says."""
+    """Message bytes that do not match their type."""
 
 
 class OutputError(EffmassError, OSError):
-    """A file that cannot be written, or that exists already."""
+    """File that cannot be written or already exists."""
 
 
 class DaqError(EffmassError, OSError):
-    """Force cannot be measured; each leaf says what to do about it."""
+    """Failure of the force measurement; the message names the remedy."""
 
 
 class DriverMissingError(DaqError):
@@ -43,16 +43,16 @@ class DriverMissingError(DaqError):
 
 
 class DeviceMissingError(DaqError):
-    """No such device or channel, or one that cannot do what is asked."""
+    """No such device or channel, or unsupported by it."""
 
 
 class DeviceReservedError(DaqError):
-    """Another program holds the device."""
+    """Another program has reserved the device."""
 
 
 class DeviceLostError(DaqError):
-    """The device was there and has gone; it may come back."""
+    """The device was disconnected; it may come back."""
 
 
 class OverrunError(DaqError):
-    """Samples were overwritten before they were read: the acquisition has to begin again, with a gap."""
+    """Samples were overwritten before they were read; the acquisition must restart, with a gap."""

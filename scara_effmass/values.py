@@ -1,6 +1,6 @@
-"""The values that cross rooms: immutable, SI units, float64, time in integer nanoseconds.
+"""Values that cross rooms: immutable, SI units, float64, time in integer nanoseconds.
 
-Most are named tuples, not dataclasses, because one of each is made per cycle and they cost a third.
+Most are named tuples because one is built per cycle, at a third of the cost of a dataclass.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ ZERO_VECTOR: Vector3 = (0.0, 0.0, 0.0)
 
 
 class JointState(NamedTuple):
-    """One `sensor_msgs/JointState`, as it was received: nothing about it has been checked.
+    """One `sensor_msgs/JointState` as received, unchecked.
 
-    `position` and `velocity` are read-only, in [rad] or [m] and per second; a sender may leave either empty.
+    `position` and `velocity` are read-only, in [rad] or [m] and per second; either may be empty.
     """
 
     stamp_ns: int
@@ -33,7 +33,7 @@ class JointState(NamedTuple):
 
 
 class Verdict(IntEnum):
-    """What is said of a contact point; the numbers are the constants of `ContactState.msg`."""
+    """Verdict on a contact point; the numbers are the constants of `ContactState.msg`."""
 
     UNKNOWN = 0
     OK = 1
@@ -42,9 +42,9 @@ class Verdict(IntEnum):
 
 
 class ContactAssessment(NamedTuple):
-    """One contact point at one joint state: `ContactState.msg`, field by field.
+    """Assessment of one contact point at one joint state: `ContactState.msg`, field by field.
 
-    `lumped_mass` and `full_mass` [kg] are NaN when that model does not exist for the robot. Under UNKNOWN,
+    `lumped_mass` and `full_mass` [kg] are NaN if the robot has no such model. Under UNKNOWN,
     what could not be computed is 0. Masses and `predicted_force` [N] are nominal; `allowable_speed` [m/s]
     and `margin` [m/s] include the uncertainty margins, on the safe side. `watchdog` marks a state that the monitor's
     watchdog published because no joint state came.
@@ -77,10 +77,9 @@ class ContactAssessment(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What the monitor publishes for one joint state, or for the lack of one.
+    """Output of the monitor for one joint state, or of its watchdog.
 
-    `allowable_speed` [m/s] and `speed_scaling` [0-1] are those of the tightest contact point, and 0 when
-    any contact point is UNKNOWN.
+    `allowable_speed` [m/s] and `speed_scaling` [0-1] are the minima over the contact points, 0 if one is UNKNOWN.
     """
 
     contacts: tuple[ContactAssessment, ...]
@@ -91,8 +90,8 @@ class Decision(NamedTuple):
 class ForceBlock(NamedTuple):
     """Consecutive samples of one force channel: `ForceBlock.msg`, field by field.
 
-    `force` (n,) is read-only, in [N], compression positive, tare subtracted; `saturated_samples` are the indices
-    into it of the samples at the end of the measuring range.
+    `force` (n,) is read-only, in [N], compression positive, tare subtracted; `saturated_samples` are its indices
+    at the end of the measuring range.
     """
 
     stamp_ns: int
@@ -112,7 +111,7 @@ class ForceBlock(NamedTuple):
 
 
 class Impact(NamedTuple):
-    """One impact found in the force signal: `Impact.msg`, field by field."""
+    """One impact detected in the force signal: `Impact.msg`, field by field."""
 
     stamp_ns: int
     frame_id: str
@@ -131,9 +130,9 @@ class Impact(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """What one model of the effective mass says of one impact.
+    """Prediction of one impact by one model of the effective mass.
 
-    `model` is "lumped", "full", "iso" or "largest". `mass_spread` [kg] is how much the mass varies within the clock
+    `model` is "lumped", "full", "iso" or "largest". `mass_spread` [kg] is its variation within the clock
     uncertainty. `predicted_force` = v sqrt(mu k) [N] with mu = `reduced_mass` [kg] and k = `stiffness` [N/m];
     `relative_error` = (predicted - measured) / measured, and `conservative` means not below the measured force.
     """
@@ -150,12 +149,12 @@ class Prediction(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ValidatedImpact:
-    """One impact against its prediction: `ImpactValidation.msg`, field by field, and what stands behind it.
+    """Comparison of one impact with its prediction: `ImpactValidation.msg`, and its inputs.
 
-    From `count` on the fields say how the judged model stands in its series. Then: `predictions` of every model that
-    has a mass at the onset; `obstacle_mass` m_H [kg] and `configuration` of that run; `speed_spread` [m/s], how much
-    the speed varies within the clock uncertainty; `from_trend`, the state was continued from before the impact,
-    because the contact had slowed the next one down.
+    `count` to `reason` describe the agreement of the selected model over the series. Then: `predictions` of every
+    model that has a mass at the onset; `obstacle_mass` m_H [kg] and `configuration` of the run; `speed_spread` [m/s],
+    the variation of the speed within the clock uncertainty; `from_trend`, the state was extrapolated from before the
+    impact, because the contact had slowed the next one down.
     """
 
     stamp_ns: int
@@ -187,9 +186,9 @@ class ValidatedImpact:
 
 
 class RefusedImpact(NamedTuple):
-    """One impact that is not in the series: `excluded` for what it is itself, or else without a robot state.
+    """One impact left out of the series: `excluded` for a property of its own, or else without a robot state.
 
-    `reason` is one of few, to be counted; `detail` says what it was in this case, or is empty.
+    `reason` is a category to count; `detail` describes this case, or is empty.
     """
 
     stamp_ns: int

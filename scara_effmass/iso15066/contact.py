@@ -20,7 +20,7 @@ def robot_mass(moving_mass: float, payload_mass: float) -> float:
 
 
 def reduced_mass(effective_mass: Quantity, obstacle_mass: float) -> Quantity:
-    """Return mu = 1 / (1/m_R + 1/m_H) [kg] of two positive masses [kg], either of which may be infinite.
+    """Return mu = 1 / (1/m_R + 1/m_H) [kg] (Eq. 16) of two positive masses [kg], either of which may be infinite.
 
     A clamped body part has an infinite `obstacle_mass`: mu is then `effective_mass`.
     """

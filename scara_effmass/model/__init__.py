@@ -1,1 +1,8 @@
-"""Mechanics: what mass a serial robot presents at a contact point along a direction. Pure; SI units."""
+"""Effective mass of a serial robot at a contact point. Pure; SI units.
+
+The formula is in `dynamics` (Eqs. 3-14); `lumping` builds the simplified model; `scara_closed_form` is the test oracle.
+"Eq. N", "Fig. N" and "Table N" are those of the paper cited in README.md and CITATION.cff, an article on the effective
+mass and the impact force of an Omron i4-550L SCARA. The operational space formulation behind it: O. Khatib, "A unified
+approach for motion and force control of robot manipulators: The operational space formulation", IEEE Journal on
+Robotics and Automation 3(1), 43-53, 1987, doi 10.1109/JRA.1987.1087068.
+"""

@@ -1,4 +1,4 @@
-"""Robots from a small Denavit-Hartenberg YAML file, such as `config/omron_i4_550l.yaml`."""
+"""Load a robot from Denavit-Hartenberg rows in YAML, such as `config/omron_i4_550l.yaml`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _no_bool(value: object) -> object:
 
 
 Number = Annotated[float, BeforeValidator(_no_bool), Field(ge=-1e6, le=1e6)]
-"""Any quantity of the file: a magnitude above a million [SI] is a slip, and would overflow later."""
+"""A finite number; a magnitude above a million [SI] is a typing error and would overflow later."""
 Point = tuple[Number, Number, Number]
 Inertia = Number | tuple[Number, Number, Number, Number, Number, Number]
 
@@ -42,7 +42,7 @@ class _Strict(BaseModel):
 
 
 class DhJoint(_Strict):
-    """One standard DH row, Rz(theta) Tz(d) Tx(a) Rx(alpha), with limits [rad or m, per second]."""
+    """One standard DH row, Rz(theta) Tz(d) Tx(a) Rx(alpha), with position and speed limits [rad or m, per second]."""
 
     name: str = Field(min_length=1)
     type: Literal["revolute", "prismatic"]
@@ -58,18 +58,18 @@ class DhJoint(_Strict):
     @model_validator(mode="after")
     def _ordered(self) -> DhJoint:
         if self.lower >= self.upper:
-            raise ValueError(f"lower {self.lower} must lie below upper {self.upper}")
+            raise ValueError(f"lower = {self.lower}: must be < upper = {self.upper}")
         return self
 
     def link_in_joint(self) -> pin.SE3:
-        """Pose of the link frame (on the axis, x along the common normal) in the moving joint frame."""
+        """Return the pose of the link frame (on the axis, x along the common normal) in the moving joint frame."""
         return pin.SE3(_rotation_z(self.theta), np.array([0.0, 0.0, self.d]))
 
     def next_in_joint(self) -> pin.SE3:
-        """Pose of the DH frame, in which the next joint moves, in the moving joint frame."""
+        """Return the pose of the DH frame, in which the next joint moves, in the moving joint frame."""
         c, s = math.cos(self.alpha), math.sin(self.alpha)
-        turn = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-        return self.link_in_joint() * pin.SE3(turn, np.array([self.a, 0.0, 0.0]))
+        rotation = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        return self.link_in_joint() * pin.SE3(rotation, np.array([self.a, 0.0, 0.0]))
 
 
 class DhLink(_Strict):
@@ -82,25 +82,25 @@ class DhLink(_Strict):
 
     @field_validator("inertia")
     @classmethod
-    def _of_a_body(cls, inertia: Inertia | None) -> Inertia | None:
+    def _has_no_negative_moment(cls, inertia: Inertia | None) -> Inertia | None:
         principal_moments(_tensor(inertia))
         return inertia
 
     @property
     def body(self) -> pin.Inertia:
-        """The link as Pinocchio has it, in the link frame."""
+        """Pinocchio's inertia of the link, in the link frame."""
         return pin.Inertia(self.mass, np.array(self.com), _tensor(self.inertia))
 
 
 class DhPayload(DhLink):
-    """What the robot carries: end-effector and workpiece, in the last DH frame."""
+    """End-effector and workpiece, in the last DH frame."""
 
     name: str = "payload"
     com: Point = (0.0, 0.0, 0.0)
 
 
 class DhFile(_Strict):
-    """The whole file."""
+    """Content of a DH file."""
 
     robot: str = Field(min_length=1)
     base_frame: str = Field(min_length=1)
@@ -113,9 +113,9 @@ class DhFile(_Strict):
     def _consistent(self) -> DhFile:
         names = [joint.name for joint in self.joints]
         if len(set(names)) != len(names):
-            raise ValueError(f"joint names {names} must differ")
+            raise ValueError(f"joint names {names}: must differ")
         if len(self.links) != len(self.joints):
-            raise ValueError(f"{len(self.links)} links for {len(self.joints)} joints: one link per joint is needed")
+            raise ValueError(f"{len(self.links)} links for {len(self.joints)} joints: must be one link per joint")
         if any(abs(math.sin(joint.alpha)) > PARALLEL for joint in self.joints):
             for name, inertia in (
                 *((link.name, link.inertia) for link in self.links),
@@ -123,7 +123,7 @@ class DhFile(_Strict):
             ):
                 if isinstance(inertia, float) and inertia > 0.0:
                     raise ValueError(
-                        f"inertia of {name} = {inertia} is I_zz alone, but the axes are not parallel: give six"
+                        f"inertia of {name} = {inertia}: must be six numbers, because the axes are not parallel"
                     )
         return self
 
@@ -160,13 +160,13 @@ def _robot(file: DhFile, origin: str, contact_points: Sequence[str]) -> Robot:
     parent = 0
     placement = pin.SE3.Identity()
     for row, link in zip(file.joints, file.links, strict=True):
-        kind = pin.JointModelRZ() if row.type == "revolute" else pin.JointModelPZ()
+        joint = pin.JointModelRZ() if row.type == "revolute" else pin.JointModelPZ()
         parent = model.addJoint(
             parent,
-            kind,
+            joint,
             placement,
             row.name,
-            np.array([1e9]),  # effort: not used
+            np.array([1e9]),  # maximum effort, unused
             np.array([row.max_speed]),
             np.array([row.lower]),
             np.array([row.upper]),
@@ -196,7 +196,7 @@ def _tensor(inertia: Inertia | None) -> FloatArray:
     if inertia is None:
         return np.zeros((3, 3))
     if isinstance(inertia, float):
-        # A planar file states I_zz alone; the thin-rod completion keeps the triangle inequality.
+        # A planar robot states I_zz alone; equal halves for I_xx and I_yy satisfy the triangle inequality.
         return np.diag([inertia / 2.0, inertia / 2.0, inertia])
     ixx, iyy, izz, ixy, ixz, iyz = inertia
     return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])

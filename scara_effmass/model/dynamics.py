@@ -1,10 +1,11 @@
-"""The mass a robot presents, cycle by cycle: Eqs. 3-14 of the paper over Pinocchio.
+"""Effective mass of a serial robot at its contact points, per joint state (Eqs. 3-14 of the paper, over Pinocchio).
 
     v = J_v qd                     velocity of the contact point (Eq. 1)
-    A = J_v M^-1 J_v^T             mobility: the inverse of the operational mass matrix (Eqs. 3-4)
+    A = J_v M^-1 J_v^T             mobility, the inverse of the operational mass matrix (Eqs. 3-4)
     m_n = 1 / (n^T A n)            effective mass along the unit vector n (Eqs. 5-8)
 
-The worst direction's mass is one over A's smallest eigenvalue within the directions the contact point can reach.
+The mass of the worst direction is the inverse of A's smallest eigenvalue within the directions that the contact point
+can move in. The paper is cited in `scara_effmass.model`.
 """
 
 from __future__ import annotations
@@ -17,27 +18,26 @@ import pinocchio as pin
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.lumping import lump
-from scara_effmass.values import NAN
+from scara_effmass.values import NAN, ZERO_VECTOR
 
 if TYPE_CHECKING:
     from scara_effmass.model.lumping import LumpedModel
     from scara_effmass.model.robot import Robot
     from scara_effmass.values import FloatArray, Vector3
 
-REACHED = 1e-9
-"""Share of the largest singular value below which a direction of motion counts as out of reach."""
-STILL_M = 1e-9
+RANK_TOLERANCE = 1e-9
+"""Fraction of the largest singular value of J_v below which a direction counts as unreachable."""
+MIN_LEVER_M = 1e-9
 """Lever [m] below which a joint does not move the contact point."""
-_NO_DIRECTION: Vector3 = (0.0, 0.0, 0.0)
 _THIRD_TURN = 2.0 * math.pi / 3.0
 
 
 class EffectiveMasses(NamedTuple):
-    """What one contact point presents at one joint state [m/s, kg].
+    """Effective masses [kg], speed [m/s] and direction of one contact point at one joint state.
 
-    `direction` is the zero vector and `lumped`, `full` are those of the worst direction where the speed is below
-    the threshold. A mass is `inf` in a direction that no joint moves, NaN where its model has no answer
-    (`lumped_reason` then says why, for this state).
+    Below the speed threshold `direction` is zero, and `lumped` and `full` are the masses of the worst direction.
+    A mass is infinite in a direction that no joint moves, and NaN if its model does not cover this state;
+    `lumped_reason` then states why.
     """
 
     speed: float
@@ -51,13 +51,13 @@ class EffectiveMasses(NamedTuple):
 
 
 class RobotDynamics:
-    """One robot with its models, ready to be asked once per joint state. Not safe to share between threads.
+    """Lumped and full model of one robot with Pinocchio's working data. Not thread-safe.
 
-    `lumped_reason` and `full_reason` say why that model does not exist for this robot; they are empty where it does.
+    `lumped` is None, and `lumped_reason` states why, if the robot has no lumped model; likewise `full_reason`.
     """
 
     def __init__(self, robot: Robot) -> None:
-        """Build the models of `robot`."""
+        """Build the models. Raises RobotError for a contact point that no joint moves."""
         self.robot = robot
         self.lumped: LumpedModel | None = None
         self.lumped_reason = ""
@@ -71,78 +71,78 @@ class RobotDynamics:
             self._models.append(robot.model)
         self._data = [model.createData() for model in self._models]
         self._kinematics = robot.model.createData()
-        self._massless = () if self.lumped is None else self.lumped.massless
-        self._contacts = tuple((name, frame, self._reach(name, frame)) for name, frame in robot.contact_frames.items())
+        self._massless_joints = () if self.lumped is None else self.lumped.massless_joints
+        self._contacts = tuple((name, frame, self._rank(name, frame)) for name, frame in robot.contact_frames.items())
 
     @property
     def contact_points(self) -> tuple[str, ...]:
-        """Names of the watched points, in the order of `presented`."""
+        """Names of the contact points, in the order of `effective_masses`."""
         return tuple(name for name, _, _ in self._contacts)
 
     def effective_masses(self, q: FloatArray, qd: FloatArray, speed_threshold: float) -> list[EffectiveMasses]:
-        """Return what each contact point presents at `q` (n,) [rad, m], moving with `qd` (n,).
+        """Return the effective masses of each contact point at `q` (n,) [rad, m] and `qd` (n,), Eqs. 3-14.
 
-        Below `speed_threshold` [m/s] a point has no direction, and its masses are those of the worst one.
+        A contact point slower than `speed_threshold` [m/s] has no direction; its masses are of the worst direction.
         """
         inverses = [pin.computeMinverse(model, data, q) for model, data in zip(self._models, self._data, strict=True)]
-        return [self._at_contact(q, qd, frame, reach, inverses, speed_threshold) for _, frame, reach in self._contacts]
+        return [self._at_contact(q, qd, frame, rank, inverses, speed_threshold) for _, frame, rank in self._contacts]
 
     def _at_contact(
-        self, q: FloatArray, qd: FloatArray, frame: int, reach: int, inverses: list[FloatArray], speed_threshold: float
+        self, q: FloatArray, qd: FloatArray, frame: int, rank: int, inverses: list[FloatArray], speed_threshold: float
     ) -> EffectiveMasses:
         jacobian = self.jacobian(q, frame)
         transposed = jacobian.T
         vx, vy, vz = jacobian.dot(qd).tolist()
         speed = math.sqrt(vx * vx + vy * vy + vz * vz)
         moving = speed >= speed_threshold and speed > 0.0
-        direction = (vx / speed, vy / speed, vz / speed) if moving else _NO_DIRECTION
+        direction = (vx / speed, vy / speed, vz / speed) if moving else ZERO_VECTOR
         masses = []
         for inverse in inverses:
             mobility = jacobian.dot(inverse).dot(transposed).tolist()
-            least = smallest_eigenvalue(mobility, reach)
-            worst = 1.0 / least if least > 0.0 else math.inf
-            masses.append((_along(mobility, direction) if moving else worst, worst))
+            min_mobility = smallest_eigenvalue(mobility, rank)
+            worst = 1.0 / min_mobility if min_mobility > 0.0 else math.inf
+            masses.append((_effective_mass(mobility, direction) if moving else worst, worst))
         full, worst_full = (NAN, NAN) if self.full_reason else masses[-1]
         lumped, worst_lumped = (NAN, NAN) if self.lumped is None else masses[0]
         reason = self.lumped_reason
-        for joint in self._massless:
+        for joint in self._massless_joints:
             x, y, z = jacobian[:, joint].tolist()
-            if x * x + y * y + z * z > STILL_M * STILL_M:
+            if x * x + y * y + z * z > MIN_LEVER_M * MIN_LEVER_M:
                 worst_lumped = NAN
                 nx, ny, nz = direction
-                if not moving or abs(nx * x + ny * y + nz * z) > STILL_M:
+                if not moving or abs(nx * x + ny * y + nz * z) > MIN_LEVER_M:
                     lumped = NAN
                     reason = f"{self.robot.joint_names[joint]} moves the contact point along n, but no lumped mass"
-        singular = math.sqrt(max(smallest_eigenvalue(jacobian.dot(transposed).tolist(), reach), 0.0))
+        singular = math.sqrt(max(smallest_eigenvalue(jacobian.dot(transposed).tolist(), rank), 0.0))
         return EffectiveMasses(speed, direction, lumped, full, worst_lumped, worst_full, singular, reason)
 
     def jacobian(self, q: FloatArray, frame: int) -> FloatArray:
-        """Return J_v (3, n), the linear velocity of Pinocchio's frame `frame` in base axes per joint velocity."""
+        """Return J_v (3, n): linear velocity of Pinocchio's `frame` in base axes, per joint velocity."""
         full: FloatArray = pin.computeFrameJacobian(
             self.robot.model, self._kinematics, q, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         )
         linear = full[:3]
-        return linear if linear.ndim > 1 else linear[:, None]  # of one joint, Pinocchio returns a vector
+        return linear if linear.ndim > 1 else linear[:, None]  # Pinocchio returns a vector for a single joint
 
-    def _reach(self, name: str, frame: int) -> int:
-        """Return in how many dimensions the contact point can move, outside singular poses."""
+    def _rank(self, name: str, frame: int) -> int:
+        """Return in how many dimensions the contact point can move outside singular poses."""
         values = np.array(
             [np.linalg.svd(self.jacobian(q, frame), compute_uv=False) for q in self.robot.sample_configurations()]
         )
-        reach = int(np.sum(values > max(REACHED * values.max(), STILL_M), axis=1).max())
-        if reach == 0:
+        rank = int(np.sum(values > max(RANK_TOLERANCE * values.max(), MIN_LEVER_M), axis=1).max())
+        if rank == 0:
             raise RobotError(
-                f"{self.robot.origin}: contact point {name}: it lies on the axis of every joint that could move it"
+                f"{self.robot.origin}: contact point {name}: must not lie on the axis of every joint that moves it"
             )
-        return reach
+        return rank
 
 
 def smallest_eigenvalue(matrix: list[list[float]], rank: int) -> float:
-    """Return the smallest eigenvalue that is not known to be zero, of a symmetric (3, 3) matrix of `rank` 1 to 3.
+    """Return the smallest of the `rank` (1 to 3) largest eigenvalues of a symmetric (3, 3) matrix.
 
-    Closed form (O. K. Smith, 1961), a fraction of the cost of `numpy.linalg.eigvalsh` on one small matrix. Its
-    error is below 1e-7 of the largest eigenvalue, and far below unless the two smallest nearly coincide: enough,
-    because mobilities count beside 1 / m_H. Negative, where rounding or an indefinite matrix makes it so.
+    Closed form (O. K. Smith, "Eigenvalues of a symmetric 3 x 3 matrix", Communications of the ACM 4(4), 168, 1961),
+    much faster than `numpy.linalg.eigvalsh`. The error is below 1e-7 of the largest eigenvalue, which is enough because
+    a mobility is added to 1 / m_H. Rounding or an indefinite matrix can make the result negative.
     """
     (a, b, c), (_, d, e), (_, _, f) = matrix
     mean = (a + d + f) / 3.0
@@ -162,8 +162,8 @@ def smallest_eigenvalue(matrix: list[list[float]], rank: int) -> float:
     return mean + 2.0 * spread * math.cos(third + _THIRD_TURN)
 
 
-def _along(mobility: list[list[float]], direction: Vector3) -> float:
-    """m_n = 1 / (n^T A n), Eq. 8; infinite where no joint moves the point along n."""
+def _effective_mass(mobility: list[list[float]], direction: Vector3) -> float:
+    """Return the effective mass along n, m_n = 1 / (n^T A n) (Eq. 8); infinite if no joint moves the point along n."""
     (a, b, c), (_, d, e), (_, _, f) = mobility
     x, y, z = direction
     inverse = a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
@@ -171,6 +171,7 @@ def _along(mobility: list[list[float]], direction: Vector3) -> float:
 
 
 def _full_reason(robot: Robot) -> str:
+    """Return why the robot has no full model, or an empty string."""
     if robot.inertias_reason:
         return robot.inertias_reason
     data = robot.model.createData()
@@ -179,7 +180,7 @@ def _full_reason(robot: Robot) -> str:
         scale = np.sqrt(np.diag(matrix).clip(min=0.0))
         if np.any(scale == 0.0):
             joint = robot.joint_names[int(np.flatnonzero(scale == 0.0)[0])]
-            return f"{joint} moves no inertia: give its link an inertia or the joint an armature"
+            return f"{joint} moves no inertia: its link must have an inertia, or the joint an armature"
         if np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < 1e-12:
             return f"the mass matrix is not positive definite at q = {np.round(q, 3).tolist()}"
     return ""

@@ -1,11 +1,11 @@
-"""The simplified model: each link as two point masses on its two joint axes, mass and centre of mass exact.
+"""Lumped ("simplified") model: two point masses per link, on the axes of its two joints, with its mass and CoM.
 
-For link i with unit axes u_a (proximal) and u_b (distal), feet f_a and f_b of their common normal:
+For link i with unit axes u_a (proximal) and u_b (distal), and feet f_a and f_b of their common normal:
 
     kappa1 (f_a + L1 u_a) + kappa2 (f_b + L2 u_b) = CoM,    kappa1 + kappa2 = 1
 
-Masses of neighbouring links that share an axis are aggregated, so n joints leave n + 1 masses (Table II).
-Covered here: parallel and coincident axes, and prismatic axes, of which only the direction matters.
+Masses of neighbouring links on the same axis add up, so n joints leave n + 1 masses (Table II of the paper, cited in
+`scara_effmass.model`). Supported: parallel and coincident axes, and prismatic axes, of which only the direction counts.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from scara_effmass.values import FloatArray, Vector3
 
 ON_AXIS_M = 1e-4
-"""Distance [m] below which axes coincide, or a centre of mass lies where it must: finer than CAD data are."""
+"""Distance [m] below which axes coincide, or a centre of mass lies in their plane: finer than CAD data."""
 
 
 @dataclass(frozen=True, slots=True)
 class LumpedLink:
-    """Two masses in place of one link; points in the link's joint frame [m].
+    """One link as two point masses `kappa1 * mass` and `kappa2 * mass` at `point1` and `point2` in its joint frame [m].
 
-    `on_axes` is false where a prismatic axis, of which only the direction matters, was put through the CoM.
+    `height1` and `height2` are L1 and L2 [m]. `on_axes` is False if a prismatic axis was shifted through the CoM.
     """
 
     joint: str
@@ -47,36 +47,35 @@ class LumpedLink:
 
 @dataclass(frozen=True, slots=True)
 class LumpedModel:
-    """The lumped links of a robot, and Pinocchio's model of them.
+    """Lumped links of a robot and their Pinocchio model, whose mass matrix is Eq. 14.
 
-    `model` moves as the robot does, its bodies being the pairs of point masses, so that its mass matrix is Eq. 14.
-    `aggregated` are the n + 1 masses by axis, proximal first: the first is at rest. `massless` are the joints
-    (0-based) about which nothing is left to turn: in `model` each has an armature of 1 in place of the zero,
-    which leaves the mass along any direction in which that joint does not move the contact point as it is.
+    `aggregated` are the n + 1 masses [kg] by axis, proximal first; the first does not move. `massless_joints` are the
+    joints (0-based) that move no lumped mass: `model` gives them an armature of 1 to keep its mass matrix regular.
+    The mass along a direction in which such a joint does not move the contact point is unaffected.
     """
 
     links: tuple[LumpedLink, ...]
     aggregated: tuple[float, ...]
     model: pin.Model
-    massless: tuple[int, ...]
+    massless_joints: tuple[int, ...]
 
     def planar_masses(self, robot: Robot) -> tuple[float, float]:
         """Return M2 (elbow) and M3 (end-effector) of the equivalent planar mechanism [kg], after Eq. 25.
 
-        Raises RobotError for a robot that is no SCARA, or whose masses do not all lie on its axes.
+        Raises RobotError if the robot is not a SCARA, or if some mass is not on its axes.
         """
         if not is_scara(robot):
-            raise RobotError(f"{robot.origin}: {robot.name} is no SCARA: it has no equivalent planar masses")
+            raise RobotError(f"{robot.origin}: {robot.name} is not a SCARA: it has no equivalent planar masses")
         for link in self.links:
             if not link.on_axes:
                 raise RobotError(
-                    f"{robot.origin}: link behind {link.joint}: its centre of mass misses the plane of its two axes"
+                    f"{robot.origin}: link behind {link.joint}: its centre of mass lies off the plane of its two axes"
                 )
         return self.aggregated[1], sum(self.aggregated[2:])
 
 
 def is_scara(robot: Robot) -> bool:
-    """Whether the robot is a chain revolute, revolute, prismatic, revolute with parallel axes, the last two coaxial."""
+    """Return whether the robot is a chain R-R-P-R with parallel axes, of which the last two coincide."""
     if robot.revolute != (True, True, False, True):
         return False
     axes = [_distal_axis(robot, joint) for joint in range(1, 5)]
@@ -89,26 +88,26 @@ def is_scara(robot: Robot) -> bool:
 
 
 def lump(robot: Robot) -> LumpedModel:
-    """Return the simplified model of `robot`. Raises RobotError saying which link has none, and why."""
+    """Return the lumped model of `robot`. Raises RobotError, naming the link, if there is none."""
     if robot.masses_reason or robot.coms_reason:
         raise RobotError(robot.masses_reason or robot.coms_reason)
     source = robot.model
     if list(source.parents)[1:] != list(range(source.njoints - 1)):
-        raise RobotError("the joints do not form one chain")
+        raise RobotError("the joints must form a single chain")
     links = tuple(_lumped_link(robot, joint) for joint in range(1, source.njoints))
     model = source.copy()
     for joint, link in enumerate(links, start=1):
         model.inertias[joint] = _two_masses(link)
-    massless = _massless_joints(robot, model)
+    massless_joints = _massless_joints(robot, model)
     armature = source.armature.copy()
-    armature[list(massless)] = 1.0
+    armature[list(massless_joints)] = 1.0
     model.armature = armature
     _require_positive_definite(robot, model, links)
     masses = [0.0] * source.njoints
     for index, link in enumerate(links):
         masses[index] += link.kappa1 * link.mass
         masses[index + 1] += link.kappa2 * link.mass
-    return LumpedModel(links=links, aggregated=tuple(masses), model=model, massless=massless)
+    return LumpedModel(links=links, aggregated=tuple(masses), model=model, massless_joints=massless_joints)
 
 
 def _distal_axis(robot: Robot, joint: int) -> tuple[FloatArray, FloatArray]:
@@ -125,31 +124,29 @@ def _lumped_link(robot: Robot, joint: int) -> LumpedLink:
     axis = robot.axis_in_joint_frame(joint)
     point, distal = _distal_axis(robot, joint)
     if float(np.linalg.norm(np.cross(axis, distal))) > PARALLEL:
-        raise RobotError(
-            f"link behind {name}: its axes are not parallel, a case the two-mass construction does not cover yet"
-        )
+        raise RobotError(f"link behind {name}: its axes are not parallel, which the lumped model does not support")
     height = float(body.lever @ axis)
     across = body.lever - height * axis
     normal = point - (point @ axis) * axis
     length = float(np.linalg.norm(normal))
     if length < ON_AXIS_M:
-        kappa2, miss = 0.5, float(np.linalg.norm(across))  # coincident: any share is exact
+        kappa2, distance = 0.5, float(np.linalg.norm(across))  # coincident axes: any kappa is exact
     else:
         kappa2 = float(across @ normal) / length**2
-        miss = float(np.linalg.norm(across - kappa2 * normal))
+        distance = float(np.linalg.norm(across - kappa2 * normal))
     revolute = (*robot.revolute, True)
     foot1, foot2 = np.zeros(3), normal
-    on_axes = miss <= ON_AXIS_M or body.mass == 0.0
+    on_axes = distance <= ON_AXIS_M or body.mass == 0.0
     if not on_axes:
-        # Only the direction of a prismatic axis matters: put it through the centre of mass.
+        # Only the direction of a prismatic axis counts: shift it through the centre of mass.
         if not revolute[joint - 1]:
             kappa2, foot1, foot2 = 0.0, across, across
         elif not revolute[joint]:
             kappa2, foot2 = 1.0, across
         else:
             raise RobotError(
-                f"link behind {name}: its centre of mass misses the plane of its two axes by {miss * 1e3:.1f} mm, "
-                "so no two masses on them have it"
+                f"link behind {name}: its centre of mass lies {distance * 1e3:.1f} mm off the plane of its two axes, "
+                "so two masses on the axes cannot reproduce it"
             )
     return LumpedLink(
         joint=name,
@@ -165,56 +162,55 @@ def _lumped_link(robot: Robot, joint: int) -> LumpedLink:
 
 
 def _two_masses(link: LumpedLink) -> pin.Inertia:
-    """Return the rigid body that two point masses are."""
+    """Return the two point masses as one rigid body."""
     points = np.array([link.point1, link.point2])
     kappas = np.array([link.kappa1, link.kappa2])
     body = pin.Inertia.Zero()
-    # Set piece by piece: the constructor refuses the negative moments that kappa < 0 gives.
+    # Set attribute by attribute: the constructor rejects the negative moments of kappa < 0.
     body.mass = link.mass
     body.lever = kappas @ points
     body.inertia = sum(
-        kappa * link.mass * _spread(point - body.lever) for kappa, point in zip(kappas, points, strict=True)
+        kappa * link.mass * _unit_inertia(point - body.lever) for kappa, point in zip(kappas, points, strict=True)
     )
     return body
 
 
-def _spread(arm: FloatArray) -> FloatArray:
-    """Return the inertia tensor (3, 3) of a unit mass at `arm` from the reference point."""
-    return np.asarray((arm @ arm) * np.eye(3) - np.outer(arm, arm))
+def _unit_inertia(r: FloatArray) -> FloatArray:
+    """Return the inertia tensor (3, 3) of a unit mass at `r` (3,) about the origin."""
+    return np.asarray((r @ r) * np.eye(3) - np.outer(r, r))
 
 
 def _massless_joints(robot: Robot, model: pin.Model) -> tuple[int, ...]:
+    """Return the joints (0-based) whose rows of the mass matrix vanish at every sample."""
     data = model.createData()
-    largest = np.zeros(model.nv)
+    row_max = np.zeros(model.nv)
     scale = 0.0
     for q in robot.sample_configurations():
         matrix = pin.crba(model, data, q)
-        largest = np.maximum(largest, np.abs(matrix).max(axis=1))
+        row_max = np.maximum(row_max, np.abs(matrix).max(axis=1))
         scale = max(scale, float(np.abs(matrix).max()))
-    return tuple(int(joint) for joint in np.flatnonzero(largest < 1e-12 * scale))
+    return tuple(int(joint) for joint in np.flatnonzero(row_max < 1e-12 * scale))
 
 
 def _require_positive_definite(robot: Robot, model: pin.Model, links: tuple[LumpedLink, ...]) -> None:
     outside = [link.joint for link in links if not 0.0 <= link.kappa2 <= 1.0]
-    because = (
+    cause = (
         f": the centre of mass lies outside the slab between the axes behind {', '.join(outside)}" if outside else ""
     )
-    # A negative mass on an axis spoils M(q) near stretched poses at least, which the samples may miss.
-    for axis, mass in enumerate(_masses_by_place(links)[1:], start=1):
+    # A negative mass makes M(q) indefinite near stretched poses, which the samples may miss.
+    for axis, mass in enumerate(_masses_by_axis(links)[1:], start=1):
         if mass < 0.0:
-            raise RobotError(f"the lumped mass on axis {axis + 1} would be {mass:.3g} kg{because}")
+            raise RobotError(f"the lumped mass on axis {axis + 1} is {mass:.3g} kg: must not be negative{cause}")
     data = model.createData()
     for q in robot.sample_configurations():
         matrix = pin.crba(model, data, q)
         scale = np.sqrt(np.diag(matrix).clip(min=0.0))
         if np.any(scale == 0.0) or np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < 1e-9:
-            raise RobotError(
-                f"the lumped mass matrix is not positive definite at q = {np.round(q, 3).tolist()}{because}"
-            )
+            raise RobotError(f"the lumped mass matrix is not positive definite at q = {np.round(q, 3).tolist()}{cause}")
 
 
-def _masses_by_place(links: tuple[LumpedLink, ...]) -> list[float]:
-    """Return the masses [kg] on distinct axes, proximal first: coaxial ones together."""
+def _masses_by_axis(links: tuple[LumpedLink, ...]) -> list[float]:
+    """Return the masses [kg] on distinct axes, proximal first; those on coincident axes add up."""
     masses = [0.0]
     for link in links:
         masses[-1] += link.kappa1 * link.mass

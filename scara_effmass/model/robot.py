@@ -1,4 +1,4 @@
-"""A serial robot as every model of this room sees it, whatever file it came from."""
+"""Serial robot, independent of its file format."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ if TYPE_CHECKING:
     from scara_effmass.values import FloatArray, Vector3
 
 PARALLEL = 2e-3
-"""Sine of the angle below which two axes count as parallel: files write pi as 3.14."""
+"""Sine of the angle below which two axes count as parallel, because some files write pi as 3.14."""
 SAMPLES = 64
-"""Configurations, spread over the joint ranges, at which structural properties are read off a model."""
+"""Number of configurations at which structural properties of a model are evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """Kinematics, masses and limits of one serial robot, payload included.
+    """Kinematics, inertial data and limits of one serial robot, payload included.
 
-    `model` is Pinocchio's, one degree of freedom per joint, bodies carrying their full inertia tensors as far as
-    the file states them. The distal axis of the last link, which no joint follows, is the parallel to its own axis
-    through `tool_point`, in the last joint's frame [m]. A `*_reason` is empty when that kind of data can be believed.
+    `model` has one degree of freedom per joint and the inertia tensors that the file states. `contact_frames` maps
+    contact points to frame ids. The distal axis of the last link is parallel to its joint axis through `tool_point`
+    [m], in the last joint's frame. A `*_reason` states why masses, centres of mass (CoM) or inertias are implausible;
+    it is empty if they are plausible.
     """
 
     name: str
@@ -47,26 +48,26 @@ class Robot:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Joints that the model moves, in its order."""
+        """Names of the model's joints, in its order."""
         return tuple(self.model.names)[1:]
 
     @property
     def revolute(self) -> tuple[bool, ...]:
-        """Whether each joint turns (else it slides)."""
+        """Whether each joint is revolute (else prismatic)."""
         return tuple(joint.shortname().startswith("JointModelR") for joint in list(self.model.joints)[1:])
 
     @property
     def moving_mass(self) -> float:
-        """M of Eq. 17: mass of all moving links without the payload [kg]."""
+        """Mass M of all moving links without the payload [kg] (Eq. 17)."""
         return float(sum(inertia.mass for inertia in list(self.model.inertias)[1:])) - self.payload_mass
 
     @property
     def iso_mass(self) -> float:
-        """m_R = M/2 + m_L, the configuration-independent effective mass of ISO/TS 15066 (Eq. 17) [kg]."""
+        """Effective mass m_R of ISO/TS 15066 [kg] (Eq. 17), see `iso15066.robot_mass`."""
         return robot_mass(self.moving_mass, self.payload_mass)
 
     def axis_in_joint_frame(self, joint: int) -> FloatArray:
-        """Return the unit axis (3,) of joint `joint` (1-based, as Pinocchio counts) in its own frame."""
+        """Return the unit axis (3,) of `joint` (1-based, as in Pinocchio) in its own frame."""
         data = self.model.joints[joint].createData()
         self.model.joints[joint].calc(data, pin.neutral(self.model), np.ones(self.model.nv))
         motion = data.v
@@ -74,14 +75,14 @@ class Robot:
         return np.asarray(axis, dtype=np.float64)
 
     def sample_configurations(self) -> FloatArray:
-        """Return (SAMPLES, n) configurations spread over the joint ranges, the same on every call [rad, m].
+        """Return (SAMPLES, n) configurations [rad, m] spread evenly over the joint ranges, the same on every call.
 
-        Of a range wider than a turn, the turn around its point nearest to zero is sampled.
+        A range wider than one turn is sampled over the turn around its value nearest to zero.
         """
         lower, upper = self.model.lowerPositionLimit, self.model.upperPositionLimit
         centre = np.clip(0.0, lower, upper)
         lower, upper = np.maximum(lower, centre - np.pi), np.minimum(upper, centre + np.pi)
-        # The generalised golden ratio spreads points evenly in any dimension, and without a seed.
+        # The generalised golden ratio gives a low-discrepancy sequence in n dimensions, without a seed.
         n = self.model.nv
         ratio = 2.0
         for _ in range(50):
@@ -92,28 +93,28 @@ class Robot:
 
 
 def build_robot(
-    model: pin.Model, origin: str, links: Sequence[StatedLink], notes: Sequence[str], **facts: object
+    model: pin.Model, origin: str, links: Sequence[StatedLink], notes: Sequence[str], **fields: object
 ) -> Robot:
-    """Return the Robot of a freshly read `model`, made of `links`, with what is to be doubted about them.
+    """Return the Robot of `model` with the plausibility check of its `links`; `fields` are passed to Robot.
 
-    Raises RobotError where nothing could be said of any effective mass: no joint, or no mass.
+    Raises RobotError for a model without joints or without mass.
     """
     if model.nv == 0:
-        raise RobotError(f"{origin}: no joint moves, so there is nothing to watch")
+        raise RobotError(f"{origin}: must have at least one joint that moves")
     if not any(link.mass > 0.0 for link in links):
-        raise RobotError(f"{origin}: the moving links have no mass: give each one its mass and centre of mass")
-    doubts = check_inertials(links)
+        raise RobotError(f"{origin}: the moving links have no mass: every link must have its mass and centre of mass")
+    check = check_inertials(links)
     bodies = zip(list(model.names)[1:], list(model.inertias)[1:], strict=True)
-    light = [joint for joint, body in bodies if body.mass == 0.0]
-    masses_reason = doubts.masses
-    if light:
-        masses_reason = f"no mass behind {', '.join(light)}: the robot is heavier than the file says"
+    massless = [joint for joint, body in bodies if body.mass == 0.0]
+    masses_reason = check.masses
+    if massless:
+        masses_reason = f"no mass behind {', '.join(massless)}: the robot is heavier than the file says"
     return Robot(
         model=model,
         origin=origin,
         masses_reason=masses_reason,
-        coms_reason=masses_reason or doubts.coms,
-        inertias_reason=masses_reason or doubts.coms or doubts.inertias,
-        notes=(*notes, *doubts.notes),
-        **facts,  # type: ignore[arg-type]
+        coms_reason=masses_reason or check.coms,
+        inertias_reason=masses_reason or check.coms or check.inertias,
+        notes=(*notes, *check.notes),
+        **fields,  # type: ignore[arg-type]
     )

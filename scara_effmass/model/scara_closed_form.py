@@ -1,7 +1,8 @@
-"""The paper's closed forms for a SCARA: vectorised, and independent of the matrix path in `arm`.
+"""SCARA closed forms of the paper (Eqs. 27, 28 and 30): test oracle and figures, not used for verdicts.
 
-Angles in [rad], lengths in [m], masses in [kg]; every argument may be an array, and they broadcast.
-phi is the angle of the normal n = (cos phi, sin phi, 0) to the base x axis. None depends on q3, q4 or R_x.
+Vectorised and independent of Pinocchio; production computes masses in `dynamics`. Angles in [rad], lengths in [m],
+masses in [kg]; all arguments broadcast. phi is the angle of the normal n = (cos phi, sin phi, 0) to the base x axis.
+The results do not depend on q3, q4 and R_x. The paper is cited in `scara_effmass.model`.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ if TYPE_CHECKING:
 
 
 def scara_lumped_mass(q1: ArrayLike, q2: ArrayLike, phi: ArrayLike, m2: float, m3: float) -> FloatArray:
-    """m_n of the simplified model, Eq. 28; infinite in the singular pose q2 = 0, q1 = phi.
+    """Return m_n of a SCARA's lumped model [kg] (Eq. 28); infinite in the singular pose q2 = 0, q1 = phi.
 
-    `m2`, `m3` are the equivalent planar masses at the elbow and at the end-effector.
+    `m2` and `m3` are the equivalent planar masses M2 at the elbow and M3 at the end-effector.
     """
     elbow = np.sin(q2) ** 2
     numerator = m3 * (m2 + m3 * elbow)
@@ -30,14 +31,14 @@ def scara_lumped_mass(q1: ArrayLike, q2: ArrayLike, phi: ArrayLike, m2: float, m
 
 
 def scara_max_lumped_mass(q2: ArrayLike, m2: float, m3: float) -> FloatArray:
-    """m_n where the second link lies along n, q2 = phi - q1, Eq. 30; infinite at q2 = 0."""
+    """Return the largest m_n of a SCARA's lumped model [kg], at q1 + q2 = phi (Eq. 30); infinite at q2 = 0."""
     with np.errstate(divide="ignore", over="ignore"):
         return np.asarray(m3 + m2 / np.sin(q2) ** 2, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class ScaraInertia:
-    """Masses, centres of mass and inertias about z of a SCARA's four links, as in the matrix after Eq. 24."""
+    """Lengths, masses, centres of mass and inertias about z of a SCARA's links, as in the mass matrix after Eq. 24."""
 
     l1: float
     l2: float
@@ -54,7 +55,7 @@ class ScaraInertia:
 
 
 def scara_full_mass(q1: ArrayLike, q2: ArrayLike, phi: ArrayLike, scara: ScaraInertia) -> FloatArray:
-    """m_n of the full model, Eq. 27, with M11, M12, M22 as printed after Eq. 24."""
+    """Return m_n of a SCARA's full model [kg] (Eq. 27), with M11, M12 and M22 as printed after Eq. 24."""
     s = scara
     tool = s.m3 + s.m4
     rotation = s.i2 + s.i3 + s.i4

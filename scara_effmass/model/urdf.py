@@ -1,4 +1,4 @@
-"""Robots from URDF, through Pinocchio's parser."""
+"""Load a robot from URDF with Pinocchio's parser."""
 
 from __future__ import annotations
 
@@ -54,22 +54,22 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
     for name in contact_points:
         if name not in tree.links:
             raise RobotError(
-                f"{origin}: contact point {name!r} is no link of it: it has {', '.join(sorted(tree.links))}"
+                f"{origin}: contact_points = {name!r}: must be one of the links {', '.join(sorted(tree.links))}"
             )
     tips = [tree.tip(name) for name in contact_points]
     needed = {joint for tip in tips for joint in tree.chain(tip)}
     for name in sorted(needed):
         tree.require_movable(name)
-    held = {name for name in tree.joints if tree.kind(name) != "fixed" and (name not in needed or name in tree.locked)}
-    if held:
-        notes.append(f"held fixed in the model: {', '.join(sorted(held))}")
-    model = _reduced(tree, held)
+    fixed = {name for name in tree.joints if tree.kind(name) != "fixed" and (name not in needed or name in tree.locked)}
+    if fixed:
+        notes.append(f"held fixed in the model: {', '.join(sorted(fixed))}")
+    model = _reduced_model(tree, fixed)
     model.armature = _armature(model, settings.armature, origin)
     frames = {name: model.getBodyId(name) for name in contact_points}
     for name, frame in frames.items():
         if model.frames[frame].parentJoint == 0:
             locked = f" (locked: {', '.join(sorted(tree.locked))})" if tree.locked else ""
-            raise RobotError(f"{origin}: contact point {name!r} is fixed to the base{locked}: name one that moves")
+            raise RobotError(f"{origin}: contact_points = {name!r}: must not be fixed to the base{locked}")
     end = max(
         (model.frames[model.getBodyId(name)] for name in (*contact_points, *tips)), key=lambda frame: frame.parentJoint
     )
@@ -108,11 +108,11 @@ def _armature(model: pin.Model, entries: Sequence[str], origin: str) -> FloatArr
     return np.array([armature.get(name, 0.0) for name in names])
 
 
-def _reduced(tree: UrdfTree, held: set[str]) -> pin.Model:
-    """Return Pinocchio's model with the joints `held` at zero, or at the limit nearest to it."""
+def _reduced_model(tree: UrdfTree, fixed: set[str]) -> pin.Model:
+    """Return Pinocchio's model with the joints `fixed` at zero, or at the limit nearest to zero."""
     try:
         model = pin.buildModelFromXML(ET.tostring(tree.root, encoding="unicode"))
         reference = np.clip(pin.neutral(model), model.lowerPositionLimit, model.upperPositionLimit)
-        return pin.buildReducedModel(model, [model.getJointId(name) for name in sorted(held)], reference)
+        return pin.buildReducedModel(model, [model.getJointId(name) for name in sorted(fixed)], reference)
     except (ValueError, RuntimeError) as error:
-        raise RobotError(f"{tree.origin}: Pinocchio refuses it: {' '.join(str(error).split())}") from None
+        raise RobotError(f"{tree.origin}: Pinocchio cannot read it: {' '.join(str(error).split())}") from None

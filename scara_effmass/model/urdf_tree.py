@@ -1,6 +1,6 @@
-"""The XML of a URDF: its numbers checked, its links and joints as a tree.
+"""Parse the XML of a URDF into a tree of links and joints, and check its numbers.
 
-Pinocchio's parser only prints to stderr what it cannot read, and goes on without it; so nothing unread may reach it.
+Pinocchio's parser skips what it cannot read, with a message on stderr only, so all numbers are checked before.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 MOVING = ("revolute", "continuous", "prismatic")
-_FULL_TURNS = 1e6
-"""Range [rad] of a continuous joint: Pinocchio then keeps one coordinate for it, as joint_states has."""
-_NO_AXIS = 1e-9
+_CONTINUOUS_LIMIT = 1e6
+"""Limit [rad] of a continuous joint read as revolute, for which Pinocchio uses one coordinate, as joint_states do."""
+_MIN_AXIS_LENGTH = 1e-9
 """Length below which an axis has no direction."""
 
 
@@ -32,19 +32,19 @@ def read_urdf(text: str, origin: str, locked_joints: Sequence[str]) -> UrdfTree:
     except (ET.ParseError, ValueError) as error:
         raise RobotError(f"{origin}: not XML: {error}") from None
     if root.tag != "robot":
-        raise RobotError(f"{origin}: the root element is <{root.tag}>, a URDF has <robot>")
+        raise RobotError(f"{origin}: root element = <{root.tag}>: must be <robot>")
     if any("xacro" in element.tag for element in root.iter()):
-        raise RobotError(f"{origin}: holds xacro macros: expand it first (xacro FILE > robot.urdf)")
+        raise RobotError(f"{origin}: must not contain xacro macros: expand them first (xacro FILE > robot.urdf)")
     for joint in root.findall("joint"):
         where = f"{origin}: joint {joint.get('name')}"
-        _check_placing(joint, where)
+        _check_pose(joint, where)
         if joint.get("type") in MOVING:
             _check_limit(joint, where)
     return UrdfTree(root, origin, locked_joints)
 
 
 class UrdfTree:
-    """Links and joints of a URDF whose numbers have been checked; `locked` are the joints to be held on request."""
+    """Links and joints of a URDF; `locked` are the joints that match the globs of `locked_joints`."""
 
     def __init__(self, root: ET.Element, origin: str, locked_joints: Sequence[str]) -> None:
         self.root = root
@@ -57,19 +57,23 @@ class UrdfTree:
             for name in self.joints
             if self.kind(name) != "fixed" and any(fnmatchcase(name.lower(), glob.lower()) for glob in locked_joints)
         }
-        self._above: dict[str, tuple[str, str]] = {}
+        self._parents: dict[str, tuple[str, str]] = {}
         for name, joint in self.joints.items():
             parent, child = (_end(joint, role, self.links, origin) for role in ("parent", "child"))
-            if child in self._above:
-                raise RobotError(f"{origin}: link {child}: held by joints {self._above[child][1]} and {name}: one must")
-            self._above[child] = (parent, name)
-        bases = sorted(self.links.keys() - self._above.keys())
+            if child in self._parents:
+                raise RobotError(
+                    f"{origin}: link {child}: must have one joint above it, not {self._parents[child][1]} and {name}"
+                )
+            self._parents[child] = (parent, name)
+        bases = sorted(self.links.keys() - self._parents.keys())
         if len(bases) != 1:
-            raise RobotError(f"{origin}: links without parent: {', '.join(bases) or 'none'}: one is right, the base")
+            raise RobotError(
+                f"{origin}: links without parent: {', '.join(bases) or 'none'}: must be exactly one, the base"
+            )
         self.base = bases[0]
         for link in self.links:
-            if len(set(self._upwards(link))) != len(self._upwards(link)):
-                raise RobotError(f"{origin}: link {link}: the joints above it form a loop")
+            if len(set(self._chain_links(link))) != len(self._chain_links(link)):
+                raise RobotError(f"{origin}: link {link}: the joints above it must not form a loop")
 
     def kind(self, joint: str) -> str:
         """Return the type of `joint`."""
@@ -77,44 +81,50 @@ class UrdfTree:
 
     def chain(self, link: str) -> list[str]:
         """Return the joints from `link` up to the base."""
-        return [self._above[step][1] for step in self._upwards(link)[:-1]]
+        return [self._parents[step][1] for step in self._chain_links(link)[:-1]]
 
     def tip(self, link: str) -> str:
-        """Return the link beyond `link` where the longest chain ends: behind the most moving joints, then most joints.
+        """Return the end of the longest chain from `link` outwards: most moving joints, then most joints.
 
-        A chain ends at a locked joint: the gripper's fingers are no tip, the link that carries them is.
+        A chain ends before a locked joint: the tip is the link that carries a gripper's fingers, not a finger.
         """
-        free = {name: parent for name, (parent, joint) in self._above.items() if joint not in self.locked}
+        free = {name: parent for name, (parent, joint) in self._parents.items() if joint not in self.locked}
         ranked = []
         for end in {link, *free} - set(free.values()) | {link}:
             beyond = self.chain(end)[: len(self.chain(end)) - len(self.chain(link))]
-            if link in self._upwards(end) and self.locked.isdisjoint(beyond):
+            if link in self._chain_links(end) and self.locked.isdisjoint(beyond):
                 ranked.append((-sum(self.kind(joint) != "fixed" for joint in beyond), -len(beyond), end))
         return min(ranked)[2]
 
     def require_movable(self, joint: str) -> None:
-        """Raise RobotError where `joint`, on the way to a contact point, is of a kind that the model does not have."""
+        """Raise RobotError if the model cannot move `joint`, which a contact point needs."""
         kind = self.kind(joint)
         if kind not in {*MOVING, "fixed"}:
-            raise RobotError(f"{self.origin}: joint {joint}: type {kind!r} is not one of {', '.join(MOVING)}, fixed")
+            raise RobotError(
+                f"{self.origin}: joint {joint}: type = {kind!r}: must be one of {', '.join(MOVING)}, fixed"
+            )
         if kind != "fixed" and joint not in self.locked and self.joints[joint].find("mimic") is not None:
-            raise RobotError(f"{self.origin}: joint {joint} mimics another: name it in locked_joints to hold it fixed")
+            raise RobotError(f"{self.origin}: joint {joint}: must not mimic another joint: fix it with locked_joints")
 
-    def _upwards(self, link: str) -> list[str]:
-        """Return the links from `link` to the base, cut where they repeat."""
+    def _chain_links(self, link: str) -> list[str]:
+        """Return the links from `link` to the base, cut at the first repetition."""
         path = [link]
-        while path[-1] in self._above and path.count(path[-1]) == 1:
-            path.append(self._above[path[-1]][0])
+        while path[-1] in self._parents and path.count(path[-1]) == 1:
+            path.append(self._parents[path[-1]][0])
         return path
 
 
-def _check_placing(joint: ET.Element, where: str) -> None:
+def _check_pose(joint: ET.Element, where: str) -> None:
     pose, axis = joint.find("origin"), joint.find("axis")
     if pose is not None:
         for key in ("xyz", "rpy"):
             _numbers(pose, key, where, 3, default="0 0 0")
-    if axis is not None and math.hypot(*_numbers(axis, "xyz", where, 3)) < _NO_AXIS and joint.get("type") in MOVING:
-        raise RobotError(f"{where}: axis = {axis.get('xyz')!r} has no direction")
+    if (
+        axis is not None
+        and math.hypot(*_numbers(axis, "xyz", where, 3)) < _MIN_AXIS_LENGTH
+        and joint.get("type") in MOVING
+    ):
+        raise RobotError(f"{where}: axis = {axis.get('xyz')!r}: must have a direction")
 
 
 def _check_limit(joint: ET.Element, where: str) -> None:
@@ -123,55 +133,55 @@ def _check_limit(joint: ET.Element, where: str) -> None:
         joint.set("type", "revolute")
         if limit is None:
             limit = ET.SubElement(joint, "limit", effort="0", velocity="0")
-        limit.set("lower", str(-_FULL_TURNS))
-        limit.set("upper", str(_FULL_TURNS))
+        limit.set("lower", str(-_CONTINUOUS_LIMIT))
+        limit.set("upper", str(_CONTINUOUS_LIMIT))
     if limit is None:
-        raise RobotError(f"{where}: needs <limit> with lower below upper")
+        raise RobotError(f"{where}: must have <limit> with lower < upper")
     lower, upper = (_numbers(limit, key, where, 1, default="0")[0] for key in ("lower", "upper"))
     if lower >= upper:
-        raise RobotError(f"{where}: limit lower = {lower:g} must lie below upper = {upper:g}")
+        raise RobotError(f"{where}: limit lower = {lower:g}: must be < upper = {upper:g}")
     if _numbers(limit, "velocity", where, 1)[0] < 0.0:
-        raise RobotError(f"{where}: limit velocity = {limit.get('velocity')!r} must not be negative")
+        raise RobotError(f"{where}: limit velocity = {limit.get('velocity')!r}: must not be negative")
 
 
 def _by_name(root: ET.Element, tag: str, origin: str) -> dict[str, ET.Element]:
-    found: dict[str, ET.Element] = {}
+    elements: dict[str, ET.Element] = {}
     for element in root.findall(tag):
         name = element.get("name", "")
-        if not name or name in found:
-            raise RobotError(f"{origin}: {tag} {name!r}: every {tag} needs a name of its own")
-        found[name] = element
-    return found
+        if not name or name in elements:
+            raise RobotError(f"{origin}: {tag} {name!r}: must have a unique name")
+        elements[name] = element
+    return elements
 
 
 def _end(joint: ET.Element, role: str, links: dict[str, ET.Element], origin: str) -> str:
     element = joint.find(role)
     name = "" if element is None else element.get("link", "")
     if name not in links:
-        raise RobotError(f"{origin}: joint {joint.get('name')}: its {role} {name!r} is no link")
+        raise RobotError(f"{origin}: joint {joint.get('name')}: {role} = {name!r}: must be a link")
     return name
 
 
 def _stated(name: str, link: ET.Element, origin: str) -> list[StatedLink]:
-    """Return the link's mass data, or nothing where it has none."""
+    """Return the link's inertial data in a list, which is empty if the link has none."""
     inertial = link.find("inertial")
     if inertial is None:
         return []
     where = f"{origin}: link {name}"
     pose, mass, inertia = (inertial.find(tag) for tag in ("origin", "mass", "inertia"))
     if mass is None or inertia is None:
-        raise RobotError(f"{where}: <inertial> needs <mass> and <inertia>")
+        raise RobotError(f"{where}: <inertial> must have <mass> and <inertia>")
     com = (0.0, 0.0, 0.0) if pose is None else _numbers(pose, "xyz", where, 3, default="0 0 0")
-    (kilograms,) = _numbers(mass, "value", where, 1)
-    if kilograms < 0.0:
-        raise RobotError(f"{where}: mass = {kilograms:g} must not be negative")
+    (mass_kg,) = _numbers(mass, "value", where, 1)
+    if mass_kg < 0.0:
+        raise RobotError(f"{where}: mass = {mass_kg:g}: must not be negative")
     xx, xy, xz, yy, yz, zz = (_numbers(inertia, key, where, 1)[0] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     try:
         principal_moments(tensor)
     except ValueError as error:
         raise RobotError(f"{where}: inertia: {error}") from None
-    return [StatedLink(name, kilograms, np.array(com), tensor)]
+    return [StatedLink(name, mass_kg, np.array(com), tensor)]
 
 
 def _numbers(element: ET.Element, key: str, where: str, count: int, default: str = "") -> tuple[float, ...]:
@@ -181,5 +191,5 @@ def _numbers(element: ET.Element, key: str, where: str, count: int, default: str
     except ValueError:
         values = ()
     if len(values) != count or not all(map(math.isfinite, values)):
-        raise RobotError(f"{where}: <{element.tag} {key}> = {text!r} must be {count} finite number{'s' * (count > 1)}")
+        raise RobotError(f"{where}: <{element.tag} {key}> = {text!r}: must be {count} finite number{'s' * (count > 1)}")
     return values

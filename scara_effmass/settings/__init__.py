@@ -1,4 +1,4 @@
-"""What can be set: one description from which the ROS parameters, the YAML files and --help are made."""
+"""Settings, from which the ROS parameters, the YAML files and --help are derived."""
 
 from scara_effmass.settings.daq import (
     BagSettings,

@@ -1,4 +1,4 @@
-"""Settings out of files and parameters: checked, and refused in one line."""
+"""Load and check settings from files and parameters; an error is one line."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 Settings = TypeVar("Settings", bound=BaseModel)
 
 READ_ONLY: dict[str, Any] = {"read_only": True}
-"""Marks a setting that a running node does not take over: hardware, the robot, and what is built from it."""
+"""Marks a setting that cannot change on a running node, such as hardware and robot."""
 
 NODE_ONLY = frozenset({"autostart", "use_sim_time", "stop_at_end", "find_impacts", "report_folder"})
-"""Parameters of the node itself, which a shared file may hold and offline commands have no use for."""
+"""Parameters of nodes alone: a shared file may hold them, offline commands ignore them."""
 
 
 def checked(kind: type[Settings], values: Mapping[str, Any], origin: str) -> Settings:
     """Return the settings in `values`, whose groups are dotted keys ("filter.cutoff") or mappings.
 
-    `origin` names the file or node in the SettingsError of a bad one.
+    Raises SettingsError, in which `origin` names the file or node.
     """
     try:
         return kind.model_validate(_grouped(values))
@@ -36,13 +36,13 @@ def checked(kind: type[Settings], values: Mapping[str, Any], origin: str) -> Set
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "settings"
         if first["type"] == "extra_forbidden":
-            raise SettingsError(f"{origin}: {key}: is not known; {nearest(key, flat_fields(kind))}") from None
+            raise SettingsError(f"{origin}: {key}: unknown: {nearest(key, flat_fields(kind))}") from None
         value = "" if first["type"] == "missing" else f" = {first['input']!r}"
         raise SettingsError(f"{origin}: {key}{value}: {first['msg']}") from None
 
 
 def flat_fields(settings: type[BaseModel], prefix: str = "") -> dict[str, FieldInfo]:
-    """Return the fields of `settings` under their ROS names; those of a group are dotted ("filter.cutoff")."""
+    """Return the fields of `settings` by ROS name; the fields of a group are dotted ("filter.cutoff")."""
     fields: dict[str, FieldInfo] = {}
     for name, field in settings.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
@@ -53,18 +53,16 @@ def flat_fields(settings: type[BaseModel], prefix: str = "") -> dict[str, FieldI
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Return what would be right instead of `name`: the most similar of `names`, or all of them."""
+    """Return the rule for an unknown `name`: the most similar of `names`, or all of them."""
     names = list(names)
-    similar = get_close_matches(name, names, n=1)
-    return f"{similar[0]} would be right" if similar else f"there are {', '.join(names) or 'none'}"
+    return f"must be {' or '.join(get_close_matches(name, names, n=1)) or ', '.join(names) or 'absent'}"
 
 
-def load_settings(kind: type[Settings], path: Path, node: str, others: Collection[str] = ()) -> Settings:
-    """Return the settings of `node` ("monitor") in the YAML file at `path`, written as ROS writes parameters.
+def load_settings(kind: type[Settings], path: Path, node: str, other_nodes: Collection[str] = ()) -> Settings:
+    """Return the settings of `node` ("monitor") in the ROS parameter file at `path`.
 
-    The file holds `/**`, `node` or `/**/node` over `ros__parameters`, as `ros2 param dump` and launch files have it;
-    what is there for other nodes is theirs. A file that is for `others` alone leaves the defaults. Raises
-    SettingsError.
+    The file holds `/**`, `node` or `/**/node` over `ros__parameters`, as written by `ros2 param dump`. Parameters of
+    other nodes are ignored; a file for `other_nodes` alone gives the defaults. Raises SettingsError.
     """
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -76,19 +74,20 @@ def load_settings(kind: type[Settings], path: Path, node: str, others: Collectio
         raise SettingsError(f"{path}: must hold {node} (or /**) over ros__parameters")
     owners = {name: str(name).rpartition("/")[2] for name in document}
     sections = [name for name, owner in owners.items() if owner in {"**", node}]
-    if not sections and not set(others).intersection(owners.values()):
-        raise SettingsError(f"{path}: holds {', '.join(map(str, document))}; {node} (or /**) would be right")
+    if not sections and not set(other_nodes).intersection(owners.values()):
+        raise SettingsError(f"{path}: holds {', '.join(map(str, document))}: must hold {node} (or /**)")
     parameters: dict[str, Any] = {}
     for name in sections:
         section = document[name]
         if not isinstance(section, dict) or not isinstance(section.get("ros__parameters"), dict):
-            raise SettingsError(f"{path}: ros__parameters is missing under {name}")
-        offline = {k: v for k, v in section["ros__parameters"].items() if k in kind.model_fields or k not in NODE_ONLY}
-        parameters |= offline
+            raise SettingsError(f"{path}: {name}: must hold ros__parameters")
+        items = section["ros__parameters"].items()
+        parameters |= {key: value for key, value in items if key in kind.model_fields or key not in NODE_ONLY}
     return checked(kind, parameters, str(path))
 
 
 def _grouped(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `values` with dotted keys turned into nested mappings."""
     grouped: dict[str, Any] = {}
     for key, value in values.items():
         group, _, rest = str(key).partition(".")

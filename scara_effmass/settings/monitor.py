@@ -13,7 +13,7 @@ from scara_effmass.share import share
 
 
 class MassModel(str, Enum):
-    """Which effective mass the verdict uses."""
+    """Effective mass behind the verdict."""
 
     LUMPED = "lumped"
     FULL = "full"
@@ -22,7 +22,7 @@ class MassModel(str, Enum):
 
 
 class ContactType(str, Enum):
-    """Free impact, or clamped between robot and a fixed part (ISO/TS 15066, 5.5.5.2)."""
+    """Free impact, or body part clamped between the robot and a fixed object (ISO/TS 15066, 5.5.5.2)."""
 
     TRANSIENT = "transient"
     QUASI_STATIC = "quasi_static"
@@ -32,9 +32,9 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class MonitorSettings(BaseModel):
-    """Everything that can be set on `monitor_node`, on `assess` and on `replay`, with safe defaults.
+    """Settings of `monitor_node`, `assess` and `replay`, with safe defaults.
 
-    Raises pydantic's ValidationError, which `checked` turns into one SettingsError line.
+    Raises pydantic's ValidationError; `checked` turns it into a one-line SettingsError.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -42,61 +42,57 @@ class MonitorSettings(BaseModel):
     robot: str = Field(
         "",
         description=(
-            "robot file, URDF or DH YAML; empty: the robot_description topic if it is "
-            "awaited, else the shipped Omron i4-550L"
+            "robot file, URDF or DH YAML; empty: the robot_description topic with await_robot_description, else the "
+            "shipped Omron i4-550L"
         ),
         json_schema_extra=READ_ONLY,
     )
     await_robot_description: bool = Field(
         default=False,
-        description="take the robot from the robot_description topic; UNKNOWN until it has come",
+        description="load the robot from the robot_description topic; UNKNOWN until it arrives",
         json_schema_extra=READ_ONLY,
     )
     contact_points: tuple[str, ...] = Field(
         (),
         description=(
-            "links (URDF) or named points (DH YAML) that are watched; empty: those of the "
-            "file, or the tip of the longest chain"
+            "links (URDF) or named points (DH YAML) to watch; empty: all points of a DH file, the tip of the longest "
+            "chain of a URDF"
         ),
         json_schema_extra=READ_ONLY,
     )
     locked_joints: tuple[str, ...] = Field(
         ("*gripper*", "*finger*"),
-        description=(
-            "joints, by name or glob pattern, held fixed in the model: their mass counts, their motion does not"
-        ),
+        description=("joints, by name or glob pattern, fixed in the model: their mass counts, their motion does not"),
         json_schema_extra=READ_ONLY,
     )
     payload_mass: float = Field(
         0.0,
         ge=0.0,
         le=1000.0,
-        description="mass carried at the contact point beyond what the robot file states [kg]",
+        description="payload at the contact point in addition to the robot file [kg]",
         json_schema_extra=READ_ONLY,
     )
     armature: tuple[str, ...] = Field(
         (),
         description=(
             'rotor and gear inertia reflected to the joints, "joint=value" each [kg m2, or kg for a sliding one]; '
-            "a DH file states its own"
+            "set it in the file for a DH robot"
         ),
         json_schema_extra=READ_ONLY,
     )
     effective_mass_model: MassModel = Field(
         MassModel.LUMPED,
-        description=("the mass behind the verdict: lumped, full, iso (M/2 + m_L), or largest of lumped and full"),
+        description=("effective mass behind the verdict: lumped, full, iso (M/2 + m_L), or largest of lumped and full"),
     )
     mass_cap: float = Field(
         1000.0,
         ge=100.0,
         le=1e6,
-        description="largest effective mass published, reached near singular poses [kg]",
+        description="upper bound of the published effective masses, reached near singular poses [kg]",
     )
-    mass_uncertainty: Fraction = Field(
-        0.1, description="relative uncertainty of the effective mass, taken on the safe side"
-    )
+    mass_uncertainty: Fraction = Field(0.1, description="relative uncertainty of the effective mass, added to it")
     stiffness_uncertainty: Fraction = Field(
-        0.0, description="relative uncertainty of the contact stiffness, taken on the safe side"
+        0.0, description="relative uncertainty of the contact stiffness, added to it"
     )
     speed_uncertainty: float = Field(
         0.0, ge=0.0, le=10.0, description="uncertainty of the measured speed, added to it [m/s]"
@@ -105,31 +101,31 @@ class MonitorSettings(BaseModel):
         0.1, description=("WARN when the lumped mass is smaller than the full one by more than this fraction")
     )
     speed_threshold: float = Field(
-        0.005, gt=0.0, le=1.0, description="below this speed the direction is undefined and the worst one is used [m/s]"
+        0.005,
+        gt=0.0,
+        le=1.0,
+        description="speed below which the direction is undefined and the worst one is used [m/s]",
     )
-    person_speed: float = Field(
-        0.0, ge=0.0, le=10.0, description="speed of the person towards the robot, added to the relative speed [m/s]"
+    person_speed: float = Field(0.0, ge=0.0, le=10.0, description="speed of the person towards the robot [m/s]")
+    warn_ratio: float = Field(
+        0.8, gt=0.0, le=1.0, description="fraction of the allowable speed above which the verdict is WARN"
     )
-    warn_ratio: float = Field(0.8, gt=0.0, le=1.0, description="WARN from this fraction of the allowable speed on")
     reference_speed: float = Field(
         0.0,
         ge=0.0,
         le=100.0,
         description=(
-            "speed that speed_scaling 1 stands for [m/s]; 0: the current speed, which suits "
-            "a display but not a closed loop"
+            "speed at speed_scaling = 1 [m/s]; 0: the current speed, which suits a display but not a closed loop"
         ),
     )
     body_regions: tuple[str, ...] = Field(
-        (), description=("body regions that can be hit; empty: every region with a limit for this contact")
+        (), description=("body regions that the robot can hit; empty: every region with a limit for this contact")
     )
     contact: ContactType = Field(ContactType.TRANSIENT, description="transient (free impact) or quasi_static (clamped)")
     contact_area: float = Field(1.0, gt=0.0, le=1000.0, description="contact area for the pressure limit [cm2]")
-    max_force: float = Field(
-        0.0, ge=0.0, description="own force limit, which may only tighten the standard's [N]; 0: none"
-    )
+    max_force: float = Field(0.0, ge=0.0, description="own force limit, not above the standard's [N]; 0: none")
     max_pressure: float = Field(
-        0.0, ge=0.0, description="own pressure limit, which may only tighten the standard's [N/cm2]; 0: none"
+        0.0, ge=0.0, description="own pressure limit, not above the standard's [N/cm2]; 0: none"
     )
     obstacle_mass: float = Field(
         0.0, ge=0.0, le=1000.0, description="mass of the body part, not below the standard's [kg]; 0: the standard's"
@@ -138,35 +134,44 @@ class MonitorSettings(BaseModel):
         0.0, ge=0.0, le=1e4, description="contact stiffness, not below the standard's [N/mm]; 0: the standard's"
     )
     timeout: float = Field(
-        0.2, gt=0.0, le=60.0, description="silence, or age of a stamp, that makes the verdict UNKNOWN [s]"
+        0.2,
+        gt=0.0,
+        le=60.0,
+        description="time without a joint state, or age of its stamp, that makes the verdict UNKNOWN [s]",
     )
     future_tolerance: float = Field(
-        0.02, ge=0.0, le=10.0, description="how far a header stamp may lie ahead of the node's clock [s]"
+        0.02, ge=0.0, le=10.0, description="maximum time by which a header stamp may lead the node's clock [s]"
     )
     release_time: float = Field(
-        0.2, ge=0.0, le=60.0, description="how long a better verdict must last before it is shown [s]"
+        0.2, ge=0.0, le=60.0, description="time for which a verdict is held after its cause is gone [s]"
     )
     latch: bool = Field(default=False, description="hold the first VIOLATION or UNKNOWN until ~/reset")
     joint_limit_tolerance: float = Field(
-        0.02, ge=0.0, le=1.0, description="how far a joint may be read beyond its limit [rad or m]"
+        0.02, ge=0.0, le=1.0, description="tolerance of the joint position limits [rad or m]"
     )
     joint_speed_tolerance: float = Field(
-        0.1, ge=0.0, le=10.0, description="by which fraction a joint may be read above its largest speed"
+        0.1, ge=0.0, le=10.0, description="relative tolerance of the joint speed limits"
     )
     still_tolerance: float = Field(
-        0.005, gt=0.0, le=0.1, description="joint travel that contradicts a velocity of exactly zero [rad or m]"
+        0.005, gt=0.0, le=0.1, description="joint travel above which a velocity of exactly zero is rejected [rad or m]"
     )
     still_speed: float = Field(
-        0.05, gt=0.0, le=1.0, description="joint speed that contradicts a velocity of exactly zero [rad/s or m/s]"
+        0.05,
+        gt=0.0,
+        le=1.0,
+        description="mean speed above which a velocity of exactly zero is rejected [rad/s or m/s]",
     )
     travel_tolerance: float = Field(
-        0.5, ge=0.0, le=10.0, description="by which fraction a joint may travel further than its velocity accounts for"
+        0.5, ge=0.0, le=10.0, description="relative tolerance of a joint's travel beyond the integral of its speed"
     )
     travel_margin: float = Field(
-        0.05, gt=0.0, le=1.0, description="by how much it may do so besides: velocities lag and are rounded [rad or m]"
+        0.05,
+        gt=0.0,
+        le=1.0,
+        description="tolerance of a joint's travel beyond the integral of its speed [rad or m]",
     )
     differentiate_velocity: bool = Field(
-        default=False, description="where the velocity is empty, take it from positions over header time"
+        default=False, description="compute an empty velocity from positions and header stamps"
     )
 
     @property

@@ -182,7 +182,7 @@ class TestPlanarArm:
 
     def test_worst_direction_is_sought_in_the_plane(self, arm: RobotDynamics) -> None:
         assert arm.lumped is not None
-        assert arm.lumped.massless == ()
+        assert arm.lumped.massless_joints == ()
         # The payload sits on the distal axis of link 2, the elbow's share on the other: M2 and M3 of Eq. 28.
         _, m2, m3 = arm.lumped.aggregated
         phi = np.linspace(0.0, np.pi, 20001)

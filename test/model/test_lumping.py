@@ -39,7 +39,7 @@ def test_structure_of_table_2(omron_arm: RobotDynamics) -> None:
     assert lumped is not None
     assert [link.kappa2 for link in lumped.links] == pytest.approx([0.08029 / 0.275, 0.05775 / 0.275, 0.5, 0.5])
     assert all(link.on_axes for link in lumped.links)
-    assert lumped.massless == (3,)
+    assert lumped.massless_joints == (3,)
     assert is_scara(omron_arm.robot)
 
 
@@ -87,7 +87,7 @@ class TestCentreOfMassOutsideTheSlab:
         omron_rows["links"][0]["com"][0] = -(2.0 * (1.0 - 0.05775 / 0.275) + 1e-4) * 0.275 / 2.74
         arm = RobotDynamics(from_rows(omron_rows))
         assert arm.lumped is None
-        assert "axis 2 would be -0.0001 kg: the centre of mass lies outside the slab" in arm.lumped_reason
+        assert "axis 2 is -0.0001 kg: must not be negative: the centre of mass lies outside" in arm.lumped_reason
         assert "joint1" in arm.lumped_reason
         (effective_masses,) = arm.effective_masses(np.array([0.2, 0.0, 0.1, 0.0]), np.ones(4), 0.005)
         assert math.isnan(effective_masses.lumped)
@@ -113,14 +113,14 @@ class TestCentreOfMassBesideThePlaneOfTheAxes:
         self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
     ) -> None:
         omron_rows["links"][0]["com"][1] = 0.0123
-        with pytest.raises(RobotError, match=r"behind joint1: .* by 12\.3 mm"):
+        with pytest.raises(RobotError, match=r"behind joint1: .* 12\.3 mm off the plane"):
             lump(from_rows(omron_rows))
 
     def test_of_a_coaxial_tool_is_refused(
         self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
     ) -> None:
         omron_rows["payload"]["com"] = [0.05, 0.0, 0.0]
-        with pytest.raises(RobotError, match=r"behind joint4: .* by 35\.7 mm"):
+        with pytest.raises(RobotError, match=r"behind joint4: .* 35\.7 mm off the plane"):
             lump(from_rows(omron_rows))
 
     @pytest.mark.parametrize("link", [1, 2], ids=["before the slide", "on the slide"])
@@ -132,7 +132,7 @@ class TestCentreOfMassBesideThePlaneOfTheAxes:
         lumped = lump(robot)
         assert [entry.on_axes for entry in lumped.links].index(False) == link
         assert centres_kept(lumped, robot)
-        with pytest.raises(RobotError, match=r"robot\.yaml: .*misses the plane"):
+        with pytest.raises(RobotError, match=r"robot\.yaml: .*off the plane"):
             lumped.planar_masses(robot)
 
     def test_slide_through_the_centre_of_mass_is_one_mass_there(
@@ -234,7 +234,7 @@ def test_robot_that_is_no_scara_has_no_planar_masses(
     omron_rows["joints"], omron_rows["links"] = omron_rows["joints"][:3], omron_rows["links"][:3]
     robot = from_rows(omron_rows)
     assert not is_scara(robot)
-    with pytest.raises(RobotError, match=r"robot\.yaml: omron_i4_550l is no SCARA"):
+    with pytest.raises(RobotError, match=r"robot\.yaml: omron_i4_550l is not a SCARA"):
         lump(robot).planar_masses(robot)
 
 

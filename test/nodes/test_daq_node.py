@@ -254,8 +254,8 @@ def test_a_subscriber_that_does_not_listen_costs_the_others_nothing(new_harness:
     ("argument", "line"),
     [
         ("source:=guess", "daq: source = 'guess': Input should be 'ni9230', 'bag' or 'sim'"),
-        ("nonsense:=1", "daq: no parameter 'nonsense': there are source,"),
-        ("sensor.sensitivty:=2.3", "daq: no parameter 'sensor.sensitivty': sensor.sensitivity would be right"),
+        ("nonsense:=1", "daq: no parameter 'nonsense': must be source,"),
+        ("sensor.sensitivty:=2.3", "daq: no parameter 'sensor.sensitivty': must be sensor.sensitivity"),
         ("sensor.sensitivity:=0.0", "daq: sensor.sensitivity = 0.0: Input should be greater than 0"),
         ("sensor.sensitivity:=2", "daq: sensor.sensitivity = 2: must be DOUBLE, is INTEGER: write 2.0"),
         ("detection.threshold:=.nan", "daq: detection.threshold = nan: must be 0 to 100000"),

@@ -34,7 +34,7 @@ def paths(tmp_path: Path) -> dict[str, Path]:
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ("--ros-args --params-file {typo}", "monitor: no parameter 'time_out': timeout would be right"),
+        ("--ros-args --params-file {typo}", "monitor: no parameter 'time_out': must be timeout"),
         ("--ros-args -p robot:={missing}", "{missing}: cannot be read: No such file or directory"),
         ("--ros-args --params-file {missing}", "ROS arguments: "),
         ("--ros-args --params-file {broken}", "ROS arguments: "),
@@ -57,7 +57,7 @@ def test_what_it_cannot_use_is_one_line_and_2(
 @pytest.mark.parametrize(
     ("argument", "line"),
     [
-        ("nonsense:=1", "monitor: no parameter 'nonsense': there are robot,"),
+        ("nonsense:=1", "monitor: no parameter 'nonsense': must be robot,"),
         ("timeout:=1", "monitor: timeout = 1: must be DOUBLE, is INTEGER: write 1.0"),
         ("timeout:=.nan", "monitor: timeout = nan: must be 0 to 60"),
         ("timeout:=61.0", "monitor: timeout = 61.0: must be 0 to 60"),

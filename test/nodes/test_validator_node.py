@@ -209,7 +209,7 @@ def test_reset_begins_a_new_series(bench: Bench) -> None:
     ("argument", "line"),
     [
         ("obstacle_mass:=-1.0", "validator: obstacle_mass = -1.0: must be 0 to 1000"),
-        ("nonsense:=1", "validator: no parameter 'nonsense': there are contact_point,"),
+        ("nonsense:=1", "validator: no parameter 'nonsense': must be contact_point,"),
         (
             "criterion.least_count:=1",
             "validator: criterion.least_count = 1: Input should be greater than or equal to 2",
