@@ -75,7 +75,7 @@ class DaqNode(LifecycleBase):
         self._state: AcquisitionState | None = None
         self._drain_is_due = False
 
-    def set_up(self) -> None:
+    def configure(self) -> None:
         """Choose the source and create the endpoints. Raises EffmassError."""
         settings = self._settings
         simulates = settings.source is ForceSourceKind.SIM and settings.sim.scene is SimScene.CELL
@@ -89,21 +89,20 @@ class DaqNode(LifecycleBase):
         self._health = DaqHealth(self.get_name())
         for number, name in enumerate(self._source.channels):
             below = f"/{name}" if number else ""
-            self._outputs.append(
-                _Output(
-                    self.publisher(ForceBlock, f"{topics.FORCE}{below}", topics.FORCE_QOS, self._health.incompatible),
-                    self.publisher(Impact, f"{topics.IMPACT}{below}", topics.STREAM_QOS, self._health.incompatible),
-                    self.publisher(
-                        WrenchStamped, f"{topics.WRENCH}{below}", topics.STREAM_QOS, self._health.incompatible
-                    ),
-                    settings,
+            force, impact, wrench = (
+                self.create_owned_publisher(message_type, f"{topic}{below}", qos, self._health.incompatible)
+                for message_type, topic, qos in (
+                    (ForceBlock, topics.FORCE, topics.FORCE_QOS),
+                    (Impact, topics.IMPACT, topics.STREAM_QOS),
+                    (WrenchStamped, topics.WRENCH, topics.STREAM_QOS),
                 )
             )
-        self._kept.callback(self._outputs.clear)
+            self._outputs.append(_Output(force, impact, wrench, settings))
+        self._owned.callback(self._outputs.clear)
         self._diagnostics = Diagnostics(self, self._statuses)
         self.own(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
 
-    def start(self) -> None:
+    def activate(self) -> None:
         """Start to acquire. Raises DaqError, BagError or SettingsError."""
         source = self._source
         if self._settings.source is ForceSourceKind.BAG:
@@ -128,7 +127,7 @@ class DaqNode(LifecycleBase):
                 return
             time.sleep(_LOOK_S)  # matches are made in threads of the middleware
 
-    def stop(self) -> None:
+    def deactivate(self) -> None:
         """Stop to acquire."""
         if self._acquisition is not None:
             self._acquisition.stop()
@@ -153,7 +152,7 @@ class DaqNode(LifecycleBase):
             if not isinstance(error, EffmassError):
                 self.get_logger().error(traceback.format_exc())
                 error = DaqError(f"{type(error).__name__}: {error}")
-            self.fail(error)
+            self.abort(error)
 
     def _publish_what_came(self) -> None:
         acquisition = self._acquisition

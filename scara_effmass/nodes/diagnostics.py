@@ -1,4 +1,4 @@
-"""How a node says on `/diagnostics` how it fares."""
+"""Diagnostics of a node on `/diagnostics`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _PERIOD_S = 1.0
 
 
 class Diagnostics:
-    """The statuses of a node, every second and when something has changed."""
+    """Publishes the statuses of a node every second and on request."""
 
     def __init__(self, node: LifecycleBase, statuses: Callable[[], list[DiagnosticStatus]]) -> None:
-        """Publish for `node`, while it is configured, what `statuses` returns; nothing where that is nothing."""
+        """Publish what `statuses` returns, unless it is empty, while `node` is configured."""
         self._clock = node.get_clock()
         self._statuses = statuses
         self._publisher = node.own(
@@ -27,7 +27,7 @@ class Diagnostics:
         node.create_steady_timer(_PERIOD_S, self.report)
 
     def report(self) -> None:
-        """Publish now."""
+        """Publish the statuses now."""
         if statuses := self._statuses():
             array = DiagnosticArray(status=statuses)
             array.header.stamp = self._clock.now().to_msg()
@@ -35,6 +35,6 @@ class Diagnostics:
 
 
 def status(name: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
-    """Return a status; every value becomes text."""
+    """Return a status with its values as text."""
     pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
     return DiagnosticStatus(name=name, level=level, message=message, values=pairs)

@@ -1,4 +1,4 @@
-"""How every node of the suite starts, spins and ends."""
+"""Lifecycle of every node of the suite: start, spin, end."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import sys
 import time
 from contextlib import ExitStack
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
@@ -35,16 +35,17 @@ if TYPE_CHECKING:
     from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo
     from rclpy.executors import Executor
     from rclpy.lifecycle import LifecyclePublisher, State
+    from rclpy.subscription import Subscription
     from rclpy.timer import Timer
 
     from scara_effmass.wire.topics import Qos
 
-Endpoint = TypeVar("Endpoint")
+Entity = TypeVar("Entity")
 
 RCLError = rclpy_implementation.RCLError
 
-_ONE_SPIN_S = 1e6
-"""EventsExecutor.spin() without a time-out keeps a core busy in rclpy 7.1; with one it sleeps."""
+_SPIN_S = 1e6
+"""Timeout of each spin [s]: without one, EventsExecutor.spin() keeps a core busy in rclpy 7.1."""
 
 _SPIN_SLICE_S = 0.1
 
@@ -61,181 +62,215 @@ def spin_for(executor: Executor, seconds: float, done: Callable[[], bool] = bool
 
 
 class LifecycleBase(LifecycleNode):
-    """A lifecycle node that tells why a transition failed, can bring itself up, and can end the process.
+    """Lifecycle node that logs why a transition failed, can bring itself up, and can end the process with an error.
 
-    A subclass says what to do in `set_up`, `start` and `stop`; what it hands to `keep` is destroyed by itself.
+    Subclasses implement `configure`, `activate` and `deactivate`. Entities passed to `own` are destroyed at clean-up.
     """
 
     def __init__(self, name: str) -> None:
-        """Make the node; its parameters are declared by the subclass."""
+        """Create the node; the subclass declares the parameters."""
         super().__init__(name)
         self.autostart = True
         self.active = False
-        self._fatal: EffmassError | None = None
-        self._kept = ExitStack()
-        self._failure: Exception | None = None
+        self._abort_error: EffmassError | None = None
+        self._owned = ExitStack()
+        self._transition_error: Exception | None = None
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
         report_readiness(self)
 
+    def configure(self) -> None:
+        """Load what the parameters name and create the endpoints. Raises EffmassError."""
+        raise NotImplementedError
+
+    def activate(self) -> None:
+        """Start to work and publish. Raises EffmassError."""
+
+    def deactivate(self) -> None:
+        """Undo `activate`, even if it failed halfway; may be called repeatedly."""
+
     def on_configure(self, state: State) -> TransitionCallbackReturn:
-        """Set up; a refusal leaves the node unconfigured, with its reason in the log."""
-        return self._tried(self.set_up, self._clean_up) or super().on_configure(state)
+        """Configure; after an error the node stays unconfigured."""
+        return self._attempt(self.configure, self._clean_up) or super().on_configure(state)
 
     def on_activate(self, state: State) -> TransitionCallbackReturn:
-        """Start; a refusal leaves the node inactive, with its reason in the log."""
-        refused = self._tried(self.start, self.stop)
-        self.active = refused is None
-        return refused or super().on_activate(state)
+        """Activate; after an error the node stays inactive."""
+        failure = self._attempt(self.activate, self.deactivate)
+        self.active = failure is None
+        return failure or super().on_activate(state)
 
     def on_deactivate(self, state: State) -> TransitionCallbackReturn:
-        """Fall silent."""
+        """Stop publishing."""
         self.active = False
-        self.stop()
+        self.deactivate()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: State) -> TransitionCallbackReturn:
-        """Give back what `set_up` took."""
+        """Release what `configure` created."""
         self._clean_up()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: State) -> TransitionCallbackReturn:
-        """Give back what `start` and `set_up` took."""
+        """Release what `activate` and `configure` created."""
         self._clean_up()
         return super().on_shutdown(state)
 
-    def set_up(self) -> None:
-        """Load what the parameters name and create the endpoints. Raises EffmassError."""
-        raise NotImplementedError
+    def own(self, entity: Entity, destroy: Callable[[Entity], object]) -> Entity:
+        """Return `entity`; call `destroy` with it when the node is cleaned up or destroyed."""
+        self._owned.callback(destroy, entity)
+        return entity
 
-    def start(self) -> None:
-        """Begin to work; what is published from here on is heard. Raises EffmassError."""
-
-    def stop(self) -> None:
-        """Undo `start`, as far as it came; may be called again."""
-
-    def own(self, endpoint: Endpoint, destroy: Callable[[Endpoint], object]) -> Endpoint:
-        """Return `endpoint`, to be destroyed when the node is cleaned up or ends."""
-        self._kept.callback(destroy, endpoint)
-        return endpoint
-
-    def publisher(self, kind: type, topic: str, qos: Qos, on_incompatible: Callable[[str], None]) -> LifecyclePublisher:
-        """Return a publisher, kept, whose QoS parameters may override; `on_incompatible` gets a line about a misfit."""
-        misfit = partial(incompatible, f"a subscriber of {topic}", on_incompatible)
+    def create_owned_publisher(
+        self, message_type: type, topic: str, qos: Qos, on_incompatible: Callable[[str], None]
+    ) -> LifecyclePublisher:
+        """Return a publisher whose QoS parameters may override; report incompatible subscribers in one line."""
         publisher: LifecyclePublisher = self.create_lifecycle_publisher(
-            kind,
+            message_type,
             topic,
             qos_profile(qos),
-            event_callbacks=PublisherEventCallbacks(incompatible_qos=misfit),
+            event_callbacks=PublisherEventCallbacks(
+                incompatible_qos=partial(_report_incompatible, f"a subscriber of {topic}", on_incompatible)
+            ),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         return self.own(publisher, self.destroy_lifecycle_publisher)
 
+    def create_owned_subscription(
+        self,
+        message_type: type,
+        topic: str,
+        callback: Callable[..., None],
+        qos: Qos,
+        on_incompatible: Callable[[str], None],
+        *,
+        raw: bool = False,
+        **events: Any,  # noqa: ANN401
+    ) -> Subscription:
+        """Return a subscription whose QoS parameters may override; report incompatible publishers in one line.
+
+        `events` are further arguments of SubscriptionEventCallbacks.
+        """
+        subscription = self.create_subscription(
+            message_type,
+            topic,
+            callback,
+            qos_profile(qos),
+            raw=raw,
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=partial(_report_incompatible, f"a publisher of {topic}", on_incompatible), **events
+            ),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        return self.own(subscription, self.destroy_subscription)
+
     def create_steady_timer(self, period_s: float, callback: Callable[[], None]) -> Timer:
-        """Return a timer, kept, in steady time: a /clock that stands or jumps does not keep it from being called."""
+        """Return a timer in steady time, which runs even if /clock stands still or jumps."""
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         return self.own(self.create_timer(period_s, callback, clock=steady), self.destroy_timer)
 
-    def fail(self, error: EffmassError) -> None:
-        """End the process with `error` as its line: it cannot do what it is there for."""
-        self._fatal = error
+    def abort(self, error: EffmassError) -> None:
+        """End the process; `run` prints `error` and returns 2."""
+        self._abort_error = error
         rclpy.try_shutdown()
 
-    def raise_fatal(self) -> None:
-        """Raise what `fail` was given, if it was."""
-        if self._fatal is not None:
-            raise self._fatal
+    def raise_abort_error(self) -> None:
+        """Raise the error passed to `abort`, if any."""
+        if self._abort_error is not None:
+            raise self._abort_error
 
     def destroy_node(self) -> None:
-        """End; nothing that was kept stays behind."""
+        """Destroy the node and everything it owns."""
         self._clean_up()
         super().destroy_node()  # type: ignore[no-untyped-call]
 
     def bring_up(self) -> None:
-        """Configure and activate. Raises what prevented it, such as an EffmassError."""
-        done = TransitionCallbackReturn.SUCCESS
-        if self.trigger_configure() is not done or self.trigger_activate() is not done:
-            raise self._failure or SettingsError(f"{self.get_name()}: could not be brought up")
+        """Configure and activate. Raises the error that prevented it."""
+        success = TransitionCallbackReturn.SUCCESS
+        if self.trigger_configure() is not success or self.trigger_activate() is not success:
+            raise self._transition_error or SettingsError(f"{self.get_name()}: could not be brought up")
 
-    def _tried(self, step: Callable[[], None], undo: Callable[[], None]) -> TransitionCallbackReturn | None:
-        self._failure = None
+    def _attempt(self, step: Callable[[], None], undo: Callable[[], None]) -> TransitionCallbackReturn | None:
+        """Run `step`; after an error run `undo` and return FAILURE."""
+        self._transition_error = None
         try:
             step()
         except Exception as error:  # noqa: BLE001 - rclpy would drop it
-            self._failure = _explained(self.get_name(), error)
+            self._transition_error = error
+            if "QoS override" in str(error):  # rclpy rejected a parameter
+                self._transition_error = SettingsError(f"{self.get_name()}: qos_overrides: {error}")
             undo()
             return TransitionCallbackReturn.FAILURE
         return None
 
     def _clean_up(self) -> None:
         self.active = False
-        self.stop()
-        self._kept.close()
+        self.deactivate()
+        self._owned.close()
 
     def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
-        """Answer a request that comes at the wrong time with a refusal: rclpy raises, which would end the process."""
+        """Refuse a transition that the state does not allow; rclpy would raise and end the process."""
         try:
             response = self._change_state(request, response)
         except RCLError:
             response.success = False
-            asked = request.transition.label or request.transition.id
-            self.get_logger().error(f"no transition {asked} from {self._state_machine.current_state[1]}: refused")
-        if self._failure is not None:
-            self.get_logger().error(str(self._failure))
-            self._failure = None
+            transition = request.transition.label or request.transition.id
+            self.get_logger().error(f"no transition {transition} from {self._state_machine.current_state[1]}: refused")
+        if self._transition_error is not None:
+            self.get_logger().error(str(self._transition_error))
+            self._transition_error = None
         return response
 
 
-def incompatible(endpoint: str, tell: Callable[[str], None], event: QoSRequestedIncompatibleQoSInfo) -> None:
-    """Tell, in one line, that `endpoint` is not connected, and for which policy."""
-    tell(f"{endpoint} cannot be connected: its {qos_policy_name_from_kind(event.last_policy_kind)} does not fit")
+def _report_incompatible(endpoint: str, report: Callable[[str], None], event: QoSRequestedIncompatibleQoSInfo) -> None:
+    """Report in one line that `endpoint` is not connected, and for which QoS policy."""
+    report(f"{endpoint} cannot be connected: its {qos_policy_name_from_kind(event.last_policy_kind)} does not fit")
 
 
-def run(make: Callable[[], LifecycleBase], args: Sequence[str] | None) -> int:
-    """Run one node until it is told to stop. Return 0, or 2 with one line on stderr where it cannot start.
+def run(node_class: Callable[[], LifecycleBase], args: Sequence[str] | None) -> int:
+    """Run one node until a signal ends it. Return 0, or 2 with one line on stderr after an error.
 
-    `args` are those of the process when None; they begin with the first argument otherwise.
+    `args` are the arguments without the program name; None means those of the process.
     """
     node: LifecycleBase | None = None
     executor: Executor | None = None
-    # From here on a signal does what rclpy makes it do, which is to end the context, and never interrupts Python:
-    # a launcher sends SIGINT twice, and the second one would break into the clean-up.
-    ending = {signal.SIGINT, signal.SIGTERM}
-    signal.pthread_sigmask(signal.SIG_BLOCK, ending)
-    for number in ending:
+    # A signal ends the ROS context, as rclpy handles it, but never interrupts Python: a launcher sends SIGINT twice,
+    # and the second one would interrupt the clean-up.
+    signals = {signal.SIGINT, signal.SIGTERM}
+    signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    for number in signals:
         signal.signal(number, signal.SIG_IGN)
     try:
         _init(args)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ending)
-        node = make()
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
+        node = node_class()
         executor = EventsExecutor()
         executor.add_node(node)
         if node.autostart:
             node.bring_up()
-        # What exists by now stays: without this a full collection stops a 1 kHz stream for milliseconds.
+        # Exempt existing objects: a full garbage collection would stop a 1 kHz stream for milliseconds.
         gc.collect()
         gc.freeze()
         while rclpy.ok():
-            executor.spin_until_future_complete(Future(), timeout_sec=_ONE_SPIN_S)
-        node.raise_fatal()
+            executor.spin_until_future_complete(Future(), timeout_sec=_SPIN_S)
+        node.raise_abort_error()
     except (ExternalShutdownException, ROSInterruptException):
         pass
     except EffmassError as error:
-        print(error, file=sys.stderr)  # noqa: T201 - the one line for every refusal
+        print(error, file=sys.stderr)  # noqa: T201
         return 2
     except Exception:
         if rclpy.ok():
             raise
-        # Told to stop while starting: whatever was being made missed its context.
+        # A signal ended the context during start-up.
     finally:
         _end(node, executor)
     return 0
 
 
 def _end(node: LifecycleBase | None, executor: Executor | None) -> None:
-    """Destroy what `run` made, as far as it came."""
+    """Destroy what `run` created."""
     if node is not None:
-        node.stop()  # no thread of it may wake an executor that has gone
+        node.deactivate()  # its threads must not wake the executor after its shutdown
     if executor is not None:
         executor.shutdown()
     if node is not None:
@@ -244,21 +279,16 @@ def _end(node: LifecycleBase | None, executor: Executor | None) -> None:
 
 
 def _init(args: Sequence[str] | None) -> None:
-    """Start ROS. Raises SettingsError for arguments that it, or the node, does not know."""
-    words = sys.argv[1:] if args is None else list(args)
+    """Initialise ROS. Raises SettingsError for unknown arguments."""
+    arguments = sys.argv[1:] if args is None else list(args)
     parser = argparse.ArgumentParser(
-        usage="%(prog)s [--ros-args ...]", description="Run one node until it is told to stop.", allow_abbrev=False
+        usage="%(prog)s [--ros-args ...]", description="Run one node until a signal ends it.", allow_abbrev=False
     )
     try:
-        _, strays = parser.parse_known_args(remove_ros_args(words))
-        rclpy.init(args=words)
+        _, unknown = parser.parse_known_args(remove_ros_args(arguments))
+        rclpy.init(args=arguments)
     except RuntimeError as error:
         reason = " ".join(str(error).split()).partition(", at /")[0]
         raise SettingsError(f"ROS arguments: {reason}") from None
-    if strays:
-        raise SettingsError(f"{strays[0]!r}: not known; ROS arguments stand behind --ros-args")
-
-
-def _explained(node: str, error: Exception) -> Exception:
-    """Return `error`, as a SettingsError where rclpy did not like a qos_overrides parameter."""
-    return SettingsError(f"{node}: qos_overrides: {error}") if "QoS override" in str(error) else error
+    if unknown:
+        raise SettingsError(f"{unknown[0]!r}: unknown argument; ROS arguments must follow --ros-args")

@@ -1,4 +1,4 @@
-"""What `/diagnostics` says of the monitor: its input, its model, and each contact point."""
+"""Diagnostics of the monitor: its input, its model and each contact point."""
 
 from __future__ import annotations
 
@@ -27,56 +27,56 @@ _LEVELS = {
 
 
 class MonitorHealth:
-    """Counts what the node receives, and what the middleware says was lost, and how long an answer takes."""
+    """Counts received and lost joint states and measures processing times."""
 
     def __init__(self, node: str) -> None:
-        """Count for the node of that name."""
+        """Start to count; `node` is the node's name."""
         self._node = node
         self.received = 0
         self.lost = 0
-        self._took_ns: list[int] = []
-        self._unmatched: set[str] = set()
+        self._processing_ns: list[int] = []
+        self._incompatible: set[str] = set()
 
-    def answered(self, took_ns: int) -> None:
-        """Note how long one joint state took, from the callback's start until all was published."""
-        self._took_ns.append(took_ns)
+    def add_processing_time(self, duration_ns: int) -> None:
+        """Add the time from the start of a callback until all its outputs were published."""
+        self._processing_ns.append(duration_ns)
 
-    def incompatible(self, endpoint: str) -> None:
-        """Note an endpoint that could not be connected for its QoS: who it is, and which policy."""
-        self._unmatched.add(endpoint)
+    def incompatible(self, line: str) -> None:
+        """Add a line about an endpoint with incompatible QoS."""
+        self._incompatible.add(line)
 
     @staticmethod
-    def missing_models(arm: RobotDynamics) -> Iterator[str]:
-        """Return a line for each effective mass that this robot has none of."""
-        if arm.lumped_reason:
-            yield f"lumped mass: {arm.lumped_reason}"
-        if arm.full_reason:
-            yield f"full mass: {arm.full_reason}"
+    def missing_models(dynamics: RobotDynamics) -> Iterator[str]:
+        """Yield a line for each effective mass that the robot model does not have."""
+        if dynamics.lumped_reason:
+            yield f"lumped mass: {dynamics.lumped_reason}"
+        if dynamics.full_reason:
+            yield f"full mass: {dynamics.full_reason}"
 
     def statuses(self, monitor: Monitor | None, decision: Decision | None, publishers: int) -> list[DiagnosticStatus]:
-        """Return the statuses for one report, and start the next interval."""
-        hardware = monitor.dynamics.robot.name if monitor else ""
+        """Return the statuses of one report and start the next interval."""
         statuses = [self._input(monitor, publishers)]
         if monitor is not None:
             statuses.append(self._model(monitor))
         if decision is not None:
             statuses += [self._contact(contact) for contact in decision.contacts]
-        for each in statuses:
-            each.hardware_id = hardware
+        for entry in statuses:
+            entry.hardware_id = monitor.dynamics.robot.name if monitor else ""
         return statuses
 
     def _input(self, monitor: Monitor | None, publishers: int) -> DiagnosticStatus:
-        took = np.array(self._took_ns or [0]) / 1e3
-        self._took_ns = []
+        processing_us = np.array(self._processing_ns or [0]) / 1e3
+        self._processing_ns = []
+        incompatible = "; ".join(sorted(self._incompatible))
         level, message = DiagnosticStatus.OK, f"{self.received} joint states"
         if publishers == 0:
             level, message = DiagnosticStatus.WARN, "no publisher of joint states"
         elif publishers > 1:
-            level, message = DiagnosticStatus.WARN, f"{publishers} publishers of joint states, taken as one stream"
+            level, message = DiagnosticStatus.WARN, f"{publishers} publishers of joint states, handled as one stream"
         elif self.lost:
             level, message = DiagnosticStatus.WARN, f"{self.lost} joint states lost"
-        elif self._unmatched:
-            level, message = DiagnosticStatus.WARN, "; ".join(sorted(self._unmatched))
+        elif incompatible:
+            level, message = DiagnosticStatus.WARN, incompatible
         return status(
             f"{self._node}: input",
             level,
@@ -87,17 +87,16 @@ class MonitorHealth:
                 "lost": self.lost,
                 "refused": monitor.rejected if monitor else 0,
                 "of other devices": monitor.ignored if monitor else 0,
-                "incompatible QoS": "; ".join(sorted(self._unmatched)),
-                "processing p50 [us]": f"{np.percentile(took, 50):.0f}",
-                "processing p99 [us]": f"{np.percentile(took, 99):.0f}",
-                "processing max [us]": f"{took.max():.0f}",
+                "incompatible QoS": incompatible,
+                "processing p50 [us]": f"{np.percentile(processing_us, 50):.0f}",
+                "processing p99 [us]": f"{np.percentile(processing_us, 99):.0f}",
+                "processing max [us]": f"{processing_us.max():.0f}",
             },
         )
 
     def _model(self, monitor: Monitor) -> DiagnosticStatus:
-        arm, settings = monitor.dynamics, monitor.settings
-        robot = arm.robot
-        missing = tuple(self.missing_models(arm))
+        dynamics, robot = monitor.dynamics, monitor.dynamics.robot
+        missing = tuple(self.missing_models(dynamics))
         cause = monitor.first_cause
         return status(
             f"{self._node}: model",
@@ -106,9 +105,9 @@ class MonitorHealth:
             {
                 "robot": robot.origin,
                 "joints": ", ".join(robot.joint_names),
-                "effective_mass_model": settings.effective_mass_model.value,
-                "lumped mass": arm.lumped_reason or "available",
-                "full mass": arm.full_reason or "available",
+                "effective_mass_model": monitor.settings.effective_mass_model.value,
+                "lumped mass": dynamics.lumped_reason or "available",
+                "full mass": dynamics.full_reason or "available",
                 "ISO mass [kg]": f"{robot.iso_mass:.4g}" if not robot.masses_reason else robot.masses_reason,
                 "moving mass [kg]": f"{robot.moving_mass:.4g}",
                 "payload [kg]": f"{robot.payload_mass:.4g}",

@@ -84,15 +84,15 @@ class SimNode(LifecycleBase):
         self._states: deque[values.JointState] = deque()
         self._carts: deque[CartPlacement] = deque()
 
-    def set_up(self) -> None:
+    def configure(self) -> None:
         """Create the endpoints."""
         warn = self.get_logger().warning
-        self._joint_states = self.publisher(JointState, topics.JOINT_STATES, topics.STREAM_QOS, warn)
-        self._info = self.publisher(RunInfo, topics.RUN_INFO, topics.INFO_QOS, warn)
+        self._joint_states = self.create_owned_publisher(JointState, topics.JOINT_STATES, topics.STREAM_QOS, warn)
+        self._info = self.create_owned_publisher(RunInfo, topics.RUN_INFO, topics.INFO_QOS, warn)
         self._pace = SimClock(self) if self._settings.clock else None
         self.create_steady_timer(_PERIOD_S, self._publish_what_is_due)
 
-    def start(self) -> None:
+    def activate(self) -> None:
         """Put the robot at its start."""
         start_ns = round(self._settings.start * 1e3) * _MS or int(self.get_clock().now().nanoseconds)
         self._bench = LiveSim(LiveSettings(seed=self._settings.seed), start_ns)

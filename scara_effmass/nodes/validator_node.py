@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydantic import Field
-from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -18,7 +16,7 @@ from scara_effmass.impacts.detection import Detector
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
-from scara_effmass.nodes.lifecycle import LifecycleBase, incompatible, run
+from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.validator_health import ValidatorHealth
 from scara_effmass.settings import READ_ONLY, DetectionSettings, ValidatorSettings, checked
@@ -84,13 +82,13 @@ class ValidatorNode(LifecycleBase):
         parameters.on_parameters_changed(self, lambda: self._settings, self._take)
         self._validator: Validator | None = None
 
-    def set_up(self) -> None:
+    def configure(self) -> None:
         """Create the endpoints."""
         settings = self._settings
         self._health = ValidatorHealth(self.get_name())
         self._validator = Validator(settings)
         self._detector = Detector(settings.detection)
-        self._result = self.publisher(
+        self._result = self.create_owned_publisher(
             ImpactValidation, topics.IMPACT_VALIDATION, topics.STREAM_QOS, self._health.incompatible
         )
         Diagnostics(self, self._statuses)
@@ -108,21 +106,11 @@ class ValidatorNode(LifecycleBase):
         self.own(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
         self.own(self.create_service(Trigger, "~/write_report", self._on_write_report), self.destroy_service)
 
-    def _subscribe(self, kind: type, topic: str, callback: Callable[..., None], *, raw: bool) -> None:
-        misfit = partial(incompatible, f"a publisher of {topic}", self._health.incompatible)
-        self.own(
-            self.create_subscription(
-                kind,
-                topic,
-                callback,
-                qos_profile(topics.VALIDATOR_INPUT_QOS),
-                raw=raw,
-                event_callbacks=SubscriptionEventCallbacks(
-                    incompatible_qos=misfit, message_lost=partial(self._on_lost, topic)
-                ),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            ),
-            self.destroy_subscription,
+    def _subscribe(self, message_type: type, topic: str, callback: Callable[..., None], *, raw: bool) -> None:
+        qos, on_incompatible = topics.VALIDATOR_INPUT_QOS, self._health.incompatible
+        on_lost = partial(self._on_lost, topic)
+        self.create_owned_subscription(
+            message_type, topic, callback, qos, on_incompatible, raw=raw, message_lost=on_lost
         )
 
     def _on_lost(self, topic: str, lost: QoSMessageLostInfo) -> None:

@@ -62,7 +62,7 @@ def test_a_node_that_cannot_start_says_why_in_one_line(cli: Cli) -> None:
 def is_up(monitor: subprocess.Popen[str]) -> bool:
     """Return whether a monitor says that it watches the robot, once it does."""
     assert monitor.stderr is not None
-    return any("watching omron_i4_550l" in line for line in monitor.stderr)
+    return any("monitoring omron_i4_550l" in line for line in monitor.stderr)
 
 
 def test_the_monitor_ends_with_status_0_on_ctrl_c(start: Start) -> None:

@@ -190,7 +190,7 @@ def test_second_publisher_of_either_reliability_is_heard_and_reported(
             lambda: sent and any(c.header.stamp == sent[-1].header.stamp for c in harness.contact_states), repeat=send
         )
         assert harness.diagnostic("input", "publishers", lambda value: value == "2").startswith(
-            "2 publishers of joint states, taken as one stream"
+            "2 publishers of joint states, handled as one stream"
         )
     finally:
         harness.node.destroy_publisher(second)

@@ -39,7 +39,7 @@ def paths(tmp_path: Path) -> dict[str, Path]:
         ("--ros-args --params-file {missing}", "ROS arguments: "),
         ("--ros-args --params-file {broken}", "ROS arguments: "),
         ("--ros-args --no-such-option", "ROS arguments: ['--no-such-option']"),
-        ("timeout:=0.1", "'timeout:=0.1': not known; ROS arguments stand behind --ros-args"),
+        ("timeout:=0.1", "'timeout:=0.1': unknown argument; ROS arguments must follow --ros-args"),
     ],
 )
 def test_what_it_cannot_use_is_one_line_and_2(
@@ -120,7 +120,7 @@ def test_ends_with_0_while_it_starts(new_harness: Callable[..., NodeHarness]) ->
     process = new_harness("--ros-args", "-p", "autostart:=true").process
     assert process is not None
     assert process.stderr is not None
-    assert any("watching omron_i4_550l" in line for line in process.stderr)
+    assert any("monitoring omron_i4_550l" in line for line in process.stderr)
     process.send_signal(signal.SIGINT)
     errors = process.stderr.read()
     assert process.wait() == 0
