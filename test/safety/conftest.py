@@ -28,6 +28,12 @@ def variant(directory: Path, change: Callable[[dict[str, Any]], object]) -> Robo
     return RobotDynamics(load_robot(path, MonitorSettings()))
 
 
+@pytest.fixture
+def scara_variant(tmp_path: Path) -> Callable[[Callable[[dict[str, Any]], object]], RobotDynamics]:
+    """Return the function that gives the shipped SCARA with its file changed."""
+    return lambda change: variant(tmp_path, change)
+
+
 @pytest.fixture(scope="session")
 def scara() -> RobotDynamics:
     """The shipped SCARA, one contact point on the tool axis."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,14 +11,15 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety import Monitor
+from scara_effmass.safety.joint_state_validator import JointStateValidator, Motion
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import JointState, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.values import Decision
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
@@ -373,3 +374,87 @@ def test_nothing_that_comes_in_raises_or_leaks_or_is_believed_wrongly(
             assert good
         if good:
             last_ns = joint_state.stamp_ns
+
+
+class TestBoundaries:
+    """Values exactly at a limit are valid; the next float beyond it is not."""
+
+    def validated(self, scara: RobotDynamics, joint_state: JointState, **settings: object) -> object:
+        validator = JointStateValidator(scara.robot)
+        validator.apply(MonitorSettings.model_validate(settings))
+        return validator.validate(joint_state, NOW)
+
+    @pytest.mark.parametrize("joint", range(4))
+    @pytest.mark.parametrize("side", ["lowerPositionLimit", "upperPositionLimit"])
+    def test_position_exactly_at_a_joint_limit_is_valid(self, scara: RobotDynamics, joint: int, side: str) -> None:
+        sign = 1.0 if side.startswith("upper") else -1.0
+        limit = float(getattr(scara.robot.model, side)[joint]) + sign * 0.02
+        positions = list(Q)
+        positions[joint] = limit
+        assert isinstance(self.validated(scara, state(position=positions)), Motion)
+        positions[joint] = math.nextafter(limit, sign * INF)
+        assert "lies outside its limits" in str(self.validated(scara, state(position=positions)))
+
+    @pytest.mark.parametrize("joint", range(4))
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_velocity_exactly_at_the_maximum_speed_is_valid(
+        self, scara: RobotDynamics, joint: int, sign: float
+    ) -> None:
+        max_speed = float(scara.robot.model.velocityLimit[joint]) * 1.1
+        velocities = list(QD)
+        velocities[joint] = sign * max_speed
+        assert isinstance(self.validated(scara, state(velocity=velocities)), Motion)
+        velocities[joint] = sign * math.nextafter(max_speed, INF)
+        assert "exceeds its maximum speed" in str(self.validated(scara, state(velocity=velocities)))
+
+    @pytest.mark.parametrize("stated", [0.0, INF])
+    def test_joint_without_stated_maximum_speed_has_the_default_one(self, scara: RobotDynamics, stated: float) -> None:
+        model = scara.robot.model.copy()
+        model.velocityLimit = np.full(4, stated)
+        unlimited = RobotDynamics(replace(scara.robot, model=model))
+        assert isinstance(self.validated(unlimited, state(velocity=(66.0, 0.1, 11.0, 0.1))), Motion)
+        for joint, name in ((0, "joint1"), (2, "joint3")):
+            velocities = [66.0, 0.1, 11.0, 0.1]
+            velocities[joint] += 0.001
+            assert f"{name} at" in str(self.validated(unlimited, state(velocity=velocities)))
+
+    @pytest.mark.parametrize(("duration_ms", "expected"), [(99, Verdict.UNKNOWN), (100, Verdict.OK)])
+    def test_zero_velocity_is_confirmed_after_a_tenth_of_a_second(
+        self, scara: RobotDynamics, duration_ms: int, expected: Verdict
+    ) -> None:
+        feed = Feed(monitor(scara))
+        feed(state(velocity=(0.0,) * 4))
+        assert feed(state(velocity=(0.0,) * 4), duration_ms * MS)[0] is expected
+
+    @pytest.mark.parametrize(("travel", "expected"), [(0.05, Verdict.OK), (0.0501, Verdict.UNKNOWN)])
+    def test_travel_up_to_factor_and_margin_is_valid(
+        self, scara: RobotDynamics, travel: float, expected: Verdict
+    ) -> None:
+        """At 0.1 rad/s for 0.1 s the velocity explains 0.01 rad, and 1.5 times that plus 0.05 rad is valid."""
+        feed = Feed(monitor(scara))
+        feed()
+        assert feed(state(position=(Q[0] + 0.015 + travel - 1e-9, *Q[1:])), 100 * MS)[0] is expected
+
+    @pytest.mark.parametrize(
+        ("travel", "elapsed_ms", "expected"),
+        [
+            (0.00499, 1, Verdict.OK),
+            (0.00501, 1, Verdict.UNKNOWN),
+            (0.00899, 180, Verdict.OK),
+            (0.00901, 180, Verdict.UNKNOWN),
+        ],
+    )
+    def test_travel_at_zero_velocity_is_bounded_by_still_tolerance_and_still_speed(
+        self, scara: RobotDynamics, travel: float, elapsed_ms: int, expected: Verdict
+    ) -> None:
+        """0.005 rad in a short time, 0.05 rad/s in a longer one."""
+        feed = Feed(monitor(scara))
+        feed()
+        feed(state(velocity=(0.0,) * 4))
+        moved = state(position=(Q[0] + travel, *Q[1:]), velocity=(0.0,) * 4)
+        assert feed(moved, elapsed_ms * MS)[0] is expected
+
+    def test_gap_restarts_the_travel_window(self, scara: RobotDynamics) -> None:
+        feed = Feed(monitor(scara))
+        feed()
+        assert feed(state(position=(1.5, *Q[1:])), 201 * MS)[0] is Verdict.OK

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -17,8 +17,12 @@ from scara_effmass.settings import ContactType, MassModel, MonitorSettings
 from scara_effmass.values import JointState, Verdict
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.values import ContactAssessment
+
+    Variant = Callable[[Callable[[dict[str, Any]], object]], RobotDynamics]
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 NOW = 1_700_000_000_000_000_000
@@ -332,3 +336,40 @@ def test_a_setting_that_loosens_a_limit_changes_nothing(scara: RobotDynamics) ->
     decision = monitor.assess(JointState(NOW, JOINTS, np.array([0.3, 1.2, 0.1, 0.0]), np.full(4, 0.1)), NOW)
     assert decision is not None
     assert decision.contacts[0].verdict is Verdict.OK
+
+
+@pytest.mark.parametrize("model", MassModel)
+@pytest.mark.parametrize(("scale", "valid"), [(1e-5, True), (1e-7, False)])
+def test_effective_mass_below_the_minimum_gives_unknown(
+    scara_variant: Variant,
+    model: MassModel,
+    scale: float,
+    valid: bool,  # noqa: FBT001
+) -> None:
+    """The masses of the shipped robot lie between 0.5 and 3 kg; the minimum is a milligram."""
+
+    def shrink(file: dict[str, Any]) -> None:
+        for body in (*file["links"], file["payload"]):
+            body["mass"] *= scale
+            body["inertia"] *= scale
+
+    light = one(scara_variant(shrink), (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1), effective_mass_model=model)
+    if valid:
+        assert light.verdict in {Verdict.OK, Verdict.WARN}
+        assert light.effective_mass > 0.0
+    else:
+        assert light.verdict is Verdict.UNKNOWN
+        assert light.reason.startswith(f"{model.value} mass = ")
+        assert "must be at least 1e-06 kg" in light.reason
+        assert (light.allowable_speed, light.effective_mass, light.reduced_mass) == (0.0, 0.0, 0.0)
+
+
+def test_placeholder_masses_give_unknown(scara_variant: Variant) -> None:
+    def replace_inertias(file: dict[str, Any]) -> None:
+        for link in file["links"]:
+            link.update(mass=1.0, inertia=[1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+
+    contact = one(scara_variant(replace_inertias), (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1))
+    assert contact.verdict is Verdict.UNKNOWN
+    assert contact.reason == "every link has mass 1 and identity inertia: placeholders, not data"
+    assert contact.iso_mass == 0.0
