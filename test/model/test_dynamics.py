@@ -399,3 +399,53 @@ def rotated(values: FloatArray, seed: int) -> FloatArray:
     rotation, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     matrix = rotation @ np.diag(values) @ rotation.T
     return np.asarray((matrix + matrix.T) / 2.0)
+
+
+class TestMasslessJoint:
+    """Joint 4 of the shipped SCARA moves no lumped mass; beside its axis it moves the contact point."""
+
+    Q, ALONG_X4 = np.array([0.3, 1.1, 0.1, 0.0]), 0.3 + 1.1
+
+    @pytest.fixture
+    def with_offset(
+        self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+    ) -> Callable[[float], RobotDynamics]:
+        def build(offset: float) -> RobotDynamics:
+            omron_rows["contact_points"] = {"edge": [offset, 0.0, 0.0]}
+            return RobotDynamics(from_rows(omron_rows))
+
+        return build
+
+    @pytest.mark.parametrize(("offset", "defined"), [(0.9e-9, True), (1.1e-9, False)])
+    def test_lever_decides_whether_the_worst_lumped_mass_is_defined(
+        self, with_offset: Callable[[float], RobotDynamics], offset: float, *, defined: bool
+    ) -> None:
+        (masses,) = with_offset(offset).effective_masses(self.Q, np.zeros(4), 0.005)
+        assert math.isfinite(masses.lumped) == math.isfinite(masses.worst_lumped) == defined
+        assert bool(masses.lumped_reason) != defined
+
+    @pytest.mark.parametrize(("tilt", "defined"), [(0.9e-8, True), (1.1e-8, False)])
+    def test_lever_along_the_direction_decides_whether_the_lumped_mass_is_defined(
+        self,
+        with_offset: Callable[[float], RobotDynamics],
+        along: Callable[..., EffectiveMasses],
+        tilt: float,
+        *,
+        defined: bool,
+    ) -> None:
+        """At 0.1 m from the axis, a direction tilted by 1e-8 rad from x4 has a lever of 1e-9 m."""
+        phi = self.ALONG_X4 + tilt
+        masses = along(with_offset(0.1), self.Q, [math.cos(phi), math.sin(phi), 0.0])
+        assert math.isfinite(masses.lumped) == defined
+        assert math.isnan(masses.worst_lumped)
+
+
+def test_joint_that_moves_no_inertia_has_no_full_model(
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+) -> None:
+    for body in (omron_rows["links"][2], omron_rows["links"][3], omron_rows["payload"]):
+        body["inertia"] = [1e-4, 1e-4, 0.0, 0.0, 0.0, 0.0]
+    dynamics = RobotDynamics(from_rows(omron_rows))
+    assert dynamics.full_reason.startswith("joint4 moves no inertia")
+    omron_rows["joints"][3]["armature"] = 1e-6
+    assert RobotDynamics(from_rows(omron_rows)).full_reason == ""
