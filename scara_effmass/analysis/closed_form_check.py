@@ -27,14 +27,14 @@ class ClosedFormCheck:
     1/m_n = (1 - n_z^2) / m(Eq. 28) + n_z^2 / m_z, and the worst direction has the larger of Eq. 30 and m_z.
     """
 
-    def __init__(self, arm: RobotDynamics, mass_cap: float) -> None:
-        """Prepare for `arm`; masses at `mass_cap` [kg] are compared as such. Raises RobotError if it is no SCARA."""
-        if arm.lumped is None:
-            raise RobotError(f"{arm.robot.origin}: no lumped mass ({arm.lumped_reason})")
-        self._m2, self._m3 = arm.lumped.planar_masses(arm.robot)
-        self._mz = sum(link.mass for link in arm.lumped.links[2:])
-        self._zero, self._sign = _planar_angles(arm.robot)
-        self._joints = arm.robot.joint_names[:2]
+    def __init__(self, dynamics: RobotDynamics, mass_cap: float) -> None:
+        """Compare masses up to `mass_cap` [kg] only. Raises RobotError if the robot is not a SCARA."""
+        if dynamics.lumped is None:
+            raise RobotError(f"{dynamics.robot.origin}: no lumped mass ({dynamics.lumped_reason})")
+        self._m2, self._m3 = dynamics.lumped.planar_masses(dynamics.robot)
+        self._mz = sum(link.mass for link in dynamics.lumped.links[2:])
+        self._zero, self._sign = _planar_angles(dynamics.robot)
+        self._joints = dynamics.robot.joint_names[:2]
         self._cap = mass_cap
         self._names: tuple[str, ...] = ()
         self._rows: list[tuple[float, float, float, float, float, float]] = []

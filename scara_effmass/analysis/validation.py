@@ -91,11 +91,11 @@ class Validation(NamedTuple):
 
 def validate(
     paths: Sequence[Path],
-    arm: RobotDynamics,
+    dynamics: RobotDynamics,
     settings: ValidationSettings,
     advance: Callable[[float], object] = lambda _: None,
 ) -> Validation:
-    """Return what the recordings at `paths`, each for `open_bag`, say of the models of `arm`, as one series.
+    """Return what the recordings at `paths`, each for `open_bag`, say of the models of `dynamics`, as one series.
 
     `advance` is called with the share of a recording that has been done. Raises BagError, SettingsError, LimitError.
     """
@@ -105,7 +105,7 @@ def validate(
     for path in paths:
         validator.begin_recording()
         with open_bag(path) as bag:
-            feed = _Feed(bag, Monitor(arm, settings.monitor), validator, settings)
+            feed = _Feed(bag, Monitor(dynamics, settings.monitor), validator, settings)
             feed.run(advance)
         feeds.append(feed)
         validator.finish()

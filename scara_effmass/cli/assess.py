@@ -46,18 +46,18 @@ examples:
 class Assessor:
     """Assesses recordings one after the other, and counts."""
 
-    def __init__(self, arm: RobotDynamics, settings: MonitorSettings) -> None:
+    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
         """Prepare; only a SCARA has closed forms to check against."""
         from scara_effmass.analysis.closed_form_check import ClosedFormCheck  # noqa: PLC0415 - not needed for --help
         from scara_effmass.analysis.summary import Summary  # noqa: PLC0415
 
-        self.arm = arm
+        self.dynamics = dynamics
         self.settings = settings
         self.summary = Summary(round(settings.timeout * 1e9))
         self.check: ClosedFormCheck | None = None
         self.check_reason = ""
         try:
-            self.check = ClosedFormCheck(arm, settings.mass_cap)
+            self.check = ClosedFormCheck(dynamics, settings.mass_cap)
         except RobotError as error:
             self.check_reason = str(error)
         self.joint_states = self.foreign = self.rejected = 0
@@ -78,7 +78,7 @@ class Assessor:
         from scara_effmass.analysis.assessment import assess_joint_states  # noqa: PLC0415
         from scara_effmass.safety import Monitor  # noqa: PLC0415
 
-        monitor = Monitor(self.arm, self.settings)
+        monitor = Monitor(self.dynamics, self.settings)
         self.summary.new_recording()
         name = str(bag.path)
         for log_time_ns, state, decision in assess_joint_states(bag, topic, monitor):
@@ -145,32 +145,32 @@ def run(args: argparse.Namespace) -> int:
     from scara_effmass.safety import Monitor  # noqa: PLC0415
 
     settings = settings_from(args)
-    arm = load_dynamics(settings)
-    Monitor(arm, settings)  # refuses limits that do not exist before anything is written
+    dynamics = load_dynamics(settings)
+    Monitor(dynamics, settings)  # refuses limits that do not exist before anything is written
     paths = [path for folder in args.bags for path in find_bags(folder)]
-    assessor = Assessor(arm, settings)
-    provenance = Provenance(settings, arm.robot.origin, paths)
+    assessor = Assessor(dynamics, settings)
+    provenance = Provenance(settings, dynamics.robot.origin, paths)
     with ExitStack() as stack:
         report = None
         if args.report:
             from scara_effmass.analysis.run_report import run_report  # noqa: PLC0415 - loads matplotlib
 
-            figures = len(paths) * len(arm.contact_points)
+            figures = len(paths) * len(dynamics.contact_points)
             report = stack.enter_context(run_report(args.report, figures, settings, overwrite=args.force))
-        table = stack.enter_context(sink(args.output, provenance, arm.robot.base_frame, overwrite=args.force))
+        table = stack.enter_context(sink(args.output, provenance, dynamics.robot.base_frame, overwrite=args.force))
         progress = stack.enter_context(progress_bar())
         for path in paths:
             with open_bag(path) as bag:
                 topic = joint_state_topic(bag, args.topic)
                 count = next(info.count for info in bag.topics if info.name == topic)
                 task = progress.add_task(path.name, total=count)
-                series = {point: TimeSeriesBuilder() for point in arm.contact_points} if report else {}
+                series = {point: TimeSeriesBuilder() for point in dynamics.contact_points} if report else {}
                 assessor.assess(bag, topic, table, lambda task=task: progress.advance(task), series)  # type: ignore[misc]
                 if report:
-                    _add_to_report(report, bag, arm.robot.name, series)
+                    _add_to_report(report, bag, dynamics.robot.name, series)
         result = {"output": str(args.output), **assessor.as_dict()}
         if report:
-            result = report.finish(f"{arm.robot.name}: assessment", assessor.lines(), result)
+            result = report.finish(f"{dynamics.robot.name}: assessment", assessor.lines(), result)
     written = [("written", args.output), *([("open", args.report / "report.html")] if report else [])]
     if args.json:
         print_json(result)

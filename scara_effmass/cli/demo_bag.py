@@ -50,15 +50,15 @@ class ReplayedBag(NamedTuple):
 class LiveRun:
     """One replay through the live monitor, and what the monitor published."""
 
-    def __init__(self, arm: RobotDynamics, settings: MonitorSettings) -> None:
-        """Prepare for the contact points of `arm`."""
+    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
+        """Prepare for the contact points of `dynamics`."""
         from scara_effmass.analysis.summary import Summary  # noqa: PLC0415 - not needed for --help
         from scara_effmass.analysis.time_series import TimeSeriesBuilder  # noqa: PLC0415
 
-        self._joints = frozenset(arm.robot.joint_names)
+        self._joints = frozenset(dynamics.robot.joint_names)
         self._settings = settings
         self.summary = Summary(round(settings.timeout * 1e9))
-        self.series = {name: TimeSeriesBuilder() for name in arm.contact_points}
+        self.series = {name: TimeSeriesBuilder() for name in dynamics.contact_points}
         self.sent = self.answered = self.foreign = self.watchdog_messages = 0
         self.replay_report: dict[str, Any] = {}
         self.record_report: dict[str, Any] = {}
@@ -125,28 +125,28 @@ class LiveRun:
                     self.summary.tightest = tightest._replace(positions=positions)
 
 
-def run_bag(args: argparse.Namespace, arm: RobotDynamics, settings: MonitorSettings, note: str) -> int:
+def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings, note: str) -> int:
     """Replay the recording live and write the report; `note` says why another mass model is used."""
     from scara_effmass.analysis.forces import read_force  # noqa: PLC0415 - not needed for --help
     from scara_effmass.analysis.run_report import PAGE, run_report  # noqa: PLC0415
     from scara_effmass.bags.files import open_bag  # noqa: PLC0415
 
     bag = _inspect(args)
-    live = LiveRun(arm, settings)
+    live = LiveRun(dynamics, settings)
     with (
-        run_report(args.out, len(arm.contact_points), settings, overwrite=args.force) as report,
+        run_report(args.out, len(dynamics.contact_points), settings, overwrite=args.force) as report,
         removed_on_failure(args.out / RECORDING),
     ):
-        introduction = _introduction(bag, arm, note or settings.effective_mass_model.value, args.rate)
+        introduction = _introduction(bag, dynamics, note or settings.effective_mass_model.value, args.rate)
         if not args.json:
             print_lines(introduction)
         live.run(args, bag)
         if not live.answered:
-            hint = f"does {arm.robot.name} fit the recording?"
+            hint = f"does {dynamics.robot.name} fit the recording?"
             raise EffmassError(f"{bag.path}: the monitor answered none of {live.sent} joint states; {hint}")
         with open_bag(args.out / RECORDING) as recording:
             forces = read_force(recording)
-        title = f"{arm.robot.name}: {bag.path.name} through the live monitor"
+        title = f"{dynamics.robot.name}: {bag.path.name} through the live monitor"
         for point, builder in live.series.items():
             report.add(builder.build(), point, title, generated=bool(bag.description), forces=forces)
         lines = [*_lines(live), *summary_lines(live.summary), *force_lines(forces), *_process_lines(live)]
@@ -157,7 +157,7 @@ def run_bag(args: argparse.Namespace, arm: RobotDynamics, settings: MonitorSetti
                 "bag": str(bag.path),
                 "topic": bag.topic,
                 "generated": bool(bag.description),
-                "robot": arm.robot.origin,
+                "robot": dynamics.robot.origin,
                 "effective_mass_model": settings.effective_mass_model.value,
                 "sent": live.sent,
                 "foreign": live.foreign,
@@ -205,7 +205,7 @@ def _inspect(args: argparse.Namespace) -> ReplayedBag:
         )
 
 
-def _introduction(bag: ReplayedBag, arm: RobotDynamics, mass_model: str, rate: float) -> list[tuple[str, str]]:
+def _introduction(bag: ReplayedBag, dynamics: RobotDynamics, mass_model: str, rate: float) -> list[tuple[str, str]]:
     speed = f"{rate:g} times the original speed" if rate else "as fast as the monitor answers"
     generated = f"generated, no real robot: {bag.description}" if bag.description else ""
     return [
@@ -213,9 +213,9 @@ def _introduction(bag: ReplayedBag, arm: RobotDynamics, mass_model: str, rate: f
         ("motion", generated or "as recorded; the recording does not say that it was generated"),
         ("live", "the monitor node computes all verdicts now, from that motion"),
         ("not measured", "masses and permissible forces come from the robot's model and ISO/TS 15066"),
-        ("robot", f"{arm.robot.name}, {arm.robot.origin}"),
+        ("robot", f"{dynamics.robot.name}, {dynamics.robot.origin}"),
         ("mass model", mass_model),
-        *(("robot file", note) for note in arm.robot.notes),
+        *(("robot file", note) for note in dynamics.robot.notes),
     ]
 
 

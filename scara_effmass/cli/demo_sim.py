@@ -53,7 +53,7 @@ INTRODUCTION = (
 )
 
 
-def run_sim(args: argparse.Namespace, arm: RobotDynamics, settings: MonitorSettings) -> int:
+def run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings) -> int:
     """Run the simulated cell; return 0 when the series of impacts is accepted, else 1. Raises EffmassError."""
     from scara_effmass.analysis.validation import ValidationSettings, validate  # noqa: PLC0415 - not for --help
     from scara_effmass.analysis.validation_record import record  # noqa: PLC0415
@@ -63,19 +63,19 @@ def run_sim(args: argparse.Namespace, arm: RobotDynamics, settings: MonitorSetti
     if not args.json:
         print_lines(INTRODUCTION)
     with removed_on_failure(args.out / RECORDING):
-        validations, record_report = _run_live(args, arm, settings)
+        validations, record_report = _run_live(args, dynamics, settings)
         validation_settings = ValidationSettings(
             monitor=settings.model_copy(update={"timeout": RECORDER_DELAY_S}),
             validator=ValidatorSettings(clock_tolerance=RECORDER_DELAY_S),
         )
-        validation = validate([args.out / RECORDING], arm, validation_settings)
-        write_report(validation, validation_settings, arm.robot, args.out, overwrite=args.force)
+        validation = validate([args.out / RECORDING], dynamics, validation_settings)
+        write_report(validation, validation_settings, dynamics.robot, args.out, overwrite=args.force)
     result = validation.result
     live = {_stamp_ns(message) for message in validations}
     offline = {impact.stamp_ns for impact in result.impacts}
     counts = {"live": len(live), "offline": len(offline), "both": len(live & offline)}
     if args.json:
-        print_json({**counts, "recording": record_report, **record(validation, validation_settings, arm.robot)})
+        print_json({**counts, "recording": record_report, **record(validation, validation_settings, dynamics.robot)})
     else:
         recorded = f"{record_report['messages']} messages, {record_report['lost']} lost: {record_report['bag']}"
         print_lines(
@@ -90,7 +90,7 @@ def run_sim(args: argparse.Namespace, arm: RobotDynamics, settings: MonitorSetti
 
 
 def _run_live(
-    args: argparse.Namespace, arm: RobotDynamics, settings: MonitorSettings
+    args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings
 ) -> tuple[list[ImpactValidation], dict[str, Any]]:
     """Start all nodes and receive until the last impact; return the validator's messages and the recorder's report."""
     isolate_ros_domain()
@@ -124,7 +124,7 @@ def _run_live(
             timed_out = client.now_ns / 1e9 > start_s + duration_s + VALIDATION_DELAY_S
             return timed_out or len(validations) >= IMPACTS or any(process.ended for process in processes)
 
-        with MonitorClient(arm.contact_points, on_cycle, on_validation) as client, status:
+        with MonitorClient(dynamics.contact_points, on_cycle, on_validation) as client, status:
             if not client.spin(START_TIMEOUT_S, lambda: all(client.has_ends(*end) for end in ENDPOINTS) or finished()):
                 raise EffmassError(f"nodes: not running after {START_TIMEOUT_S:g} s")
             require_running(processes)

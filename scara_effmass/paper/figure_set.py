@@ -111,7 +111,7 @@ def _claims(material: Material) -> tuple[Claim, ...]:
     scara = material.scara
     return (
         *robot_claims(scara),
-        *mass_claims(material.arm, scara),
+        *mass_claims(material.dynamics, scara),
         *reduced_mass_claims(scara),
         *motion_claims(material.motion),
         *run_claims(scara, material.runs),
@@ -120,4 +120,4 @@ def _claims(material: Material) -> tuple[Claim, ...]:
 
 def _checked(material: Material) -> Agreement:
     # Not on the grid of angles: the stretched arm on it moves across itself only, so along n it has no velocity.
-    return agreement(material.arm, material.scara, *spread_positions(material.scara))
+    return agreement(material.dynamics, material.scara, *spread_positions(material.scara))

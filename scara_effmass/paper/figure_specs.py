@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class Material:
     """What the figures are made from; without `runs`, no force is drawn."""
 
-    arm: RobotDynamics
+    dynamics: RobotDynamics
     scara: Scara
     motion: ToolMotion
     runs: tuple[RecordedImpact, ...] = ()

@@ -28,10 +28,10 @@ EXTREME_STEPS = 721
 QUILL_M = (0.0, 0.236, 0.45)
 
 
-def mass_claims(arm: RobotDynamics, scara: Scara) -> Iterator[Claim]:
+def mass_claims(dynamics: RobotDynamics, scara: Scara) -> Iterator[Claim]:
     """Yield them."""
     yield from _extremes(scara)
-    yield _independent_of_quill(arm, scara)
+    yield _independent_of_quill(dynamics, scara)
     yield from _density(scara, over_workspace(scara))
     yield from _errors(scara)
 
@@ -104,9 +104,9 @@ def _extremes(scara: Scara) -> Iterator[Claim]:
     )
 
 
-def _independent_of_quill(arm: RobotDynamics, scara: Scara) -> Claim:
+def _independent_of_quill(dynamics: RobotDynamics, scara: Scara) -> Claim:
     poses = spread_positions(scara, count=8)
-    found = [np.concatenate(matrix_masses(arm, *poses, OBLIQUE, q3)) for q3 in QUILL_M]
+    found = [np.concatenate(matrix_masses(dynamics, *poses, OBLIQUE, q3)) for q3 in QUILL_M]
     return at_most(
         "independent_of_q3",
         "§3.2",

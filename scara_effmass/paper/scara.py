@@ -58,11 +58,13 @@ class Agreement(NamedTuple):
     full: float
 
 
-def closed_form_of(arm: RobotDynamics) -> Scara:
-    """Return the closed forms' parameters of `arm`, read off its file. Raises RobotError if it is no SCARA."""
-    if arm.lumped is None or arm.full_reason:
-        raise RobotError(f"{arm.robot.origin}: a model is missing: {arm.lumped_reason or arm.full_reason}")
-    model = arm.robot.model
+def closed_form_of(dynamics: RobotDynamics) -> Scara:
+    """Return the closed forms' parameters of `dynamics`, read off its file. Raises RobotError if it is no SCARA."""
+    if dynamics.lumped is None or dynamics.full_reason:
+        raise RobotError(
+            f"{dynamics.robot.origin}: a model is missing: {dynamics.lumped_reason or dynamics.full_reason}"
+        )
+    model = dynamics.robot.model
     links = list(model.inertias)[1:]
     mass = [float(link.mass) for link in links]
     turning = [float(link.inertia[2, 2]) for link in links]
@@ -80,9 +82,9 @@ def closed_form_of(arm: RobotDynamics) -> Scara:
         i3=turning[2],
         i4=turning[3],
     )
-    m2, m3 = arm.lumped.planar_masses(arm.robot)
+    m2, m3 = dynamics.lumped.planar_masses(dynamics.robot)
     q1_max, q2_max = (float(limit) for limit in model.upperPositionLimit[:2])
-    return Scara(m2, m3, arm.robot.iso_mass, arm.lumped.aggregated, inertia, q1_max, q2_max)
+    return Scara(m2, m3, dynamics.robot.iso_mass, dynamics.lumped.aggregated, inertia, q1_max, q2_max)
 
 
 def _across(vector: FloatArray) -> float:
@@ -91,25 +93,27 @@ def _across(vector: FloatArray) -> float:
 
 
 def matrix_masses(
-    arm: RobotDynamics, q1: FloatArray, q2: FloatArray, phi: float, q3: float = 0.2
+    dynamics: RobotDynamics, q1: FloatArray, q2: FloatArray, phi: float, q3: float = 0.2
 ) -> tuple[FloatArray, FloatArray]:
     """Return lumped and full m_n (n,) from the mass matrices (Eqs. 3-8), pose by pose along phi.
 
     The tool points along the normal (Eq. 24). No pose may be singular.
     """
-    (frame,) = arm.robot.contact_frames.values()
+    (frame,) = dynamics.robot.contact_frames.values()
     normal = np.array([np.cos(phi), np.sin(phi), 0.0])
     found = np.empty((len(q1), 2))
     for row, (first, second) in enumerate(zip(q1.tolist(), q2.tolist(), strict=True)):
         q = np.array([first, second, q3, first + second - phi])
-        (effective_masses,) = arm.effective_masses(q, np.linalg.pinv(arm.jacobian(q, frame)) @ normal, ANY_SPEED)
+        (effective_masses,) = dynamics.effective_masses(
+            q, np.linalg.pinv(dynamics.jacobian(q, frame)) @ normal, ANY_SPEED
+        )
         found[row] = effective_masses.lumped, effective_masses.full
     return found[:, 0], found[:, 1]
 
 
-def agreement(arm: RobotDynamics, scara: Scara, q1: FloatArray, q2: FloatArray, phi: float = 0.0) -> Agreement:
+def agreement(dynamics: RobotDynamics, scara: Scara, q1: FloatArray, q2: FloatArray, phi: float = 0.0) -> Agreement:
     """Compare Eqs. 27 and 28 with the matrix path at the poses (n,)."""
-    lumped, full = matrix_masses(arm, q1, q2, phi)
+    lumped, full = matrix_masses(dynamics, q1, q2, phi)
     closed = scara.lumped(q1, q2, phi), scara.full(q1, q2, phi)
     worst = [float(np.max(np.abs(a - b) / b)) for a, b in zip((lumped, full), closed, strict=True)]
     return Agreement(len(q1), *worst)

@@ -45,7 +45,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.fixture(scope="session")
-def arm() -> RobotDynamics:
+def dynamics() -> RobotDynamics:
     return RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
 
 

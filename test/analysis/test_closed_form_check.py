@@ -27,18 +27,20 @@ SETTINGS = MonitorSettings()
 SHIPPED = share("config", "omron_i4_550l.yaml")
 
 
-def random_contacts(arm: RobotDynamics, count: int = 400) -> Iterator[tuple[JointState, tuple[ContactAssessment, ...]]]:
+def random_contacts(
+    dynamics: RobotDynamics, count: int = 400
+) -> Iterator[tuple[JointState, tuple[ContactAssessment, ...]]]:
     """Yield joint states spread over the ranges, every tenth at rest, with what a monitor says of them.
 
     They are a second apart, so that they are not taken for one motion.
     """
-    monitor = Monitor(arm, SETTINGS)
+    monitor = Monitor(dynamics, SETTINGS)
     generator = np.random.default_rng(28)
-    lower, upper = arm.robot.model.lowerPositionLimit, arm.robot.model.upperPositionLimit
+    lower, upper = dynamics.robot.model.lowerPositionLimit, dynamics.robot.model.upperPositionLimit
     for number in range(1, count + 1):
         q = generator.uniform(lower, upper)
         qd = generator.uniform(-1.0, 1.0, len(q)) * (1e-4 if number % 10 == 0 else 1.0)
-        state = JointState(number * 10**9, arm.robot.joint_names, q, qd)
+        state = JointState(number * 10**9, dynamics.robot.joint_names, q, qd)
         decision = monitor.assess(state, state.stamp_ns)
         assert decision is not None
         yield state, decision.contacts
@@ -65,10 +67,10 @@ def variant(path: Path, **changes: float) -> RobotDynamics:
     ids=["shipped", "joints turned", "elbow over", "all"],
 )
 def test_every_row_agrees(changes: dict[str, float], tmp_path: Path) -> None:
-    arm = variant(tmp_path / "robot.yaml", **changes)
-    check = ClosedFormCheck(arm, SETTINGS.mass_cap)
+    dynamics = variant(tmp_path / "robot.yaml", **changes)
+    check = ClosedFormCheck(dynamics, SETTINGS.mass_cap)
     directed = at_rest = upright = 0
-    for state, contacts in random_contacts(arm):
+    for state, contacts in random_contacts(dynamics):
         check.add(state, contacts)
         directed += contacts[0].direction != (0.0, 0.0, 0.0)
         at_rest += contacts[0].worst_direction_used
@@ -81,18 +83,18 @@ def test_every_row_agrees(changes: dict[str, float], tmp_path: Path) -> None:
 
 
 def test_a_wrong_mass_is_noticed() -> None:
-    arm = RobotDynamics(load_robot(SHIPPED, SETTINGS))
-    check = ClosedFormCheck(arm, SETTINGS.mass_cap)
-    for number, (state, contacts) in enumerate(random_contacts(arm, 50)):
+    dynamics = RobotDynamics(load_robot(SHIPPED, SETTINGS))
+    check = ClosedFormCheck(dynamics, SETTINGS.mass_cap)
+    for number, (state, contacts) in enumerate(random_contacts(dynamics, 50)):
         wrong = contacts[0]._replace(lumped_mass=contacts[0].lumped_mass * (1.001 if number == 25 else 1.0))
         check.add(state, (wrong,))
     assert check.result()[1] == pytest.approx(1e-3, rel=1e-3)
 
 
 def test_joints_are_found_by_name() -> None:
-    arm = RobotDynamics(load_robot(SHIPPED, SETTINGS))
-    check = ClosedFormCheck(arm, SETTINGS.mass_cap)
-    for state, contacts in random_contacts(arm, 50):
+    dynamics = RobotDynamics(load_robot(SHIPPED, SETTINGS))
+    check = ClosedFormCheck(dynamics, SETTINGS.mass_cap)
+    for state, contacts in random_contacts(dynamics, 50):
         shuffled = state._replace(
             names=("gripper", *reversed(state.names)), position=np.append(9.0, state.position[::-1])
         )

@@ -43,8 +43,8 @@ S = 1_000_000_000
 
 
 @pytest.fixture(scope="session")
-def validation(campaign: list[Path], arm: RobotDynamics) -> Validation:
-    return validate(campaign, arm, SETTINGS)
+def validation(campaign: list[Path], dynamics: RobotDynamics) -> Validation:
+    return validate(campaign, dynamics, SETTINGS)
 
 
 def stated(path: Path) -> RunInfo:
@@ -53,13 +53,13 @@ def stated(path: Path) -> RunInfo:
     return info
 
 
-def by_hand(paths: list[Path], arm: RobotDynamics) -> Result:
+def by_hand(paths: list[Path], dynamics: RobotDynamics) -> Result:
     """Feed the cores, all joint states of a recording before all of its force."""
     validator = Validator(SETTINGS.validator)
     for path in paths:
         validator.begin_recording()
         validator.set_run_info(stated(path), 0)
-        monitor, detector = Monitor(arm, SETTINGS.monitor), Detector(SETTINGS.detection)
+        monitor, detector = Monitor(dynamics, SETTINGS.monitor), Detector(SETTINGS.detection)
         with open_bag(path) as bag:
             for block in bag.joint_state_blocks():
                 for log_time_ns, state in zip(block.log_time_ns.tolist(), block.states(), strict=True):
@@ -78,9 +78,9 @@ def by_hand(paths: list[Path], arm: RobotDynamics) -> Result:
     return validator.result()
 
 
-def test_it_is_what_the_cores_say(campaign: list[Path], arm: RobotDynamics, validation: Validation) -> None:
+def test_it_is_what_the_cores_say(campaign: list[Path], dynamics: RobotDynamics, validation: Validation) -> None:
     # As text, in which NaN equals itself.
-    assert repr(validation.result) == repr(by_hand(campaign, arm))
+    assert repr(validation.result) == repr(by_hand(campaign, dynamics))
 
 
 def test_the_campaign_comes_out_as_the_paper_has_it(validation: Validation) -> None:
@@ -118,22 +118,22 @@ def test_every_recording_has_its_own_impact(campaign: list[Path], validation: Va
     assert refused == len(validation.result.refused) == sum(validation.result.excluded.values()) > 0
 
 
-def test_progress_is_told(campaign: list[Path], arm: RobotDynamics) -> None:
+def test_progress_is_told(campaign: list[Path], dynamics: RobotDynamics) -> None:
     shares: list[float] = []
-    validate(campaign[:2], arm, SETTINGS, shares.append)
+    validate(campaign[:2], dynamics, SETTINGS, shares.append)
     assert sum(shares) == pytest.approx(2.0)
 
 
-def test_the_given_mass_goes_before_the_recorded_one(campaign: list[Path], arm: RobotDynamics) -> None:
-    given = validate(campaign[:1], arm, replace(SETTINGS, obstacle_mass=3.0)).result
+def test_the_given_mass_goes_before_the_recorded_one(campaign: list[Path], dynamics: RobotDynamics) -> None:
+    given = validate(campaign[:1], dynamics, replace(SETTINGS, obstacle_mass=3.0)).result
     assert [impact.obstacle_mass for impact in given.impacts] == [3.0]
     settings = replace(SETTINGS, validator=ValidatorSettings(obstacle_mass=3.0, configuration="mine"))
-    recorded = validate(campaign[:1], arm, settings).result
+    recorded = validate(campaign[:1], dynamics, settings).result
     assert [(impact.obstacle_mass, impact.configuration) for impact in recorded.impacts] == [(0.5, "300_200")]
 
 
 def test_recorded_impacts_serve_where_there_is_no_force(
-    campaign: list[Path], arm: RobotDynamics, tmp_path: Path, validation: Validation
+    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path, validation: Validation
 ) -> None:
     path = tmp_path / "impacts"
     detector = Detector(SETTINGS.detection)
@@ -144,16 +144,16 @@ def test_recorded_impacts_serve_where_there_is_no_force(
         for block in bag.force_blocks("/force"):
             for each in detector.feed(block):
                 writer.write("/impact", IMPACT, each.stamp_ns + S // 2, impact_message(each))
-    found = validate([path], arm, SETTINGS)
+    found = validate([path], dynamics, SETTINGS)
     assert found.recordings[0].force_topic == "/impact"
     (impact,), expected = found.result.impacts, validation.result.impacts[0]
     for name in ("stamp_ns", "measured_force", "speed", "effective_mass", "reduced_mass", "obstacle_mass"):
         assert getattr(impact, name) == getattr(expected, name)
 
 
-def test_the_largest_mass_can_be_judged(campaign: list[Path], arm: RobotDynamics) -> None:
+def test_the_largest_mass_can_be_judged(campaign: list[Path], dynamics: RobotDynamics) -> None:
     settings = replace(SETTINGS, validator=ValidatorSettings(effective_mass_model=MassModel.LARGEST))
-    result = validate(campaign, arm, settings).result
+    result = validate(campaign, dynamics, settings).result
     assert [model.model for model in result.models] == ["lumped", "full", "iso", "largest"]
     assert result.accepted
 
@@ -161,92 +161,92 @@ def test_the_largest_mass_can_be_judged(campaign: list[Path], arm: RobotDynamics
 # What is wrong with a series is said in its result.
 
 
-def test_no_impacts(campaign: list[Path], arm: RobotDynamics, altered: Altered) -> None:
+def test_no_impacts(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
     quiet = altered(campaign[0], block=lambda block: block._replace(force=1e-3 * block.force))
-    result = validate([quiet], arm, SETTINGS).result
+    result = validate([quiet], dynamics, SETTINGS).result
     assert (result.seen, result.accepted) == (0, False)
     assert "no impacts" in result.reason
 
 
-def test_one_impact(campaign: list[Path], arm: RobotDynamics) -> None:
-    result = validate(campaign[:1], arm, SETTINGS).result
+def test_one_impact(campaign: list[Path], dynamics: RobotDynamics) -> None:
+    result = validate(campaign[:1], dynamics, SETTINGS).result
     assert len(result.impacts) == 1
     assert result.reason == "1 impact, at least 3 are required"
     assert result.models[0].overall.correlation_reason == "fewer than two impacts"
 
 
-def test_all_at_the_same_reduced_mass(campaign: list[Path], arm: RobotDynamics) -> None:
-    result = validate(campaign[:1] * 3, arm, SETTINGS).result
+def test_all_at_the_same_reduced_mass(campaign: list[Path], dynamics: RobotDynamics) -> None:
+    result = validate(campaign[:1] * 3, dynamics, SETTINGS).result
     assert len(result.impacts) == 3
     assert result.reason == "correlation undefined: all impacts are at the same v sqrt(mu)"
 
 
-def test_clocks_seconds_apart(campaign: list[Path], arm: RobotDynamics, altered: Altered) -> None:
+def test_clocks_seconds_apart(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
     late = [altered(path, block=lambda block: block._replace(stamp_ns=block.stamp_ns + 5 * S)) for path in campaign[:3]]
-    result = validate(late, arm, SETTINGS).result
+    result = validate(late, dynamics, SETTINGS).result
     assert result.impacts == ()
     assert not result.accepted
     assert "their clocks differ" in result.clock
     assert "their clocks differ" in result.reason
 
 
-def test_saturated_peaks_are_counted(campaign: list[Path], arm: RobotDynamics, altered: Altered) -> None:
+def test_saturated_peaks_are_counted(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
     def saturated(block: ForceBlock) -> ForceBlock:
         beyond = np.flatnonzero(block.force >= 150.0).astype(np.uint32)
         return block._replace(force=np.minimum(block.force, 150.0), saturated_samples=beyond)
 
-    result = validate([altered(campaign[0], block=saturated), *campaign[1:]], arm, SETTINGS).result
+    result = validate([altered(campaign[0], block=saturated), *campaign[1:]], dynamics, SETTINGS).result
     assert result.accepted
     assert len(result.impacts) == 5
     assert result.excluded["clipped: the force reached the end of the measuring range"] == 1
 
 
-def test_the_wrong_sign_of_force(campaign: list[Path], arm: RobotDynamics, altered: Altered) -> None:
-    result = validate([altered(campaign[0], block=lambda b: b._replace(force=-b.force))], arm, SETTINGS).result
+def test_the_wrong_sign_of_force(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
+    result = validate([altered(campaign[0], block=lambda b: b._replace(force=-b.force))], dynamics, SETTINGS).result
     assert not result.accepted
     assert "compression is positive" in result.reason
 
 
 def test_the_wrong_sign_in_one_of_several_recordings(
-    campaign: list[Path], arm: RobotDynamics, altered: Altered
+    campaign: list[Path], dynamics: RobotDynamics, altered: Altered
 ) -> None:
     wrong = altered(campaign[0], block=lambda b: b._replace(force=-b.force))
     for paths in ([wrong, *campaign[1:]], [*campaign[1:], wrong]):
-        result = validate(paths, arm, SETTINGS).result
+        result = validate(paths, dynamics, SETTINGS).result
         assert len(result.impacts) == 5
         assert not result.accepted
         assert "compression is positive" in result.reason
 
 
 def test_a_missing_mass_is_not_that_of_the_recording_before(
-    campaign: list[Path], arm: RobotDynamics, altered: Altered
+    campaign: list[Path], dynamics: RobotDynamics, altered: Altered
 ) -> None:
     nameless = altered(campaign[1], info={"obstacle_mass": 0.0, "configuration": ""})
-    result = validate([campaign[0], nameless], arm, SETTINGS).result
+    result = validate([campaign[0], nameless], dynamics, SETTINGS).result
     assert len(result.impacts) == 1
     assert result.unpaired == {"obstacle_mass is not given": 1}
     settings = replace(SETTINGS, validator=ValidatorSettings(obstacle_mass=7.35))
-    named = validate([campaign[0], nameless], arm, settings).result
+    named = validate([campaign[0], nameless], dynamics, settings).result
     assert [(each.obstacle_mass, each.configuration) for each in named.impacts] == [(0.5, "300_200"), (7.35, "")]
 
 
 # What cannot be validated at all is refused.
 
 
-def test_a_recording_without_joint_states(campaign: list[Path], arm: RobotDynamics, altered: Altered) -> None:
+def test_a_recording_without_joint_states(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
     path = altered(campaign[0], without="/joint_states")
     with pytest.raises(BagError, match=f"{path}: no topic holds joint states"):
-        validate([path], arm, SETTINGS)
+        validate([path], dynamics, SETTINGS)
 
 
-def test_a_recording_without_force(campaign: list[Path], arm: RobotDynamics, altered: Altered) -> None:
+def test_a_recording_without_force(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
     path = altered(campaign[0], without="/force")
     with pytest.raises(BagError, match=f"{path}: holds neither force blocks nor impacts"):
-        validate([path], arm, SETTINGS)
+        validate([path], dynamics, SETTINGS)
 
 
 def test_joint_states_of_another_robot(
-    campaign: list[Path], arm: RobotDynamics, altered: Altered, tmp_path: Path
+    campaign: list[Path], dynamics: RobotDynamics, altered: Altered, tmp_path: Path
 ) -> None:
     path = tmp_path / "other"
     foreign = JointState(0, ("wheel",), np.zeros(1), np.zeros(1))
@@ -255,7 +255,7 @@ def test_joint_states_of_another_robot(
             writer.write(*message)
         writer.write("/joint_states", JOINT_STATE, bag.end_ns, joint_state_message(foreign))
     with pytest.raises(BagError, match="none of its joint states names a joint of the robot"):
-        validate([path], arm, SETTINGS)
+        validate([path], dynamics, SETTINGS)
 
 
 @pytest.mark.parametrize(
@@ -266,20 +266,20 @@ def test_joint_states_of_another_robot(
     ],
 )
 def test_unusable_run_information_is_refused(
-    campaign: list[Path], arm: RobotDynamics, altered: Altered, info: dict[str, object], message: str
+    campaign: list[Path], dynamics: RobotDynamics, altered: Altered, info: dict[str, object], message: str
 ) -> None:
     path = altered(campaign[0], info=info)
     with pytest.raises(BagError, match=f"{path}: run information: {message}"):
-        validate([path], arm, SETTINGS)
+        validate([path], dynamics, SETTINGS)
 
 
-def test_undecodable_run_information_is_refused(campaign: list[Path], arm: RobotDynamics, tmp_path: Path) -> None:
+def test_undecodable_run_information_is_refused(campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path) -> None:
     path = tmp_path / "cut"
     with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
         for message in bag.messages():
             writer.write(*(message._replace(data=message.data[:20]) if message.type == RUN_INFO else message))
     with pytest.raises(BagError, match=f"{path}: /run_info: RunInfo: "):
-        validate([path], arm, SETTINGS)
+        validate([path], dynamics, SETTINGS)
 
 
 # Recordings made before RunInfo state the run in JSON.
@@ -298,13 +298,13 @@ def older(source: Path, path: Path, text: str) -> Path:
 
 
 def test_older_recording_gives_the_same_result(
-    campaign: list[Path], arm: RobotDynamics, tmp_path: Path, validation: Validation
+    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path, validation: Validation
 ) -> None:
     info = stated(campaign[0])
     truth = {"speed": info.true_speed, "effective_mass": info.true_effective_mass, "peak_force": info.true_peak_force}
     fields = {"simulated": True, "configuration": "300_200", "obstacle_mass": 0.5, "truth": truth}
     path = older(campaign[0], tmp_path / "older", json.dumps(fields | {"stiffness": 2e6, "exponent": 1.0}))
-    (recording,) = validate([path], arm, SETTINGS).recordings
+    (recording,) = validate([path], dynamics, SETTINGS).recordings
     (impact,), (expected,) = recording.impacts, validation.recordings[0].impacts
     for name in ("stamp_ns", "measured_force", "speed", "effective_mass", "obstacle_mass", "configuration"):
         assert getattr(impact, name) == getattr(expected, name)
@@ -314,9 +314,9 @@ def test_older_recording_gives_the_same_result(
 
 @pytest.mark.parametrize("text", ["no JSON", "[1]", "[" * 100_000])
 def test_older_recording_without_json_states_nothing(
-    campaign: list[Path], arm: RobotDynamics, tmp_path: Path, text: str
+    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path, text: str
 ) -> None:
-    result = validate([older(campaign[0], tmp_path / "older", text)], arm, SETTINGS).result
+    result = validate([older(campaign[0], tmp_path / "older", text)], dynamics, SETTINGS).result
     assert result.unpaired == {"obstacle_mass is not given": 1}
 
 
@@ -324,13 +324,15 @@ def test_older_recording_without_json_states_nothing(
     "text", ['{"obstacle_mass": "2.39"}', '{"since_ns": 1e300}', '{"configuration": "\\ud800"}'], ids=str
 )
 def test_older_recording_with_unusable_values_is_refused(
-    campaign: list[Path], arm: RobotDynamics, tmp_path: Path, text: str
+    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path, text: str
 ) -> None:
     with pytest.raises(BagError, match=r"run information: .* must be"):
-        validate([older(campaign[0], tmp_path / "older", text)], arm, SETTINGS)
+        validate([older(campaign[0], tmp_path / "older", text)], dynamics, SETTINGS)
 
 
-def test_of_several_force_topics_one_must_be_named(campaign: list[Path], arm: RobotDynamics, tmp_path: Path) -> None:
+def test_of_several_force_topics_one_must_be_named(
+    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path
+) -> None:
     path = tmp_path / "two_channels"
     with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
         for message in bag.messages():
@@ -338,19 +340,19 @@ def test_of_several_force_topics_one_must_be_named(campaign: list[Path], arm: Ro
             for topic in topics:
                 writer.write(topic, *message[1:])
     with pytest.raises(BagError, match="several topics hold the force; give --force-topic one of /left, /right"):
-        validate([path], arm, SETTINGS)
-    found = validate([path], arm, replace(SETTINGS, force_topic="right"))
+        validate([path], dynamics, SETTINGS)
+    found = validate([path], dynamics, replace(SETTINGS, force_topic="right"))
     assert (found.recordings[0].force_topic, len(found.result.impacts)) == ("/right", 1)
     with pytest.raises(BagError, match="no force on up; give --force-topic one of"):
-        validate([path], arm, replace(SETTINGS, force_topic="up"))
+        validate([path], dynamics, replace(SETTINGS, force_topic="up"))
 
 
-def test_what_cannot_be_decoded_is_told(campaign: list[Path], arm: RobotDynamics, tmp_path: Path) -> None:
+def test_what_cannot_be_decoded_is_told(campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path) -> None:
     path = tmp_path / "cut"
     with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
         for message in bag.messages():
             cut = message.type == FORCE_BLOCK and message.log_time_ns < bag.start_ns + S // 2
             writer.write(*(message._replace(data=message.data[:20]) if cut else message))
-    (recording,) = validate([path], arm, SETTINGS).recordings
+    (recording,) = validate([path], dynamics, SETTINGS).recordings
     assert len(recording.losses) == 1
     assert "/force: left out: " in recording.losses[0]

@@ -55,14 +55,14 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="session")
-def validation(campaign: list[Path], arm: RobotDynamics) -> Validation:
-    return validate(campaign, arm, SETTINGS)
+def validation(campaign: list[Path], dynamics: RobotDynamics) -> Validation:
+    return validate(campaign, dynamics, SETTINGS)
 
 
 def written(
-    validation: Validation, arm: RobotDynamics, folder: Path, settings: ValidationSettings = SETTINGS
+    validation: Validation, dynamics: RobotDynamics, folder: Path, settings: ValidationSettings = SETTINGS
 ) -> dict[str, bytes]:
-    write_report(validation, settings, arm.robot, folder, overwrite=False)
+    write_report(validation, settings, dynamics.robot, folder, overwrite=False)
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
@@ -74,8 +74,8 @@ def numbers(value: Any) -> list[float]:  # noqa: ANN401 - whatever JSON holds
     return [value] if isinstance(value, float) else []
 
 
-def test_all_files_are_the_same_every_time(validation: Validation, arm: RobotDynamics, tmp_path: Path) -> None:
-    first, second = (written(validation, arm, tmp_path / folder) for folder in ("one", "two"))
+def test_all_files_are_the_same_every_time(validation: Validation, dynamics: RobotDynamics, tmp_path: Path) -> None:
+    first, second = (written(validation, dynamics, tmp_path / folder) for folder in ("one", "two"))
     assert set(first) == set(NAMES)
     assert first == second
     for name in NAMES:
@@ -85,8 +85,8 @@ def test_all_files_are_the_same_every_time(validation: Validation, arm: RobotDyn
             assert height > 500
 
 
-def test_the_page_is_whole_and_loads_nothing(validation: Validation, arm: RobotDynamics, tmp_path: Path) -> None:
-    text = written(validation, arm, tmp_path / "report")["report.html"].decode()
+def test_the_page_is_whole_and_loads_nothing(validation: Validation, dynamics: RobotDynamics, tmp_path: Path) -> None:
+    text = written(validation, dynamics, tmp_path / "report")["report.html"].decode()
     page = Page(text)
     assert page.open == []
     assert [address[:22] for address in page.addresses] == ["data:image/png;base64,"] * 4
@@ -95,23 +95,23 @@ def test_the_page_is_whole_and_loads_nothing(validation: Validation, arm: RobotD
 
 
 def test_a_configuration_may_have_any_name_that_can_be_printed(
-    campaign: list[Path], arm: RobotDynamics, altered: Altered, tmp_path: Path
+    campaign: list[Path], dynamics: RobotDynamics, altered: Altered, tmp_path: Path
 ) -> None:
     name = "<b> $x_{$ & _"
-    named = validate([altered(campaign[0], info={"configuration": name})], arm, SETTINGS)
-    page = Page(written(named, arm, tmp_path / "report")["report.html"].decode())
+    named = validate([altered(campaign[0], info={"configuration": name})], dynamics, SETTINGS)
+    page = Page(written(named, dynamics, tmp_path / "report")["report.html"].decode())
     assert name in page.texts
 
 
-def test_the_page_says_what_it_is_worth(validation: Validation, arm: RobotDynamics, tmp_path: Path) -> None:
-    texts = Page(written(validation, arm, tmp_path / "report")["report.html"].decode()).texts
+def test_the_page_says_what_it_is_worth(validation: Validation, dynamics: RobotDynamics, tmp_path: Path) -> None:
+    texts = Page(written(validation, dynamics, tmp_path / "report")["report.html"].decode()).texts
     assert "Accepted." in texts
     assert "lumped model, simulated impacts; nothing was measured on a robot." in texts
     assert {NO_PROOF, LAW} <= set(texts)
     whole = " ".join(texts)
     assert f"(hash {validation.result.criterion_hash})" in whole
     assert validation.result.comparison.text in whole
-    assert arm.robot.origin in texts
+    assert dynamics.robot.origin in texts
     assert "rebound of an earlier impact" in texts
     for recording in validation.recordings:
         assert texts.count(recording.path.name) == 2  # its impact, and itself
@@ -119,10 +119,12 @@ def test_the_page_says_what_it_is_worth(validation: Validation, arm: RobotDynami
         assert any(text.startswith(f"{model.overall.correlation:.5f} (") for text in texts)
 
 
-def test_the_record_is_all_of_it_in_finite_numbers(validation: Validation, arm: RobotDynamics, tmp_path: Path) -> None:
-    files = written(validation, arm, tmp_path / "report")
+def test_the_record_is_all_of_it_in_finite_numbers(
+    validation: Validation, dynamics: RobotDynamics, tmp_path: Path
+) -> None:
+    files = written(validation, dynamics, tmp_path / "report")
     said = json.loads(files["report.json"])
-    assert said == record(validation, SETTINGS, arm.robot)
+    assert said == record(validation, SETTINGS, dynamics.robot)
     assert all(map(math.isfinite, numbers(said)))
     assert next(iter(said)) == "models"
     lumped = said["models"][0]
@@ -134,10 +136,10 @@ def test_the_record_is_all_of_it_in_finite_numbers(validation: Validation, arm: 
     assert set(said["excluded"]) == {"rebound of an earlier impact"}
 
 
-def test_a_report_of_nothing(campaign: list[Path], arm: RobotDynamics, altered: Altered, tmp_path: Path) -> None:
+def test_a_report_of_nothing(campaign: list[Path], dynamics: RobotDynamics, altered: Altered, tmp_path: Path) -> None:
     quiet = altered(campaign[0], block=lambda block: block._replace(force=1e-3 * block.force))
-    empty = validate([quiet], arm, SETTINGS)
-    files = written(empty, arm, tmp_path / "report")
+    empty = validate([quiet], dynamics, SETTINGS)
+    files = written(empty, dynamics, tmp_path / "report")
     assert set(files) == set(NAMES)
     texts = Page(files["report.html"].decode()).texts
     assert any(text.startswith("Not accepted: no impacts") for text in texts)
@@ -148,23 +150,23 @@ def test_a_report_of_nothing(campaign: list[Path], arm: RobotDynamics, altered: 
     )
 
 
-def test_a_report_of_one_impact(campaign: list[Path], arm: RobotDynamics, tmp_path: Path) -> None:
-    files = written(validate(campaign[:1], arm, SETTINGS), arm, tmp_path / "report")
+def test_a_report_of_one_impact(campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path) -> None:
+    files = written(validate(campaign[:1], dynamics, SETTINGS), dynamics, tmp_path / "report")
     texts = Page(files["report.html"].decode()).texts
     assert "undefined: fewer than two impacts" in texts
     assert "Not accepted: 1 impact, at least 3 are required." in texts
 
 
-def test_a_given_stiffness_is_said(campaign: list[Path], arm: RobotDynamics, tmp_path: Path) -> None:
+def test_a_given_stiffness_is_said(campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path) -> None:
     settings = ValidationSettings(validator=ValidatorSettings(stiffness=2000.0))
-    found = validate(campaign, arm, settings)
-    files = written(found, arm, tmp_path / "report", settings)
+    found = validate(campaign, dynamics, settings)
+    files = written(found, dynamics, tmp_path / "report", settings)
     assert "All models predict with the given stiffness of 2000 N/mm." in files["report.html"].decode()
     assert json.loads(files["report.json"])["models"][0]["stiffness"] == 2e6
 
 
 def test_nothing_is_overwritten_and_nothing_half_written(
-    validation: Validation, arm: RobotDynamics, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    validation: Validation, dynamics: RobotDynamics, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "report"
     folder.mkdir()
@@ -173,7 +175,7 @@ def test_nothing_is_overwritten_and_nothing_half_written(
     with pytest.raises(OutputError, match=refused):
         require_room(folder, overwrite=False)
     with pytest.raises(OutputError, match=refused):
-        write_report(validation, SETTINGS, arm.robot, folder, overwrite=False)
+        write_report(validation, SETTINGS, dynamics.robot, folder, overwrite=False)
     require_room(folder, overwrite=True)
 
     def fail(*_: object) -> str:
@@ -181,7 +183,7 @@ def test_nothing_is_overwritten_and_nothing_half_written(
 
     monkeypatch.setattr("scara_effmass.analysis.validation_report.page", fail)
     with pytest.raises(OutputError, match="no room"):
-        write_report(validation, SETTINGS, arm.robot, folder, overwrite=True)
+        write_report(validation, SETTINGS, dynamics.robot, folder, overwrite=True)
     assert [path.name for path in folder.iterdir()] == ["exponent.svg"]
     assert (folder / "exponent.svg").read_text() == "mine"
 

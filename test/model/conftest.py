@@ -39,7 +39,7 @@ def omron() -> Robot:
 
 
 @pytest.fixture(scope="session")
-def omron_arm(omron: Robot) -> RobotDynamics:
+def omron_dynamics(omron: Robot) -> RobotDynamics:
     return RobotDynamics(omron)
 
 
@@ -66,11 +66,11 @@ def from_rows(tmp_path: Path) -> Callable[[object], Robot]:
 def along() -> Callable[..., EffectiveMasses]:
     """Ask an arm for the masses along `n`, by moving its first contact point that way."""
 
-    def ask(arm: RobotDynamics, q: ArrayLike, n: ArrayLike) -> EffectiveMasses:
+    def ask(dynamics: RobotDynamics, q: ArrayLike, n: ArrayLike) -> EffectiveMasses:
         q = np.asarray(q, dtype=float)
-        frame = next(iter(arm.robot.contact_frames.values()))
-        qd = np.linalg.pinv(arm.jacobian(q, frame)) @ np.asarray(n, dtype=float)
-        (effective_masses,) = arm.effective_masses(q, qd, 1e-6)
+        frame = next(iter(dynamics.robot.contact_frames.values()))
+        qd = np.linalg.pinv(dynamics.jacobian(q, frame)) @ np.asarray(n, dtype=float)
+        (effective_masses,) = dynamics.effective_masses(q, qd, 1e-6)
         assert np.allclose(effective_masses.direction, np.asarray(n) / np.linalg.norm(n), atol=1e-6)
         return effective_masses
 
@@ -93,16 +93,16 @@ def refused_or_finite() -> Callable[[Callable[[], Robot]], None]:
 
     def require(load: Callable[[], Robot]) -> None:
         try:
-            arm = RobotDynamics(load())
+            dynamics = RobotDynamics(load())
         except RobotError as error:
             message = str(error)
             assert "\n" not in message
             return
-        for effective_masses in arm.effective_masses(
-            arm.robot.sample_configurations()[0], np.ones(arm.robot.model.nv), 0.005
+        for effective_masses in dynamics.effective_masses(
+            dynamics.robot.sample_configurations()[0], np.ones(dynamics.robot.model.nv), 0.005
         ):
             assert np.isfinite(effective_masses.speed)
-            assert effective_masses.full > 0.0 or arm.full_reason
+            assert effective_masses.full > 0.0 or dynamics.full_reason
             assert effective_masses.lumped > 0.0 or effective_masses.lumped_reason
 
     return require

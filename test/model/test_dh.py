@@ -152,8 +152,8 @@ def test_link_without_mass_leaves_no_model_believed(
     omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
 ) -> None:
     omron_rows["links"][1]["mass"] = 0.0
-    arm = RobotDynamics(from_rows(omron_rows))
-    for reason in (arm.robot.masses_reason, arm.lumped_reason, arm.full_reason):
+    dynamics = RobotDynamics(from_rows(omron_rows))
+    for reason in (dynamics.robot.masses_reason, dynamics.lumped_reason, dynamics.full_reason):
         assert reason.startswith("no mass behind joint2")
 
 
@@ -161,9 +161,9 @@ def test_inertia_of_no_body_leaves_the_lumped_model(
     omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
 ) -> None:
     omron_rows["links"][1]["inertia"] = [0.001, 0.001, 0.0227, 0.0, 0.0, 0.0]
-    arm = RobotDynamics(from_rows(omron_rows))
-    assert "the inertia of link2 is impossible" in arm.full_reason
-    assert arm.lumped is not None
+    dynamics = RobotDynamics(from_rows(omron_rows))
+    assert "the inertia of link2 is impossible" in dynamics.full_reason
+    assert dynamics.lumped is not None
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e3])
@@ -207,10 +207,10 @@ def test_centres_of_mass_at_the_origins_are_placeholders(
 ) -> None:
     for link in omron_rows["links"]:
         link["com"] = [0.0, 0.0, 0.0]
-    arm = RobotDynamics(from_rows(omron_rows))
-    assert "placeholders" in arm.lumped_reason
-    assert "placeholders" in arm.full_reason
-    assert arm.robot.masses_reason == ""
+    dynamics = RobotDynamics(from_rows(omron_rows))
+    assert "placeholders" in dynamics.lumped_reason
+    assert "placeholders" in dynamics.full_reason
+    assert dynamics.robot.masses_reason == ""
 
 
 scalars = st.none() | st.booleans() | st.text(max_size=3) | st.integers(-5, 5) | st.floats()
@@ -246,6 +246,6 @@ def test_tensors_of_some_links_only_are_no_full_model(
     omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
 ) -> None:
     del omron_rows["links"][1]["inertia"]
-    arm = RobotDynamics(from_rows(omron_rows))
-    assert arm.full_reason == "no inertia tensor for link2, while other links have one"
-    assert not arm.lumped_reason
+    dynamics = RobotDynamics(from_rows(omron_rows))
+    assert dynamics.full_reason == "no inertia tensor for link2, while other links have one"
+    assert not dynamics.lumped_reason

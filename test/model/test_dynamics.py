@@ -32,8 +32,8 @@ def mass_matrix(model: pin.Model, q: FloatArray) -> FloatArray:
     return np.asarray(pin.crba(model, model.createData(), q).copy())
 
 
-def frame_of(arm: RobotDynamics) -> int:
-    return next(iter(arm.robot.contact_frames.values()))
+def frame_of(dynamics: RobotDynamics) -> int:
+    return next(iter(dynamics.robot.contact_frames.values()))
 
 
 def unit_vectors(count: int) -> FloatArray:
@@ -41,39 +41,39 @@ def unit_vectors(count: int) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-def arms(omron_arm: RobotDynamics, load_urdf_file: Callable[..., Robot]) -> list[RobotDynamics]:
+def robots(omron_dynamics: RobotDynamics, load_urdf_file: Callable[..., Robot]) -> list[RobotDynamics]:
     return [
-        omron_arm,
+        omron_dynamics,
         *(RobotDynamics(load_urdf_file(name)) for name in ("ur5_robot.urdf", "panda.urdf", "wx200.urdf")),
     ]
 
 
 def test_impulse_changes_the_speed_as_on_a_free_mass(
-    omron_arm: RobotDynamics, load_urdf_file: Callable[..., Robot], along: Callable[..., EffectiveMasses]
+    omron_dynamics: RobotDynamics, load_urdf_file: Callable[..., Robot], along: Callable[..., EffectiveMasses]
 ) -> None:
     impulse = 0.7
-    for arm in arms(omron_arm, load_urdf_file):
-        for q, n in zip(arm.robot.sample_configurations(), unit_vectors(64), strict=True):
-            jacobian = arm.jacobian(q, frame_of(arm))
+    for dynamics in robots(omron_dynamics, load_urdf_file):
+        for q, n in zip(dynamics.robot.sample_configurations(), unit_vectors(64), strict=True):
+            jacobian = dynamics.jacobian(q, frame_of(dynamics))
             if np.linalg.svd(jacobian, compute_uv=False)[-1] < 1e-3:
                 continue
-            jump = np.linalg.solve(mass_matrix(arm.robot.model, q), jacobian.T @ n * impulse)
-            assert along(arm, q, n).full == pytest.approx(impulse / (n @ jacobian @ jump), rel=1e-6)
+            jump = np.linalg.solve(mass_matrix(dynamics.robot.model, q), jacobian.T @ n * impulse)
+            assert along(dynamics, q, n).full == pytest.approx(impulse / (n @ jacobian @ jump), rel=1e-6)
 
 
 def test_energy_of_the_lightest_motion_is_that_of_the_effective_mass(
-    omron_arm: RobotDynamics, along: Callable[..., EffectiveMasses]
+    omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses]
 ) -> None:
     # Khatib's duality: of all joint motions that move the point at speed 1 along n, whatever it does across n,
     # the one with the least kinetic energy has the energy of m_n.
     rng = np.random.default_rng(RNG_SEED)
-    for q, n in zip(omron_arm.robot.sample_configurations(), unit_vectors(64), strict=True):
-        jacobian = omron_arm.jacobian(q, frame_of(omron_arm))
-        matrix = mass_matrix(omron_arm.robot.model, q)
+    for q, n in zip(omron_dynamics.robot.sample_configurations(), unit_vectors(64), strict=True):
+        jacobian = omron_dynamics.jacobian(q, frame_of(omron_dynamics))
+        matrix = mass_matrix(omron_dynamics.robot.model, q)
         row = n @ jacobian
         kkt = np.block([[matrix, row[:, None]], [row[None, :], np.zeros((1, 1))]])
         motion = np.linalg.solve(kkt, [0.0, 0.0, 0.0, 0.0, 1.0])[:4]
-        mass = along(omron_arm, q, n).full
+        mass = along(omron_dynamics, q, n).full
         assert mass == pytest.approx(motion @ matrix @ motion, rel=1e-6)
         other = motion + rng.normal(size=4)
         other /= row @ other
@@ -81,42 +81,42 @@ def test_energy_of_the_lightest_motion_is_that_of_the_effective_mass(
 
 
 def test_worst_direction_is_worse_than_any_other_and_is_attained(
-    omron_arm: RobotDynamics, load_urdf_file: Callable[..., Robot], along: Callable[..., EffectiveMasses]
+    omron_dynamics: RobotDynamics, load_urdf_file: Callable[..., Robot], along: Callable[..., EffectiveMasses]
 ) -> None:
-    for arm in arms(omron_arm, load_urdf_file):
-        for q in arm.robot.sample_configurations()[:12]:
-            jacobian = arm.jacobian(q, frame_of(arm))
-            mobility = jacobian @ np.linalg.inv(mass_matrix(arm.robot.model, q)) @ jacobian.T
+    for dynamics in robots(omron_dynamics, load_urdf_file):
+        for q in dynamics.robot.sample_configurations()[:12]:
+            jacobian = dynamics.jacobian(q, frame_of(dynamics))
+            mobility = jacobian @ np.linalg.inv(mass_matrix(dynamics.robot.model, q)) @ jacobian.T
             values, vectors = np.linalg.eigh(mobility)
-            effective_masses = along(arm, q, vectors[:, 0])
+            effective_masses = along(dynamics, q, vectors[:, 0])
             assert effective_masses.worst_full == pytest.approx(1.0 / values[0], rel=1e-6)
             assert effective_masses.full == pytest.approx(effective_masses.worst_full, rel=1e-6)
             for n in unit_vectors(16):
                 assert 1.0 / (n @ mobility @ n) <= effective_masses.worst_full * (1.0 + 1e-9)
 
 
-def test_smallest_singular_value(omron_arm: RobotDynamics, load_urdf_file: Callable[..., Robot]) -> None:
-    for arm in arms(omron_arm, load_urdf_file):
-        for q in arm.robot.sample_configurations():
-            (effective_masses,) = arm.effective_masses(q, np.ones(len(q)), 0.005)
-            values = np.linalg.svd(arm.jacobian(q, frame_of(arm)), compute_uv=False)
+def test_smallest_singular_value(omron_dynamics: RobotDynamics, load_urdf_file: Callable[..., Robot]) -> None:
+    for dynamics in robots(omron_dynamics, load_urdf_file):
+        for q in dynamics.robot.sample_configurations():
+            (effective_masses,) = dynamics.effective_masses(q, np.ones(len(q)), 0.005)
+            values = np.linalg.svd(dynamics.jacobian(q, frame_of(dynamics)), compute_uv=False)
             assert effective_masses.smallest_singular_value == pytest.approx(values[-1], rel=1e-6, abs=1e-6)
 
 
-def test_speed_and_direction_are_those_of_the_contact_point(omron_arm: RobotDynamics) -> None:
+def test_speed_and_direction_are_those_of_the_contact_point(omron_dynamics: RobotDynamics) -> None:
     rng = np.random.default_rng(RNG_SEED)
-    for q in omron_arm.robot.sample_configurations():
+    for q in omron_dynamics.robot.sample_configurations():
         qd = rng.uniform(-2.0, 2.0, 4)
-        velocity = omron_arm.jacobian(q, frame_of(omron_arm)) @ qd
-        (effective_masses,) = omron_arm.effective_masses(q, qd, 0.005)
+        velocity = omron_dynamics.jacobian(q, frame_of(omron_dynamics)) @ qd
+        (effective_masses,) = omron_dynamics.effective_masses(q, qd, 0.005)
         assert effective_masses.speed == pytest.approx(np.linalg.norm(velocity), rel=1e-12)
         np.testing.assert_allclose(np.array(effective_masses.direction) * effective_masses.speed, velocity, atol=1e-12)
 
 
-def test_slow_point_gets_the_worst_direction(omron_arm: RobotDynamics) -> None:
+def test_slow_point_gets_the_worst_direction(omron_dynamics: RobotDynamics) -> None:
     q = np.array([0.3, 1.1, 0.1, 0.2])
-    (slow,) = omron_arm.effective_masses(q, np.full(4, 1e-4), 0.005)
-    (still,) = omron_arm.effective_masses(q, np.zeros(4), 0.005)
+    (slow,) = omron_dynamics.effective_masses(q, np.full(4, 1e-4), 0.005)
+    (still,) = omron_dynamics.effective_masses(q, np.zeros(4), 0.005)
     for effective_masses in (slow, still):
         assert effective_masses.direction == (0.0, 0.0, 0.0)
         assert (effective_masses.lumped, effective_masses.full) == (
@@ -126,18 +126,18 @@ def test_slow_point_gets_the_worst_direction(omron_arm: RobotDynamics) -> None:
     assert still.speed == 0.0
 
 
-def test_no_threshold_and_no_motion_is_no_direction_but_no_error(omron_arm: RobotDynamics) -> None:
-    (effective_masses,) = omron_arm.effective_masses(np.array([0.3, 1.1, 0.1, 0.2]), np.zeros(4), 0.0)
+def test_no_threshold_and_no_motion_is_no_direction_but_no_error(omron_dynamics: RobotDynamics) -> None:
+    (effective_masses,) = omron_dynamics.effective_masses(np.array([0.3, 1.1, 0.1, 0.2]), np.zeros(4), 0.0)
     assert effective_masses.direction == (0.0, 0.0, 0.0)
     assert effective_masses.full == effective_masses.worst_full
 
 
 @given(q2=st.floats(-1e-3, 1e-3), q1=st.floats(-2.0, 2.0))
 def test_stretched_scara_is_heavy_along_itself_and_finite_across(
-    omron_arm: RobotDynamics, q1: float, q2: float
+    omron_dynamics: RobotDynamics, q1: float, q2: float
 ) -> None:
     across = np.array([1.0, 0.0, 0.0, 0.0])
-    (effective_masses,) = omron_arm.effective_masses(np.array([q1, q2, 0.1, 0.0]), across, 0.0)
+    (effective_masses,) = omron_dynamics.effective_masses(np.array([q1, q2, 0.1, 0.0]), across, 0.0)
     assert effective_masses.lumped == pytest.approx(0.97, rel=0.01)
     assert 0.5 < effective_masses.full < 2.0
     for worst in (effective_masses.worst_lumped, effective_masses.worst_full):
@@ -145,9 +145,9 @@ def test_stretched_scara_is_heavy_along_itself_and_finite_across(
     assert effective_masses.smallest_singular_value < 2e-4
 
 
-def test_exactly_stretched_scara_has_no_nan(omron_arm: RobotDynamics) -> None:
+def test_exactly_stretched_scara_has_no_nan(omron_dynamics: RobotDynamics) -> None:
     for qd in (np.zeros(4), np.array([0.5, 0.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.1, 3.0])):
-        (effective_masses,) = omron_arm.effective_masses(np.array([0.4, 0.0, 0.1, 0.0]), qd, 0.005)
+        (effective_masses,) = omron_dynamics.effective_masses(np.array([0.4, 0.0, 0.1, 0.0]), qd, 0.005)
         assert effective_masses.worst_lumped > CAP
         assert effective_masses.worst_full > CAP
         assert effective_masses.lumped > 0.0
@@ -156,13 +156,13 @@ def test_exactly_stretched_scara_has_no_nan(omron_arm: RobotDynamics) -> None:
 
 
 def test_singular_poses_of_a_six_axis_arm_have_no_nan(load_urdf_file: Callable[..., Robot]) -> None:
-    arm = RobotDynamics(load_urdf_file("ur5_robot.urdf"))
+    dynamics = RobotDynamics(load_urdf_file("ur5_robot.urdf"))
     rng = np.random.default_rng(RNG_SEED)
     wrist = [np.array([0.3, -1.0, 1.2, 0.4, q5, 0.1]) for q5 in (0.0, math.pi, -math.pi)]
     elbow = [np.array([0.3, -1.0, q3, 0.4, 1.0, 0.1]) for q3 in (0.0, math.pi)]
     for q in (*wrist, *elbow, np.zeros(6)):
         for qd in (np.zeros(6), *rng.normal(size=(4, 6))):
-            (effective_masses,) = arm.effective_masses(q, qd, 0.005)
+            (effective_masses,) = dynamics.effective_masses(q, qd, 0.005)
             assert effective_masses.full > 0.0
             assert effective_masses.worst_full >= effective_masses.full * (1.0 - 1e-9)
             assert effective_masses.smallest_singular_value >= 0.0
@@ -174,27 +174,27 @@ class TestPlanarArm:
     """Two revolute joints: the contact point reaches a plane, and only directions in it count."""
 
     @pytest.fixture
-    def arm(self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> RobotDynamics:
+    def dynamics(self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> RobotDynamics:
         omron_rows["joints"] = omron_rows["joints"][:2]
         omron_rows["links"] = omron_rows["links"][:2]
         omron_rows["payload"]["mass"] = 0.55
         return RobotDynamics(from_rows(omron_rows))
 
-    def test_worst_direction_is_sought_in_the_plane(self, arm: RobotDynamics) -> None:
-        assert arm.lumped is not None
-        assert arm.lumped.massless_joints == ()
+    def test_worst_direction_is_sought_in_the_plane(self, dynamics: RobotDynamics) -> None:
+        assert dynamics.lumped is not None
+        assert dynamics.lumped.massless_joints == ()
         # The payload sits on the distal axis of link 2, the elbow's share on the other: M2 and M3 of Eq. 28.
-        _, m2, m3 = arm.lumped.aggregated
+        _, m2, m3 = dynamics.lumped.aggregated
         phi = np.linspace(0.0, np.pi, 20001)
-        for q in arm.robot.sample_configurations():
-            (effective_masses,) = arm.effective_masses(q, np.zeros(2), 0.005)
+        for q in dynamics.robot.sample_configurations():
+            (effective_masses,) = dynamics.effective_masses(q, np.zeros(2), 0.005)
             assert effective_masses.worst_lumped == pytest.approx(
                 scara_lumped_mass(q[0], q[1], phi, m2, m3).max(), rel=1e-4
             )
             assert math.isfinite(effective_masses.worst_full)
 
-    def test_stretched_arm_is_heavy(self, arm: RobotDynamics) -> None:
-        (effective_masses,) = arm.effective_masses(np.array([0.7, 0.0]), np.zeros(2), 0.005)
+    def test_stretched_arm_is_heavy(self, dynamics: RobotDynamics) -> None:
+        (effective_masses,) = dynamics.effective_masses(np.array([0.7, 0.0]), np.zeros(2), 0.005)
         assert effective_masses.worst_lumped > CAP
         assert effective_masses.worst_full > CAP
 
@@ -209,8 +209,8 @@ class TestOneJoint:
     def test_masses_are_moment_of_inertia_over_lever_squared(
         self, rows: dict[str, Any], from_rows: Callable[[object], Robot]
     ) -> None:
-        arm = RobotDynamics(from_rows(rows))
-        (effective_masses,) = arm.effective_masses(np.array([0.4]), np.array([1.0]), 0.005)
+        dynamics = RobotDynamics(from_rows(rows))
+        (effective_masses,) = dynamics.effective_masses(np.array([0.4]), np.array([1.0]), 0.005)
         about_axis = 2.74 * 0.08029**2 + 0.02952 + 0.25 * 0.275**2 + 0.0002
         assert effective_masses.full == pytest.approx(about_axis / 0.275**2, rel=1e-12)
         assert effective_masses.worst_full == pytest.approx(effective_masses.full, rel=1e-12)
@@ -228,14 +228,14 @@ class TestOneJoint:
 
 
 def test_several_contact_points_each_have_their_own_answer(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: RobotDynamics
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
 ) -> None:
     omron_rows["contact_points"] = {"tool": [0.0, 0.0, 0.0], "corner": [0.1, 0.0, 0.0]}
-    arm = RobotDynamics(from_rows(omron_rows))
-    assert arm.contact_points == ("tool", "corner")
+    dynamics = RobotDynamics(from_rows(omron_rows))
+    assert dynamics.contact_points == ("tool", "corner")
     q, qd = np.array([0.3, 1.1, 0.1, 0.2]), np.array([0.3, 0.2, 0.0, -0.5])
-    tool, corner = arm.effective_masses(q, qd, 0.005)
-    assert tool == omron_arm.effective_masses(q, qd, 0.005)[0]
+    tool, corner = dynamics.effective_masses(q, qd, 0.005)
+    assert tool == omron_dynamics.effective_masses(q, qd, 0.005)[0]
     assert corner.speed != tool.speed
 
 
@@ -245,50 +245,54 @@ class TestOffsetContactPoint:
     R_X = 0.12
 
     @pytest.fixture
-    def arm(self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> RobotDynamics:
+    def dynamics(self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> RobotDynamics:
         omron_rows["contact_points"] = {"edge": [self.R_X, 0.0, 0.0]}
         return RobotDynamics(from_rows(omron_rows))
 
     @given(q1=st.floats(-2.3, 2.3), q2=st.floats(0.1, 2.5), q4=st.floats(-6.0, 6.0))
     def test_cancels_along_x4(
-        self, omron_arm: RobotDynamics, along: Callable[..., EffectiveMasses], q1: float, q2: float, q4: float
+        self, omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses], q1: float, q2: float, q4: float
     ) -> None:
-        arm = self.built(omron_arm)
+        dynamics = self.built(omron_dynamics)
         phi = q1 + q2 - q4  # Eq. 24
         n = [math.cos(phi), math.sin(phi), 0.0]
-        at_edge, on_axis = (along(which, [q1, q2, 0.1, q4], n) for which in (arm, omron_arm))
+        at_edge, on_axis = (along(which, [q1, q2, 0.1, q4], n) for which in (dynamics, omron_dynamics))
         assert at_edge.lumped_reason == ""
         assert at_edge.lumped == pytest.approx(on_axis.lumped, rel=1e-6)
         assert at_edge.full == pytest.approx(on_axis.full, rel=1e-6)
 
-    def built(self, omron_arm: RobotDynamics) -> RobotDynamics:
+    def built(self, omron_dynamics: RobotDynamics) -> RobotDynamics:
         """Return the same robot with the contact point moved along x4."""
-        model = omron_arm.robot.model.copy()
-        tool = model.frames[frame_of(omron_arm)]
+        model = omron_dynamics.robot.model.copy()
+        tool = model.frames[frame_of(omron_dynamics)]
         pose = tool.placement * pin.SE3(np.eye(3), np.array([self.R_X, 0.0, 0.0]))
         frame = model.addFrame(pin.Frame("edge", tool.parentJoint, 0, pose, pin.FrameType.OP_FRAME))
-        return RobotDynamics(replace(omron_arm.robot, model=model, contact_frames={"edge": frame}))
+        return RobotDynamics(replace(omron_dynamics.robot, model=model, contact_frames={"edge": frame}))
 
-    def test_built_as_from_the_file(self, arm: RobotDynamics, omron_arm: RobotDynamics) -> None:
+    def test_built_as_from_the_file(self, dynamics: RobotDynamics, omron_dynamics: RobotDynamics) -> None:
         q, qd = np.array([0.3, 1.1, 0.1, 0.2]), np.array([0.3, 0.2, 0.0, 0.5])
-        other = self.built(omron_arm)
-        np.testing.assert_allclose(arm.jacobian(q, frame_of(arm)), other.jacobian(q, frame_of(other)), atol=1e-15)
-        assert arm.effective_masses(q, qd, 0.005)[0].full == pytest.approx(other.effective_masses(q, qd, 0.005)[0].full)
+        other = self.built(omron_dynamics)
+        np.testing.assert_allclose(
+            dynamics.jacobian(q, frame_of(dynamics)), other.jacobian(q, frame_of(other)), atol=1e-15
+        )
+        assert dynamics.effective_masses(q, qd, 0.005)[0].full == pytest.approx(
+            other.effective_masses(q, qd, 0.005)[0].full
+        )
 
     @pytest.mark.parametrize("tilt", [0.01, 0.5, math.pi / 2.0])
     def test_lumped_mass_is_refused_across_x4(
-        self, arm: RobotDynamics, along: Callable[..., EffectiveMasses], tilt: float
+        self, dynamics: RobotDynamics, along: Callable[..., EffectiveMasses], tilt: float
     ) -> None:
         q = [0.3, 1.1, 0.1, 0.2]
         phi = q[0] + q[1] - q[3] + tilt
-        effective_masses = along(arm, q, [math.cos(phi), math.sin(phi), 0.0])
+        effective_masses = along(dynamics, q, [math.cos(phi), math.sin(phi), 0.0])
         assert math.isnan(effective_masses.lumped)
         assert "joint4" in effective_masses.lumped_reason
         assert math.isfinite(effective_masses.full)
         assert math.isfinite(effective_masses.worst_full)
 
-    def test_lumped_mass_is_refused_for_the_worst_direction(self, arm: RobotDynamics) -> None:
-        (effective_masses,) = arm.effective_masses(np.array([0.3, 1.1, 0.1, 0.2]), np.zeros(4), 0.005)
+    def test_lumped_mass_is_refused_for_the_worst_direction(self, dynamics: RobotDynamics) -> None:
+        (effective_masses,) = dynamics.effective_masses(np.array([0.3, 1.1, 0.1, 0.2]), np.zeros(4), 0.005)
         assert math.isnan(effective_masses.lumped)
         assert math.isnan(effective_masses.worst_lumped)
         assert "joint4" in effective_masses.lumped_reason
@@ -307,19 +311,19 @@ class TestOffsetContactPoint:
 @given(q1=st.floats(-2.3, 2.3), q2=st.floats(0.1, 2.5), phi=st.floats(-3.0, 3.0), rise=st.floats(-1.5, 1.5))
 def test_inclined_normals_mix_the_planar_and_the_vertical_mass(
     omron: Robot,
-    omron_arm: RobotDynamics,
+    omron_dynamics: RobotDynamics,
     along: Callable[..., EffectiveMasses],
     q1: float,
     q2: float,
     phi: float,
     rise: float,
 ) -> None:
-    assert omron_arm.lumped is not None
-    planar = float(scara_lumped_mass(q1, q2, phi, *omron_arm.lumped.planar_masses(omron)))
+    assert omron_dynamics.lumped is not None
+    planar = float(scara_lumped_mass(q1, q2, phi, *omron_dynamics.lumped.planar_masses(omron)))
     vertical = 0.2 + 0.1 + 0.25  # what joint 3 moves
     n = [math.cos(rise) * math.cos(phi), math.cos(rise) * math.sin(phi), math.sin(rise)]
     expected = 1.0 / (math.cos(rise) ** 2 / planar + math.sin(rise) ** 2 / vertical)
-    assert along(omron_arm, [q1, q2, 0.1, 0.0], n).lumped == pytest.approx(expected, rel=1e-6)
+    assert along(omron_dynamics, [q1, q2, 0.1, 0.0], n).lumped == pytest.approx(expected, rel=1e-6)
 
 
 @given(
@@ -330,7 +334,7 @@ def test_inclined_normals_mix_the_planar_and_the_vertical_mass(
     q4=st.floats(-6.0, 6.0),
 )
 def test_quill_and_tool_angle_count_for_nothing(
-    omron_arm: RobotDynamics,
+    omron_dynamics: RobotDynamics,
     along: Callable[..., EffectiveMasses],
     q1: float,
     q2: float,
@@ -339,7 +343,7 @@ def test_quill_and_tool_angle_count_for_nothing(
     q4: float,
 ) -> None:
     n = [math.cos(phi), math.sin(phi), 0.0]
-    here, there = along(omron_arm, [q1, q2, 0.0, 0.0], n), along(omron_arm, [q1, q2, q3, q4], n)
+    here, there = along(omron_dynamics, [q1, q2, 0.0, 0.0], n), along(omron_dynamics, [q1, q2, q3, q4], n)
     assert there.lumped == pytest.approx(here.lumped, rel=1e-6)
     assert there.full == pytest.approx(here.full, rel=1e-6)
 
@@ -347,15 +351,15 @@ def test_quill_and_tool_angle_count_for_nothing(
 def test_link_lengths_count_for_nothing_in_the_lumped_mass(
     omron_rows: dict[str, Any],
     from_rows: Callable[[object], Robot],
-    omron_arm: RobotDynamics,
+    omron_dynamics: RobotDynamics,
     along: Callable[..., EffectiveMasses],
 ) -> None:
     for row, link, length in zip(omron_rows["joints"][:2], omron_rows["links"][:2], (0.4, 0.15), strict=True):
         link["com"][0] *= length / row["a"]  # the same kappa
         row["a"] = length
     other = RobotDynamics(from_rows(omron_rows))
-    for q, n in zip(omron_arm.robot.sample_configurations(), unit_vectors(64), strict=True):
-        assert along(other, q, n).lumped == pytest.approx(along(omron_arm, q, n).lumped, rel=1e-6)
+    for q, n in zip(omron_dynamics.robot.sample_configurations(), unit_vectors(64), strict=True):
+        assert along(other, q, n).lumped == pytest.approx(along(omron_dynamics, q, n).lumped, rel=1e-6)
 
 
 class TestSmallestEigenvalue:

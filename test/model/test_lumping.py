@@ -34,13 +34,13 @@ def centres_kept(lumped: LumpedModel, robot: Robot) -> bool:
     )
 
 
-def test_structure_of_table_2(omron_arm: RobotDynamics) -> None:
-    lumped = omron_arm.lumped
+def test_structure_of_table_2(omron_dynamics: RobotDynamics) -> None:
+    lumped = omron_dynamics.lumped
     assert lumped is not None
     assert [link.kappa2 for link in lumped.links] == pytest.approx([0.08029 / 0.275, 0.05775 / 0.275, 0.5, 0.5])
     assert all(link.on_axes for link in lumped.links)
     assert lumped.massless_joints == (3,)
-    assert is_scara(omron_arm.robot)
+    assert is_scara(omron_dynamics.robot)
 
 
 @pytest.mark.parametrize("end", [0, 1])
@@ -85,11 +85,11 @@ class TestCentreOfMassOutsideTheSlab:
     ) -> None:
         # M2 = -1e-4 kg: M(q) is indefinite only for |q2| below half a degree, where no sample lies.
         omron_rows["links"][0]["com"][0] = -(2.0 * (1.0 - 0.05775 / 0.275) + 1e-4) * 0.275 / 2.74
-        arm = RobotDynamics(from_rows(omron_rows))
-        assert arm.lumped is None
-        assert "axis 2 is -0.0001 kg: must not be negative: the centre of mass lies outside" in arm.lumped_reason
-        assert "joint1" in arm.lumped_reason
-        (effective_masses,) = arm.effective_masses(np.array([0.2, 0.0, 0.1, 0.0]), np.ones(4), 0.005)
+        dynamics = RobotDynamics(from_rows(omron_rows))
+        assert dynamics.lumped is None
+        assert "axis 2 is -0.0001 kg: must not be negative: the centre of mass lies outside" in dynamics.lumped_reason
+        assert "joint1" in dynamics.lumped_reason
+        (effective_masses,) = dynamics.effective_masses(np.array([0.2, 0.0, 0.1, 0.0]), np.ones(4), 0.005)
         assert math.isnan(effective_masses.lumped)
         assert effective_masses.full > 0.0
 
@@ -98,11 +98,11 @@ class TestCentreOfMassOutsideTheSlab:
     ) -> None:
         omron_rows["links"][1]["com"][0] = -0.03
         robot = from_rows(omron_rows)
-        arm = RobotDynamics(robot)
-        assert arm.lumped is not None
-        assert arm.lumped.aggregated[2] < 0.0
-        m2, m3 = arm.lumped.planar_masses(robot)
-        effective_masses = along(arm, [0.4, 1.2, 0.1, 0.0], [0.6, 0.8, 0.0])
+        dynamics = RobotDynamics(robot)
+        assert dynamics.lumped is not None
+        assert dynamics.lumped.aggregated[2] < 0.0
+        m2, m3 = dynamics.lumped.planar_masses(robot)
+        effective_masses = along(dynamics, [0.4, 1.2, 0.1, 0.0], [0.6, 0.8, 0.0])
         assert effective_masses.lumped == pytest.approx(
             float(scara_lumped_mass(0.4, 1.2, math.atan2(0.8, 0.6), m2, m3)), rel=1e-9
         )
@@ -143,9 +143,9 @@ class TestCentreOfMassBesideThePlaneOfTheAxes:
         assert (link.kappa1, link.kappa2) == (1.0, 0.0)
         assert link.point1 == pytest.approx((0.03, 0.02, 0.1))
 
-    def test_axes_of_the_file_are_kept_where_they_do(self, omron_arm: RobotDynamics) -> None:
-        assert omron_arm.lumped is not None
-        assert omron_arm.lumped.links[1].point2 == pytest.approx((0.275, 0.0, 0.0))
+    def test_axes_of_the_file_are_kept_where_they_do(self, omron_dynamics: RobotDynamics) -> None:
+        assert omron_dynamics.lumped is not None
+        assert omron_dynamics.lumped.links[1].point2 == pytest.approx((0.275, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("alpha", [0.01, -1.5707963, 3.0])
@@ -162,13 +162,13 @@ def test_axes_that_are_not_parallel_are_refused(
 
 
 def test_pi_written_as_3_14_is_parallel(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: RobotDynamics
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
 ) -> None:
     omron_rows["joints"][1]["alpha"] = 3.14
     sloppy = RobotDynamics(from_rows(omron_rows))
     for q in sloppy.robot.sample_configurations():
         (exact,), (rough,) = (
-            arm.effective_masses(q, np.array([1.0, 0.3, 0.0, 0.0]), 0.0) for arm in (omron_arm, sloppy)
+            dynamics.effective_masses(q, np.array([1.0, 0.3, 0.0, 0.0]), 0.0) for dynamics in (omron_dynamics, sloppy)
         )
         assert rough.lumped == pytest.approx(exact.lumped, rel=0.01)
 
@@ -179,21 +179,21 @@ def test_recorded_scara_lumps_although_it_writes_pi_as_3_14(load_urdf_file: Call
 
 
 def test_six_axis_arm_is_refused(load_urdf_file: Callable[..., Robot]) -> None:
-    arm = RobotDynamics(load_urdf_file("ur5_robot.urdf"))
-    assert arm.lumped is None
-    assert "shoulder_pan_joint: its axes are not parallel" in arm.lumped_reason
-    assert arm.full_reason == ""
+    dynamics = RobotDynamics(load_urdf_file("ur5_robot.urdf"))
+    assert dynamics.lumped is None
+    assert "shoulder_pan_joint: its axes are not parallel" in dynamics.lumped_reason
+    assert dynamics.full_reason == ""
 
 
 def test_base_offset_and_turned_base_change_nothing(
-    omron_arm: RobotDynamics, along: Callable[..., EffectiveMasses]
+    omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses]
 ) -> None:
     q, n = np.array([0.4, 1.2, 0.1, 0.3]), np.array([0.6, 0.8, 0.0])
-    model = omron_arm.robot.model.copy()
+    model = omron_dynamics.robot.model.copy()
     base = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.9), np.array([1.0, 2.0, 3.0]))
     model.jointPlacements[1] = base * model.jointPlacements[1]
-    moved = RobotDynamics(replace(omron_arm.robot, model=model))
-    here, there = along(omron_arm, q, n), along(moved, q, base.rotation @ n)
+    moved = RobotDynamics(replace(omron_dynamics.robot, model=model))
+    here, there = along(omron_dynamics, q, n), along(moved, q, base.rotation @ n)
     assert there.lumped == pytest.approx(here.lumped, rel=1e-9)
     assert there.full == pytest.approx(here.full, rel=1e-9)
     assert there.worst_lumped == pytest.approx(here.worst_lumped, rel=1e-9)
@@ -217,14 +217,14 @@ def test_any_scara_is_its_planar_masses(
     ):
         row["a"], link["com"][0] = length, share * length
     robot = from_rows(omron_rows)
-    arm = RobotDynamics(robot)
-    assert arm.lumped is not None
-    m2, m3 = arm.lumped.planar_masses(robot)
+    dynamics = RobotDynamics(robot)
+    assert dynamics.lumped is not None
+    m2, m3 = dynamics.lumped.planar_masses(robot)
     assert m2 == pytest.approx(2.74 * share1 + 2.0 * (1.0 - share2))
     assert m3 == pytest.approx(2.0 * share2 + 0.55)
     q1, q2, phi = 0.4, 1.2, 0.9
     assume(abs(math.sin(q2)) > 0.1)
-    effective_masses = along(arm, [q1, q2, 0.1, 0.0], [math.cos(phi), math.sin(phi), 0.0])
+    effective_masses = along(dynamics, [q1, q2, 0.1, 0.0], [math.cos(phi), math.sin(phi), 0.0])
     assert effective_masses.lumped == pytest.approx(float(scara_lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
 
 
@@ -239,16 +239,16 @@ def test_robot_that_is_no_scara_has_no_planar_masses(
 
 
 def test_masses_are_needed_but_inertias_are_not(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: RobotDynamics
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
 ) -> None:
     for body in (*omron_rows["links"], omron_rows["payload"]):
         del body["inertia"]
-    arm = RobotDynamics(from_rows(omron_rows))
-    assert arm.full_reason == "the file gives no inertia tensors"
-    assert omron_arm.lumped is not None
-    assert arm.lumped is not None
-    assert arm.lumped.aggregated == omron_arm.lumped.aggregated
-    (effective_masses,) = arm.effective_masses(np.array([0.4, 1.2, 0.1, 0.3]), np.ones(4), 0.005)
+    dynamics = RobotDynamics(from_rows(omron_rows))
+    assert dynamics.full_reason == "the file gives no inertia tensors"
+    assert omron_dynamics.lumped is not None
+    assert dynamics.lumped is not None
+    assert dynamics.lumped.aggregated == omron_dynamics.lumped.aggregated
+    (effective_masses,) = dynamics.effective_masses(np.array([0.4, 1.2, 0.1, 0.3]), np.ones(4), 0.005)
     assert math.isnan(effective_masses.full)
     assert math.isnan(effective_masses.worst_full)
     assert math.isfinite(effective_masses.lumped)

@@ -135,26 +135,26 @@ def test_jacobian_is_the_derivative_of_the_position(
     spatial_rows: dict[str, Any], from_rows: Callable[[object], Robot]
 ) -> None:
     robot = from_rows(spatial_rows)
-    arm = RobotDynamics(robot)
+    dynamics = RobotDynamics(robot)
     tool = np.array([*spatial_rows["contact_points"]["tool"], 1.0])
     for q in robot.sample_configurations()[:16]:
         columns = [
             (joint_poses(spatial_rows, q + e) @ tool - joint_poses(spatial_rows, q - e) @ tool)[-1][:3] / (2.0 * STEP)
             for e in STEP * np.eye(4)
         ]
-        np.testing.assert_allclose(arm.jacobian(q, robot.contact_frames["tool"]), np.transpose(columns), atol=1e-8)
+        np.testing.assert_allclose(dynamics.jacobian(q, robot.contact_frames["tool"]), np.transpose(columns), atol=1e-8)
 
 
 def test_lumped_mass_matrix_is_eq_14(omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> None:
     for link in omron_rows["links"]:
         link["com"][2] = 0.07  # heights count for nothing on parallel axes, and must not do harm
-    arm = RobotDynamics(from_rows(omron_rows))
-    assert arm.lumped is not None
-    model = arm.lumped.model
+    dynamics = RobotDynamics(from_rows(omron_rows))
+    assert dynamics.lumped is not None
+    model = dynamics.lumped.model
     data = model.createData()
-    for q in arm.robot.sample_configurations():
+    for q in dynamics.robot.sample_configurations():
         matrix = np.zeros((4, 4))
-        for i, link in enumerate(arm.lumped.links):
+        for i, link in enumerate(dynamics.lumped.links):
             for mass, point in ((link.kappa1 * link.mass, link.point1), (link.kappa2 * link.mass, link.point2)):
                 jacobian = np.transpose(
                     [
@@ -167,9 +167,9 @@ def test_lumped_mass_matrix_is_eq_14(omron_rows: dict[str, Any], from_rows: Call
         np.testing.assert_allclose(pin.crba(model, data, q), matrix, atol=1e-8)
 
 
-def test_two_masses_keep_mass_and_centre_of_mass_of_every_link(omron_arm: RobotDynamics) -> None:
-    assert omron_arm.lumped is not None
-    for link, body in zip(omron_arm.lumped.links, list(omron_arm.robot.model.inertias)[1:], strict=True):
+def test_two_masses_keep_mass_and_centre_of_mass_of_every_link(omron_dynamics: RobotDynamics) -> None:
+    assert omron_dynamics.lumped is not None
+    for link, body in zip(omron_dynamics.lumped.links, list(omron_dynamics.robot.model.inertias)[1:], strict=True):
         centre = link.kappa1 * np.array(link.point1) + link.kappa2 * np.array(link.point2)
         assert link.kappa1 + link.kappa2 == pytest.approx(1.0)
         assert link.mass == pytest.approx(body.mass)
@@ -177,50 +177,55 @@ def test_two_masses_keep_mass_and_centre_of_mass_of_every_link(omron_arm: RobotD
 
 
 def test_armature_adds_to_the_diagonal_of_both_models(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: RobotDynamics
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
 ) -> None:
     rotors = np.array([0.31, 0.17, 4.0, 0.02])
     for row, rotor in zip(omron_rows["joints"], rotors, strict=True):
         row["armature"] = float(rotor)
     geared = RobotDynamics(from_rows(omron_rows))
     assert geared.lumped is not None
-    assert omron_arm.lumped is not None
+    assert omron_dynamics.lumped is not None
     for q in geared.robot.sample_configurations()[:8]:
         for with_rotors, without, at_rest in (
-            (geared.robot.model, omron_arm.robot.model, 0.0),
-            (geared.lumped.model, omron_arm.lumped.model, 1.0),
+            (geared.robot.model, omron_dynamics.robot.model, 0.0),
+            (geared.lumped.model, omron_dynamics.lumped.model, 1.0),
         ):
             added = pin.crba(with_rotors, with_rotors.createData(), q) - pin.crba(without, without.createData(), q)
             np.testing.assert_allclose(added, np.diag(rotors - [0.0, 0.0, 0.0, at_rest]), atol=1e-12)
 
 
 def test_armature_makes_the_robot_heavier(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: RobotDynamics
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
 ) -> None:
     omron_rows["joints"][1]["armature"] = 0.1
     geared = RobotDynamics(from_rows(omron_rows))
     for q in geared.robot.sample_configurations():
-        heavy, light = (arm.effective_masses(q, np.array([1.0, 0.0, 0.0, 0.0]), 0.0)[0] for arm in (geared, omron_arm))
+        heavy, light = (
+            dynamics.effective_masses(q, np.array([1.0, 0.0, 0.0, 0.0]), 0.0)[0]
+            for dynamics in (geared, omron_dynamics)
+        )
         assert heavy.lumped >= light.lumped * (1.0 - 1e-12)
         assert heavy.full >= light.full * (1.0 - 1e-12)
 
 
 def test_only_the_moment_about_the_axes_counts_for_a_scara(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_arm: RobotDynamics
+    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
 ) -> None:
     for body in omron_rows["links"]:
         izz = body["inertia"]
         body["inertia"] = [0.9 * izz, 0.8 * izz, izz, 0.1 * izz, 0.0, 0.0]
     other = RobotDynamics(from_rows(omron_rows))
     for q in other.robot.sample_configurations():
-        here, there = (pin.crba(arm.robot.model, arm.robot.model.createData(), q) for arm in (omron_arm, other))
+        here, there = (
+            pin.crba(dynamics.robot.model, dynamics.robot.model.createData(), q) for dynamics in (omron_dynamics, other)
+        )
         np.testing.assert_allclose(there, here, atol=1e-12)
 
 
-def test_inverse_that_the_live_path_uses_is_the_inverse_of_crba(omron_arm: RobotDynamics) -> None:
-    assert omron_arm.lumped is not None
-    for model in (omron_arm.robot.model, omron_arm.lumped.model):
+def test_inverse_that_the_live_path_uses_is_the_inverse_of_crba(omron_dynamics: RobotDynamics) -> None:
+    assert omron_dynamics.lumped is not None
+    for model in (omron_dynamics.robot.model, omron_dynamics.lumped.model):
         data = model.createData()
-        for q in omron_arm.robot.sample_configurations():
+        for q in omron_dynamics.robot.sample_configurations():
             matrix = pin.crba(model, data, q).copy()
             np.testing.assert_allclose(pin.computeMinverse(model, data, q) @ matrix, np.eye(4), atol=1e-9)

@@ -65,14 +65,14 @@ def placed(x: float, y: float, elbow: float) -> tuple[float, float]:
     return float(np.arctan2(y, x) - q2 / 2.0), float(q2)
 
 
-def test_equivalent_masses_come_out_of_the_construction(omron: Robot, omron_arm: RobotDynamics) -> None:
-    assert omron_arm.lumped is not None
-    m2, m3 = omron_arm.lumped.planar_masses(omron)
+def test_equivalent_masses_come_out_of_the_construction(omron: Robot, omron_dynamics: RobotDynamics) -> None:
+    assert omron_dynamics.lumped is not None
+    m2, m3 = omron_dynamics.lumped.planar_masses(omron)
     assert m2 == pytest.approx(M2, abs=0.005)
     assert m3 == pytest.approx(M3, abs=0.005)
-    assert len(omron_arm.lumped.aggregated) == 5
-    assert omron_arm.lumped.aggregated[0] == pytest.approx(1.94, abs=0.005)
-    assert sum(omron_arm.lumped.aggregated) == pytest.approx(omron.moving_mass + omron.payload_mass, rel=1e-12)
+    assert len(omron_dynamics.lumped.aggregated) == 5
+    assert omron_dynamics.lumped.aggregated[0] == pytest.approx(1.94, abs=0.005)
+    assert sum(omron_dynamics.lumped.aggregated) == pytest.approx(omron.moving_mass + omron.payload_mass, rel=1e-12)
 
 
 def test_standard_mass(omron: Robot) -> None:
@@ -87,27 +87,27 @@ def test_reduced_mass_of_the_standard(omron: Robot, obstacle: float, mu: float) 
 
 @given(q1=q1_values, q2=q2_values, phi=directions)
 def test_matrix_path_gives_eqs_27_and_28(
-    omron: Robot, omron_arm: RobotDynamics, along: Callable[..., EffectiveMasses], q1: float, q2: float, phi: float
+    omron: Robot, omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses], q1: float, q2: float, phi: float
 ) -> None:
     assume(abs(np.sin(q2)) > 1e-3)
-    assert omron_arm.lumped is not None
-    effective_masses = along(omron_arm, [q1, q2, 0.1, 0.3], [np.cos(phi), np.sin(phi), 0.0])
-    m2, m3 = omron_arm.lumped.planar_masses(omron)
+    assert omron_dynamics.lumped is not None
+    effective_masses = along(omron_dynamics, [q1, q2, 0.1, 0.3], [np.cos(phi), np.sin(phi), 0.0])
+    m2, m3 = omron_dynamics.lumped.planar_masses(omron)
     assert effective_masses.lumped == pytest.approx(float(scara_lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
     assert effective_masses.full == pytest.approx(float(scara_full_mass(q1, q2, phi, FITTED)), rel=1e-6)
 
 
 def test_matrix_path_gives_eqs_27_and_28_on_thousands_of_cases(
-    omron: Robot, omron_arm: RobotDynamics, along: Callable[..., EffectiveMasses]
+    omron: Robot, omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses]
 ) -> None:
-    assert omron_arm.lumped is not None
+    assert omron_dynamics.lumped is not None
     rng = np.random.default_rng(15066)
     q1, q2, phi = rng.uniform(-1.0, 1.0, (3, 4000)) * np.array([[Q1_RANGE], [Q2_RANGE], [np.pi]])
     q2 = np.where(np.abs(np.sin(q2)) > 1e-2, q2, 1.0)
     states = [
-        along(omron_arm, [a, b, 0.2, c], [np.cos(c), np.sin(c), 0.0]) for a, b, c in zip(q1, q2, phi, strict=True)
+        along(omron_dynamics, [a, b, 0.2, c], [np.cos(c), np.sin(c), 0.0]) for a, b, c in zip(q1, q2, phi, strict=True)
     ]
-    lumped = scara_lumped_mass(q1, q2, phi, *omron_arm.lumped.planar_masses(omron))
+    lumped = scara_lumped_mass(q1, q2, phi, *omron_dynamics.lumped.planar_masses(omron))
     np.testing.assert_allclose([s.lumped for s in states], lumped, rtol=1e-9)
     np.testing.assert_allclose([s.full for s in states], scara_full_mass(q1, q2, phi, FITTED), rtol=1e-9)
 
@@ -186,11 +186,11 @@ def test_errors_of_the_simplified_model_on_the_grid_of_50_by_50() -> None:
         assert (np.abs(mu - reduced(simplified, obstacle)) / mu).max() == pytest.approx(worst, abs=1e-4)
 
 
-def test_impact_point_of_figure_17(omron_arm: RobotDynamics, along: Callable[..., EffectiveMasses]) -> None:
+def test_impact_point_of_figure_17(omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses]) -> None:
     q1, q2 = placed(0.3, 0.2, elbow=1.0)
     assert np.degrees([q1, q2]) == pytest.approx([-15.35, 98.08], abs=0.005)
-    right = along(omron_arm, [q1, q2, 0.0, 0.0], [1.0, 0.0, 0.0])
-    left = along(omron_arm, [*placed(0.3, 0.2, elbow=-1.0), 0.0, 0.0], [1.0, 0.0, 0.0])
+    right = along(omron_dynamics, [q1, q2, 0.0, 0.0], [1.0, 0.0, 0.0])
+    left = along(omron_dynamics, [*placed(0.3, 0.2, elbow=-1.0), 0.0, 0.0], [1.0, 0.0, 0.0])
     assert right.lumped == pytest.approx(0.981, abs=5e-4)
     assert left.lumped == pytest.approx(2.891, abs=5e-4)
     mu = [reduced(np.array(right.lumped), obstacle) for obstacle in OBSTACLES]

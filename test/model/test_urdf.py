@@ -89,8 +89,8 @@ class TestRecordedRobots:
         assert robot.iso_mass == pytest.approx(moving_mass / 2.0, abs=5e-4)
         assert ("placeholders" in robot.inertias_reason) == bool(doubt)
         assert doubt in robot.inertias_reason
-        arm = RobotDynamics(robot)
-        (effective_masses,) = arm.effective_masses(robot.sample_configurations()[5], np.ones(joints), 0.005)
+        dynamics = RobotDynamics(robot)
+        (effective_masses,) = dynamics.effective_masses(robot.sample_configurations()[5], np.ones(joints), 0.005)
         assert np.isnan(effective_masses.full) == bool(doubt)
 
     def test_wx200_grippers_are_held_and_dummy_inertias_are_noted(self, load_urdf_file: Callable[..., Robot]) -> None:
@@ -112,13 +112,13 @@ class TestRecordedRobots:
 def test_urdf_agrees_with_eq_27(along: Callable[..., EffectiveMasses]) -> None:
     robot = parse(payload_mass=0.25)
     assert is_scara(robot)
-    arm = RobotDynamics(robot)
+    dynamics = RobotDynamics(robot)
     scara = ScaraInertia(0.275, 0.275, 2.74, 2.0, 0.2, 0.35, 0.08029, 0.05775, 0.02952, 0.02272, 1e-4, 2e-4)
     for q in robot.sample_configurations():
         n = [np.cos(0.7), np.sin(0.7), 0.0]
-        assert along(arm, q, n).full == pytest.approx(float(scara_full_mass(q[0], q[1], 0.7, scara)), rel=1e-6)
-    assert arm.lumped is not None
-    assert arm.lumped.planar_masses(robot) == pytest.approx((2.38, 0.97), abs=1e-3)
+        assert along(dynamics, q, n).full == pytest.approx(float(scara_full_mass(q[0], q[1], 0.7, scara)), rel=1e-6)
+    assert dynamics.lumped is not None
+    assert dynamics.lumped.planar_masses(robot) == pytest.approx((2.38, 0.97), abs=1e-3)
 
 
 def test_standard_mass_with_a_payload() -> None:
@@ -163,14 +163,14 @@ class TestLockedAndUnneededJoints:
         # What the elbow presents depends on how the forearm lies, so q2 must stay in the model.
         robot = parse(contact_points=("fore",), payload_mass=0.25)
         assert robot.joint_names == ("j1", "j2", "j3", "j4")
-        arm = RobotDynamics(robot)
+        dynamics = RobotDynamics(robot)
         stretched, folded = (
-            arm.effective_masses(np.array([0.3, q2, 0.1, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]), 0.0)[0]
+            dynamics.effective_masses(np.array([0.3, q2, 0.1, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]), 0.0)[0]
             for q2 in (0.0, 1.5)
         )
         assert stretched.full != pytest.approx(folded.full, rel=0.05)
-        assert arm.lumped is not None
-        assert arm.lumped.planar_masses(robot) == pytest.approx((2.38, 0.97), abs=1e-3)
+        assert dynamics.lumped is not None
+        assert dynamics.lumped.planar_masses(robot) == pytest.approx((2.38, 0.97), abs=1e-3)
 
     def test_payload_hangs_at_the_end_whatever_is_watched_first(self) -> None:
         masses = [

@@ -55,8 +55,8 @@ def test_live_is_what_it_is_offline(new_harness: Callable[..., NodeHarness], tmp
         replay = running.enter_context(subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL))
         harness.spin_until(lambda: heard)
         assert replay.wait() == 0
-    arm = RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
-    (expected,) = validate([BAG], arm, ValidationSettings()).result.impacts
+    dynamics = RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
+    (expected,) = validate([BAG], dynamics, ValidationSettings()).result.impacts
     (message,) = heard
     assert message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec == expected.stamp_ns
     names = (

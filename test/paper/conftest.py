@@ -25,13 +25,13 @@ STIFFNESS = 1e6
 
 
 @pytest.fixture(scope="session")
-def arm() -> RobotDynamics:
+def dynamics() -> RobotDynamics:
     return RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
 
 
 @pytest.fixture(scope="session")
-def scara(arm: RobotDynamics) -> Scara:
-    return closed_form_of(arm)
+def scara(dynamics: RobotDynamics) -> Scara:
+    return closed_form_of(dynamics)
 
 
 @pytest.fixture(scope="session")
@@ -40,8 +40,8 @@ def motion(scara: Scara) -> ToolMotion:
 
 
 @pytest.fixture(scope="session")
-def material(arm: RobotDynamics, scara: Scara, motion: ToolMotion) -> Material:
-    return Material(arm, scara, motion)
+def material(dynamics: RobotDynamics, scara: Scara, motion: ToolMotion) -> Material:
+    return Material(dynamics, scara, motion)
 
 
 @pytest.fixture(scope="session")

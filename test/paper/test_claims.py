@@ -38,11 +38,11 @@ def values(claims: dict[str, Claim]) -> dict[str, float]:
 
 
 @pytest.fixture(scope="module")
-def claims(arm: RobotDynamics, scara: Scara, motion: ToolMotion) -> dict[str, Claim]:
+def claims(dynamics: RobotDynamics, scara: Scara, motion: ToolMotion) -> dict[str, Claim]:
     return by_key(
         [
             *robot_claims(scara),
-            *mass_claims(arm, scara),
+            *mass_claims(dynamics, scara),
             *reduced_mass_claims(scara),
             *motion_claims(motion),
             *run_claims(scara, ()),
@@ -86,7 +86,7 @@ def test_every_checked_claim_says_when_it_would_hold(claims: dict[str, Claim]) -
             assert claim.ours
 
 
-def test_another_robot_no_longer_matches(arm: RobotDynamics, scara: Scara) -> None:
+def test_another_robot_no_longer_matches(dynamics: RobotDynamics, scara: Scara) -> None:
     other = replace(
         scara,
         m2=1.5 * scara.m2,
@@ -94,7 +94,7 @@ def test_another_robot_no_longer_matches(arm: RobotDynamics, scara: Scara) -> No
         q1_max=2.0,
         inertia=replace(scara.inertia, i2=0.5 * scara.inertia.i2, m2=0.8 * scara.inertia.m2),
     )
-    found = by_key([*robot_claims(other), *mass_claims(arm, other), *reduced_mass_claims(other)])
+    found = by_key([*robot_claims(other), *mass_claims(dynamics, other), *reduced_mass_claims(other)])
     wrong = {key for key, claim in found.items() if claim.outcome is Outcome.NO_MATCH}
     assert wrong >= {"m2", "iso_mass", "q1_range", "mu_iso_2.39", "share_below_iso", "mean_below_iso", "worst_error"}
     assert wrong >= {"error_in_75_percent", "worst_reduced_error"}

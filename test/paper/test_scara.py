@@ -38,23 +38,23 @@ def test_parameters_are_those_of_the_file(scara: Scara) -> None:
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.9, np.pi / 2.0, -2.0])
-def test_closed_forms_agree_with_the_mass_matrices(arm: RobotDynamics, scara: Scara, phi: float) -> None:
-    check = agreement(arm, scara, *spread_positions(scara, count=12), phi)
+def test_closed_forms_agree_with_the_mass_matrices(dynamics: RobotDynamics, scara: Scara, phi: float) -> None:
+    check = agreement(dynamics, scara, *spread_positions(scara, count=12), phi)
     assert check.poses == 144
     assert max(check.lumped, check.full) < 1e-9
 
 
-def test_a_wrong_parameter_is_noticed(arm: RobotDynamics, scara: Scara) -> None:
+def test_a_wrong_parameter_is_noticed(dynamics: RobotDynamics, scara: Scara) -> None:
     poses = spread_positions(scara, count=8)
     heavier = replace(scara, m2=1.01 * scara.m2, inertia=replace(scara.inertia, i2=1.01 * scara.inertia.i2))
-    check = agreement(arm, heavier, *poses)
+    check = agreement(dynamics, heavier, *poses)
     assert check.lumped > 1e-3
     assert check.full > 1e-5
 
 
-def test_matrix_masses_do_not_depend_on_the_quill(arm: RobotDynamics, scara: Scara) -> None:
+def test_matrix_masses_do_not_depend_on_the_quill(dynamics: RobotDynamics, scara: Scara) -> None:
     poses = spread_positions(scara, count=4)
-    low, high = (np.concatenate(matrix_masses(arm, *poses, 0.5, q3)) for q3 in (0.0, 0.45))
+    low, high = (np.concatenate(matrix_masses(dynamics, *poses, 0.5, q3)) for q3 in (0.0, 0.45))
     np.testing.assert_allclose(low, high, rtol=1e-12)
 
 

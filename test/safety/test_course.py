@@ -22,8 +22,8 @@ SLOW, FAST = 0.05, 5.0
 """Speeds of joint 1 [rad/s] that are OK and a VIOLATION here."""
 
 
-def monitor(arm: RobotDynamics, **settings: object) -> Monitor:
-    return Monitor(arm, MonitorSettings.model_validate({"release_time": 0.0, **settings}))
+def monitor(dynamics: RobotDynamics, **settings: object) -> Monitor:
+    return Monitor(dynamics, MonitorSettings.model_validate({"release_time": 0.0, **settings}))
 
 
 def send(watched: Monitor, at_ms: float, speed: float = SLOW, names: tuple[str, ...] = JOINTS) -> Decision:

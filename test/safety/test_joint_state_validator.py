@@ -39,8 +39,8 @@ def state(
     return JointState(stamp_ns, tuple(names), np.array(position, float), np.array(velocity, float))
 
 
-def monitor(arm: RobotDynamics, **settings: object) -> Monitor:
-    return Monitor(arm, MonitorSettings.model_validate({"release_time": 0.0, **settings}))
+def monitor(dynamics: RobotDynamics, **settings: object) -> Monitor:
+    return Monitor(dynamics, MonitorSettings.model_validate({"release_time": 0.0, **settings}))
 
 
 @dataclass

@@ -40,16 +40,16 @@ def settings_of(**settings: object) -> MonitorSettings:
     return MonitorSettings.model_validate({"release_time": 0.0, **settings})
 
 
-def judged(arm: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings) -> list[ContactAssessment]:
+def judged(dynamics: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings) -> list[ContactAssessment]:
     """Return the assessments of the first joint state that a fresh monitor sees."""
-    decision = Monitor(arm, settings).assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
+    decision = Monitor(dynamics, settings).assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
     assert decision is not None
     assert decision.allowable_speed == min(contact.allowable_speed for contact in decision.contacts)
     return list(decision.contacts)
 
 
-def one(arm: RobotDynamics, q: Vector, qd: Vector, **settings: object) -> ContactAssessment:
-    (contact,) = judged(arm, q, qd, settings_of(**settings))
+def one(dynamics: RobotDynamics, q: Vector, qd: Vector, **settings: object) -> ContactAssessment:
+    (contact,) = judged(dynamics, q, qd, settings_of(**settings))
     return contact
 
 
@@ -257,7 +257,7 @@ def test_a_model_that_does_not_exist_is_never_replaced(
     bare_scara: RobotDynamics, skew_arm: RobotDynamics, model: MassModel
 ) -> None:
     q, qd = (0.3, 1.2, 0.1, 0.0), (0.01, 0.01, 0.01, 0.01)
-    bare, skew = (one(arm, q, qd, effective_mass_model=model) for arm in (bare_scara, skew_arm))
+    bare, skew = (one(dynamics, q, qd, effective_mass_model=model) for dynamics in (bare_scara, skew_arm))
     assert math.isnan(bare.full_mass)
     assert math.isnan(skew.lumped_mass)
     if model in {MassModel.FULL, MassModel.LARGEST}:
