@@ -1,4 +1,4 @@
-"""How every command prints: lines of subject and text, JSON, and progress."""
+"""How every command prints: lines of subject and text, tables, JSON, and progress."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import Progress
+from rich.table import Table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from rich.progress import ProgressColumn
 
@@ -38,3 +40,22 @@ def print_json(result: object) -> None:
 def progress_bar(*columns: ProgressColumn) -> Progress:
     """Return a progress bar on stderr, to be used in a `with`; it is invisible unless stderr is a terminal."""
     return Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
+
+
+def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Print a table; numbers are aligned right and a missing number reads "none"."""
+    table = Table(box=SIMPLE_HEAD, title=title or None, title_justify="left")
+    cells = [[_cell(value) for value in row] for row in rows]
+    numeric = [all(right for _, right in column) for column in zip(*cells, strict=True)]
+    for heading, right in zip(headings, numeric, strict=True):
+        table.add_column(heading, justify="right" if right else "left")
+    for row in cells:
+        table.add_row(*(text for text, _ in row))
+    printer().print(table)
+
+
+def _cell(value: object) -> tuple[str, bool]:
+    """Return the text of a cell and whether it is a number."""
+    if value is None or isinstance(value, int | float):
+        return "none" if value is None else f"{value:.4g}", True
+    return str(value), False

@@ -13,6 +13,7 @@ from scara_effmass.cli.options import (
     add_robot,
     add_topic,
     load_dynamics,
+    number,
     settings_from,
 )
 from scara_effmass.cli.processes import RECORDING
@@ -49,10 +50,17 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     add_robot(parser)
     add_params(parser)
     parser.add_argument(
-        "--rate", type=float, default=1.0, help="replay speed; 0: as fast as the monitor answers (default: 1)"
+        "--rate",
+        type=number(minimum=0.0),
+        default=1.0,
+        help="replay speed; 0: as fast as the monitor answers (default: 1)",
     )
     parser.add_argument(
-        "--duration", type=float, default=math.inf, metavar="S", help="how much to replay or simulate [s]"
+        "--duration",
+        type=number(above=0.0, finite=False, unit="s"),
+        default=math.inf,
+        metavar="S",
+        help="how much to replay or simulate [s] (default: all)",
     )
     parser.add_argument(
         "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="output folder (default: out/demo)"

@@ -10,11 +10,10 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rich import box
 from rich.table import Table
 
 from scara_effmass import __version__
-from scara_effmass.cli.console import print_json, printer
+from scara_effmass.cli.console import print_json, print_table, printer
 from scara_effmass.cli.options import add_json, add_params, add_robot, load_dynamics, settings_from
 from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from scara_effmass.daq.ni_driver import Device
     from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.settings import MonitorSettings
 
@@ -39,8 +37,8 @@ examples:
 """
 
 
-class Finding(NamedTuple):
-    """One line of the examination: `level` is "ok", "note" (worth knowing) or "wrong" (a monitor cannot run so)."""
+class CheckResult(NamedTuple):
+    """One line of the report: `level` is "ok", "note" or "wrong" (the monitor cannot run)."""
 
     level: str
     subject: str
@@ -57,35 +55,33 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Examine the installation, the environment and the robot."""
+    """Check the installation, the environment, the DAQ device and the robot; return 1 if the monitor cannot run."""
     settings = settings_from(args, others=("daq",))
-    path = settings.robot_path
-    if not path.is_file():
-        raise RobotError(f"{path}: there is no such file; a URDF or DH YAML file would be right")
-    findings = [*_installation(), *_environment(), *_converter(args.params), *_limits(settings)]
+    if not settings.robot_path.is_file():
+        raise RobotError(f"{settings.robot_path}: no such file; must be a URDF or DH YAML file")
+    results = [*_installation(), *_environment(), *_daq(args.params), *_limits(settings)]
     joints: list[dict[str, Any]] = []
     try:
-        arm = load_dynamics(settings)
+        dynamics = load_dynamics(settings)
     except RobotError as error:
-        findings.append(Finding("wrong", "robot", str(error)))
+        results.append(CheckResult("wrong", "robot", str(error)))
     else:
-        findings += _robot(arm, settings)
-        joints = _joints(arm)
-    healthy = all(finding.level != "wrong" for finding in findings)
-    console = printer()
+        results += [*_robot(dynamics), _mass_model(dynamics, settings.effective_mass_model)]
+        joints = _joints(dynamics)
+    healthy = all(result.level != "wrong" for result in results)
     if args.json:
-        result = {"healthy": healthy, "findings": [finding._asdict() for finding in findings], "joints": joints}
-        print_json(result)
+        print_json({"healthy": healthy, "findings": [result._asdict() for result in results], "joints": joints})
     else:
-        _show(findings, joints)
-        console.print(
-            "healthy: a monitor can run with this robot" if healthy else "not healthy: see what is wrong above"
-        )
+        _print(results, joints)
+        summary = "the monitor can run with this robot" if healthy else "the monitor cannot run: see the lines marked"
+        printer().print(f"healthy: {summary}" if healthy else f"not healthy: {summary} wrong")
     return 0 if healthy else 1
 
 
-def _installation() -> Iterator[Finding]:
-    yield Finding("ok", "scara_effmass", f"{__version__}, Python {platform.python_version()}, {platform.platform()}")
+def _installation() -> Iterator[CheckResult]:
+    yield CheckResult(
+        "ok", "scara_effmass", f"{__version__}, Python {platform.python_version()}, {platform.platform()}"
+    )
     checks: dict[str, Callable[[], str]] = {
         "rclpy": lambda: _version("rclpy", "ros-jazzy-rclpy"),
         "middleware": lambda: str(import_module("rclpy").get_rmw_implementation_identifier()),
@@ -93,19 +89,15 @@ def _installation() -> Iterator[Finding]:
         "pinocchio": lambda: str(import_module("pinocchio").__version__),
     }
     for subject, check in checks.items():
-        yield _examined(subject, check)
-
-
-def _examined(subject: str, check: Callable[[], str]) -> Finding:
-    try:
-        return Finding("ok", subject, check())
-    except Exception as error:  # noqa: BLE001 - whatever a broken installation raises is the finding
-        reason = " ".join(str(error).split()) or type(error).__name__
-        return Finding("wrong", subject, f"cannot be used: {reason}; install scara_effmass again, or source ROS 2")
+        try:
+            yield CheckResult("ok", subject, check())
+        except Exception as error:  # noqa: BLE001, PERF203 - a broken installation may raise anything
+            reason = " ".join(str(error).split()) or type(error).__name__
+            yield CheckResult("wrong", subject, f"{reason}; install scara_effmass again, or source ROS 2")
 
 
 def _version(module: str, wheel: str) -> str:
-    """Return the version of `module`, which apt installs under its own name and pip under that of `wheel`."""
+    """Return version and location of `module`, which pip installs as `wheel` and apt under its own name."""
     location = import_module(module).__file__
     for name in (module, wheel):
         with suppress(PackageNotFoundError):
@@ -114,181 +106,142 @@ def _version(module: str, wheel: str) -> str:
 
 
 def _type_support() -> str:
-    message = import_module("scara_effmass_msgs.msg").ContactState
-    kind = type(message)
+    kind = type(import_module("scara_effmass_msgs.msg").ContactState)
     kind.__import_type_support__()
     if kind._TYPE_SUPPORT is None:  # noqa: SLF001 - the generated code offers no other way to ask
         raise ImportError("the type support of ContactState does not load")
     return f"type support of ContactState loads ({import_module('scara_effmass_msgs').__file__})"
 
 
-def _environment() -> Iterator[Finding]:
-    domain = os.environ.get("ROS_DOMAIN_ID") or "0 (the default)"
-    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "SUBNET (the default)"
-    wide = reach.startswith("SUBNET")
-    yield Finding("ok", "ROS_DOMAIN_ID", domain)
-    yield Finding(
-        "note" if wide else "ok",
-        "ROS_AUTOMATIC_DISCOVERY_RANGE",
-        f"{reach}{'; nodes of the whole network are found: LOCALHOST keeps to this machine' if wide else ''}",
-    )
+def _environment() -> Iterator[CheckResult]:
+    yield CheckResult("ok", "ROS_DOMAIN_ID", os.environ.get("ROS_DOMAIN_ID") or "0 (the default)")
+    name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    discovery_range = os.environ.get(name) or "SUBNET (the default)"
+    if discovery_range.startswith("SUBNET"):
+        hint = "nodes communicate with the whole network; LOCALHOST keeps to this machine"
+        yield CheckResult("note", name, f"{discovery_range}; {hint}")
+    else:
+        yield CheckResult("ok", name, discovery_range)
 
 
-def _converter(params: Path | None) -> Iterator[Finding]:
-    """What `daq_node` would find of its converter; a monitor needs none, so nothing here is wrong."""
+def _daq(params: Path | None) -> Iterator[CheckResult]:
+    """Check driver, devices and channels of `daq_node`; the monitor runs without them, so none is "wrong"."""
     settings = DaqSettings()
     if params is not None:
         try:
             settings = load_settings(DaqSettings, params, "daq")
         except SettingsError as error:
-            yield Finding("note", "daq_node", f"{error}; what follows is about its defaults")
+            yield CheckResult("note", "daq_node", f"{error}; the defaults are checked instead")
     try:
         driver = import_module("scara_effmass.daq.ni_driver")
-        yield Finding("ok", "NI-DAQmx", driver.driver_version())
-        devices: tuple[Device, ...] = driver.devices()
+        yield CheckResult("ok", "NI-DAQmx", driver.driver_version())
+        devices = driver.devices()
     except DaqError as error:
-        yield Finding("note", "NI-DAQmx", str(error))
+        yield CheckResult("note", "NI-DAQmx", str(error))
         return
     for device in devices:
-        simulated = ", simulated by its driver" * device.simulated
+        simulated = ", simulated by its driver" if device.simulated else ""
         channels = f"; for an IEPE force sensor: {', '.join(device.channels)}" if device.channels else ""
         text = device.trouble or f"{device.product}{simulated}{channels}"
-        yield Finding("note" if device.trouble or device.simulated else "ok", device.name, text)
+        yield CheckResult("note" if device.trouble or device.simulated else "ok", device.name, text)
     if settings.source is ForceSourceKind.NI9230:
-        there = [channel for device in devices for channel in device.channels]
-        missing = [name for name in settings.ni9230.channels if name.lower() not in {each.lower() for each in there}]
-        yield (
-            Finding("note", "ni9230.channels", f"{', '.join(missing)} not found; here: {', '.join(there) or 'none'}")
-            if missing
-            else Finding("ok", "ni9230.channels", f"{', '.join(settings.ni9230.channels)}: there")
-        )
+        present = [channel for device in devices for channel in device.channels]
+        missing = set(settings.ni9230.channels) - {
+            name for name in settings.ni9230.channels if name.lower() in map(str.lower, present)
+        }
+        if missing:
+            text = f"{', '.join(sorted(missing))} not found; present: {', '.join(present) or 'none'}"
+            yield CheckResult("note", "ni9230.channels", text)
+        else:
+            yield CheckResult("ok", "ni9230.channels", f"{', '.join(settings.ni9230.channels)}: present")
 
 
-def _limits(settings: MonitorSettings) -> Iterator[Finding]:
+def _limits(settings: MonitorSettings) -> Iterator[CheckResult]:
     try:
         regions = ", ".join(limit.region for limit in limits_for(settings))
     except LimitError as error:
-        yield Finding("wrong", "limits", str(error))
+        yield CheckResult("wrong", "limits", str(error))
     else:
-        yield Finding("ok", "limits", f"{EDITION}; hash {TABLE_HASH}; {settings.contact.value}: {regions}")
+        yield CheckResult("ok", "limits", f"{EDITION}; hash {TABLE_HASH}; {settings.contact.value}: {regions}")
 
 
-def _robot(arm: RobotDynamics, settings: MonitorSettings) -> Iterator[Finding]:
-    robot = arm.robot
-    yield Finding("ok", "robot", f"{robot.name} ({robot.origin}), base frame {robot.base_frame}")
-    yield Finding("ok", "contact points", ", ".join(arm.contact_points))
-    for subject, reason, otherwise in (
+def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
+    robot = dynamics.robot
+    aggregated = "" if dynamics.lumped is None else ", ".join(f"{mass:.4g}" for mass in dynamics.lumped.aggregated)
+    yield CheckResult("ok", "robot", f"{robot.name} ({robot.origin}), base frame {robot.base_frame}")
+    yield CheckResult("ok", "contact points", ", ".join(dynamics.contact_points))
+    for subject, problem, text in (
         ("masses", robot.masses_reason, "given"),
         ("centres of mass", robot.coms_reason, "given"),
-        ("inertia tensors", robot.inertias_reason, "given, each that of a possible body"),
-        ("lumped model", arm.lumped_reason, _lumped(arm)),
-        ("full model", arm.full_reason, "the mass matrix is positive definite over the joint ranges"),
+        ("inertia tensors", robot.inertias_reason, "given, all physically possible"),
+        ("lumped model", dynamics.lumped_reason, f"masses {aggregated} kg, from base to tip"),
+        ("full model", dynamics.full_reason, "the mass matrix is positive definite over the joint ranges"),
     ):
-        yield Finding("note" if reason else "ok", subject, reason or otherwise)
-    yield from _verdict_mass(arm, settings)
+        yield CheckResult("note" if problem else "ok", subject, problem or text)
     if not robot.masses_reason:
-        yield Finding("ok", "moving mass", f"{robot.moving_mass:.4g} kg without the payload")
-        yield Finding("ok", "ISO mass", f"M/2 + m_L = {robot.iso_mass:.4g} kg")
-    carried = f"{robot.payload_mass:.4g} kg"
+        yield CheckResult("ok", "moving mass", f"{robot.moving_mass:.4g} kg without the payload")
+        yield CheckResult("ok", "ISO mass", f"M/2 + m_L = {robot.iso_mass:.4g} kg")
     if robot.payload_mass:
-        yield Finding("ok", "payload", carried)
+        yield CheckResult("ok", "payload", f"{robot.payload_mass:.4g} kg")
     else:
-        yield Finding("note", "payload", f"{carried}: is the tool, with what it carries, part of the last link?")
+        yield CheckResult("note", "payload", "0 kg: the last link must include the tool and what it carries")
     for joint, armature in zip(robot.joint_names, robot.model.armature.tolist(), strict=True):
         if armature:
-            yield Finding("ok", f"armature of {joint}", f"{armature:.4g} kg m² or kg")
+            yield CheckResult("ok", f"armature of {joint}", f"{armature:.4g} kg m² or kg")
     if not robot.model.armature.any():
-        yield Finding("note", "armature", "none: rotors and gears, felt when joints are driven back, are not counted")
+        yield CheckResult("note", "armature", "none: the reflected inertia of rotors and gears is not counted")
     for note in robot.notes:
-        yield Finding("note", "robot file", note)
+        yield CheckResult("note", "robot file", note)
 
 
-def _lumped(arm: RobotDynamics) -> str:
-    return (
-        ""
-        if arm.lumped is None
-        else f"masses {', '.join(f'{mass:.4g}' for mass in arm.lumped.aggregated)} kg, from base to tip"
-    )
-
-
-def _verdict_mass(arm: RobotDynamics, settings: MonitorSettings) -> Iterator[Finding]:
-    """Whether the mass that the verdict needs exists for this robot."""
-    chosen = settings.effective_mass_model
-    needed = {
-        MassModel.LUMPED: arm.lumped_reason,
-        MassModel.FULL: arm.full_reason,
-        MassModel.LARGEST: arm.lumped_reason or arm.full_reason,
+def _mass_model(dynamics: RobotDynamics, model: MassModel) -> CheckResult:
+    """Check that the effective mass that decides the verdict exists for this robot."""
+    problems = {
+        MassModel.LUMPED: dynamics.lumped_reason,
+        MassModel.FULL: dynamics.full_reason,
+        MassModel.LARGEST: dynamics.lumped_reason or dynamics.full_reason,
         MassModel.ISO: "",
     }
-    possible = [MassModel.LUMPED] * (not arm.lumped_reason) + [MassModel.FULL] * (not arm.full_reason) + [MassModel.ISO]
-    if reason := arm.robot.masses_reason:
-        text = f"{chosen.value}: every verdict will be UNKNOWN ({reason}); give the robot file its masses"
-    elif reason := needed[chosen]:
-        others = " or ".join(model.value for model in possible)
-        text = (
-            f"{chosen.value}: every verdict will be UNKNOWN, that model does not exist for this robot; choose {others}"
-        )
+    if problem := dynamics.robot.masses_reason:
+        remedy = f"add the masses to the robot file ({problem})"
+    elif problems[model]:
+        models = [
+            choice.value for choice, problem in problems.items() if not problem and choice is not MassModel.LARGEST
+        ]
+        remedy = f"this model does not exist for this robot; choose {' or '.join(models)}"
     else:
-        yield Finding("ok", "effective_mass_model", chosen.value)
-        return
-    yield Finding("wrong", "effective_mass_model", text)
+        return CheckResult("ok", "effective_mass_model", model.value)
+    return CheckResult("wrong", "effective_mass_model", f"{model.value}: every verdict will be UNKNOWN: {remedy}")
 
 
-def _joints(arm: RobotDynamics) -> list[dict[str, Any]]:
-    model = arm.robot.model
-    columns = (
-        arm.robot.joint_names,
-        arm.robot.revolute,
-        model.lowerPositionLimit.tolist(),
-        model.upperPositionLimit.tolist(),
-        model.velocityLimit.tolist(),
-        [float(body.mass) for body in list(model.inertias)[1:]],
-    )
+def _joints(dynamics: RobotDynamics) -> list[dict[str, Any]]:
+    """Return the joints for JSON; a bound that the robot file does not set is None."""
+
+    def finite(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+
+    robot, model = dynamics.robot, dynamics.robot.model
     return [
         {
             "name": name,
-            "type": "revolute" if turns else "prismatic",
-            "lower": _finite(lower),
-            "upper": _finite(upper),
-            "max_speed": _finite(speed),
-            "link_mass_kg": mass,
+            "type": "revolute" if robot.revolute[index] else "prismatic",
+            "lower": finite(model.lowerPositionLimit.tolist()[index]),
+            "upper": finite(model.upperPositionLimit.tolist()[index]),
+            "max_speed": finite(model.velocityLimit.tolist()[index]),
+            "link_mass_kg": float(model.inertias[index + 1].mass),
         }
-        for name, turns, lower, upper, speed, mass in zip(*columns, strict=True)
+        for index, name in enumerate(robot.joint_names)
     ]
 
 
-def _finite(value: float) -> float | None:
-    """Return `value`, None where the robot file sets no bound, which JSON has no number for."""
-    return value if math.isfinite(value) else None
-
-
-def _shown(value: float | None) -> str:
-    return "none" if value is None else f"{value:.4g}"
-
-
-def _show(findings: list[Finding], joints: list[dict[str, Any]]) -> None:
+def _print(results: list[CheckResult], joints: list[dict[str, Any]]) -> None:
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    for width in (5, None, None):
-        table.add_column(min_width=width, overflow="fold")
-    for finding in findings:
-        table.add_row(*finding)
-    console = printer()
-    console.print(table)
-    if not joints:
-        return
-    table = Table(box=box.SIMPLE_HEAD)
-    for heading in ("joint", "type"):
-        table.add_column(heading)
-    for heading in ("lower", "upper", "unit", "max. speed [unit/s]", "link mass [kg]"):
-        table.add_column(heading, justify="right")
-    for joint in joints:
-        table.add_row(
-            joint["name"],
-            joint["type"],
-            _shown(joint["lower"]),
-            _shown(joint["upper"]),
-            "rad" if joint["type"] == "revolute" else "m",
-            _shown(joint["max_speed"]),
-            f"{joint['link_mass_kg']:.4g}",
-        )
-    console.print(table)
+    for min_width in (5, None, None):
+        table.add_column(min_width=min_width, overflow="fold")
+    for result in results:
+        table.add_row(*result)
+    printer().print(table)
+    if joints:
+        headings = ("joint", "type", "lower", "upper", "max. speed [unit/s]", "link mass [kg]", "unit")
+        rows = ((*joint.values(), "rad" if joint["type"] == "revolute" else "m") for joint in joints)
+        print_table("", headings, rows)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import math
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from rich import box
-from rich.table import Table
-
-from scara_effmass.cli.console import print_json, printer
-from scara_effmass.cli.options import add_json, add_limits, add_params, settings_from
+from scara_effmass.cli.console import print_json, print_table, printer
+from scara_effmass.cli.options import add_json, add_limits, add_params, number, settings_from
 from scara_effmass.iso15066 import (
     BODY_POINTS,
     BODY_REGIONS,
@@ -23,10 +20,12 @@ from scara_effmass.iso15066 import (
 )
 
 if TYPE_CHECKING:
-    from scara_effmass.iso15066 import BodyPoint, BodyRegion, Limit, SpeedLimit
+    import argparse
+
+    from scara_effmass.iso15066 import Limit, SpeedLimit
 
 EXAMPLES = """\
-Speeds are relative ones at nominal values: the monitor's uncertainty margins come on top.
+Speeds are relative speeds at nominal values; the monitor adds its uncertainty margins.
 
 examples:
   scara-effmass limits
@@ -42,10 +41,10 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "--mass",
         dest="masses",
         action="append",
-        type=_mass,
+        type=number(minimum=MIN_EFFECTIVE_MASS, unit="kg"),
         default=[],
         metavar="KG",
-        help="effective mass to give allowable speeds for; may be given several times",
+        help="effective mass to compute allowable speeds for; may be repeated",
     )
     add_limits(parser)
     add_params(parser)
@@ -54,10 +53,10 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the rows of the chosen regions, and the speeds for the masses."""
+    """Print the rows of the chosen regions, and the allowable speeds of the masses."""
     settings = settings_from(args)
     limits = limits_for(settings)
-    # Without a choice the whole table is shown, also the regions that this kind of contact has no limit for.
+    # Without --region the whole table is shown, also the regions without a limit for this kind of contact.
     regions = [BODY_REGIONS[limit.region] for limit in limits] if settings.body_regions else list(BODY_REGIONS.values())
     names = {region.name for region in regions}
     points = [point for point in BODY_POINTS if point.region in names]
@@ -65,132 +64,81 @@ def run(args: argparse.Namespace) -> int:
         result = {
             "edition": EDITION,
             "hash": TABLE_HASH,
-            "body_points": [_point(point) for point in points],
-            "body_regions": [_region(region) for region in regions],
+            "body_points": [
+                {
+                    **asdict(point),
+                    "number": point.number,
+                    "transient_force_n": point.transient_force_n,
+                    "transient_pressure_n_cm2": point.transient_pressure_n_cm2,
+                }
+                for point in points
+            ],
+            "body_regions": [asdict(region) for region in regions],
             "contact": settings.contact.value,
             "contact_area_cm2": settings.contact_area,
             "allowable_speeds": [_speed(mass, limit) for mass in args.masses for limit in limits],
         }
         print_json(result)
         return 0
-    console = printer()
-    console.print(_points_table(points))
-    console.print(_regions_table(regions))
+    print_table(
+        "Body points: permissible force [N] and pressure [N/cm²]",
+        ("row", "point", "region", "clamped force", "clamped pressure", "transient force", "transient pressure"),
+        (
+            (
+                point.clause,
+                point.name,
+                point.region,
+                point.quasi_static_force_n,
+                point.quasi_static_pressure_n_cm2,
+                point.transient_force_n,
+                point.transient_pressure_n_cm2,
+            )
+            for point in points
+        ),
+    )
+    print_table(
+        "Body regions: Table A.3; energy for information",
+        ("region", "stiffness [N/mm]", "mass [kg]", "energy [J]"),
+        ((region.name, region.stiffness_n_m / 1e3, region.mass_kg, region.energy_j) for region in regions),
+    )
     if args.masses:
-        console.print(_speeds_table(args.masses, limits))
-        console.print(_contact_line(limits[0]))
-    console.print(f"{EDITION}; hash {TABLE_HASH}")
+        _print_speeds(args.masses, limits)
+    printer().print(f"{EDITION}; hash {TABLE_HASH}")
     return 0
 
 
-def _mass(text: str) -> float:
-    try:
-        mass = float(text)
-    except ValueError:
-        mass = math.nan
-    if not MIN_EFFECTIVE_MASS <= mass < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} kg: give a mass of at least {MIN_EFFECTIVE_MASS:g} kg")
-    return mass
-
-
-def _point(point: BodyPoint) -> dict[str, Any]:
-    return {
-        "number": point.number,
-        "name": point.name,
-        "region": point.region,
-        "clause": point.clause,
-        "quasi_static_force_n": point.quasi_static_force_n,
-        "quasi_static_pressure_n_cm2": point.quasi_static_pressure_n_cm2,
-        "transient_force_n": point.transient_force_n,
-        "transient_pressure_n_cm2": point.transient_pressure_n_cm2,
-    }
-
-
-def _region(region: BodyRegion) -> dict[str, Any]:
-    return {
-        "name": region.name,
-        "stiffness_n_m": region.stiffness_n_m,
-        "mass_kg": region.mass_kg,
-        "energy_j": region.energy_j,
-        "clause": region.clause,
-    }
-
-
-def _ceiling(mass: float, limit: Limit) -> SpeedLimit:
-    return SpeedLimits([limit]).speed_limit(mass)
+def _speed_limit(mass: float, *limits: Limit) -> SpeedLimit:
+    return SpeedLimits(limits).speed_limit(mass)
 
 
 def _speed(mass: float, limit: Limit) -> dict[str, Any]:
-    ceiling = _ceiling(mass, limit)
+    speed_limit = _speed_limit(mass, limit)
     return {
         "effective_mass_kg": mass,
         "region": limit.region,
-        "allowable_speed_m_s": ceiling.allowable_speed,
-        "criterion": ceiling.criterion,
-        "reduced_mass_kg": ceiling.reduced_mass,
+        "allowable_speed_m_s": speed_limit.allowable_speed,
+        "criterion": speed_limit.criterion,
+        "reduced_mass_kg": speed_limit.reduced_mass,
         "permissible_force_n": limit.permissible_force_n,
         "force_n": limit.force_n,
         "pressure_n_cm2": limit.pressure_n_cm2,
-        "energy_j": transferred_energy(ceiling.allowable_speed, ceiling.reduced_mass),
+        "energy_j": transferred_energy(speed_limit.allowable_speed, speed_limit.reduced_mass),
         "clause": limit.clause,
     }
 
 
-def _points_table(points: list[BodyPoint]) -> Table:
-    table = Table(
-        box=box.SIMPLE_HEAD, title="Body points: force [N] and pressure [N/cm²] that are borne", title_justify="left"
-    )
-    for heading in ("row", "point", "region"):
-        table.add_column(heading)
-    for heading in ("clamped force", "clamped pressure", "transient force", "transient pressure"):
-        table.add_column(heading, justify="right")
-    for point in points:
-        table.add_row(
-            point.clause,
-            point.name,
-            point.region,
-            f"{point.quasi_static_force_n:g}",
-            f"{point.quasi_static_pressure_n_cm2:g}",
-            _or_none(point.transient_force_n),
-            _or_none(point.transient_pressure_n_cm2),
-        )
-    return table
-
-
-def _or_none(value: float | None) -> str:
-    return "none given" if value is None else f"{value:g}"
-
-
-def _regions_table(regions: list[BodyRegion]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, title="Body regions: Table A.3; energy for information", title_justify="left")
-    table.add_column("region")
-    for heading in ("stiffness [N/mm]", "mass [kg]", "energy [J]"):
-        table.add_column(heading, justify="right")
-    for region in regions:
-        table.add_row(region.name, f"{region.stiffness_n_m / 1e3:g}", f"{region.mass_kg:g}", f"{region.energy_j:g}")
-    return table
-
-
-def _speeds_table(masses: list[float], limits: tuple[Limit, ...]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, title="Allowable speed [mm/s], and what sets it", title_justify="left")
-    table.add_column("region")
-    for mass in masses:
-        table.add_column(f"{mass:g} kg", justify="right")
-    table.add_column("limits")
+def _print_speeds(masses: list[float], limits: tuple[Limit, ...]) -> None:
+    rows = []
     for limit in limits:
-        table.add_row(limit.region, *(_cell(_ceiling(mass, limit)) for mass in masses), limit.clause)
+        speed_limits = (_speed_limit(mass, limit) for mass in masses)
+        speeds = (f"{1e3 * speed.allowable_speed:.0f} ({speed.criterion})" for speed in speed_limits)
+        rows.append((limit.region, *speeds, limit.clause))
     if len(limits) > 1:
-        tightest = SpeedLimits(limits)
-        table.add_section()
-        table.add_row("tightest", *(_cell(tightest.speed_limit(mass), named=True) for mass in masses), "")
-    return table
-
-
-def _cell(ceiling: SpeedLimit, *, named: bool = False) -> str:
-    what = f"{ceiling.limit.region}, {ceiling.criterion}" if named else ceiling.criterion
-    return f"{1e3 * ceiling.allowable_speed:.0f} ({what})"
-
-
-def _contact_line(limit: Limit) -> str:
-    person = "the body part clamped" if math.isinf(limit.obstacle_mass_kg) else "the body part free to give way"
-    return f"{limit.contact.value} contact, {person}; contact area {limit.contact_area_cm2:g} cm²"
+        speed_limits = (_speed_limit(mass, *limits) for mass in masses)
+        speeds = (f"{1e3 * s.allowable_speed:.0f} ({s.limit.region}, {s.criterion})" for s in speed_limits)
+        rows.append(("lowest", *speeds, ""))
+    headings = ("region", *(f"{mass:g} kg" for mass in masses), "limits")
+    print_table("Allowable speed [mm/s] and the limit that sets it", headings, rows)
+    person = "clamped body part" if math.isinf(limits[0].obstacle_mass_kg) else "body part free to recoil"
+    area = f"contact area {limits[0].contact_area_cm2:g} cm²"
+    printer().print(f"{limits[0].contact.value} contact, {person}; {area}")

@@ -2,23 +2,41 @@
 
 from __future__ import annotations
 
+import argparse
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scara_effmass.cli.console import printer as printer  # noqa: PLC0414 - moved
 from scara_effmass.settings import ContactType, MassModel, MonitorSettings, checked, load_settings
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from scara_effmass.model.dynamics import RobotDynamics
 
 
+def number(
+    *, minimum: float = -math.inf, above: float = -math.inf, finite: bool = True, unit: str = ""
+) -> Callable[[str], float]:
+    """Return an argparse type: a number of at least `minimum` and greater than `above`."""
+    rule = f"> {above:g}" if above > -math.inf else f">= {minimum:g}"
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (value >= minimum and value > above) or (finite and math.isinf(value)):
+            raise argparse.ArgumentTypeError(f"{text}: must be a number {rule} {unit}".rstrip())
+        return value
+
+    return parse
+
+
 def add_params(parser: argparse.ArgumentParser, node: str = "monitor_node") -> None:
-    """Add --params, the file that the other options override."""
-    parser.add_argument("--params", type=Path, metavar="FILE", help=f"YAML file of the parameters of {node}")
+    """Add --params, a parameter file that the other options override."""
+    parser.add_argument("--params", type=Path, metavar="FILE", help=f"YAML file with the parameters of {node}")
 
 
 def add_robot(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +46,7 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
         "--model",
         dest="effective_mass_model",
         choices=[model.value for model in MassModel],
-        help="effective mass behind the verdict (default: lumped)",
+        help="effective mass that decides the verdict (default: lumped)",
     )
 
 
@@ -39,16 +57,16 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         dest="body_regions",
         action="append",
         metavar="NAME",
-        help="body region that can be hit; may be given several times (default: all with a limit)",
+        help="body region that the robot can hit; may be repeated (default: all with a limit)",
     )
     parser.add_argument(
-        "--contact", choices=[contact.value for contact in ContactType], help="kind of contact (default: transient)"
+        "--contact", choices=[contact.value for contact in ContactType], help="type of contact (default: transient)"
     )
 
 
 def add_topic(parser: argparse.ArgumentParser) -> None:
     """Add --topic."""
-    parser.add_argument("--topic", help="topic of the joint states (default: joint_states, or the only one)")
+    parser.add_argument("--topic", help="topic of the joint states (default: joint_states, else the only one)")
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -58,38 +76,38 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def add_force(parser: argparse.ArgumentParser) -> None:
     """Add --force."""
-    parser.add_argument("--force", action="store_true", help="replace output that exists already")
+    parser.add_argument("--force", action="store_true", help="replace existing output")
 
 
 def settings_from(
     args: argparse.Namespace,
     others: Collection[str] = (),
-    **more: Any,  # noqa: ANN401 - any setting
+    **overrides: Any,  # noqa: ANN401 - any setting
 ) -> MonitorSettings:
-    """Return the settings of --params, which may be for `others` alone, with the other options over them.
+    """Return the monitor's settings: those of --params, overridden by the other options and by `overrides`.
 
-    Raises SettingsError.
+    A parameter file for the nodes `others` alone leaves the defaults. Raises SettingsError.
     """
     settings = load_settings(MonitorSettings, args.params, "monitor", others) if args.params else MonitorSettings()
-    given = {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | more
-    changes = {name: value for name, value in given.items() if value is not None}
+    options = {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | overrides
+    changes = {name: value for name, value in options.items() if value is not None}
     return checked(MonitorSettings, {**settings.model_dump(), **changes}, "options")
 
 
-def node_arguments(params: Path | None, given: Mapping[str, Any], ros_arguments: Sequence[str]) -> list[str]:
-    """Return everything as ROS arguments: the file first, then `given`, then the user's own; the last one wins."""
-    words = ["--ros-args"]
+def node_arguments(params: Path | None, parameters: Mapping[str, Any], ros_arguments: Sequence[str]) -> list[str]:
+    """Return ROS arguments: the parameter file, then `parameters`, then the user's own; the last one wins."""
+    arguments = ["--ros-args"]
     if params:
-        words += ["--params-file", str(params)]
-    for name, value in given.items():
+        arguments += ["--params-file", str(params)]
+    for name, value in parameters.items():
         if value is not None and value != "":
-            # In quotes, because ROS reads the value as YAML and would take some file names for numbers.
-            words += ["-p", f"{name}:={json.dumps(value)}"]
-    return [*words, "--", *ros_arguments]
+            # ROS parses the value as YAML: unquoted, some file names would become numbers.
+            arguments += ["-p", f"{name}:={json.dumps(value)}"]
+    return [*arguments, "--", *ros_arguments]
 
 
 def load_dynamics(settings: MonitorSettings) -> RobotDynamics:
-    """Return the robot that `settings` mean, with its models. Raises RobotError."""
+    """Return the robot of `settings` with its mass models. Raises RobotError."""
     from scara_effmass.model.dynamics import RobotDynamics  # noqa: PLC0415 - not needed for --help
     from scara_effmass.model.load import load_robot  # noqa: PLC0415
 

@@ -72,7 +72,7 @@ def test_a_robot_without_the_chosen_model_is_not_healthy(tmp_path: Path, capsys:
     assert result["healthy"] is False
     (wrong,) = texts(result, "wrong").values()
     assert "choose full or iso" in wrong
-    assert "is the tool" in texts(result, "note")["payload"]
+    assert "the last link must include the tool" in texts(result, "note")["payload"]
     code, result = examined(capsys, "--robot", robot, "--model", "full")
     assert code == 0
     assert texts(result, "wrong") == {}
@@ -158,14 +158,14 @@ def test_the_converter_is_found(capsys: pytest.CaptureFixture[str]) -> None:
     assert ok["NI-DAQmx"] == "24.5.1"
     assert ok["cDAQ1"] == "cDAQ-9171"
     assert ok["cDAQ1Mod1"] == "NI 9230; for an IEPE force sensor: cDAQ1Mod1/ai0, cDAQ1Mod1/ai1"
-    assert ok["ni9230.channels"] == "cDAQ1Mod1/ai0: there"
+    assert ok["ni9230.channels"] == "cDAQ1Mod1/ai0: present"
 
 
 @pytest.mark.parametrize(
     ("devices", "note"),
     [
-        ((), "cDAQ1Mod1/ai0 not found; here: none"),
-        ((MODULE._replace(channels=("Dev2/ai0",)),), "cDAQ1Mod1/ai0 not found; here: Dev2/ai0"),
+        ((), "cDAQ1Mod1/ai0 not found; present: none"),
+        ((MODULE._replace(channels=("Dev2/ai0",)),), "cDAQ1Mod1/ai0 not found; present: Dev2/ai0"),
     ],
 )
 def test_a_channel_that_is_not_there_is_worth_a_note(
@@ -203,11 +203,11 @@ def test_the_channel_of_a_parameter_file_is_looked_for(tmp_path: Path, capsys: p
     assert "ni9230.channels" not in texts(result, "note") | texts(result, "ok")
     file.write_text(monitor, encoding="utf-8")
     _, result = examined(capsys, "--params", str(file))
-    assert "daq (or /**) would be right; what follows is about its defaults" in texts(result, "note")["daq_node"]
+    assert "; the defaults are checked instead" in texts(result, "note")["daq_node"]
 
 
 @pytest.mark.usefixtures("driver")
 def test_a_parameter_file_of_the_force_node_alone_will_do(capsys: pytest.CaptureFixture[str]) -> None:
     code, result = examined(capsys, "--params", str(share("config", "daq.yaml")))
     assert code == 0
-    assert texts(result, "ok")["ni9230.channels"] == "cDAQ1Mod1/ai0: there"
+    assert texts(result, "ok")["ni9230.channels"] == "cDAQ1Mod1/ai0: present"

@@ -82,9 +82,9 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "unknown model": (["doctor", "--model", "heavy"], "'heavy'"),
     "unknown region": (["limits", "--region", "tail"], "body_regions = 'tail': must be one of skull"),
     "region without a limit": (["limits", "--region", "face"], "no transient limit"),
-    "mass that is none": (["limits", "--mass", "nan"], "'nan' kg: give a mass of at least"),
+    "mass that is none": (["limits", "--mass", "nan"], "argument --mass: nan: must be a number >= 1e-06 kg"),
     "ROS arguments where no node runs": (["limits", "--ros-args", "-p", "a:=1"], "--ros-args"),
-    "missing robot": (["doctor", "--robot", "no.urdf"], "no.urdf: there is no such file"),
+    "missing robot": (["doctor", "--robot", "no.urdf"], "no.urdf: no such file; must be a URDF or DH YAML file"),
     "missing parameters": (["assess", TOUR, "-o", "a.csv", "--params", "no.yaml"], "no.yaml: cannot be read"),
     "missing parameters of a node": (["monitor", "--params", "no.yaml"], "no.yaml: cannot be read"),
     "missing bag": (["assess", "no.mcap", "-o", "a.csv"], "no.mcap: there is no such file"),
@@ -109,7 +109,7 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
         ["assess", TOUR, "-o", "/proc/none/a.mcap"],
         "/proc/none/a.mcap: cannot be written",
     ),
-    "negative rate": (["replay", TOUR, "--rate", "-1"], "rate = -1.0: 0 or more would be right"),
+    "negative rate": (["replay", TOUR, "--rate", "-1"], "rate = -1.0: must be 0 or more"),
     "missing bag to replay": (["replay", "no.mcap"], "no.mcap: there is no such file"),
 }
 
