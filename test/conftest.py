@@ -41,9 +41,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.live)
 
 
-def pytest_xdist_auto_num_workers() -> int:
-    """Return the default number of worker processes: twice the cores, because live tests mostly wait."""
-    return 2 * len(os.sched_getaffinity(0))
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Return the default number of worker processes: one per core, and twice that for live tests, which mostly wait."""
+    cores = len(os.sched_getaffinity(0))
+    return cores if config.option.markexpr == "not live" else 2 * cores
 
 
 @pytest.hookimpl(wrapper=True)
