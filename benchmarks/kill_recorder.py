@@ -28,8 +28,7 @@ from rosbags.highlevel import AnyReader
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.recording import BagRecorder
-from scara_effmass.bags.recording_options import RecordingOptions
+from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
 from scara_effmass.bags.repair import repair
 from scara_effmass.errors import BagError
 
@@ -76,9 +75,9 @@ def message(topic: int, number: int) -> bytes:
 
 
 def _run(bag: Path, generator: random.Random) -> Outcome:
-    options = RecordingOptions(
+    options = RecorderOptions(
         compress=generator.random() < 0.7,
-        part_bytes=generator.choice((0, 20_000, 200_000)),
+        max_file_bytes=generator.choice((0, 20_000, 200_000)),
         flush_period_s=FLUSH_S,
         reserve_bytes=0,
         warn_bytes=0,
@@ -100,7 +99,7 @@ def _run(bag: Path, generator: random.Random) -> Outcome:
     return _checked(bag, after_s, killed_ns, told)
 
 
-def _record(bag: Path, options: RecordingOptions, send: int) -> NoReturn:
+def _record(bag: Path, options: RecorderOptions, send: int) -> NoReturn:
     """Record until killed, in the process of the run."""
     try:
         recording = BagRecorder(bag, options)
@@ -110,7 +109,7 @@ def _record(bag: Path, options: RecordingOptions, send: int) -> NoReturn:
             for _ in range(BURST):
                 for topic in numbers[count % 10 != 0 :]:  # every tenth message of the one is beside one of the other
                     number = count // 10 if topic == 0 else count
-                    recording.put(topic, time.time_ns(), message(topic, number))
+                    recording.write(topic, time.time_ns(), message(topic, number))
                 count += 1
             os.write(send, TOLD.pack(recording.report().saved))
             time.sleep(PAUSE_S)

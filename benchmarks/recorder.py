@@ -25,10 +25,9 @@ from usage import cpu_s, resident_mb
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.messages import joint_state_message
-from scara_effmass.bags.recording import BagRecorder
-from scara_effmass.bags.recording_options import RecordingOptions
+from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
 from scara_effmass.values import JointState
+from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import JOINT_STATE
 
 MESSAGES = 200_000
@@ -68,12 +67,12 @@ def measure() -> tuple[float, float]:
 
 def _record(folder: Path, messages: list[bytes]) -> float:
     """Return how long it takes until everything is on the disk [s]."""
-    options = RecordingOptions(queue_messages=MESSAGES, queue_bytes=1 << 30)
+    options = RecorderOptions(queue_messages=MESSAGES, queue_bytes=1 << 30)
     started = time.perf_counter()
     with BagRecorder(folder, options) as recording:
         topic = recording.add_topic("/joint_states", JOINT_STATE)
         for number, data in enumerate(messages):
-            recording.put(topic, START_NS + number * STEP_NS, data)
+            recording.write(topic, START_NS + number * STEP_NS, data)
     seconds = time.perf_counter() - started
     if (saved := recording.report().saved) != MESSAGES:
         raise RuntimeError(f"{saved} of {MESSAGES} messages were recorded")

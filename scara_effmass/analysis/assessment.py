@@ -56,7 +56,7 @@ def assess_joint_states(bag: Bag, topic: str, monitor: Monitor) -> Iterator[Cycl
     """
     count = 0
     for block in bag.joint_state_blocks(topic):
-        for log_time_ns, reason in block.unreadable:
+        for log_time_ns, reason in block.decode_failures:
             count += 1
             yield Cycle(log_time_ns, None, monitor.reject(reason))
         for log_time_ns, state in zip(block.log_time_ns.tolist(), block.states(), strict=True):

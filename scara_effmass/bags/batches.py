@@ -1,4 +1,4 @@
-"""Messages as every kind of recording hands them on: many at a time, in log-time order."""
+"""Batches of messages in log-time order, common to all bag formats."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ if TYPE_CHECKING:
 
 IntArray = NDArray[np.int64]
 
-LATEST_NS = 2**63 - 1
-"""The end of time as ROS counts it."""
+MAX_TIME_NS = 2**63 - 1
 
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic of a recording. `type_hash` is the REP 2011 hash or the ROS 1 MD5 sum, empty where none is stored.
+    """A topic of a bag. `type_hash` is the REP 2011 hash or the ROS 1 MD5 sum, empty if the bag stores none.
 
-    `offered_qos` is what its publishers offered, in rosbag2's YAML, known to whoever writes a recording.
+    `offered_qos` is the QoS of its publishers in rosbag2's YAML; bags being read leave it empty.
     """
 
     name: str
@@ -34,7 +33,7 @@ class Topic:
 
 
 class Source(Protocol):
-    """A recording of one format: its files, open. Time is log time, in [ns]."""
+    """The open files of a bag. Times are log times [ns]."""
 
     topics: tuple[Topic, ...]
     start_ns: int
@@ -42,23 +41,23 @@ class Source(Protocol):
 
     @property
     def types(self) -> Typestore:
-        """The message types: those defined in the recording, else the known ones."""
+        """The message types: those that the bag defines, otherwise the known ones."""
 
     def batches(self, topics: Collection[int], start_ns: int, stop_ns: int) -> Iterator[MessageBatch]:
-        """Yield the messages of these indices of `topics`, from `start_ns` up to but without `stop_ns`, in order."""
+        """Yield the messages of these topic indices with start_ns <= log time < stop_ns, in log-time order."""
 
     def close(self) -> None:
         """Close the files."""
 
 
-class Losses:
-    """What could not be read, one line each, however often it was tried."""
+class LossLog:
+    """Lines that say which data could not be read. Reading again repeats no line."""
 
     def __init__(self) -> None:
         self._counts: dict[str, int] = {}
 
     def add(self, line: str, count: int = 1) -> None:
-        """Note what `line` says; `count` is how often it has happened in this reading so far."""
+        """Add `line`, or raise its count to `count`, the number of occurrences in the current reading."""
         self._counts[line] = max(count, self._counts.get(line, 0))
 
     def __iter__(self) -> Iterator[str]:
@@ -66,9 +65,9 @@ class Losses:
 
 
 class MessageBatch(NamedTuple):
-    """Some messages (m,) of one recording, all in one buffer.
+    """Messages (m,) of one bag in one buffer.
 
-    `data[start[i]:stop[i]]` are the CDR bytes of message i, `topic[i]` is its index in the topics of the source.
+    `data[start[i]:stop[i]]` are the CDR bytes of message i, `topic[i]` is the index of its topic in the source.
     """
 
     data: bytes
@@ -77,28 +76,28 @@ class MessageBatch(NamedTuple):
     start: IntArray
     stop: IntArray
 
-    def pick(self, which: IntArray | NDArray[np.bool_] | slice) -> MessageBatch:
-        """Return the messages that a numpy index picks, over the same buffer."""
-        return MessageBatch(self.data, self.topic[which], self.log_time_ns[which], self.start[which], self.stop[which])
+    def select(self, index: IntArray | NDArray[np.bool_] | slice) -> MessageBatch:
+        """Return the messages that a numpy index selects, over the same buffer."""
+        return MessageBatch(self.data, self.topic[index], self.log_time_ns[index], self.start[index], self.stop[index])
 
-    def followed_by(self, other: MessageBatch) -> MessageBatch:
-        """Return both batches in one; the buffer of this one is cut down to what its messages need."""
+    def joined_with(self, other: MessageBatch) -> MessageBatch:
+        """Return both batches as one; only the messages of this one are copied, not its whole buffer."""
         if not len(self.topic):
             return other
         messages = [self.data[first:last] for first, last in zip(self.start, self.stop, strict=True)]
-        mine = batch_of(self.topic, self.log_time_ns, messages)
-        shift = len(mine.data)
+        head = batch_of(self.topic, self.log_time_ns, messages)
+        shift = len(head.data)
         return MessageBatch(
-            mine.data + other.data,
-            np.concatenate((mine.topic, other.topic)),
-            np.concatenate((mine.log_time_ns, other.log_time_ns)),
-            np.concatenate((mine.start, other.start + shift)),
-            np.concatenate((mine.stop, other.stop + shift)),
+            head.data + other.data,
+            np.concatenate((head.topic, other.topic)),
+            np.concatenate((head.log_time_ns, other.log_time_ns)),
+            np.concatenate((head.start, other.start + shift)),
+            np.concatenate((head.stop, other.stop + shift)),
         )
 
 
 def batch_of(topic: Iterable[int], log_time_ns: Iterable[int], messages: list[bytes]) -> MessageBatch:
-    """Return single messages as a batch."""
+    """Return messages as a batch."""
     stop = np.cumsum(np.fromiter(map(len, messages), np.int64, len(messages)))
     return MessageBatch(
         b"".join(messages),
@@ -113,19 +112,19 @@ NO_MESSAGES = MessageBatch(b"", *(np.empty(0, np.int64) for _ in range(4)))
 
 
 def in_log_time_order(batches: Iterable[tuple[MessageBatch, int]]) -> Iterator[MessageBatch]:
-    """Put the messages of `batches` into log-time order; equal times keep their order.
+    """Yield the messages of `batches` in log-time order; equal times keep their order.
 
-    Each batch comes with a time that no message of a later batch lies before; what is later than that is held
-    back. So the memory this takes depends on how far the batches overlap, not on how many there are.
+    Each batch comes with a lower bound of the log times of all later batches. Messages after that bound are held
+    back, so memory depends on how far the batches overlap, not on their number.
     """
     held = NO_MESSAGES
-    for fresh, horizon_ns in batches:
-        batch = held.followed_by(fresh)
-        if np.any(np.diff(batch.log_time_ns) < 0):
-            batch = batch.pick(np.argsort(batch.log_time_ns, kind="stable"))
-        ready = int(np.searchsorted(batch.log_time_ns, horizon_ns, side="right"))
+    for batch, horizon_ns in batches:
+        joined = held.joined_with(batch)
+        if np.any(np.diff(joined.log_time_ns) < 0):
+            joined = joined.select(np.argsort(joined.log_time_ns, kind="stable"))
+        ready = int(np.searchsorted(joined.log_time_ns, horizon_ns, side="right"))
         if ready:
-            yield batch.pick(slice(None, ready))
-        held = batch.pick(slice(ready, None))
+            yield joined.select(slice(None, ready))
+        held = joined.select(slice(ready, None))
     if len(held.topic):
         yield held

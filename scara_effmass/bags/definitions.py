@@ -1,4 +1,4 @@
-"""Message definitions: those a recording brings along win, the project's own and those of ROS 2 Jazzy fill in."""
+"""Message definitions: of a bag, of live publishers, of this package and of ROS 2 Jazzy."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import os
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from rosbags.interfaces import MessageDefinitionFormat
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.interfaces import MessageDefinitionFormat, Nodetype
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from scara_effmass.errors import BagError
@@ -17,18 +17,20 @@ from scara_effmass.share import share
 from scara_effmass.wire.message_types import HEADER, JOINT_STATE, OWN_PACKAGE, TIME
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from rosbags.interfaces import MessageDefinition
     from rosbags.interfaces.typing import Typesdict
 
-IDL_MARK = "=" * 80 + "\n"
+IDL_SEPARATOR = "=" * 80 + "\n"
+UNSET_HASH = "RIHS01_" + 64 * "0"
+"""Hash of publishers that do not state their definition."""
 
 
 @cache
 def own_types() -> Typesdict:
     """Return the definitions of `scara_effmass_msgs`, from the installed .msg files."""
-    folder = _message_folder()
+    folder = _own_message_folder()
     types: Typesdict = {}
     for path in sorted(folder.glob("*.msg")):
         types |= get_types_from_msg(path.read_text(encoding="utf-8"), f"{OWN_PACKAGE}/msg/{path.stem}")
@@ -37,23 +39,23 @@ def own_types() -> Typesdict:
 
 @cache
 def known_types() -> Typestore:
-    """Return the types of ROS 2 Jazzy and the project's own."""
+    """Return the types of ROS 2 Jazzy and of this package."""
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(own_types())
     return store
 
 
 def types_of(definitions: Mapping[str, MessageDefinition], *, ros1: bool = False) -> Typestore:
-    """Return a store of the types in `definitions` and, where they leave any open, of the known ones.
+    """Return the types in `definitions`, completed by the known ones.
 
-    A definition that cannot be understood is left out: it must not keep anyone from reading the other topics.
-    With `ros1`, the header is that of ROS 2, into which ROS 1 messages are converted.
+    Invalid definitions are skipped, so that other topics stay readable. With `ros1`, the header is that of ROS 2, to
+    which ROS 1 messages are converted.
     """
     store = Typestore()
-    # the first definition of a type stays: let that be the one the joint states came with
+    # Typestore keeps the first definition of a type: the one that comes with the joint states.
     for name in sorted(definitions, key=lambda name: name != JOINT_STATE):
         with suppress(Exception):
-            embedded = _parsed(name, definitions[name])
+            embedded = _parse(name, definitions[name])
             if ros1:
                 embedded.pop(HEADER, None)
             store.register(embedded)
@@ -64,34 +66,88 @@ def types_of(definitions: Mapping[str, MessageDefinition], *, ros1: bool = False
     return store
 
 
-def check_definition(types: Typestore, kind: str, origin: str) -> None:
-    """Refuse a recording whose own definition of `kind`, which has a Header, is not the known one; raises BagError."""
+def check_definition(types: Typestore, message_type: str, origin: str) -> None:
+    """Raise BagError if a bag defines a type with a Header differently from the known one."""
     known = known_types()
-    for name in (kind, HEADER, TIME):
-        fields, right = ([(field, kind) for field, kind in store.fielddefs[name][1]] for store in (types, known))
-        if fields != right:
-            whose = "this version's" if name.startswith(OWN_PACKAGE) else "that of ROS"
-            raise BagError(f"{origin}: its own definition of {name} is not {whose}; {kind} cannot be read")
+    for name in (message_type, HEADER, TIME):
+        fields, known_fields = (
+            [(field, field_type) for field, field_type in store.fielddefs[name][1]] for store in (types, known)
+        )
+        if fields != known_fields:
+            expected = "this version" if name.startswith(OWN_PACKAGE) else "ROS"
+            raise BagError(f"{origin}: definition of {name}: must be that of {expected}; cannot read {message_type}")
 
 
-def _message_folder() -> Path:
-    """Return where the .msg files are: in a checkout, beside the package's own files, or in another ROS prefix."""
-    mine = share("package.xml").parent
+def definition_of(types: Typestore, message_type: str, origin: str) -> tuple[str, str]:
+    """Return the definition of a type with all types it refers to, and its hash. Raises BagError if unknown."""
+    try:
+        definition, _ = types.generate_msgdef(message_type, ros_version=2)
+        return definition, types.hash_rihs01(message_type)
+    except (TypesysError, LookupError):
+        raise BagError(f"{origin}: type {message_type} is not defined") from None
+
+
+def published_types(message_type: str, type_hash: str, definition_text: Callable[[str], str]) -> Typestore:
+    """Return types in which `message_type` has the definition with the hash `type_hash` (RIHS01_...).
+
+    `definition_text` returns the .msg text of an installed type, empty if there is none. Raises BagError if neither the
+    known nor the installed definition has that hash.
+    """
+    stated_hash = type_hash if type_hash.startswith("RIHS01_") and type_hash != UNSET_HASH else ""
+    known = known_types()
+    if message_type in known.fielddefs and stated_hash in {"", known.hash_rihs01(message_type)}:
+        return known
+    installed = Typestore()
+    _register_installed(installed, message_type, definition_text)
+    if stated_hash not in {"", installed.hash_rihs01(message_type)}:
+        raise BagError(f"the published definition of {message_type} differs from the installed one")
+    return installed
+
+
+def _register_installed(store: Typestore, message_type: str, definition_text: Callable[[str], str]) -> None:
+    """Add a type and the types it refers to. Raises BagError."""
+    pending = {message_type}
+    while pending:
+        name = pending.pop()
+        text = definition_text(name)
+        if not text:
+            raise BagError(f"type {name}: its package installs no .msg file")
+        try:
+            types = get_types_from_msg(text, name)
+            store.register(types)
+        except (TypesysError, ValueError) as error:
+            raise BagError(f"type {name}: invalid .msg file: {' '.join(str(error).split())}") from None
+        field_types = (field_type for _, fields in types.values() for _, field_type in fields)
+        pending |= {other for field_type in field_types for other in _referenced(field_type)} - store.fielddefs.keys()
+
+
+def _referenced(field_type: Any) -> Iterator[str]:  # noqa: ANN401 - nested tuples of rosbags
+    """Yield the message types in the type of a field."""
+    node, content = field_type
+    if node == Nodetype.NAME:
+        yield content
+    elif node in {Nodetype.ARRAY, Nodetype.SEQUENCE}:
+        yield from _referenced(content[0])
+
+
+def _own_message_folder() -> Path:
+    """Return the folder of the .msg files, in a checkout or a ROS prefix."""
+    root = share("package.xml").parent
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    installed = [mine.parent / OWN_PACKAGE, *(prefix / "share" / OWN_PACKAGE for prefix in prefixes)]
-    for folder in (mine / "msg_schemas", *installed):
+    candidates = [root / "msg_schemas", root.parent / OWN_PACKAGE]
+    for folder in (*candidates, *(prefix / "share" / OWN_PACKAGE for prefix in prefixes)):
         if any((folder / "msg").glob("*.msg")):
             return folder / "msg"
-    raise BagError(f"{mine}: no {OWN_PACKAGE}/msg/*.msg beside it or in AMENT_PREFIX_PATH; install {OWN_PACKAGE}")
+    raise BagError(f"{root}: no {OWN_PACKAGE}/msg/*.msg here or in AMENT_PREFIX_PATH; install {OWN_PACKAGE}")
 
 
-def _parsed(name: str, definition: MessageDefinition) -> Typesdict:
+def _parse(name: str, definition: MessageDefinition) -> Typesdict:
     if definition.format == MessageDefinitionFormat.MSG:
         return get_types_from_msg(definition.data, name)
     types: Typesdict = {}
-    parts = definition.data.split(IDL_MARK) if definition.data.startswith(f"{IDL_MARK}IDL: ") else [definition.data]
-    for part in parts:
-        text = part.partition("\n")[2] if part.startswith("IDL: ") else part
-        if text.strip():
-            types |= get_types_from_idl(text)
+    text = definition.data
+    for part in text.split(IDL_SEPARATOR) if text.startswith(f"{IDL_SEPARATOR}IDL: ") else [text]:
+        idl = part.partition("\n")[2] if part.startswith("IDL: ") else part
+        if idl.strip():
+            types |= get_types_from_idl(idl)
     return types

@@ -1,167 +1,158 @@
-"""An MCAP file written anew from whatever of another one can be read."""
+"""Copy the readable content of a damaged MCAP file to a new one."""
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, BinaryIO, final
+from io import BytesIO
+from typing import TYPE_CHECKING, BinaryIO
 
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from scara_effmass.bags.batches import LATEST_NS, Losses
-from scara_effmass.bags.mcap_records import HEAD, MESSAGE_HEAD, chunk_segment, records, stream
+from scara_effmass.bags.batches import MAX_TIME_NS, LossLog
+from scara_effmass.bags.mcap_file import DAMAGE, RECORD_HEAD, chunk_content, records
 from scara_effmass.errors import DecodeError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from scara_effmass.bags.mcap_records import Record
+    from mcap.records import McapRecord
 
-_MESSAGE = struct.Struct("<HIQQ")
-_COMPRESSION = {"": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
+    from scara_effmass.bags.mcap_file import Record
+
+COMPRESSIONS = {"": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
 
 
 @dataclass(slots=True)
-class Copied:
-    """What a copy holds, and what could not be copied, a line each."""
+class CopyResult:
+    """The content of a copy, and lines about what could not be copied."""
 
     messages: int = 0
-    lost: Losses = field(default_factory=Losses)
-    gaps: bool = False
-    """More is lost than the torn end: the original has bytes that somebody else may make sense of."""
+    losses: LossLog = field(default_factory=LossLog)
+    has_gaps: bool = False
+    """More is lost than the torn end: the original has bytes that another tool may be able to read."""
 
 
-def copy_records(path: Path, file: BinaryIO, out: BinaryIO) -> Copied:
-    """Write to `out` all that can be read of the MCAP file `file` called `path`, with index and summary.
+def copy_records(path: Path, file: BinaryIO, output: BinaryIO) -> CopyResult:
+    """Write everything readable in the MCAP file `file`, called `path`, to `output`, with index and summary.
 
-    Chunks stay as they are cut; messages keep their bytes, times and sequence numbers.
+    Chunk boundaries, messages, times and sequence numbers are kept.
     """
-    copied = Copied()
+    result = CopyResult()
     size = file.seek(0, 2)
-    profile, library, compression = _begin(file, size)
-    writer = Writer(out, chunk_size=LATEST_NS, compression=compression)
-    writer.start(profile, library)
-    copy = _Copy(path, writer, copied)
+    header, compression = _format(file, size)
+    writer = Writer(output, chunk_size=MAX_TIME_NS, compression=compression)
+    writer.start(header.profile, header.library)
+    copy = _Copy(path, writer, result)
     for record in records(file, size):
         if record.opcode == Opcode.DATA_END:
             break
         if record.opcode == 0:
-            copied.lost.add(f"{path}: byte {record.at} on is no MCAP any more; what came there is lost")
-            copied.gaps = True
+            result.losses.add(f"{path}: byte {record.start} on is not MCAP; the rest is lost")
+            result.has_gaps = True
             break
         if record.opcode == Opcode.CHUNK:
-            copy.chunk(file, record)
-        elif record.present == record.size:
-            file.seek(record.at)
-            copy.record(record.opcode, file.read(record.size))
+            copy.add_chunk(file, record)
+        elif not record.is_cut:
+            file.seek(record.start - RECORD_HEAD.size)
+            copy.add_records(file.read(RECORD_HEAD.size + record.size))
     writer.finish()  # type: ignore[no-untyped-call]
-    return copied
+    return result
 
 
-def _begin(file: BinaryIO, size: int) -> tuple[str, str, CompressionType]:
-    """Return profile and library of a file, and how its first chunk is compressed."""
-    profile, library = "", ""
+def _format(file: BinaryIO, size: int) -> tuple[Header, CompressionType]:
+    """Return the header and the compression of the first readable chunk."""
+    header = Header(profile="", library="")
     for record in records(file, size):
-        file.seek(record.at)
         try:
             if record.opcode == Opcode.HEADER:
-                header = Header.read(stream(file.read(record.present)))
-                profile, library = header.profile, header.library
-            elif record.opcode == Opcode.CHUNK and (segment := chunk_segment(file, record)):
-                return profile, library, _COMPRESSION[segment.compression]
-        except (DecodeError, McapError, struct.error, ValueError, LookupError):
+                file.seek(record.start - RECORD_HEAD.size)
+                content = file.read(RECORD_HEAD.size + record.available)
+                header = next((r for r in _parse(content) if isinstance(r, Header)), header)
+            elif record.opcode == Opcode.CHUNK:
+                return header, COMPRESSIONS[chunk_content(file, record)[1]]
+        except DAMAGE:  # noqa: PERF203 - once per file
             continue
-    return profile, library, CompressionType.ZSTD
+    return header, CompressionType.ZSTD
 
 
-@final
+def _parse(data: bytes) -> Iterator[McapRecord]:
+    """Yield the complete records in `data`. Raises one of `DAMAGE`."""
+    try:
+        yield from StreamReader(BytesIO(data), skip_magic=True).records
+    except EndOfFile:
+        return
+
+
 class _Copy:
-    """Takes records over; schemas and channels get the numbers that the new file gives them."""
+    """Adds records to a writer, which assigns new ids to schemas and channels."""
 
-    def __init__(self, path: Path, writer: Writer, copied: Copied) -> None:
+    def __init__(self, path: Path, writer: Writer, result: CopyResult) -> None:
         self._path = path
         self._writer = writer
-        self._copied = copied
+        self._result = result
         self._schemas: dict[int, tuple[Schema | None, int]] = {0: (None, 0)}
         self._channels: dict[int, tuple[Channel, int]] = {}
-        self._unknown = 0
+        self._undefined_messages = 0
 
-    def chunk(self, file: BinaryIO, record: Record) -> None:
-        """Take over a chunk, of a cut one what comes before the cut."""
-        before = self._copied.messages
+    def add_chunk(self, file: BinaryIO, record: Record) -> None:
+        """Copy a chunk; of a cut one, the records before the cut."""
+        previous_messages = self._result.messages
         try:
-            segment = chunk_segment(file, record)
-            data = segment.read(file) if segment else b""
+            data, _ = chunk_content(file, record)
         except DecodeError as error:
-            self._lose(f"chunk at byte {record.at} is lost: {error}")
-            self._copied.gaps |= record.present == record.size
+            self._result.losses.add(f"{self._path}: chunk at byte {record.start} is lost: {error}")
+            self._result.has_gaps |= not record.is_cut
             return
-        for opcode, content in _records_in(data):
-            self.record(opcode, content)
+        self.add_records(data, is_cut=record.is_cut)
         self._writer.flush()  # type: ignore[no-untyped-call]
-        if segment is None or segment.cut:
-            kept = self._copied.messages - before
-            self._lose(f"cut off within the chunk at byte {record.at}: {kept} messages of it are saved, not the rest")
+        if record.is_cut:
+            count = self._result.messages - previous_messages
+            line = f"cut off in the chunk at byte {record.start}: {count} messages of it are kept, the rest is lost"
+            self._result.losses.add(f"{self._path}: {line}")
 
-    def record(self, opcode: int, content: bytes) -> None:
-        """Take over one record of the data section; what belongs to the index is made anew."""
+    def add_records(self, data: bytes, *, is_cut: bool = False) -> None:
+        """Copy the complete records in `data`; the last one may be torn if `is_cut`."""
         try:
-            if opcode == Opcode.MESSAGE:
-                self._message(content)
-            elif opcode == Opcode.SCHEMA:
-                self._schema(Schema.read(stream(content)))
-            elif opcode == Opcode.CHANNEL:
-                self._channel(Channel.read(stream(content)))
-            elif opcode == Opcode.METADATA:
-                metadata = Metadata.read(stream(content))
-                self._writer.add_metadata(metadata.name, metadata.metadata)
-            elif opcode == Opcode.ATTACHMENT:
-                attachment: Any = Attachment.read(stream(content))
-                times = attachment.create_time, attachment.log_time
-                self._writer.add_attachment(*times, attachment.name, attachment.media_type, attachment.data)
-        except (McapError, struct.error, ValueError):
-            self._lose(f"a damaged record of kind {opcode}")
-            self._copied.gaps = True
+            for record in _parse(data):
+                self._add(record)
+        except DAMAGE:
+            if is_cut:
+                return
+            self._result.losses.add(f"{self._path}: a damaged record is lost")
+            self._result.has_gaps = True
 
-    def _message(self, content: bytes) -> None:
-        channel, sequence, log_time_ns, publish_time_ns = _MESSAGE.unpack_from(content)
-        if channel not in self._channels:
-            self._unknown += 1
-            line = f"{self._path}: messages of channel {channel}, which the file does not describe, are lost"
-            self._copied.lost.add(line, self._unknown)
-            self._copied.gaps = True
+    def _add(self, record: McapRecord) -> None:
+        if isinstance(record, Message):
+            self._add_message(record)
+        elif isinstance(record, Schema):
+            if record.id and self._schemas.get(record.id, (None, 0))[0] != record:
+                schema_id = self._writer.register_schema(record.name, record.encoding, record.data)
+                self._schemas[record.id] = record, schema_id
+        elif isinstance(record, Channel):
+            if record.id not in self._channels or self._channels[record.id][0] != record:
+                _, schema_id = self._schemas.get(record.schema_id, (None, 0))
+                channel_id = self._writer.register_channel(
+                    record.topic, record.message_encoding, schema_id, record.metadata
+                )
+                self._channels[record.id] = record, channel_id
+        elif isinstance(record, Metadata):
+            self._writer.add_metadata(record.name, record.metadata)
+        elif isinstance(record, Attachment):
+            times = record.create_time, record.log_time
+            self._writer.add_attachment(*times, record.name, record.media_type, record.data)
+
+    def _add_message(self, message: Message) -> None:
+        if message.channel_id not in self._channels:
+            self._undefined_messages += 1
+            line = f"messages of channel {message.channel_id}, which the file does not define, are lost"
+            self._result.losses.add(f"{self._path}: {line}", self._undefined_messages)
+            self._result.has_gaps = True
             return
-        number = self._channels[channel][1]
-        self._writer.add_message(number, log_time_ns, content[MESSAGE_HEAD:], publish_time_ns, sequence)
-        self._copied.messages += 1
-
-    def _schema(self, schema: Schema) -> None:
-        if schema.id and self._schemas.get(schema.id, (None, 0))[0] != schema:
-            number = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-            self._schemas[schema.id] = schema, number
-
-    def _channel(self, channel: Channel) -> None:
-        known = self._channels.get(channel.id)
-        if known is None or known[0] != channel:
-            schema = self._schemas.get(channel.schema_id, (None, 0))[1]
-            number = self._writer.register_channel(channel.topic, channel.message_encoding, schema, channel.metadata)
-            self._channels[channel.id] = channel, number
-
-    def _lose(self, what: str) -> None:
-        self._copied.lost.add(f"{self._path}: {what}")
-
-
-def _records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the complete records in the content of a chunk."""
-    at = 0
-    while at + HEAD.size <= len(data):
-        opcode, length = HEAD.unpack_from(data, at)
-        at += HEAD.size
-        if not opcode or at + length > len(data):
-            return
-        yield opcode, data[at : at + length]
-        at += length
+        _, channel_id = self._channels[message.channel_id]
+        self._writer.add_message(channel_id, message.log_time, message.data, message.publish_time, message.sequence)
+        self._result.messages += 1

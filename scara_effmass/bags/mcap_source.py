@@ -1,4 +1,4 @@
-"""MCAP recordings, one file or the parts of a split one, read as one."""
+"""The MCAP files of one bag, read as one."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
     from rosbags.typesys.store import Typestore
 
-    from scara_effmass.bags.batches import Losses, MessageBatch
+    from scara_effmass.bags.batches import LossLog, MessageBatch
 
 ENCODINGS = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionFormat.IDL}
 
 
 class McapSource:
-    """The MCAP files of one recording, read as one."""
+    """A `Source` of MCAP files."""
 
-    def __init__(self, paths: Sequence[Path], losses: Losses) -> None:
+    def __init__(self, paths: Sequence[Path], losses: LossLog) -> None:
         self._definitions: dict[str, MessageDefinition] = {}
         with ExitStack() as stack:
             self._files = [McapFile(path, stack.enter_context(path.open("rb")), losses) for path in paths]
@@ -38,8 +38,7 @@ class McapSource:
             for channel in file.channels.values():
                 key = file.topic_and_type(channel)
                 if channel.message_encoding != "cdr":
-                    encoding = channel.message_encoding
-                    losses.add(f"{file.path}: {key[0]}: its encoding {encoding!r} is not read, only cdr is")
+                    losses.add(f"{file.path}: {key[0]}: encoding = {channel.message_encoding!r}: must be cdr; not read")
                     continue
                 counts[key] = counts.get(key, 0) + file.counts.get(channel.id, 0)
                 hashes.setdefault(key, channel.metadata.get("topic_type_hash", ""))
@@ -48,14 +47,13 @@ class McapSource:
                     text = schema.data.decode("utf-8", "replace")
                     self._definitions.setdefault(key[1], MessageDefinition(ENCODINGS[schema.encoding], text))
         self.topics = tuple(Topic(*key, count, hashes[key]) for key, count in sorted(counts.items()))
-        numbers = {(topic.name, topic.type): number for number, topic in enumerate(self.topics)}
+        indices = {(topic.name, topic.type): index for index, topic in enumerate(self.topics)}
         for file in self._files:
-            file.number_topics(numbers)
-        self._segments = sorted(
-            ((segment, file) for file in self._files for segment in file.segments), key=lambda pair: pair[0].start_ns
-        )
-        self.start_ns = min((segment.start_ns for segment, _ in self._segments), default=0)
-        self.end_ns = max((segment.end_ns for segment, _ in self._segments), default=0)
+            file.assign_topics(indices)
+        chunks = ((chunk, file) for file in self._files for chunk in file.chunks)
+        self._chunks = sorted(chunks, key=lambda pair: pair[0].start_ns)
+        self.start_ns = min((chunk.start_ns for chunk, _ in self._chunks), default=0)
+        self.end_ns = max((chunk.end_ns for chunk, _ in self._chunks), default=0)
 
     @cached_property
     def types(self) -> Typestore:
@@ -64,15 +62,15 @@ class McapSource:
 
     def batches(self, topics: Collection[int], start_ns: int, stop_ns: int) -> Iterator[MessageBatch]:
         """See `Source`."""
-        wanted = [(s, f) for s, f in self._segments if s.end_ns >= start_ns and s.start_ns < stop_ns]
-        horizons = [*[segment.start_ns for segment, _ in wanted], stop_ns][1:]
-        chosen = np.array(sorted(topics), np.int64)
+        chunks = [(c, file) for c, file in self._chunks if c.end_ns >= start_ns and c.start_ns < stop_ns]
+        horizons_ns = [*[chunk.start_ns for chunk, _ in chunks], stop_ns][1:]
+        topic_indices = np.array(sorted(topics), np.int64)
 
         def read() -> Iterator[tuple[MessageBatch, int]]:
-            for (segment, file), horizon_ns in zip(wanted, horizons, strict=True):
-                batch = file.read(segment)
+            for (chunk, file), horizon_ns in zip(chunks, horizons_ns, strict=True):
+                batch = file.read(chunk)
                 inside = (batch.log_time_ns >= start_ns) & (batch.log_time_ns < stop_ns)
-                yield batch.pick(inside & np.isin(batch.topic, chosen)), horizon_ns
+                yield batch.select(inside & np.isin(batch.topic, topic_indices)), horizon_ns
 
         return in_log_time_order(read())
 

@@ -1,49 +1,92 @@
-"""What a recording holds, and what it lacks."""
+"""Message counts of a recording: recorded and lost, by topic and cause."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from scara_effmass.bags.recorded_topic import Lost
+    from scara_effmass.bags.batches import Topic
+
+LOSSES_RECORD = "scara_effmass/losses"
+"""Name of the MCAP metadata record, and key in custom_data of metadata.yaml, with the lost messages."""
+
+
+@dataclass(slots=True)
+class LossCounts:
+    """Messages of one topic that are not in the recording, by cause."""
+
+    queue: int = 0
+    """The queue was full."""
+    disk: int = 0
+    """The disk was full or refused to write."""
+    middleware: int = 0
+    """The middleware reported them as lost."""
+
+    @property
+    def total(self) -> int:
+        """The sum over all causes."""
+        return self.queue + self.disk + self.middleware
+
+
+@dataclass(slots=True)
+class RecordedTopic:
+    """A topic while it is recorded."""
+
+    topic: Topic
+    definition: str
+    received: int = 0
+    pending: int = 0
+    """Messages passed to the file writer but not saved."""
+    lost: LossCounts = field(default_factory=LossCounts)
 
 
 @dataclass(frozen=True, slots=True)
 class TopicReport:
-    """What became of one topic: `recorded` messages are in the files."""
+    """Message counts of one topic."""
 
     type: str
     received: int
     recorded: int
-    lost: Lost
+    lost: LossCounts
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingReport:
-    """What a recording holds. While it goes on, messages that are still on their way count as recorded."""
+    """Message counts of a recording. Until it ends, `recorded` includes messages in the queue."""
 
     folder: Path
     topics: Mapping[str, TopicReport]
     files: tuple[str, ...]
-    """Completed ones."""
+    """Completed files."""
     unindexed: tuple[str, ...]
-    """Those among them that have no index, because the disk was full; `repair` makes one."""
+    """Files without an index, because the disk was full; `repair` adds one."""
     saved: int
-    """Messages of all topics that are in the files: they stay if the process dies now."""
+    """Messages in the files; they survive the death of the process."""
     size_bytes: int
     stopped_by_disk: bool
-    """Whether it is stopped, or ended, because the disk is full or refuses what is written."""
+    """Whether the recording is stopped, or ended, because the disk is full or refuses to write."""
 
     @property
     def recorded(self) -> int:
-        """Messages of all topics."""
+        """Recorded messages of all topics."""
         return sum(topic.recorded for topic in self.topics.values())
 
     @property
     def lost(self) -> int:
-        """Messages of all topics."""
+        """Lost messages of all topics."""
         return sum(topic.lost.total for topic in self.topics.values())
+
+
+def losses_record(topics: Iterable[RecordedTopic]) -> dict[str, str]:
+    """Return the content of the metadata record: counts by cause as JSON, for each topic with losses."""
+    return {topic.topic.name: json.dumps(asdict(topic.lost)) for topic in topics if topic.lost.total}
+
+
+def losses_custom_data(record: Mapping[str, str]) -> dict[str, str]:
+    """Return the content of the metadata record as custom_data of metadata.yaml."""
+    return {LOSSES_RECORD: json.dumps({topic: json.loads(counts) for topic, counts in record.items()})}

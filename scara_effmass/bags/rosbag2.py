@@ -1,16 +1,16 @@
-"""What makes a folder of MCAP files a rosbag2 recording: metadata.yaml, and the QoS in it."""
+"""The rosbag2 format: metadata.yaml, QoS profiles and the checks of an output folder."""
 
 from __future__ import annotations
 
+import fcntl
 import os
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from scara_effmass.bags.disk_file import is_being_written
-from scara_effmass.bags.files import METADATA, data_files, is_recording
+from scara_effmass.bags.files import METADATA, bag_files, is_rosbag2_folder
 from scara_effmass.errors import OutputError
 
 if TYPE_CHECKING:
@@ -20,49 +20,18 @@ if TYPE_CHECKING:
     from scara_effmass.bags.batches import Topic
 
 ROSBAG2_VERSION = 9
-"""Of the metadata, as ROS 2 Jazzy writes them."""
+"""Metadata version of ROS 2 Jazzy."""
 
 
-class OfferedQos(NamedTuple):
-    """What one publisher offers, in rosbag2's words: `history` "keep_last", `reliability` "best_effort", ..."""
-
-    history: str
-    depth: int
-    reliability: str
-    durability: str
-    deadline_ns: int
-    lifespan_ns: int
-    liveliness: str
-    liveliness_lease_duration_ns: int
-
-
-def qos_text(offered: Iterable[OfferedQos]) -> str:
-    """Return what publishers offer in rosbag2's YAML, nothing where there are none."""
-
-    def span(time_ns: int) -> dict[str, int]:
-        sec, nsec = divmod(time_ns, 1_000_000_000)
-        return {"sec": sec, "nsec": nsec}
-
-    profiles = [
-        {
-            "history": qos.history,
-            "depth": qos.depth,
-            "reliability": qos.reliability,
-            "durability": qos.durability,
-            "deadline": span(qos.deadline_ns),
-            "lifespan": span(qos.lifespan_ns),
-            "liveliness": qos.liveliness,
-            "liveliness_lease_duration": span(qos.liveliness_lease_duration_ns),
-            "avoid_ros_namespace_conventions": False,
-        }
-        for qos in offered
-    ]
-    return yaml.safe_dump(profiles, sort_keys=False) if profiles else ""
+def qos_yaml(profiles: Iterable[Mapping[str, object]]) -> str:
+    """Return QoS profiles, with rosbag2's keys, in rosbag2's YAML; empty if there are none."""
+    profiles = [dict(profile) for profile in profiles]
+    return yaml_text(profiles) if profiles else ""
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """One file of a recording, as its metadata describe it; times are log times in [ns], 0 without messages."""
+class BagFile:
+    """One file of a bag, as described in the metadata; times are log times [ns], 0 without messages."""
 
     name: str
     start_ns: int
@@ -75,28 +44,28 @@ class Part:
         return sum(topic.count for topic in self.topics)
 
 
-def metadata(parts: Sequence[Part], custom: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Return what rosbag2 says of a recording of these files; `custom` becomes its custom_data."""
+def metadata(files: Sequence[BagFile], custom_data: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Return the metadata of a bag of these files."""
     topics: dict[tuple[str, str], Topic] = {}
-    for topic in (topic for part in parts for topic in part.topics):
+    for topic in (topic for file in files for topic in file.topics):
         before = topics.get((topic.name, topic.type), replace(topic, count=0))
         topics[topic.name, topic.type] = replace(before, count=before.count + topic.count)
-    full = [part for part in parts if part.count]
-    start_ns = min((part.start_ns for part in full), default=0)
-    end_ns = max((part.end_ns for part in full), default=0)
+    nonempty = [file for file in files if file.count]
+    start_ns = min((file.start_ns for file in nonempty), default=0)
+    end_ns = max((file.end_ns for file in nonempty), default=0)
     return {
         "version": ROSBAG2_VERSION,
         "storage_identifier": "mcap",
         "duration": {"nanoseconds": end_ns - start_ns},
         "starting_time": {"nanoseconds_since_epoch": start_ns},
-        "message_count": sum(part.count for part in parts),
+        "message_count": sum(file.count for file in files),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
                     "name": topic.name,
                     "type": topic.type,
                     "serialization_format": "cdr",
-                    "offered_qos_profiles": _profiles(topic.offered_qos),
+                    "offered_qos_profiles": _parse_profiles(topic.offered_qos),
                     "type_description_hash": topic.type_hash,
                 },
                 "message_count": topic.count,
@@ -105,34 +74,34 @@ def metadata(parts: Sequence[Part], custom: Mapping[str, str] | None = None) -> 
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [part.name for part in parts],
+        "relative_file_paths": [file.name for file in files],
         "files": [
             {
-                "path": part.name,
-                "starting_time": {"nanoseconds_since_epoch": part.start_ns},
-                "duration": {"nanoseconds": part.end_ns - part.start_ns},
-                "message_count": part.count,
+                "path": file.name,
+                "starting_time": {"nanoseconds_since_epoch": file.start_ns},
+                "duration": {"nanoseconds": file.end_ns - file.start_ns},
+                "message_count": file.count,
             }
-            for part in parts
+            for file in files
         ],
-        "custom_data": dict(custom) if custom else None,
+        "custom_data": dict(custom_data) if custom_data else None,
         "ros_distro": "jazzy",
     }
 
 
-def write_metadata(folder: Path, parts: Sequence[Part], custom: Mapping[str, str] | None = None) -> None:
-    """Write metadata.yaml, on the disk and complete before it takes the place of an older one. Raises OSError."""
-    fresh = folder / f".{METADATA}.new"
-    with fresh.open("w", encoding="utf-8") as file:
-        file.write(yaml_text({"rosbag2_bagfile_information": metadata(parts, custom)}))
-        file.flush()
-        os.fsync(file.fileno())
-    fresh.replace(folder / METADATA)
+def write_metadata(folder: Path, files: Sequence[BagFile], custom_data: Mapping[str, str] | None = None) -> None:
+    """Write metadata.yaml and synchronise it to the disk before it replaces an older one. Raises OSError."""
+    unfinished = folder / f".{METADATA}.new"
+    with unfinished.open("w", encoding="utf-8") as output:
+        output.write(yaml_text({"rosbag2_bagfile_information": metadata(files, custom_data)}))
+        output.flush()
+        os.fsync(output.fileno())
+    unfinished.replace(folder / METADATA)
     sync_folder(folder)
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring names that were given or changed in `folder` to the disk, where its file system can. Raises OSError."""
+    """Synchronise the names in `folder` to the disk, if the file system supports it. Raises OSError."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):
@@ -141,37 +110,48 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def refuse_existing(path: Path, *, overwrite: bool) -> None:
-    """Refuse to record to `path` (a file if it ends in .mcap, else a folder) when something is there.
+def check_output(path: Path, *, overwrite: bool) -> None:
+    """Raise OutputError if a bag must not be written to `path`, a file if it ends in .mcap, otherwise a folder.
 
-    With `overwrite`, a recording of that kind may be there, also one whose recorder was killed, but none that is still
-    being made. Raises OutputError.
+    With `overwrite`, a bag of that kind is replaced, also one of a killed recorder, but none that is being recorded.
     """
     if not path.exists():
         return
     if not overwrite:
-        raise OutputError(f"{path}: exists already; --force replaces it")
+        raise OutputError(f"{path}: already exists; use --force to replace it")
     try:
-        replaceable = path.is_file() if path.suffix == ".mcap" else _is_recording_alone(path)
-        busy = replaceable and any(map(is_being_written, data_files(path) if path.is_dir() else [path]))
+        is_replaceable = path.is_file() if path.suffix == ".mcap" else _is_only_a_bag(path)
+        is_busy = is_replaceable and any(map(is_being_written, bag_files(path) if path.is_dir() else [path]))
     except OSError as error:
         raise OutputError(f"{path}: cannot be read: {error.strerror}") from None
-    if not replaceable:
-        raise OutputError(f"{path}: exists and is no such recording; it is not replaced")
-    if busy:
-        raise OutputError(f"{path}: is being recorded; end the recorder first")
+    if not is_replaceable:
+        raise OutputError(f"{path}: is not such a bag and is not replaced")
+    if is_busy:
+        raise OutputError(f"{path}: is being recorded; stop the recorder first")
 
 
-def _is_recording_alone(folder: Path) -> bool:
-    """Whether a folder is a recording; one without metadata.yaml must hold nothing else. Raises OSError."""
-    if not is_recording(folder):
+def is_being_written(path: Path) -> bool:
+    """Whether a recorder has the file open. Raises OSError."""
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:  # no locks on this file system
+            return False
+    return False
+
+
+def _is_only_a_bag(folder: Path) -> bool:
+    """Whether a folder is a bag; without metadata.yaml it must contain nothing else. Raises OSError."""
+    if not is_rosbag2_folder(folder):
         return False
-    seen = {child for child in folder.iterdir() if not child.name.startswith(".")}
-    return (folder / METADATA).is_file() or seen == set(data_files(folder))
+    children = {child for child in folder.iterdir() if not child.name.startswith(".")}
+    return (folder / METADATA).is_file() or children == set(bag_files(folder))
 
 
-def _profiles(text: str) -> list[Any]:
-    """Return the offered QoS of a file, which need not be ours, nothing where they cannot be read."""
+def _parse_profiles(text: str) -> list[Any]:
+    """Return the QoS profiles of a file, which any tool may have written; empty if invalid."""
     try:
         profiles = yaml.safe_load(text)
     except yaml.YAMLError:
@@ -179,6 +159,6 @@ def _profiles(text: str) -> list[Any]:
     return profiles if isinstance(profiles, list) else []
 
 
-def yaml_text(content: Mapping[str, Any]) -> str:
+def yaml_text(content: object) -> str:
     """Return `content` as YAML, in its order."""
     return str(yaml.safe_dump(content, sort_keys=False))

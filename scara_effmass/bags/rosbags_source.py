@@ -1,4 +1,4 @@
-"""Recordings that the rosbags library reads: SQLite and compressed rosbag2 recordings, and ROS 1 bags."""
+"""Bags that the rosbags library reads: SQLite, compressed rosbag2 and ROS 1."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader as Ros2Reader
     from rosbags.typesys.store import Typestore
 
-    from scara_effmass.bags.batches import Losses, MessageBatch
+    from scara_effmass.bags.batches import LossLog, MessageBatch
+
+    Reader = Ros1Reader | Ros2Reader
 
 BATCH_MESSAGES = 1000
 BATCH_BYTES = 1 << 20
 
 
 class RosbagsSource:
-    """The files of one recording, each through a reader of rosbags, read as one."""
+    """A `Source` of files that each have a reader of rosbags."""
 
-    def __init__(
-        self, paths: Sequence[Path], losses: Losses, reader: Callable[[Path], Ros1Reader] | Callable[[Path], Ros2Reader]
-    ) -> None:
+    def __init__(self, paths: Sequence[Path], losses: LossLog, make_reader: type[Ros1Reader | Ros2Reader]) -> None:
         self._losses = losses
-        self._readers: list[tuple[Path, Ros1Reader | Ros2Reader]] = []
+        self._readers: list[tuple[Path, Reader]] = []
         with ExitStack() as stack:
             for path in paths:
-                opened = _opened(path, reader)
-                stack.callback(opened.close)
-                self._readers.append((path, opened))
+                reader = _open(path, make_reader)
+                stack.callback(reader.close)
+                self._readers.append((path, reader))
             self._stack = stack.pop_all()
         self._definitions: dict[str, MessageDefinition] = {}
         counts: dict[tuple[str, str], int] = {}
         hashes: dict[tuple[str, str], str] = {}
-        for path, connection in self._connections():
+        for path, connection in ((path, c) for path, reader in self._readers for c in reader.connections):
             if isinstance(connection.ext, ConnectionExtRosbag2) and connection.ext.serialization_format != "cdr":
                 encoding = connection.ext.serialization_format
-                losses.add(f"{path}: {connection.topic}: its encoding {encoding!r} is not read, only cdr is")
+                losses.add(f"{path}: {connection.topic}: encoding = {encoding!r}: must be cdr; not read")
                 continue
             key = connection.topic, connection.msgtype
             counts[key] = counts.get(key, 0) + connection.msgcount
@@ -57,11 +57,11 @@ class RosbagsSource:
             if connection.msgdef.format != MessageDefinitionFormat.NONE:
                 self._definitions.setdefault(connection.msgtype, connection.msgdef)
         self.topics = tuple(Topic(*key, count, hashes[key]) for key, count in sorted(counts.items()))
-        self._number = {(topic.name, topic.type): number for number, topic in enumerate(self.topics)}
-        full = [reader for _, reader in self._readers if reader.message_count]
-        self.start_ns = min((reader.start_time for reader in full), default=0)
-        self.end_ns = max((reader.end_time - 1 for reader in full), default=0)
-        self._is_ros1 = any(isinstance(reader, Ros1Reader) for _, reader in self._readers)
+        self._topic_indices = {(topic.name, topic.type): index for index, topic in enumerate(self.topics)}
+        nonempty = [reader for _, reader in self._readers if reader.message_count]
+        self.start_ns = min((reader.start_time for reader in nonempty), default=0)
+        self.end_ns = max((reader.end_time - 1 for reader in nonempty), default=0)
+        self._is_ros1 = make_reader is Ros1Reader
 
     @cached_property
     def types(self) -> Typestore:
@@ -71,65 +71,63 @@ class RosbagsSource:
     def batches(self, topics: Collection[int], start_ns: int, stop_ns: int) -> Iterator[MessageBatch]:
         """See `Source`."""
         streams = [self._messages(path, reader, topics, start_ns, stop_ns) for path, reader in self._readers]
-        numbers: list[int] = []
-        times: list[int] = []
-        messages: list[bytes] = []
+        merged = heapq.merge(*streams, key=itemgetter(0))
+        messages: list[tuple[int, int, bytes]] = []
         size = 0
-        for log_time_ns, number, data in heapq.merge(*streams, key=itemgetter(0)):
-            numbers.append(number)
-            times.append(log_time_ns)
-            messages.append(data)
-            size += len(data)
+        for message in merged:
+            messages.append(message)
+            size += len(message[2])
             if len(messages) == BATCH_MESSAGES or size > BATCH_BYTES:
-                yield batch_of(numbers, times, messages)
-                numbers, times, messages, size = [], [], [], 0
+                yield _batch(messages)
+                messages, size = [], 0
         if messages:
-            yield batch_of(numbers, times, messages)
+            yield _batch(messages)
 
     def close(self) -> None:
         """See `Source`."""
         self._stack.close()
 
-    def _connections(self) -> Iterator[tuple[Path, Connection]]:
-        for path, reader in self._readers:
-            for connection in reader.connections:
-                yield path, connection
-
     def _messages(
-        self, path: Path, reader: Ros1Reader | Ros2Reader, topics: Collection[int], start_ns: int, stop_ns: int
+        self, path: Path, reader: Reader, topics: Collection[int], start_ns: int, stop_ns: int
     ) -> Iterator[tuple[int, int, bytes]]:
-        wanted = [c for c in reader.connections if self._number.get((c.topic, c.msgtype)) in topics]
-        if not wanted:
+        connections = [c for c in reader.connections if self._topic_indices.get((c.topic, c.msgtype)) in topics]
+        if not connections:
             return
         try:
-            for connection, log_time_ns, stored in reader.messages(wanted, start_ns, stop_ns):
+            for connection, log_time_ns, stored in reader.messages(connections, start_ns, stop_ns):
                 data = self._cdr(path, connection, stored)
                 if data:
-                    yield log_time_ns, self._number[connection.topic, connection.msgtype], data
-        except Exception as error:  # noqa: BLE001 - a damaged file shows itself in every error its libraries know
-            self._losses.add(f"{path}: damaged, what came later is lost: {_line(error)}")
+                    yield log_time_ns, self._topic_indices[connection.topic, connection.msgtype], data
+        except Exception as error:  # noqa: BLE001 - rosbags raises many types for a damaged file
+            self._losses.add(f"{path}: damaged, the rest is lost: {_one_line(error)}")
 
     def _cdr(self, path: Path, connection: Connection, stored: bytes) -> bytes:
-        """Return a message as CDR, nothing where a ROS 1 message does not let itself be converted."""
+        """Return a message as CDR, empty if a ROS 1 message cannot be converted."""
         if not self._is_ros1:
             return stored
         try:
             return bytes(self.types.ros1_to_cdr(stored, connection.msgtype))
-        except Exception as error:  # noqa: BLE001 - the conversion is generated from definitions nobody checked
-            self._losses.add(f"{path}: {connection.topic}: {connection.msgtype} cannot be converted: {_line(error)}")
+        except Exception as error:  # noqa: BLE001 - code generated from unchecked definitions
+            reason = _one_line(error)
+            self._losses.add(f"{path}: {connection.topic}: {connection.msgtype} cannot be converted: {reason}")
             return b""
 
 
-def _opened(path: Path, reader: Callable[[Path], Ros1Reader] | Callable[[Path], Ros2Reader]) -> Ros1Reader | Ros2Reader:
+def _batch(messages: list[tuple[int, int, bytes]]) -> MessageBatch:
+    times, indices, data = zip(*messages, strict=True)
+    return batch_of(indices, times, list(data))
+
+
+def _open(path: Path, make_reader: Callable[[Path], Reader]) -> Reader:
     try:
-        opened = reader(path)
-        opened.open()
+        reader = make_reader(path)
+        reader.open()
     except OSError:
         raise
-    except Exception as error:  # noqa: BLE001 - see above
-        raise BagError(f"{path}: cannot be read: {_line(error)}") from None
-    return opened
+    except Exception as error:  # noqa: BLE001 - rosbags raises many types for a damaged file
+        raise BagError(f"{path}: cannot be read: {_one_line(error)}") from None
+    return reader
 
 
-def _line(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__

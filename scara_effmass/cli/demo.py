@@ -72,11 +72,11 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the simulated cell or a replay live, and write the report."""
-    from scara_effmass.bags.rosbag2 import refuse_existing  # noqa: PLC0415 - not needed for --help
+    from scara_effmass.bags.rosbag2 import check_output  # noqa: PLC0415 - not needed for --help
     from scara_effmass.cli.demo_bag import run_bag  # noqa: PLC0415
     from scara_effmass.cli.demo_sim import run_sim  # noqa: PLC0415
 
-    refuse_existing(args.out / RECORDING, overwrite=args.force)
+    check_output(args.out / RECORDING, overwrite=args.force)
     settings, arm, note = _choose_mass_model(args)
     if args.bag is None:
         if args.robot or settings.robot:

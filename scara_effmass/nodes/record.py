@@ -1,7 +1,6 @@
-"""The recorder: live topics, as serialized bytes, into a recording that survives a crash.
+"""Record live topics, as serialized bytes, into a bag that survives a crash.
 
-The log time of a message is when this process got it, on the node's clock: system time, or with `use_sim_time` the
-time of /clock, for whose first message it waits.
+The log time of a message is its receive time on the node's clock: system time, or /clock with `use_sim_time`.
 """
 
 from __future__ import annotations
@@ -22,12 +21,11 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from scara_effmass.bags.definitions import known_types
-from scara_effmass.bags.recording import BagRecorder
-from scara_effmass.bags.recording_options import RecordingOptions
+from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import spin_for
-from scara_effmass.nodes.topic_recorder import TopicRecorder, resolved
+from scara_effmass.nodes.topic_recorder import TopicRecorder, resolve_topic
 from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED
 
 if TYPE_CHECKING:
@@ -37,126 +35,122 @@ if TYPE_CHECKING:
 
     from scara_effmass.bags.recording_report import RecordingReport
 
-_SLICE_S = 0.1
-"""How often it looks for new topics, and whether it has been told to stop."""
-_QUEUED_S = 10.0
-"""How long it may take, at the end, to record what has come already."""
+_PERIOD_S = 0.1
+"""Period of topic discovery and of the check for a stop signal."""
+_DRAIN_TIMEOUT_S = 10.0
+"""Maximum time to record the messages that have arrived before the end."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @dataclass(frozen=True, slots=True)
 class RecordOptions:
-    """What is recorded, and where to. Raises SettingsError for values that cannot be used."""
+    """Options of a recording. Raises SettingsError for invalid values."""
 
     folder: Path
     topics: tuple[str, ...] = ()
-    """None: those of the suite."""
-    everything: bool = False
-    """Record all topics but hidden ones, with a token that begins with an underscore."""
+    """None: the topics of the suite."""
+    all_topics: bool = False
+    """Record all topics except hidden ones, which have a token that begins with an underscore."""
     duration_s: float = math.inf
     overwrite: bool = False
-    recording: RecordingOptions = field(default_factory=RecordingOptions)
+    recorder: RecorderOptions = field(default_factory=RecorderOptions)
     ros_arguments: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.duration_s > 0.0:
-            raise SettingsError(f"record: duration = {self.duration_s}: more than 0 would be right")
-        if self.everything and self.topics:
-            raise SettingsError(
-                f"record: topics = {self.topics[0]!r}: --all records every topic; leave out one of both"
-            )
+            raise SettingsError(f"record: duration = {self.duration_s}: must be > 0 s")
+        if self.all_topics and self.topics:
+            raise SettingsError(f"record: topics = {self.topics[0]!r}: must be empty with --all")
 
 
 @dataclass(frozen=True, slots=True)
 class RecordReport:
-    """What was recorded."""
+    """Result of a recording."""
 
     recording: RecordingReport
     seconds: float
     simulated_time: bool
-    """Whether log times are of /clock."""
+    """Whether log times are from /clock."""
     refused: Mapping[str, str]
     """Topics that could not be recorded, and why."""
-    unheard: tuple[str, ...]
-    """Topics that nobody published."""
+    unpublished: tuple[str, ...]
+    """Topics without a publisher."""
 
 
 def record(
     options: RecordOptions,
     progress: Callable[[RecordingReport, float], None] = lambda *_: None,
-    say: Callable[[str], None] = lambda _: None,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> RecordReport:
-    """Record until SIGINT, SIGTERM, or the end of `duration_s`; the recording is complete then.
+    """Record until SIGINT, SIGTERM or the end of `duration_s`, in a ROS context of its own.
 
-    `progress` is called about ten times a second with the report so far and the seconds since the start; `say` with
-    what a person should know, also from another thread. It runs in a ROS context of its own.
-    Raises SettingsError and OutputError when it cannot start, OutputError when it had to break off.
+    `progress` is called about ten times a second with the report and the elapsed time [s]; `warn` is called with
+    warnings, also from another thread. Raises SettingsError or OutputError.
     """
-    known_types()  # takes a while the first time: now, not while messages come
-    with ExitStack() as kept:
-        told_to_stop = kept.enter_context(_signals_noted())
-        node = kept.enter_context(_node(options.ros_arguments))
+    known_types()  # slow on the first call: before messages arrive
+    with ExitStack() as stack:
+        stop_signals = stack.enter_context(_stop_signals())
+        node = stack.enter_context(_node(options.ros_arguments))
         context = node.context
-        topics = () if options.everything else options.topics or RECORDED
-        wanted = [resolved(node, topic) for topic in topics]
-        below = [resolved(node, topic) for topic in FORCE_OUTPUTS if topics is RECORDED]
+        topics = () if options.all_topics else options.topics or RECORDED
+        names = [resolve_topic(node, topic) for topic in topics]
+        parents = [resolve_topic(node, topic) for topic in FORCE_OUTPUTS if topics is RECORDED]
         executor = EventsExecutor(context=context)
-        kept.callback(executor.shutdown)
+        stack.callback(executor.shutdown)
         executor.add_node(node)
-        with BagRecorder(options.folder, options.recording, overwrite=options.overwrite, say=say) as recording:
-            inlets = TopicRecorder(node, recording, wanted, say, below)
-            began = time.monotonic()
+        with BagRecorder(options.folder, options.recorder, overwrite=options.overwrite, warn=warn) as recorder:
+            topic_recorder = TopicRecorder(node, recorder, names, warn, parents)
+            start = time.monotonic()
             seconds = 0.0
-            while not told_to_stop and context.ok() and recording.running and seconds < options.duration_s:
-                inlets.look()
-                left_s = min(options.duration_s - seconds, _SLICE_S)
-                spin_for(executor, left_s)
-                seconds = time.monotonic() - began
-                progress(recording.report(), seconds)
+            while not stop_signals and context.ok() and recorder.is_running and seconds < options.duration_s:
+                topic_recorder.discover()
+                spin_for(executor, min(options.duration_s - seconds, _PERIOD_S))
+                seconds = time.monotonic() - start
+                progress(recorder.report(), seconds)
             if context.ok():
-                # What has come by now stands in a queue before this task.
-                spin_for(executor, _QUEUED_S, executor.create_task(lambda: None).done)
-            report = recording.close()
+                # This task runs after the messages that have already arrived.
+                spin_for(executor, _DRAIN_TIMEOUT_S, executor.create_task(lambda: None).done)
+            report = recorder.close()
         return RecordReport(
-            report,
-            seconds,
-            bool(node.get_parameter("use_sim_time").value),
-            inlets.refused,
-            tuple(sorted(set(wanted) - set(inlets.found) - inlets.refused.keys())),
+            recording=report,
+            seconds=seconds,
+            simulated_time=bool(node.get_parameter("use_sim_time").value),
+            refused=topic_recorder.refused,
+            unpublished=tuple(sorted(set(names) - set(topic_recorder.recorded) - topic_recorder.refused.keys())),
         )
 
 
 @contextmanager
-def _signals_noted() -> Iterator[list[int]]:
-    """Give a list to which SIGINT and SIGTERM are added instead of what they do; not in other threads."""
-    noted: list[int] = []
+def _stop_signals() -> Iterator[list[int]]:
+    """Collect SIGINT and SIGTERM in a list instead of handling them; only in the main thread."""
+    received: list[int] = []
 
-    def note(number: int, _frame: FrameType | None) -> None:
-        noted.append(number)
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        received.append(number)
 
     numbers = _SIGNALS if threading.current_thread() is threading.main_thread() else ()
-    before = {number: signal.signal(number, note) for number in numbers}
+    handlers = {number: signal.signal(number, on_signal) for number in numbers}
     try:
-        yield noted
+        yield received
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
 class _NoSettings(BaseModel):
-    """The recorder has no parameters but those of every node."""
+    """The recorder has only the parameters of every node."""
 
 
 @contextmanager
 def _node(ros_arguments: tuple[str, ...]) -> Iterator[Node]:
-    """Make the node, in a context of its own. Raises SettingsError for arguments that it does not know."""
+    """Create the node in a context of its own. Raises SettingsError for unknown arguments."""
     context = Context()
     try:
         rclpy.init(args=list(ros_arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise SettingsError(f"ROS arguments: {' '.join(str(error).split())}") from None
     try:
-        # Not among what it records: no services, no log topic.
+        # Without services and log topic, which it would record.
         node = Node("recorder", context=context, start_parameter_services=False, enable_rosout=False)
         try:
             parameters.declare(node, _NoSettings)

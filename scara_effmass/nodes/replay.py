@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 
-from scara_effmass.bags.batches import LATEST_NS
+from scara_effmass.bags.batches import MAX_TIME_NS
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.lockstep import Lockstep, header_stamp_ns
@@ -213,8 +213,8 @@ class _Player:
         if self._start_ns > bag.end_ns:
             rule = f"must be within the {bag.duration_ns / _NS:.3f} s recorded"
             raise SettingsError(f"{bag.path}: start = {options.start_s} s: {rule}")
-        self._stop_ns = LATEST_NS
-        if options.duration_s < (LATEST_NS - self._start_ns) / _NS:
+        self._stop_ns = MAX_TIME_NS
+        if options.duration_s < (MAX_TIME_NS - self._start_ns) / _NS:
             self._stop_ns = self._start_ns + round(options.duration_s * _NS)
         self._end_ns = min(self._stop_ns, bag.end_ns)
         self._publishers, self._skipped = replay_publishers(bag, node.node, options.topics, options.joint_state_topic)

@@ -1,4 +1,4 @@
-"""Live topics into a recording: found as they appear, subscribed to as their publishers offer them."""
+"""Subscriptions of the recorder: topics are subscribed as they appear, with the QoS of their publishers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from scara_effmass.bags.installed_types import types_for
-from scara_effmass.bags.rosbag2 import OfferedQos, qos_text
+from scara_effmass.bags.definitions import published_types
+from scara_effmass.bags.rosbag2 import qos_yaml
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.wire.message_types import message_class, message_definition
@@ -19,18 +19,19 @@ from scara_effmass.wire.topics import STREAM_QOS
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
+    from rclpy.duration import Duration
     from rclpy.event_handler import QoSMessageLostInfo
     from rclpy.node import Node
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-    from scara_effmass.bags.recording import BagRecorder
+    from scara_effmass.bags.recorder import BagRecorder
+
+_CLOCK_WARNING_AFTER = 20
+"""Discoveries without /clock before a warning."""
 
 
-_LOOKS_BEFORE_A_WORD = 20
-
-
-def resolved(node: Node, topic: str) -> str:
-    """Return a name in full, remapped and with its namespace. Raises SettingsError for one that is none."""
+def resolve_topic(node: Node, topic: str) -> str:
+    """Return the full name of a topic, remapped and with its namespace. Raises SettingsError if invalid."""
     try:
         return str(node.resolve_topic_name(topic))
     except (InvalidTopicNameException, RuntimeError, ValueError) as error:
@@ -40,129 +41,139 @@ def resolved(node: Node, topic: str) -> str:
 
 @final
 class TopicRecorder:
-    """The subscriptions of a recorder."""
+    """Subscribes to topics and passes their messages to a `BagRecorder`."""
 
     def __init__(
         self,
         node: Node,
-        recording: BagRecorder,
+        recorder: BagRecorder,
         topics: Collection[str],
-        say: Callable[[str], None],
-        below: Collection[str] = (),
+        warn: Callable[[str], None],
+        parents: Collection[str] = (),
     ) -> None:
-        """Record `topics`, and what stands below the names `below`, all in full; no topics: all that are not hidden.
-
-        `say` is told what cannot be recorded.
-        """
+        """Record `topics` and all topics below `parents`, in full names; no topics: all that are not hidden."""
         self.refused: dict[str, str] = {}
-        """Topics that cannot be recorded, or not all of what is published there, and why."""
+        """Topics that are not recorded, or not from all publishers, and why."""
         self._node = node
         self._clock = node.get_clock()
-        self._recording = recording
+        self._recorder = recorder
         self._topics = frozenset(topics)
-        self._below = tuple(f"{name}/" for name in below)
-        self._say = say
-        self._numbers: dict[str, int] = {}
-        self._kinds: dict[str, str] = {}
+        self._parents = tuple(f"{name}/" for name in parents)
+        self._warn = warn
+        self._indices: dict[str, int] = {}
+        self._types: dict[str, str] = {}
         self._subscriptions: dict[str, Any] = {}
-        self._unfit: set[str] = set()
-        self._looks_in_vain = 0
+        self._incompatible: set[str] = set()
+        self._discoveries_without_clock = 0
 
     @property
-    def found(self) -> Collection[str]:
-        """The topics that are being recorded."""
-        return self._numbers.keys()
+    def recorded(self) -> Collection[str]:
+        """The topics that are recorded."""
+        return self._indices.keys()
 
-    def look(self) -> None:
-        """Subscribe to what has appeared since the last time, and anew where a publisher does not fit."""
-        # On simulated time nothing has a time before the first /clock.
+    def discover(self) -> None:
+        """Subscribe to new topics, and again to topics with an incompatible publisher."""
+        # With simulated time, messages have no log time before the first /clock.
         if not self._clock.now().nanoseconds:
-            self._looks_in_vain += 1
-            if self._looks_in_vain == _LOOKS_BEFORE_A_WORD:
-                self._say("waiting for the first /clock: use_sim_time is set")
+            self._discoveries_without_clock += 1
+            if self._discoveries_without_clock == _CLOCK_WARNING_AFTER:
+                self._warn("waiting for /clock: use_sim_time is set")
             return
-        for name, kinds in self._node.get_topic_names_and_types():
-            if self._is_wanted(name):
-                self._add(name, kinds)
-            elif len(kinds) > 1 and name in self._kinds and name not in self.refused:
-                self._look_at_types(name)
-        for name in self._unfit & self._subscriptions.keys():
-            self._say(f"{name}: a publisher offers less than the others: subscribed anew, messages may be missing")
+        for name, types in self._node.get_topic_names_and_types():
+            if self._is_selected(name):
+                self._add(name, types)
+            elif len(types) > 1 and name in self._types and name not in self.refused:
+                self._check_types(name)
+        for name in self._incompatible & self._subscriptions.keys():
+            self._warn(f"{name}: a publisher has an incompatible QoS: subscribing again, messages may be missing")
             self._node.destroy_subscription(self._subscriptions.pop(name))
-        self._unfit.clear()
+        self._incompatible.clear()
 
-    def _is_wanted(self, name: str) -> bool:
+    def _is_selected(self, name: str) -> bool:
         if name in self._subscriptions or name in self.refused:
             return False
         if self._topics:
-            return name in self._topics or name.startswith(self._below)
+            return name in self._topics or name.startswith(self._parents)
         return not any(token.startswith("_") for token in name.split("/"))
 
-    def _add(self, name: str, kinds: Sequence[str]) -> None:
+    def _add(self, name: str, types: Sequence[str]) -> None:
         publishers = self._node.get_publishers_info_by_topic(name)
         if not publishers:
-            return  # what they offer is not known yet
-        (kind, *others) = sorted({publisher.topic_type for publisher in publishers} or kinds)
-        found = message_class(kind)
+            return  # their QoS is not known yet
+        message_type, *others = sorted({publisher.topic_type for publisher in publishers} or types)
+        installed_class = message_class(message_type)
         if others:
-            reason = f"it has publishers of several types: {', '.join((kind, *others))}"
-        elif found is None:
-            reason = f"its type {kind} is not installed; install {kind.partition('/')[0]}"
+            reason = f"it has publishers of several types: {', '.join((message_type, *others))}"
+        elif installed_class is None:
+            reason = f"its type {message_type} is not installed; install {message_type.partition('/')[0]}"
         else:
             try:
-                self._subscribe(name, kind, found, publishers)
+                self._subscribe(name, message_type, installed_class, publishers)
             except BagError as error:
                 reason = str(error)
             else:
                 return
         self.refused[name] = reason
-        self._say(f"{name}: not recorded: {reason}")
+        self._warn(f"{name}: not recorded: {reason}")
 
-    def _look_at_types(self, name: str) -> None:
-        """Say so if a publisher has come whose type is not that which is being recorded."""
-        kind = self._kinds[name]
-        others = {publisher.topic_type for publisher in self._node.get_publishers_info_by_topic(name)} - {kind}
-        if others:
-            self.refused[name] = f"it is published as {', '.join(sorted(others))}, too; only {kind} is recorded"
-            self._say(f"{name}: {self.refused[name]}")
+    def _check_types(self, name: str) -> None:
+        """Warn about new publishers of another type than the recorded one."""
+        recorded_type = self._types[name]
+        types = {publisher.topic_type for publisher in self._node.get_publishers_info_by_topic(name)}
+        if others := types - {recorded_type}:
+            self.refused[name] = (
+                f"it is also published as {', '.join(sorted(others))}; only {recorded_type} is recorded"
+            )
+            self._warn(f"{name}: {self.refused[name]}")
 
-    def _subscribe(self, name: str, kind: str, found: type, publishers: Sequence[TopicEndpointInfo]) -> None:
-        """Subscribe with what all publishers offer. Raises BagError for a definition that is not theirs."""
-        if name not in self._numbers:
-            types = types_for(kind, str(publishers[0].topic_type_hash), message_definition)
-            offered = qos_text(_offered(publisher) for publisher in publishers)
-            self._numbers[name] = self._recording.add_topic(name, kind, offered_qos=offered, types=types)
-        number, self._kinds[name] = self._numbers[name], kind
-        reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
-        latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
+    def _subscribe(
+        self, name: str, message_type: str, installed_class: type, publishers: Sequence[TopicEndpointInfo]
+    ) -> None:
+        """Subscribe with a QoS compatible with all publishers. Raises BagError for a definition that is not theirs."""
+        if name not in self._indices:
+            types = published_types(message_type, str(publishers[0].topic_type_hash), message_definition)
+            offered = qos_yaml(_rosbag2_qos(publisher) for publisher in publishers)
+            self._indices[name] = self._recorder.add_topic(name, message_type, offered_qos=offered, types=types)
+        index, self._types[name] = self._indices[name], message_type
+        qos = STREAM_QOS._replace(
+            reliable=all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers),
+            latched=all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers),
+        )
         self._subscriptions[name] = self._node.create_subscription(
-            found,
+            installed_class,
             name,
-            partial(self._on_message, number),
-            qos_profile(STREAM_QOS._replace(reliable=reliable, latched=latched)),
+            partial(self._on_message, index),
+            qos_profile(qos),
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(
-                message_lost=partial(self._on_lost, number),
-                incompatible_qos=lambda _: self._unfit.add(name),
+                message_lost=partial(self._on_message_lost, index),
+                incompatible_qos=lambda _: self._incompatible.add(name),
             ),
         )
 
-    def _on_message(self, number: int, data: bytes) -> None:
-        self._recording.put(number, self._clock.now().nanoseconds, data)
+    def _on_message(self, index: int, data: bytes) -> None:
+        self._recorder.write(index, self._clock.now().nanoseconds, data)
 
-    def _on_lost(self, number: int, lost: QoSMessageLostInfo) -> None:
-        self._recording.add_lost_by_middleware(number, lost.total_count_change)
+    def _on_message_lost(self, index: int, lost: QoSMessageLostInfo) -> None:
+        self._recorder.count_lost_by_middleware(index, lost.total_count_change)
 
 
-def _offered(publisher: TopicEndpointInfo) -> OfferedQos:
+def _rosbag2_qos(publisher: TopicEndpointInfo) -> dict[str, object]:
+    """Return the QoS of a publisher with rosbag2's keys."""
+
+    def duration(value: Duration) -> dict[str, int]:
+        sec, nsec = divmod(value.nanoseconds, 1_000_000_000)
+        return {"sec": sec, "nsec": nsec}
+
     qos = publisher.qos_profile
-    return OfferedQos(
-        history=qos.history.name.lower(),
-        depth=qos.depth,
-        reliability=qos.reliability.name.lower(),
-        durability=qos.durability.name.lower(),
-        deadline_ns=qos.deadline.nanoseconds,
-        lifespan_ns=qos.lifespan.nanoseconds,
-        liveliness=qos.liveliness.name.lower(),
-        liveliness_lease_duration_ns=qos.liveliness_lease_duration.nanoseconds,
-    )
+    return {
+        "history": qos.history.name.lower(),
+        "depth": qos.depth,
+        "reliability": qos.reliability.name.lower(),
+        "durability": qos.durability.name.lower(),
+        "deadline": duration(qos.deadline),
+        "lifespan": duration(qos.lifespan),
+        "liveliness": qos.liveliness.name.lower(),
+        "liveliness_lease_duration": duration(qos.liveliness_lease_duration),
+        "avoid_ros_namespace_conventions": False,
+    }

@@ -8,7 +8,6 @@ from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.messages import joint_state_message
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, OutputError
@@ -22,6 +21,7 @@ from scara_effmass.sim.spring_contact import POLYETHYLENE
 from scara_effmass.sim.topics import FORCE_TOPIC, JOINT_STATES_TOPIC, RUN_INFO_TOPIC
 from scara_effmass.values import RunInfo
 from scara_effmass.wire.force import force_block_message
+from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE, RUN_INFO
 from scara_effmass.wire.run_info import run_info_message
 

@@ -7,7 +7,6 @@ import heapq
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
-from scara_effmass.bags.messages import joint_state_message
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.sim.campaign import Campaign, run_campaign
@@ -16,6 +15,7 @@ from scara_effmass.sim.synthetic_force import BLOCK_NS
 from scara_effmass.sim.topics import FORCE_TOPIC, JOINT_STATES_TOPIC, RUN_INFO_TOPIC
 from scara_effmass.values import RunInfo
 from scara_effmass.wire.force import force_block_message
+from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE, RUN_INFO
 from scara_effmass.wire.run_info import run_info_message
 

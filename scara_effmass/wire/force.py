@@ -1,6 +1,6 @@
-"""What the force measurement says, to CDR bytes and back: `ForceBlock.msg` and `Impact.msg`.
+"""ForceBlock and Impact messages from and to the values of the same names.
 
-The samples of a block are copied as bytes. A test holds both layouts against rclpy's own and against rosbags.
+Tests compare both layouts with rclpy and rosbags.
 """
 
 from __future__ import annotations
@@ -10,34 +10,35 @@ import struct
 import numpy as np
 
 from scara_effmass.values import ForceBlock, Impact
-from scara_effmass.wire.cdr import LITTLE_ENDIAN, Cursor, padded, sec_and_nanosec, with_text
+from scara_effmass.wire.cdr import LITTLE_ENDIAN, STAMP, Cursor, padded, sec_and_nanosec, with_text
 
-_STAMP = struct.Struct("<iI")
 _BLOCK_START = struct.Struct("<QdI")
 """From first_sample to the length of force."""
-_LARGEST_LOSS = 2**32 - 1
+_MAX_LOST_SAMPLES = 2**32 - 1
 _BLOCK_LOSSES = struct.Struct("<I?3xI")
 """From lost_samples to the length of saturated_samples."""
 _BLOCK_CLOCK = struct.Struct("<dd")
 _BLOCK_END = struct.Struct("<diId")
-"""From tare on."""
+"""From tare to relative_uncertainty."""
 _IMPACT_NUMBERS = struct.Struct("<dddd??2xIddd")
 """From peak_force to clock_residual."""
 
 
 def force_block_message(block: ForceBlock) -> bytes:
-    """Return a scara_effmass_msgs/ForceBlock; it counts no more lost samples than its field can hold."""
+    """Return the CDR bytes of a ForceBlock; `lost_samples` is limited to the range of its field."""
     force = np.ascontiguousarray(block.force, "<f8").tobytes()
     saturated = np.ascontiguousarray(block.saturated_samples, "<u4").tobytes()
     start = _BLOCK_START.pack(block.first_sample, block.sample_rate, len(block.force))
-    losses = _BLOCK_LOSSES.pack(min(block.lost_samples, _LARGEST_LOSS), bool(saturated), len(block.saturated_samples))
+    losses = _BLOCK_LOSSES.pack(
+        min(block.lost_samples, _MAX_LOST_SAMPLES), bool(saturated), len(block.saturated_samples)
+    )
     clock = _BLOCK_CLOCK.pack(block.clock_residual, block.filter_delay)
     end = _BLOCK_END.pack(block.tare, *sec_and_nanosec(block.tare_stamp_ns), block.relative_uncertainty)
     return b"".join(
         (
             LITTLE_ENDIAN,
             _header(block.stamp_ns, block.frame_id),
-            # an empty sequence has no gap behind its length
+            # An empty sequence has no padding after its length.
             padded(start) if force else start,
             force,
             padded(losses + saturated) if force else padded(start + losses + saturated)[len(start) :],
@@ -48,9 +49,9 @@ def force_block_message(block: ForceBlock) -> bytes:
 
 
 def decode_force_block(data: bytes) -> ForceBlock:
-    """Return the ForceBlock in `data`, CDR of either byte order; raises DecodeError.
+    """Return the ForceBlock in `data`, CDR of either byte order. Raises DecodeError.
 
-    A sender may say `saturated` without the samples: then it is taken to be true of all of them.
+    If `saturated` is true without `saturated_samples`, all samples count as saturated.
     """
     cursor = Cursor(data, "ForceBlock")
     stamp_ns, frame_id = cursor.header()
@@ -62,11 +63,9 @@ def decode_force_block(data: bytes) -> ForceBlock:
     saturated_samples = cursor.array("saturated_samples", np.uint32)
     if len(saturated_samples):
         if not saturated:
-            raise cursor.error(
-                f"saturated is false with {len(saturated_samples)} saturated_samples; true would be right"
-            )
-        if (largest := int(saturated_samples.max())) >= len(force):
-            raise cursor.error(f"saturated_samples holds {largest}, but force has only {len(force)} samples")
+            raise cursor.error(f"saturated = false: must be true with {len(saturated_samples)} saturated_samples")
+        if (index := int(saturated_samples.max())) >= len(force):
+            raise cursor.error(f"saturated_samples = {index}: must be < {len(force)}, the number of samples")
     elif saturated:
         saturated_samples = np.arange(len(force), dtype=np.uint32)
         saturated_samples.flags.writeable = False
@@ -91,7 +90,7 @@ def decode_force_block(data: bytes) -> ForceBlock:
 
 
 def impact_message(impact: Impact) -> bytes:
-    """Return a scara_effmass_msgs/Impact."""
+    """Return the CDR bytes of an Impact."""
     numbers = _IMPACT_NUMBERS.pack(
         impact.peak_force,
         impact.duration,
@@ -109,7 +108,7 @@ def impact_message(impact: Impact) -> bytes:
 
 
 def decode_impact(data: bytes) -> Impact:
-    """Return the Impact in `data`, CDR of either byte order; raises DecodeError."""
+    """Return the Impact in `data`, CDR of either byte order. Raises DecodeError."""
     cursor = Cursor(data, "Impact")
     stamp_ns, frame_id = cursor.header()
     impact = Impact(
@@ -133,5 +132,5 @@ def decode_impact(data: bytes) -> Impact:
 
 
 def _header(stamp_ns: int, frame_id: str) -> bytes:
-    """Return a std_msgs/Header, filled up to where a float64 can stand."""
-    return padded(with_text(_STAMP.pack(*sec_and_nanosec(stamp_ns)), frame_id))
+    """Return a std_msgs/Header, padded for a float64."""
+    return padded(with_text(STAMP.pack(*sec_and_nanosec(stamp_ns)), frame_id))

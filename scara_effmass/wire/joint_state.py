@@ -1,4 +1,4 @@
-"""`sensor_msgs/JointState` out of CDR bytes, as they come from a subscription or from a recording."""
+"""sensor_msgs/JointState messages from and to `JointState`."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from scara_effmass.values import JointState
-from scara_effmass.wire.cdr import FRAME_AT, NS, Cursor
+from scara_effmass.wire.cdr import COUNT, FRAME_AT, LITTLE_ENDIAN, NS, STAMP, Cursor, padded, sec_and_nanosec, with_text
 
 
 @dataclass(frozen=True, slots=True)
 class JointStateLayout:
-    """Where everything stands in a JointState; it stays the same while a publisher keeps its names.
+    """Byte offsets of the fields of a JointState, which stay the same while a publisher keeps its names.
 
-    Offsets (`..._at`) and `size` are in bytes from the start of the message, counts in float64. `fixed` are the
-    byte ranges, as (first, last + 1), that decide the layout and the names: messages of equal size that agree
-    there are laid out alike.
+    Offsets (`..._at`) and `size` are in bytes from the start of the message, counts in float64. `fixed` are the byte
+    ranges (start, stop) of lengths and names: messages of equal size and equal bytes there have the same layout.
     """
 
     byte_order: str
@@ -34,19 +33,16 @@ class JointStateLayout:
 
 
 def joint_state_layout(data: bytes) -> JointStateLayout:
-    """Return the layout of the JointState in `data`, every length checked against the bytes there are.
-
-    Raises DecodeError.
-    """
+    """Return the layout of the JointState in `data`. Raises DecodeError if a length exceeds the message."""
     cursor = Cursor(data, "JointState")
     cursor.skip_text("header.frame_id")
     names = tuple(cursor.text(f"name[{index}]") for index in range(cursor.count("name", 4)))
     position_count_at = cursor.aligned(4)
-    position_at, position_count = cursor.numbers("position")
+    position_at, position_count = cursor.skip_numbers("position")
     velocity_count_at = cursor.at
-    velocity_at, velocity_count = cursor.numbers("velocity")
+    velocity_at, velocity_count = cursor.skip_numbers("velocity")
     effort_count_at = cursor.at
-    cursor.numbers("effort")
+    cursor.skip_numbers("effort")
     cursor.end("effort")
     return JointStateLayout(
         byte_order=cursor.byte_order,
@@ -63,19 +59,36 @@ def joint_state_layout(data: bytes) -> JointStateLayout:
     )
 
 
-class JointStateDecoder:
-    """Decodes JointState after JointState; the layout of the last one is tried first, which makes it fast.
+def joint_state_message(state: JointState, frame_id: str = "") -> bytes:
+    """Return the CDR bytes of a JointState without effort."""
+    data = with_text(STAMP.pack(*sec_and_nanosec(state.stamp_ns)), frame_id)
+    data = _with_count(data, len(state.names))
+    for name in state.names:
+        data = with_text(data, name)
+    for values in (state.position, state.velocity):
+        data = _with_count(data, len(values))
+        if len(values):
+            data = padded(data) + np.asarray(values, "<f8").tobytes()
+    return LITTLE_ENDIAN + _with_count(data, 0)
 
-    While the names stay equal, every JointState carries the same tuple object of them. Not for several threads.
+
+def _with_count(data: bytes, count: int) -> bytes:
+    return data + b"\x00" * (-len(data) % 4) + COUNT.pack(count)
+
+
+class JointStateDecoder:
+    """Decodes JointState messages; fast while the layout stays the same. Not thread-safe.
+
+    Consecutive states with equal names share one tuple of names.
     """
 
     __slots__ = (
+        "_dtype",
         "_effort_count",
         "_first",
         "_last",
         "_names",
         "_native",
-        "_number",
         "_order",
         "_position_count",
         "_prefix",
@@ -91,13 +104,12 @@ class JointStateDecoder:
         self._names: tuple[str, ...] = ()
 
     def decode(self, data: bytes) -> JointState:
-        """Return the JointState in `data`, CDR of either byte order.
+        """Return the JointState in `data`, CDR of either byte order. Raises DecodeError.
 
-        Its arrays are read-only, aligned float64 in native order. Effort is checked but not decoded.
-        Raises DecodeError.
+        Its arrays are read-only, aligned float64 in native byte order. Effort is checked but not decoded.
         """
         if len(data) != self._size:
-            self._learn(data)
+            self._learn_layout(data)
         order, sec, nanosec, prefix, velocity_count, effort_count = self._unpack(data)
         if (
             prefix != self._prefix
@@ -105,21 +117,21 @@ class JointStateDecoder:
             or effort_count != self._effort_count
             or order != self._order
         ):
-            self._learn(data)
+            self._learn_layout(data)
             order, sec, nanosec, prefix, velocity_count, effort_count = self._unpack(data)
-        # position and velocity in one array; cut out of the message, as numbers are not aligned in memory there
-        numbers = np.frombuffer(data[self._first : self._last], self._number)
+        # One copy holds position and velocity; in the message itself they are not aligned.
+        values = np.frombuffer(data[self._first : self._last], self._dtype)
         if not self._native:
-            numbers = numbers.astype(np.float64)
-            numbers.flags.writeable = False
+            values = values.astype(np.float64)
+            values.flags.writeable = False
         return JointState(
             sec * NS + nanosec,
             self._names,
-            numbers[: self._position_count],
-            numbers[self._velocity_first : self._velocity_last],
+            values[: self._position_count],
+            values[self._velocity_first : self._velocity_last],
         )
 
-    def _learn(self, data: bytes) -> None:
+    def _learn_layout(self, data: bytes) -> None:
         self._size = -1
         layout = joint_state_layout(data)
         prefix = layout.position_count_at + 4 - FRAME_AT
@@ -130,8 +142,8 @@ class JointStateDecoder:
         self._order, _, _, self._prefix, self._velocity_count, self._effort_count = message.unpack_from(data)
         if layout.names != self._names:
             self._names = layout.names
-        self._number = np.dtype(f"{layout.byte_order}f8")
-        self._native = self._number.isnative
+        self._dtype = np.dtype(f"{layout.byte_order}f8")
+        self._native = self._dtype.isnative
         self._first = layout.position_at if layout.position_count else layout.velocity_at
         self._last = (
             layout.velocity_at + 8 * layout.velocity_count

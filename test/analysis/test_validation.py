@@ -12,7 +12,7 @@ import pytest
 
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.messages import joint_state_message, serialized
+from scara_effmass.bags.messages import serialized
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
@@ -22,6 +22,7 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MassModel, ValidatorSettings
 from scara_effmass.values import JointState
 from scara_effmass.wire.force import impact_message
+from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE, RUN_INFO, STRING
 from scara_effmass.wire.topics import RECORDING_INFO
 

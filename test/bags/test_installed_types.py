@@ -6,8 +6,7 @@ import pytest
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
-from scara_effmass.bags.definitions import known_types
-from scara_effmass.bags.installed_types import UNSET, types_for
+from scara_effmass.bags.definitions import UNSET_HASH, known_types, published_types
 from scara_effmass.errors import BagError
 
 STRING = "std_msgs/msg/String"
@@ -32,28 +31,28 @@ def hash_of(*kinds: str) -> str:
     return store.hash_rihs01(kinds[0])
 
 
-@pytest.mark.parametrize("type_hash", ["", UNSET, "INVALID", known_types().hash_rihs01(STRING)])
+@pytest.mark.parametrize("type_hash", ["", UNSET_HASH, "INVALID", known_types().hash_rihs01(STRING)])
 def test_a_known_type_needs_no_installed_file(type_hash: str) -> None:
-    assert types_for(STRING, type_hash, lambda _: "") is known_types()
+    assert published_types(STRING, type_hash, lambda _: "") is known_types()
 
 
 def test_an_unknown_type_comes_with_all_it_refers_to() -> None:
     kinds = ("lab_msgs/msg/Box", "lab_msgs/msg/Lid", "lab_msgs/msg/Side", "builtin_interfaces/msg/Time")
-    types = types_for(kinds[0], hash_of(*kinds), text_of)
+    types = published_types(kinds[0], hash_of(*kinds), text_of)
     definition, _ = types.generate_msgdef(kinds[0], ros_version=2)
     assert "float64 length" in definition
     assert "SIZE=3" in definition.replace(" ", "")
 
 
 def test_the_definition_is_the_one_that_is_published() -> None:
-    types = types_for(STRING, hash_of(STRING), text_of)
+    types = published_types(STRING, hash_of(STRING), text_of)
     assert [name for name, _ in types.fielddefs[STRING][1]] == ["other"]
-    with pytest.raises(BagError, match=f"published with a definition of {STRING} that is not the one installed"):
-        types_for(STRING, "RIHS01_" + 64 * "1", text_of)
+    with pytest.raises(BagError, match=f"the published definition of {STRING} differs from the installed one"):
+        published_types(STRING, "RIHS01_" + 64 * "1", text_of)
 
 
 def test_a_type_without_a_definition_is_named() -> None:
-    with pytest.raises(BagError, match=r"type lab_msgs/msg/Nope has no \.msg file where its package is installed"):
-        types_for("lab_msgs/msg/Nope", "", text_of)
-    with pytest.raises(BagError, match=r"type lab_msgs/msg/Odd: its \.msg file is not understood"):
-        types_for("lab_msgs/msg/Odd", "", text_of)
+    with pytest.raises(BagError, match=r"type lab_msgs/msg/Nope: its package installs no \.msg file"):
+        published_types("lab_msgs/msg/Nope", "", text_of)
+    with pytest.raises(BagError, match=r"type lab_msgs/msg/Odd: invalid \.msg file"):
+        published_types("lab_msgs/msg/Odd", "", text_of)

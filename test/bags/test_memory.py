@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.messages import joint_state_message
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.values import JointState
+from scara_effmass.wire.joint_state import joint_state_message
 
 if TYPE_CHECKING:
     from pathlib import Path

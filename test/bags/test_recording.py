@@ -24,11 +24,10 @@ from rosbags.highlevel import AnyReader
 
 from scara_effmass.bags.disk_space import DiskSpace
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.part_writer import CHUNK_BYTES
-from scara_effmass.bags.recorded_topic import LOSSES_RECORD, Lost
-from scara_effmass.bags.recording import BagRecorder
-from scara_effmass.bags.recording_options import RecordingOptions
-from scara_effmass.bags.rosbag2 import OfferedQos, qos_text
+from scara_effmass.bags.mcap_writer import CHUNK_BYTES
+from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
+from scara_effmass.bags.recording_report import LOSSES_RECORD, LossCounts
+from scara_effmass.bags.rosbag2 import qos_yaml
 from scara_effmass.errors import BagError, OutputError, SettingsError
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ T0 = 1_700_000_000_123_456_789
 MS = 1_000_000
 MB = 1_000_000
 PATIENCE_S = 120.0
-QUICK = RecordingOptions(flush_period_s=0.005)
+QUICK = RecorderOptions(flush_period_s=0.005)
 BENCH = Path(__file__).parents[2] / "benchmarks" / "kill_recorder.py"
 
 
@@ -151,27 +150,31 @@ class TestWhatWasTaken:
             max_size=60,
         ),
         compress=st.booleans(),
-        part_bytes=st.sampled_from([0, 1, 5000]),
-        part_ns=st.sampled_from([0, 1, 100 * MS]),
+        max_file_bytes=st.sampled_from([0, 1, 5000]),
+        max_file_ns=st.sampled_from([0, 1, 100 * MS]),
     )
     def test_comes_back_byte_by_byte_through_every_reader(
         self,
         tmp_path_factory: pytest.TempPathFactory,
         messages: list[tuple[str, int, int, bool]],
         compress: bool,  # noqa: FBT001 - drawn
-        part_bytes: int,
-        part_ns: int,
+        max_file_bytes: int,
+        max_file_ns: int,
     ) -> None:
         folder = tmp_path_factory.mktemp("recordings") / "bag"
-        options = RecordingOptions(
-            compress=compress, part_bytes=part_bytes, part_ns=part_ns, flush_period_s=0.001, reserve_bytes=0
+        options = RecorderOptions(
+            compress=compress,
+            max_file_bytes=max_file_bytes,
+            max_file_ns=max_file_ns,
+            flush_period_s=0.001,
+            reserve_bytes=0,
         )
         put: list[Message] = []
         with BagRecorder(folder, options) as recording:
             numbers = {topic: recording.add_topic(topic, STRING) for topic in ("/a", "/b")}
             for count, (topic, log_time_ns, size, pause) in enumerate(messages):
                 put.append(Message(topic, log_time_ns, text(count, size)))
-                assert recording.put(numbers[topic], log_time_ns, put[-1].data)
+                assert recording.write(numbers[topic], log_time_ns, put[-1].data)
                 if pause:
                     threading.Event().wait(0.002)  # lets chunks and parts end here and there
         report = recording.report()
@@ -192,7 +195,7 @@ class TestWhatWasTaken:
     def test_is_on_the_disk_soon_without_a_message_that_follows(self, tmp_path: Path) -> None:
         with BagRecorder(tmp_path / "bag", QUICK) as recording:
             number = recording.add_topic("/a", STRING)
-            recording.put(number, T0, text(1))
+            recording.write(number, T0, text(1))
             until(lambda: recording.report().saved)
             assert by_us(tmp_path / "bag") == [Message("/a", T0, text(1))]
 
@@ -207,20 +210,31 @@ class TestWhatWasTaken:
         with BagRecorder(tmp_path / "bag", QUICK) as recording:
             number = recording.add_topic("/a", STRING)
             for i in range(3):
-                recording.put(number, T0 + i, text(i, CHUNK_BYTES))
+                recording.write(number, T0 + i, text(i, CHUNK_BYTES))
             until(lambda: recording.report().saved == 3)
             until(lambda: synced[-1] == path.stat().st_size)
 
     def test_is_described_as_rosbag2_does(self, tmp_path: Path) -> None:
-        offered = OfferedQos("keep_last", 5, "reliable", "transient_local", 2**63 - 1, 2**63 - 1, "automatic", 10**9)
+        infinite = {"sec": 9223372036, "nsec": 854775807}
+        offered = {
+            "history": "keep_last",
+            "depth": 5,
+            "reliability": "reliable",
+            "durability": "transient_local",
+            "deadline": infinite,
+            "lifespan": infinite,
+            "liveliness": "automatic",
+            "liveliness_lease_duration": {"sec": 1, "nsec": 0},
+            "avoid_ros_namespace_conventions": False,
+        }
         with BagRecorder(tmp_path / "bag", QUICK) as recording:
-            recording.put(recording.add_topic("/a", STRING, offered_qos=qos_text([offered])), T0, text(1))
+            recording.write(recording.add_topic("/a", STRING, offered_qos=qos_yaml([offered])), T0, text(1))
             recording.add_topic("/never", FLOAT64)
         (a, never) = metadata(tmp_path / "bag")["topics_with_message_count"]
         assert (a["message_count"], never["message_count"]) == (1, 0)
         assert never["topic_metadata"]["type"] == FLOAT64
         (qos,) = a["topic_metadata"]["offered_qos_profiles"]
-        assert (qos["durability"], qos["deadline"]) == ("transient_local", {"sec": 9223372036, "nsec": 854775807})
+        assert (qos["durability"], qos["deadline"]) == ("transient_local", infinite)
         with AnyReader([tmp_path / "bag"]) as reader:
             (read,) = (c.ext for c in reader.connections if c.topic == "/a")
         assert [qos.durability.name for qos in read.offered_qos_profiles] == ["TRANSIENT_LOCAL"]  # type: ignore[union-attr]
@@ -231,7 +245,7 @@ class TestWhatWasTaken:
 
     def test_of_an_unknown_type_is_refused_by_name(self, tmp_path: Path) -> None:
         recording = BagRecorder(tmp_path / "bag", QUICK)
-        with pytest.raises(BagError, match="/x: type lab_msgs/msg/Nope has no definition here"):
+        with pytest.raises(BagError, match="/x: type lab_msgs/msg/Nope is not defined"):
             recording.add_topic("/x", "lab_msgs/msg/Nope")
         recording.close()
         assert recording.report().topics == {}
@@ -239,19 +253,19 @@ class TestWhatWasTaken:
 
 class TestParts:
     def test_end_by_time(self, tmp_path: Path) -> None:
-        with BagRecorder(tmp_path / "bag", RecordingOptions(part_ns=100 * MS)) as recording:
+        with BagRecorder(tmp_path / "bag", RecorderOptions(max_file_ns=100 * MS)) as recording:
             number = recording.add_topic("/a", STRING)
             for i in range(35):
-                recording.put(number, T0 + i * 10 * MS, text(i))
+                recording.write(number, T0 + i * 10 * MS, text(i))
         counts = [file["message_count"] for file in metadata(tmp_path / "bag")["files"]]
         assert counts == [10, 10, 10, 5]
 
     def test_end_by_size_and_are_complete_then(self, tmp_path: Path) -> None:
         folder = tmp_path / "bag"
-        with BagRecorder(folder, RecordingOptions(part_bytes=1, flush_period_s=0.005)) as recording:
+        with BagRecorder(folder, RecorderOptions(max_file_bytes=1, flush_period_s=0.005)) as recording:
             number = recording.add_topic("/a", STRING)
             for i in range(3):
-                recording.put(number, T0 + i, text(i))
+                recording.write(number, T0 + i, text(i))
                 until(lambda: len(parts_of(folder)) == i + 2)  # noqa: B023 - called here and now
                 names = metadata(folder)["relative_file_paths"]
                 assert names == [f"bag_{n}.mcap" for n in range(i + 1)]
@@ -260,9 +274,9 @@ class TestParts:
         assert len(by_mcap(folder)) == 3
 
     def test_each_describes_its_topics(self, tmp_path: Path) -> None:
-        with BagRecorder(tmp_path / "bag", RecordingOptions(part_ns=1)) as recording:
+        with BagRecorder(tmp_path / "bag", RecorderOptions(max_file_ns=1)) as recording:
             for i, topic in enumerate(("/a", "/b", "/c")):
-                recording.put(recording.add_topic(topic, STRING), T0 + i, text(i))
+                recording.write(recording.add_topic(topic, STRING), T0 + i, text(i))
         for path in parts_of(tmp_path / "bag"):
             with AnyReader([path]) as reader:
                 assert len(list(reader.messages())) == 1
@@ -271,25 +285,25 @@ class TestParts:
 class TestQueue:
     def test_that_is_full_loses_and_counts_without_waiting(self, tmp_path: Path) -> None:
         disk = FaultyDisk()
-        options = RecordingOptions(flush_period_s=0.005, queue_messages=50, queue_bytes=10_000)
+        options = RecorderOptions(flush_period_s=0.005, queue_messages=50, queue_bytes=10_000)
         with BagRecorder(tmp_path / "bag", options, opener=disk.open) as recording:
             busy, idle = recording.add_topic("/busy", STRING), recording.add_topic("/idle", STRING)
-            assert recording.put(idle, T0, text(0))
+            assert recording.write(idle, T0, text(0))
             until(lambda: recording.report().saved)
             disk.free.clear()
-            taken = [recording.put(busy, T0, text(0))]
+            taken = [recording.write(busy, T0, text(0))]
             assert disk.stuck.wait(PATIENCE_S)
             # If this waited for the disk, it would wait for ever.
-            taken += [recording.put(busy, T0 + i, text(i)) for i in range(1, 5000)]
+            taken += [recording.write(busy, T0 + i, text(i)) for i in range(1, 5000)]
             assert taken.count(True) == 50
             assert not taken[-1]
-            assert not recording.put(idle, T0, b"x" * 10_001)
+            assert not recording.write(idle, T0, b"x" * 10_001)
             disk.free.set()
-            until(lambda: recording.put(busy, T0 + 6000, text(6000)))
+            until(lambda: recording.write(busy, T0 + 6000, text(6000)))
         report = recording.report()
         lost = report.topics["/busy"].lost.queue
         assert lost >= taken.count(False) > 4000
-        assert report.topics["/idle"].lost == Lost(queue=1)
+        assert report.topics["/idle"].lost == LossCounts(queue=1)
         assert {t.received for t in report.topics.values()} == {5001 + (lost - taken.count(False)), 2}
         found = by_us(tmp_path / "bag")
         kept = [Message("/busy", T0 + i, text(i)) for i, was_taken in enumerate(taken) if was_taken]
@@ -299,9 +313,9 @@ class TestQueue:
         assert json.loads(metadata(tmp_path / "bag")["custom_data"][LOSSES_RECORD]) == said
 
     def test_leaves_a_hole_in_the_sequence_numbers(self, tmp_path: Path) -> None:
-        with BagRecorder(tmp_path / "bag", RecordingOptions(queue_bytes=100)) as recording:
+        with BagRecorder(tmp_path / "bag", RecorderOptions(queue_bytes=100)) as recording:
             number = recording.add_topic("/a", STRING)
-            taken = [recording.put(number, T0, b"x" * size) for size in (10, 101, 10)]
+            taken = [recording.write(number, T0, b"x" * size) for size in (10, 101, 10)]
         assert taken == [True, False, True]
         with (tmp_path / "bag" / "bag_0.mcap").open("rb") as file:
             assert [message.sequence for _, _, message in make_reader(file).iter_messages()] == [0, 2]
@@ -309,17 +323,17 @@ class TestQueue:
     def test_takes_nothing_after_the_end(self, tmp_path: Path) -> None:
         with BagRecorder(tmp_path / "bag", QUICK) as recording:
             number = recording.add_topic("/a", STRING)
-        assert not recording.put(number, T0, text(0))
-        assert recording.close().topics["/a"].lost == Lost(queue=1)
+        assert not recording.write(number, T0, text(0))
+        assert recording.close().topics["/a"].lost == LossCounts(queue=1)
 
     def test_what_the_middleware_lost_is_kept_in_the_file_before_the_end(self, tmp_path: Path) -> None:
         with BagRecorder(tmp_path / "bag", QUICK) as recording:
             number = recording.add_topic("/a", STRING)
-            recording.put(number, T0, text(0))
-            recording.add_lost_by_middleware(number, 3)
+            recording.write(number, T0, text(0))
+            recording.count_lost_by_middleware(number, 3)
             until(lambda: b"middleware" in (tmp_path / "bag" / "bag_0.mcap").read_bytes())
-            recording.add_lost_by_middleware(number, 4)
-        assert recording.report().topics["/a"].lost == Lost(middleware=7)
+            recording.count_lost_by_middleware(number, 4)
+        assert recording.report().topics["/a"].lost == LossCounts(middleware=7)
         told = [counts["/a"]["middleware"] for counts in losses_in(tmp_path / "bag" / "bag_0.mcap")]
         assert [count for count, _ in groupby(told)] == [3, 7]  # the last also at the end, if it was told before
 
@@ -328,36 +342,36 @@ class TestDiskThatFills:
     def test_stops_at_the_reserve_and_goes_on_in_a_new_part(self, tmp_path: Path) -> None:
         said: list[str] = []
         free = [10_000 * MB]
-        options = RecordingOptions(flush_period_s=0.005, reserve_bytes=100 * MB, warn_bytes=500 * MB)
+        options = RecorderOptions(flush_period_s=0.005, reserve_bytes=100 * MB, warn_bytes=500 * MB)
         folder = tmp_path / "bag"
-        with BagRecorder(folder, options, say=said.append, free_space=lambda: free[0]) as recording:
+        with BagRecorder(folder, options, warn=said.append, free_space=lambda: free[0]) as recording:
             number = recording.add_topic("/a", STRING)
-            recording.put(number, T0, text(0))
+            recording.write(number, T0, text(0))
             until(lambda: recording.report().saved == 1)
             free[0] = 499 * MB
             until(lambda: said)
-            assert recording.put(number, T0 + 1, text(1))
+            assert recording.write(number, T0 + 1, text(1))
             until(lambda: recording.report().saved == 2)
             free[0] = 99 * MB
             until((folder / "metadata.yaml").exists)
             assert recording.report().stopped_by_disk
             assert len(by_rosbags(folder)) == len(by_us(folder)) == 2
-            recording.put(number, T0 + 2, text(2))
+            recording.write(number, T0 + 2, text(2))
             until(lambda: recording.report().lost)
             free[0] = 150 * MB  # more than the reserve, but not enough to begin again
-            recording.put(number, T0 + 3, text(3))
+            recording.write(number, T0 + 3, text(3))
             until(lambda: recording.report().lost == 2)
             free[0] = 600 * MB
             until(lambda: not recording.report().stopped_by_disk)
-            recording.put(number, T0 + 4, text(4))
+            recording.write(number, T0 + 4, text(4))
         report = recording.report()
-        assert report.topics["/a"].lost == Lost(disk=2)
+        assert report.topics["/a"].lost == LossCounts(disk=2)
         assert report.files == ("bag_0.mcap", "bag_1.mcap")
         assert [message.data for message in by_us(folder)] == [text(0), text(1), text(4)]
         assert [line.partition(": ")[2] for line in said] == [
             "the disk has 499 MB left, of which 100 MB stay free" + said[0].partition("stay free")[2],
-            "the disk has less than 100 MB left: recording stops, messages are lost",
-            "the disk has room again: recording goes on",
+            "the disk has less than 100 MB left: recording stops, messages are lost and counted",
+            "the disk has room again: recording resumes",
         ]
         assert losses_in(folder / "bag_1.mcap")[-1]["/a"]["disk"] == 2
 
@@ -370,23 +384,23 @@ class TestDiskThatFills:
             """Say nothing of it before it is known."""
             return disk.room if said else 1 << 40
 
-        with BagRecorder(folder, QUICK, say=said.append, free_space=free_space, opener=disk.open) as recording:
+        with BagRecorder(folder, QUICK, warn=said.append, free_space=free_space, opener=disk.open) as recording:
             number = recording.add_topic("/a", STRING)
-            recording.put(number, T0, text(0))
+            recording.write(number, T0, text(0))
             until(lambda: recording.report().saved == 1)
             disk.room = 20  # a torn record
-            recording.put(number, T0 + 1, text(1, 5000))
+            recording.write(number, T0 + 1, text(1, 5000))
             until(lambda: recording.report().stopped_by_disk)
             assert by_us(folder) == [Message("/a", T0, text(0))]
-            recording.put(number, T0 + 2, text(2))
+            recording.write(number, T0 + 2, text(2))
             until(lambda: recording.report().lost)
             disk.room = 1 << 40
             until(lambda: not recording.report().stopped_by_disk)
-            recording.put(number, T0 + 3, text(3))
+            recording.write(number, T0 + 3, text(3))
         assert [message.data for message in by_us(folder)] == [text(0), text(1, 5000), text(3)]
         assert sorted(by_rosbags(folder)) == by_us(folder)
         report = recording.report()
-        assert (report.topics["/a"].lost, report.unindexed) == (Lost(disk=1), ())
+        assert (report.topics["/a"].lost, report.unindexed) == (LossCounts(disk=1), ())
         assert said[0].endswith("cannot be written: it is full; messages are lost and counted")
 
     @pytest.mark.parametrize("room", [0, 20, 700])
@@ -397,11 +411,11 @@ class TestDiskThatFills:
         with BagRecorder(folder, QUICK, opener=disk.open) as recording:
             number = recording.add_topic("/a", STRING)
             for i in range(5):
-                recording.put(number, T0 + i, text(i))
+                recording.write(number, T0 + i, text(i))
             until(lambda: recording.report().saved == 5)
             disk.room = room
             for i in range(5, 10):
-                recording.put(number, T0 + i, text(i, 5000))
+                recording.write(number, T0 + i, text(i, 5000))
             until(lambda: recording.report().stopped_by_disk)
         report = recording.report()
         assert by_us(folder) == [Message("/a", T0 + i, text(i)) for i in range(5)]
@@ -411,7 +425,7 @@ class TestDiskThatFills:
 
     def test_that_cannot_sync_is_said(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         said: list[str] = []
-        with BagRecorder(tmp_path / "bag", QUICK, say=said.append) as recording:
+        with BagRecorder(tmp_path / "bag", QUICK, warn=said.append) as recording:
             number = recording.add_topic("/a", STRING)
 
             def fail(_: int) -> None:
@@ -419,7 +433,7 @@ class TestDiskThatFills:
 
             with monkeypatch.context() as broken:
                 broken.setattr("os.fdatasync", fail)
-                recording.put(number, T0, text(0))
+                recording.write(number, T0, text(0))
                 until(lambda: said)
             until(lambda: not recording.report().stopped_by_disk)
         assert "cannot be written: it is broken" in said[0]
@@ -447,20 +461,20 @@ class TestDiskThatFills:
 class TestBeginning:
     def test_over_something_else_is_refused(self, tmp_path: Path) -> None:
         (tmp_path / "bag").mkdir()
-        with pytest.raises(OutputError, match="bag: exists already"):
+        with pytest.raises(OutputError, match="bag: already exists"):
             BagRecorder(tmp_path / "bag")
-        with pytest.raises(OutputError, match="exists and is no such recording"):
+        with pytest.raises(OutputError, match="is not such a bag and is not replaced"):
             BagRecorder(tmp_path / "bag", overwrite=True)
-        with pytest.raises(OutputError, match=r"a name without \.mcap would be right"):
+        with pytest.raises(OutputError, match=r"must be a folder name without \.mcap"):
             BagRecorder(tmp_path / "bag.mcap")
         assert [path.name for path in tmp_path.iterdir()] == ["bag"]
 
     def test_over_a_recording_replaces_it_when_asked(self, tmp_path: Path) -> None:
         for number in range(2):
-            with BagRecorder(tmp_path / "bag", RecordingOptions(part_ns=1), overwrite=True) as recording:
+            with BagRecorder(tmp_path / "bag", RecorderOptions(max_file_ns=1), overwrite=True) as recording:
                 topic = recording.add_topic("/a", STRING)
                 for i in range(3 - 2 * number):
-                    recording.put(topic, T0 + i, text(number))
+                    recording.write(topic, T0 + i, text(number))
         assert by_us(tmp_path / "bag") == [Message("/a", T0, text(1))]
         assert [path.name for path in tmp_path.iterdir()] == ["bag"]
 
@@ -471,16 +485,16 @@ class TestBeginning:
             (folder / "metadata.yaml").unlink()
             for name in others:
                 (folder / name).write_text("x")
-        with pytest.raises(OutputError, match="exists and is no such recording"):
+        with pytest.raises(OutputError, match="is not such a bag and is not replaced"):
             BagRecorder(folder, overwrite=True)
         assert sorted(path.name for path in folder.iterdir()) == ["bag_0.mcap", "notes.txt"]
 
     def test_over_one_that_is_being_made_is_refused(self, tmp_path: Path) -> None:
-        with BagRecorder(tmp_path / "bag", RecordingOptions(part_ns=1)) as recording:
+        with BagRecorder(tmp_path / "bag", RecorderOptions(max_file_ns=1)) as recording:
             topic = recording.add_topic("/a", STRING)
-            recording.put(topic, T0, text(0))
-            recording.put(topic, T0 + 1, text(1))
-            with pytest.raises(OutputError, match=r"bag: is being recorded; end the recorder first"):
+            recording.write(topic, T0, text(0))
+            recording.write(topic, T0 + 1, text(1))
+            with pytest.raises(OutputError, match=r"bag: is being recorded; stop the recorder first"):
                 BagRecorder(tmp_path / "bag", overwrite=True)
         assert len(by_us(tmp_path / "bag")) == 2
 
@@ -499,20 +513,20 @@ class TestBeginning:
             BagRecorder(tmp_path / "file" / "bag")
 
     @pytest.mark.parametrize(
-        ("key", "value"), [("part_bytes", -1), ("flush_period_s", 0.0), ("queue_bytes", 0), ("warn_before_s", -1.0)]
+        ("key", "value"), [("max_file_bytes", -1), ("flush_period_s", 0.0), ("queue_bytes", 0), ("warn_before_s", -1.0)]
     )
     def test_with_a_wrong_option_is_refused(self, key: str, value: float) -> None:
-        with pytest.raises(SettingsError, match=f"recording: {key} = {value}: .* or more would be right"):
-            RecordingOptions(**{key: value})  # type: ignore[arg-type]
+        with pytest.raises(SettingsError, match=f"record: {key} = {value}: must be >= "):
+            RecorderOptions(**{key: value})  # type: ignore[arg-type]
 
 
 def test_a_fault_of_the_writing_thread_is_no_silence(tmp_path: Path) -> None:
     recording = BagRecorder(tmp_path / "bag", QUICK)
     number = recording.add_topic("/a", STRING)
-    recording.put(number, -1, text(0))  # no time that the format knows
-    until(lambda: not recording.running)
-    assert not recording.put(number, T0, text(1))
-    with pytest.raises(OutputError, match="bag: recording broke off"):
+    recording.write(number, -1, text(0))  # no time that the format knows
+    until(lambda: not recording.is_running)
+    assert not recording.write(number, T0, text(1))
+    with pytest.raises(OutputError, match="bag: recording failed"):
         recording.close()
 
 

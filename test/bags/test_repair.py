@@ -17,9 +17,8 @@ from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.recorded_topic import LOSSES_RECORD
-from scara_effmass.bags.recording import BagRecorder
-from scara_effmass.bags.recording_options import RecordingOptions
+from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
+from scara_effmass.bags.recording_report import LOSSES_RECORD
 from scara_effmass.bags.repair import RepairReport, repair
 from scara_effmass.errors import BagError, OutputError
 
@@ -116,10 +115,10 @@ def readable(path: Path) -> list[tuple[str, int, bytes]]:
 
 def recorded(folder: Path, parts: int = 3) -> Path:
     """A complete recording of our own in `parts` files of four messages."""
-    with BagRecorder(folder, RecordingOptions(part_ns=4, reserve_bytes=0)) as recording:
+    with BagRecorder(folder, RecorderOptions(max_file_ns=4, reserve_bytes=0)) as recording:
         number = recording.add_topic("/text", STRING)
         for i in range(4 * parts):
-            recording.put(number, T0 + i, text(i))
+            recording.write(number, T0 + i, text(i))
     return folder
 
 
@@ -216,7 +215,7 @@ class TestFile:
         assert repair(path).intact
 
         path.write_bytes(content)  # damaged again, but the place of the original is taken
-        with pytest.raises(OutputError, match=r"a\.mcap\.damaged: exists already; take it away first"):
+        with pytest.raises(OutputError, match=r"a\.mcap\.damaged: already exists; move it away first"):
             repair(path)
         assert path.read_bytes() == content
         assert names(tmp_path) == ["a.mcap", "a.mcap.damaged"]
@@ -253,12 +252,12 @@ class TestFile:
 
     def test_that_is_none_is_refused_by_name(self, tmp_path: Path) -> None:
         (tmp_path / "a.mcap").write_text("hello, I am a text")
-        with pytest.raises(BagError, match=r"a\.mcap: is no MCAP file"):
+        with pytest.raises(BagError, match=r"a\.mcap: is not an MCAP file"):
             repair(tmp_path / "a.mcap")
         (tmp_path / "a.mcap").write_bytes(b"")
         with pytest.raises(BagError, match=r"a\.mcap: is empty"):
             repair(tmp_path / "a.mcap")
-        with pytest.raises(BagError, match=r"b\.mcap: there is no such file"):
+        with pytest.raises(BagError, match=r"b\.mcap: does not exist"):
             repair(tmp_path / "b.mcap")
         assert names(tmp_path) == ["a.mcap"]
 
@@ -317,11 +316,11 @@ class TestFolder:
 
     def test_keeps_what_its_recorder_said_it_had_lost(self, tmp_path: Path) -> None:
         folder = tmp_path / "bag"
-        with BagRecorder(folder, RecordingOptions(queue_bytes=20, reserve_bytes=0)) as recording:
+        with BagRecorder(folder, RecorderOptions(queue_bytes=20, reserve_bytes=0)) as recording:
             number = recording.add_topic("/text", STRING)
-            recording.put(number, T0, text(1))
-            recording.put(number, T0, b"x" * 30)
-            recording.add_lost_by_middleware(number, 2)
+            recording.write(number, T0, text(1))
+            recording.write(number, T0, b"x" * 30)
+            recording.count_lost_by_middleware(number, 2)
         (folder / "metadata.yaml").unlink()
         cut(folder / "bag_0.mcap", (folder / "bag_0.mcap").stat().st_size - 1)
         repair(folder)
@@ -339,15 +338,15 @@ class TestFolder:
     def test_of_another_format_is_refused(self, tmp_path: Path) -> None:
         (tmp_path / "bag").mkdir()
         (tmp_path / "bag" / "bag_0.db3").write_bytes(b"SQLite format 3\0")
-        with pytest.raises(BagError, match=r"bag: holds no \.mcap file; only recordings in MCAP are repaired"):
+        with pytest.raises(BagError, match=r"bag: contains no \.mcap file; only MCAP bags can be repaired"):
             repair(tmp_path / "bag")
 
     def test_that_is_being_recorded_is_refused(self, tmp_path: Path) -> None:
         folder = tmp_path / "bag"
-        with BagRecorder(folder, RecordingOptions(reserve_bytes=0)) as recording:
-            with pytest.raises(OutputError, match=r"bag_0\.mcap: is being recorded; end the recorder first"):
+        with BagRecorder(folder, RecorderOptions(reserve_bytes=0)) as recording:
+            with pytest.raises(OutputError, match=r"bag_0\.mcap: is being recorded; stop the recorder first"):
                 repair(folder)
-            recording.put(recording.add_topic("/text", STRING), T0, text(1))
+            recording.write(recording.add_topic("/text", STRING), T0, text(1))
         assert repair(folder).intact
 
 

@@ -13,11 +13,11 @@ from rosbags.highlevel import AnyReader
 
 from scara_effmass.bags.definitions import known_types, own_types
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.messages import joint_state_message
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.values import ContactAssessment, JointState, Verdict
 from scara_effmass.wire.contact_state import ContactStateEncoder
+from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import CONTACT_STATE, JOINT_STATE
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ class TestExisting:
     @pytest.mark.parametrize("name", ["bag", "bag.mcap"])
     def test_is_kept(self, tmp_path: Path, name: str) -> None:
         path = write(tmp_path / name)
-        with pytest.raises(OutputError, match=f"{name}: exists already"):
+        with pytest.raises(OutputError, match=f"{name}: already exists"):
             BagWriter(path)
         assert only(tmp_path) == [name]
 
@@ -165,10 +165,10 @@ class TestExisting:
         folder = tmp_path / "thesis"
         folder.mkdir()
         (folder / "chapter1").write_text("x")
-        with pytest.raises(OutputError, match="exists and is no such recording"):
+        with pytest.raises(OutputError, match="is not such a bag and is not replaced"):
             BagWriter(folder, overwrite=True)
         (tmp_path / "folder.mcap").mkdir()
-        with pytest.raises(OutputError, match="exists and is no such recording"):
+        with pytest.raises(OutputError, match="is not such a bag and is not replaced"):
             BagWriter(tmp_path / "folder.mcap", overwrite=True)
         assert only(folder) == ["chapter1"]
 
@@ -176,7 +176,7 @@ class TestExisting:
         writer = BagWriter(tmp_path / "bag.mcap")
         writer.write_joint_states("/joint_states", STATES)
         (tmp_path / "bag.mcap").write_text("mine")
-        with pytest.raises(OutputError, match="exists already"):
+        with pytest.raises(OutputError, match="already exists"):
             writer.close()
         assert (tmp_path / "bag.mcap").read_text() == "mine"
         assert only(tmp_path) == ["bag.mcap"]
@@ -190,7 +190,7 @@ def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
 
 def test_an_unknown_type_is_named_and_leaves_nothing(tmp_path: Path) -> None:
     with (
-        pytest.raises(BagError, match="/x: type lab_msgs/msg/Nope has no definition here"),
+        pytest.raises(BagError, match="/x: type lab_msgs/msg/Nope is not defined"),
         BagWriter(tmp_path / "bag") as writer,
     ):
         writer.write("/x", "lab_msgs/msg/Nope", T0, b"")
@@ -210,7 +210,7 @@ def test_a_signal_that_breaks_in_at_the_start_leaves_nothing(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("scara_effmass.bags.writer.PartWriter", interrupted)
+    monkeypatch.setattr("scara_effmass.bags.writer.McapFileWriter", interrupted)
     with pytest.raises(KeyboardInterrupt):
         BagWriter(tmp_path / name)
     assert list(tmp_path.iterdir()) == []

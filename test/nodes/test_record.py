@@ -24,8 +24,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.recorded_topic import Lost
-from scara_effmass.bags.recording import BagRecorder
+from scara_effmass.bags.recorder import BagRecorder
+from scara_effmass.bags.recording_report import LossCounts
 from scara_effmass.errors import OutputError, SettingsError
 from scara_effmass.nodes import topic_recorder
 from scara_effmass.nodes.record import RecordOptions, record
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from rclpy.event_handler import SubscriptionEventCallbacks
     from rclpy.publisher import Publisher
 
     from scara_effmass.bags.recording_report import RecordingReport
@@ -162,7 +163,7 @@ def test_every_message_of_the_suite_equals_what_was_published(cell: Cell) -> Non
     counts = {name: topic.recorded for name, topic in report.recording.topics.items()}
     assert counts == {"/joint_states": 500, "/force": 20, "/force/ai1": 20}
     assert (report.recording.lost, report.refused, cell.said) == (0, {}, [])
-    assert "/tf" in report.unheard
+    assert "/tf" in report.unpublished
     assert not report.simulated_time
 
 
@@ -233,7 +234,7 @@ def test_all_but_hidden_topics_are_recorded_when_asked(cell: Cell) -> None:
     names = set(report.recording.topics)
     assert {"/a", "/b/c", "/rosout"} <= names
     assert not any("hidden" in name for name in names)
-    assert report.unheard == ()
+    assert report.unpublished == ()
 
 
 def test_relative_names_follow_namespace_and_remapping(make_cell: Callable[..., Cell]) -> None:
@@ -299,7 +300,7 @@ def test_a_topic_that_cannot_be_recorded_is_named_and_the_others_are(
     assert cell.read() == [("/notes", text("here"))]
     assert report.refused == {"/number": "its type std_msgs/msg/Float64 is not installed; install std_msgs"}
     assert cell.said == [f"/number: not recorded: {report.refused['/number']}"]
-    assert report.unheard == ()
+    assert report.unpublished == ()
 
 
 def test_a_topic_of_several_types_is_refused(make_cell: Callable[..., Cell]) -> None:
@@ -308,7 +309,7 @@ def test_a_topic_of_several_types_is_refused(make_cell: Callable[..., Cell]) -> 
     until(lambda: len(cell.node.get_publishers_info_by_topic("/two")) == len(publishers))
     with BagRecorder(cell.bag) as recording:
         inlets = TopicRecorder(cell.node, recording, ["/two"], cell.said.append)
-        inlets.look()
+        inlets.discover()
     (reason,) = inlets.refused.values()
     assert reason == "it has publishers of several types: sensor_msgs/msg/JointState, std_msgs/msg/String"
 
@@ -326,22 +327,32 @@ def test_a_topic_that_gets_another_type_is_named_and_the_first_one_is_kept(make_
             yield
 
     report = cell.record(script(), topics=("load",))
-    reason = "it is published as std_msgs/msg/String, too; only std_msgs/msg/Float64 is recorded"
+    reason = "it is also published as std_msgs/msg/String; only std_msgs/msg/Float64 is recorded"
     assert report.refused == {"/load": reason}
     assert cell.said == [f"/load: {reason}"]
-    assert report.unheard == ()
+    assert report.unpublished == ()
     assert [topic for topic, _ in cell.read()] == ["/load"]
 
 
-def test_messages_that_the_middleware_lost_are_counted(cell: Cell) -> None:
+def test_messages_lost_by_the_middleware_are_counted(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    subscribe = cell.node.create_subscription
+    callbacks: list[SubscriptionEventCallbacks] = []
+
+    def create_subscription(*args: Any, event_callbacks: SubscriptionEventCallbacks, **options: Any) -> object:  # noqa: ANN401
+        callbacks.append(event_callbacks)
+        return subscribe(*args, event_callbacks=event_callbacks, **options)
+
+    monkeypatch.setattr(cell.node, "create_subscription", create_subscription)
     publisher = cell.node.create_publisher(String, "notes", DEEP)
     until(lambda: cell.node.get_publishers_info_by_topic("/notes"))
     with BagRecorder(cell.bag) as recording:
         inlets = TopicRecorder(cell.node, recording, ["/notes"], cell.said.append)
-        inlets.look()
+        inlets.discover()
+        on_message_lost = callbacks[0].message_lost
+        assert on_message_lost is not None
         for change in (3, 2):
-            inlets._on_lost(0, SimpleNamespace(total_count=9, total_count_change=change))
-    assert recording.report().topics["/notes"].lost == Lost(middleware=5)
+            on_message_lost(SimpleNamespace(total_count=9, total_count_change=change))
+    assert recording.report().topics["/notes"].lost == LossCounts(middleware=5)
     assert publisher.topic_name == "/notes"
 
 

@@ -33,14 +33,14 @@ from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import Float64, Header, String
 
 from scara_effmass.bags.bag import RawMessage
-from scara_effmass.bags.messages import joint_state_message, serialized
+from scara_effmass.bags.messages import serialized
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, EffmassError, SettingsError
 from scara_effmass.nodes import lockstep
 from scara_effmass.nodes.lockstep import MAX_UNANSWERED
 from scara_effmass.nodes.replay import CLOCK_STEP_NS, ReplayOptions, replay, timeline
 from scara_effmass.values import JointState
-from scara_effmass.wire.joint_state import JointStateDecoder
+from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
 from scara_effmass.wire.topics import READINESS
 
 if TYPE_CHECKING:

@@ -203,13 +203,13 @@ def test_every_truncation_is_refused() -> None:
 @pytest.mark.parametrize(
     ("at", "new", "message"),
     [
-        (0, b"\x00\x07", "CDR begins with 0007; 0000 or 0001 would be right"),
+        (0, b"\x00\x07", "CDR byte order = 0007: must be 0000 or 0001"),
         (12, b"\xff\xff\xff\xff", r"header.frame_id has length 4294967295, but only \d+ bytes follow"),
         (36, b"\xff", r"force has length 255, but only \d+ bytes follow"),
-        (64, b"\x02", "saturated = 2; 0 or 1 would be right"),
-        (64, b"\x00", "saturated is false with 1 saturated_samples; true would be right"),
+        (64, b"\x02", "saturated = 2: must be 0 or 1"),
+        (64, b"\x00", "saturated = false: must be true with 1 saturated_samples"),
         (68, b"\x0f", r"saturated_samples has length 15, but only \d+ bytes follow|ends at byte"),
-        (72, b"\x02", "saturated_samples holds 2, but force has only 2 samples"),
+        (72, b"\x02", "saturated_samples = 2: must be < 2, the number of samples"),
     ],
 )
 def test_what_is_wrong_is_named(at: int, new: bytes, message: str) -> None:
@@ -220,7 +220,7 @@ def test_what_is_wrong_is_named(at: int, new: bytes, message: str) -> None:
 
 
 def test_bytes_behind_the_message_are_refused() -> None:
-    with pytest.raises(DecodeError, match="16 bytes behind relative_uncertainty, where at most 15 may follow"):
+    with pytest.raises(DecodeError, match="16 bytes follow relative_uncertainty: must be <= 15"):
         decode_force_block(force_block_message(SIMPLE) + bytes(16))
 
 

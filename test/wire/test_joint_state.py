@@ -160,12 +160,12 @@ def test_every_truncation_is_refused(end: int) -> None:
 @pytest.mark.parametrize(
     ("at", "new", "message"),
     [
-        (0, b"\x00\x07", r"CDR begins with 0007; 0000 or 0001 would be right"),
+        (0, b"\x00\x07", r"CDR byte order = 0007: must be 0000 or 0001"),
         (12, b"\xff\xff\xff\xff", r"header.frame_id has length 4294967295, but only \d+ bytes follow"),
         (20, b"\xff\xff\xff\x7f", r"name has length 2147483647"),
         (24, b"\xff\xff\x00\x00", r"name\[0\] has length 65535"),
-        (28, b"\xff", r"name\[0\] is not UTF-8"),
-        (29, b"b", r"name\[0\] does not end in a zero byte"),
+        (28, b"\xff", r"name\[0\]: must be UTF-8"),
+        (29, b"b", r"name\[0\]: must end in a zero byte"),
         (32, b"\xff\xff\xff\xff", r"position has length 4294967295"),
     ],
 )
@@ -177,5 +177,5 @@ def test_what_is_wrong_is_named(at: int, new: bytes, message: str) -> None:
 
 
 def test_bytes_behind_the_message_are_refused() -> None:
-    with pytest.raises(DecodeError, match="16 bytes behind effort, where at most 15 may follow"):
+    with pytest.raises(DecodeError, match="16 bytes follow effort: must be <= 15"):
         JointStateDecoder().decode(by_rosbags(SIMPLE) + bytes(16))

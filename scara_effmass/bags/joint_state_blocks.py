@@ -1,4 +1,4 @@
-"""JointStates decoded many at a time: equal layouts in a row become one array each, without a loop over messages."""
+"""JointState messages decoded in bulk: consecutive messages of equal layout become one array each."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from scara_effmass.bags.batches import IntArray, Losses, MessageBatch
+    from scara_effmass.bags.batches import IntArray, LossLog, MessageBatch
     from scara_effmass.values import FloatArray
     from scara_effmass.wire.joint_state import JointStateLayout
 
-FIRST_WINDOW = 64
+MIN_WINDOW = 64
 WINDOW_GROWTH = 4
 
 
-class Unreadable(NamedTuple):
-    """A message on a topic of joint states that is none, and why."""
+class DecodeFailure(NamedTuple):
+    """A message that is not a valid JointState, and why."""
 
     log_time_ns: int
     reason: str
@@ -36,11 +36,11 @@ class Unreadable(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class JointStateBlock:
-    """Consecutive JointStates (m,) of one topic that carry the same names; arrays are read-only.
+    """Consecutive JointStates (m,) of one topic with the same names; arrays are read-only.
 
-    `position` (m, n) and `velocity` (m, k) are in [rad] or [m] and per second, as received; n and k may be 0, and
-    differ from the number of names. `log_time_ns` (m,) is when the recorder got them, `stamp_ns` (m,) what they say.
-    `unreadable` came between the block before and this one, which is empty where nothing readable followed.
+    `position` (m, n) is in [rad] or [m], `velocity` (m, k) per second, as received; n and k may be 0 and may differ
+    from the number of names. `log_time_ns` (m,) is the receive time, `stamp_ns` (m,) the header stamp.
+    `decode_failures` precede the first state; a block may hold failures only.
     """
 
     log_time_ns: IntArray
@@ -48,77 +48,75 @@ class JointStateBlock:
     names: tuple[str, ...]
     position: FloatArray
     velocity: FloatArray
-    unreadable: tuple[Unreadable, ...] = ()
+    decode_failures: tuple[DecodeFailure, ...] = ()
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
 
     def states(self) -> Iterator[JointState]:
-        """Yield them one by one, equal to the last bit to what `JointStateDecoder` makes of the same bytes."""
+        """Yield the states one by one, bit-identical to the output of `JointStateDecoder`."""
         names = self.names
         for stamp_ns, position, velocity in zip(self.stamp_ns.tolist(), self.position, self.velocity, strict=True):
             yield JointState(stamp_ns, names, position, velocity)
 
 
 class BlockDecoder:
-    """Decodes batches of JointState messages; what is no JointState also goes into `losses`."""
+    """Decodes batches of JointState messages and logs those that are invalid."""
 
-    def __init__(self, origin: str, losses: Losses) -> None:
+    def __init__(self, origin: str, losses: LossLog) -> None:
         self._origin = origin
         self._losses = losses
-        self._left_out: Counter[str] = Counter()
+        self._failure_counts: Counter[str] = Counter()
         self._names: tuple[str, ...] = ()
-        self._window = FIRST_WINDOW
+        self._window = MIN_WINDOW
 
     def blocks(self, batch: MessageBatch) -> Iterator[JointStateBlock]:
         """Yield the JointStates of `batch`, which must be of one topic, in order."""
         size = batch.stop - batch.start
         buffer = np.frombuffer(batch.data, np.uint8)
-        unreadable: list[Unreadable] = []
+        failures: list[DecodeFailure] = []
         first = 0
         while first < len(size):
             try:
                 layout = joint_state_layout(batch.data[batch.start[first] : batch.stop[first]])
             except DecodeError as error:
                 line = f"{self._origin}: left out: {error}"
-                self._left_out[line] += 1
-                self._losses.add(line, self._left_out[line])
-                unreadable.append(Unreadable(int(batch.log_time_ns[first]), str(error)))
+                self._failure_counts[line] += 1
+                self._losses.add(line, self._failure_counts[line])
+                failures.append(DecodeFailure(int(batch.log_time_ns[first]), str(error)))
                 first += 1
                 continue
-            # as many as are alike cannot be known beforehand: try more as long as it goes well
+            # The number of equal layouts is unknown: the window grows while all messages in it match.
             window = slice(first, first + self._window)
-            alike = _leading(size[window] == layout.size)
-            rows = sliding_window_view(buffer, layout.size)[batch.start[first : first + alike]]
-            decisive = np.concatenate([np.arange(*span) for span in layout.fixed])
-            alike = _leading((rows[:, decisive] == rows[0, decisive]).all(axis=1))
-            self._window = self._window * WINDOW_GROWTH if alike == len(size[window]) else max(alike, 1)
+            count = _leading(size[window] == layout.size)
+            rows = sliding_window_view(buffer, layout.size)[batch.start[first : first + count]]
+            fixed = np.concatenate([np.arange(*span) for span in layout.fixed])
+            count = _leading((rows[:, fixed] == rows[0, fixed]).all(axis=1))
+            self._window = self._window * WINDOW_GROWTH if count == len(size[window]) else max(count, 1)
             if layout.names != self._names:
                 self._names = layout.names
-            block = _block(rows[:alike], batch.log_time_ns[first : first + alike], layout, self._names)
-            yield replace(block, unreadable=tuple(unreadable))
-            unreadable.clear()
-            first += alike
-        if unreadable:
-            nothing = np.empty((0, 0))
-            yield JointStateBlock(batch.log_time_ns[:0], batch.log_time_ns[:0], (), nothing, nothing, tuple(unreadable))
+            block = _block(rows[:count], batch.log_time_ns[first : first + count], layout, self._names)
+            yield replace(block, decode_failures=tuple(failures))
+            failures.clear()
+            first += count
+        if failures:
+            empty = np.empty((0, 0))
+            no_times = batch.log_time_ns[:0]
+            yield JointStateBlock(no_times, no_times, (), empty, empty, tuple(failures))
 
 
 def _leading(flags: NDArray[np.bool_]) -> int:
-    """Return how many flags are true before the first false one."""
+    """Return the number of true flags before the first false one."""
     return len(flags) if flags.all() else int(flags.argmin())
 
 
-def _columns(rows: NDArray[np.uint8], first: int, size: int, number: str) -> NDArray[np.generic]:
-    columns: NDArray[np.generic] = rows[:, first : first + size].copy().view(number)
+def _columns(rows: NDArray[np.uint8], start: int, size: int, dtype: str) -> NDArray[np.generic]:
+    columns: NDArray[np.generic] = rows[:, start : start + size].copy().view(dtype)
     return columns
 
 
 def _block(
-    rows: NDArray[np.uint8],
-    log_time_ns: IntArray,
-    layout: JointStateLayout,
-    names: tuple[str, ...],
+    rows: NDArray[np.uint8], log_time_ns: IntArray, layout: JointStateLayout, names: tuple[str, ...]
 ) -> JointStateBlock:
     order = layout.byte_order
     sec = _columns(rows, STAMP_AT, 4, f"{order}i4")[:, 0].astype(np.int64)

@@ -1,0 +1,239 @@
+"""The recorder of live messages."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+
+from scara_effmass.bags.batches import Topic
+from scara_effmass.bags.definitions import definition_of, known_types
+from scara_effmass.bags.disk_space import DiskSpace
+from scara_effmass.bags.mcap_writer import open_unbuffered
+from scara_effmass.bags.recording_report import RecordedTopic, RecordingReport, TopicReport
+from scara_effmass.bags.rosbag2 import check_output
+from scara_effmass.bags.split_writer import SplitWriter
+from scara_effmass.errors import OutputError, SettingsError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
+
+    from rosbags.typesys.store import Typestore
+
+    from scara_effmass.bags.mcap_writer import FileOpener
+
+NS = 1_000_000_000
+POLL_S = 0.05
+"""Maximum time of a message in the queue."""
+WAKE_BYTES = 1 << 20
+"""Queue size that wakes the writing thread at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderOptions:
+    """Options of a recording. Raises SettingsError for invalid values."""
+
+    compress: bool = True
+    """Compress chunks with zstd."""
+    max_file_bytes: int = 0
+    """Size at which a new file begins; 0: never."""
+    max_file_ns: int = 0
+    """Duration [ns] in log time at which a new file begins; 0: never."""
+    flush_period_s: float = 0.5
+    """Maximum age of a message that is not on the disk, plus up to 0.1 s for the writing thread."""
+    queue_bytes: int = 64 << 20
+    """Maximum size of the queue; further messages are lost and counted."""
+    queue_messages: int = 100_000
+    reserve_bytes: int = 64 << 20
+    """Free space at which the recording stops, so that it can still be completed."""
+    warn_bytes: int = 1 << 30
+    """Free space below which the recorder warns."""
+    warn_before_s: float = 600.0
+    """The recorder also warns if the disk will be full in less than this time at the present rate."""
+
+    def __post_init__(self) -> None:
+        minima = {"flush_period_s": 0.001, "queue_bytes": 1, "queue_messages": 1}
+        for key in self.__slots__:
+            value, minimum = getattr(self, key), minima.get(key, 0)
+            if not value >= minimum:
+                raise SettingsError(f"record: {key} = {value}: must be >= {minimum}")
+
+
+@final
+class BagRecorder:
+    """Records messages into a rosbag2 folder; use in a `with`, or close it.
+
+    A thread writes the files, so `write` never waits for the disk. The files can be read at any moment up to the last
+    flush. Lost messages are counted per topic, stored in the files and reported.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        options: RecorderOptions | None = None,
+        *,
+        overwrite: bool = False,
+        warn: Callable[[str], None] = lambda _: None,
+        free_space: Callable[[], int] | None = None,
+        opener: FileOpener = open_unbuffered,
+    ) -> None:
+        """Start recording. The writing thread calls `warn`; tests replace the disk by `free_space` [B] and `opener`.
+
+        Raises OutputError if `folder` exists and `overwrite` is false, or if it cannot be created.
+        """
+        self.folder = folder
+        self._options = options or RecorderOptions()
+        self._topics: list[RecordedTopic] = []
+        self._queue: list[tuple[int, int, int, bytes]] = []
+        self._queued_bytes = self._queued_messages = 0
+        self._wake = threading.Condition()
+        self._closing = False
+        self._failure: Exception | None = None
+        if folder.suffix == ".mcap":
+            raise OutputError(f"{folder}: must be a folder name without .mcap")
+        check_output(folder, overwrite=overwrite)
+        self._writer = self._start_writer(warn, free_space or (lambda: shutil.disk_usage(folder.parent).free), opener)
+        self._thread = threading.Thread(target=self._run, name="recorder")
+        self._thread.start()
+
+    def add_topic(self, name: str, message_type: str, *, offered_qos: str = "", types: Typestore | None = None) -> int:
+        """Add a topic and return its index for `write`.
+
+        `offered_qos` is from `qos_yaml`; `types` (default: the known ones) must define the type. Raises BagError.
+        """
+        definition, type_hash = definition_of(types or known_types(), message_type, f"{self.folder}: {name}")
+        self._topics.append(RecordedTopic(Topic(name, message_type, 0, type_hash, offered_qos), definition))
+        return len(self._topics) - 1
+
+    def write(self, topic: int, log_time_ns: int, data: bytes) -> bool:
+        """Queue a message (CDR bytes) of the topic with this index; return False if it is lost, which is counted.
+
+        Never waits for the disk.
+        """
+        recorded = self._topics[topic]
+        size = len(data)
+        with self._wake:
+            sequence = recorded.received
+            recorded.received += 1
+            if (
+                self._closing
+                or self._failure is not None
+                or self._queued_bytes + size > self._options.queue_bytes
+                or self._queued_messages >= self._options.queue_messages
+            ):
+                recorded.lost.queue += 1
+                return False
+            self._queue.append((topic, log_time_ns, sequence, data))
+            self._queued_messages += 1
+            self._queued_bytes += size
+            if self._queued_bytes >= WAKE_BYTES:
+                self._wake.notify()
+        return True
+
+    def count_lost_by_middleware(self, topic: int, count: int) -> None:
+        """Count messages that the middleware reports as lost."""
+        self._topics[topic].lost.middleware += count
+
+    @property
+    def is_running(self) -> bool:
+        """Whether messages are accepted."""
+        return not self._closing and self._failure is None
+
+    def report(self) -> RecordingReport:
+        """Return the message counts so far."""
+        topics = {}
+        for recorded in list(self._topics):
+            lost = replace(recorded.lost)
+            count = recorded.received - lost.queue - lost.disk
+            topics[recorded.topic.name] = TopicReport(recorded.topic.type, recorded.received, count, lost)
+        writer = self._writer
+        return RecordingReport(
+            folder=self.folder,
+            topics=topics,
+            files=tuple(file.name for file in writer.done),
+            unindexed=tuple(writer.unindexed),
+            saved=writer.saved,
+            size_bytes=writer.size_bytes,
+            stopped_by_disk=writer.stopped,
+        )
+
+    def close(self) -> RecordingReport:
+        """Write the queue, complete the recording and return the report. May be called again.
+
+        Raises OutputError if the writing thread has failed.
+        """
+        with self._wake:
+            self._closing = True
+            self._wake.notify()
+        self._thread.join()
+        if self._failure is not None:
+            raise OutputError(f"{self.folder}: recording failed: {self._failure}") from self._failure
+        return self.report()
+
+    def __enter__(self) -> BagRecorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _start_writer(
+        self, warn: Callable[[str], None], free_space: Callable[[], int], opener: FileOpener
+    ) -> SplitWriter:
+        """Create the folder under a temporary name, so that a bag it replaces stays until its successor exists."""
+        folder, options = self.folder, self._options
+        space = DiskSpace(free_space, options.reserve_bytes, options.warn_bytes, options.warn_before_s)
+        try:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            has_room = not space.is_exhausted()
+            with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as temporary:
+                if has_room:
+                    unfinished = Path(temporary, folder.name)
+                    unfinished.mkdir()
+                    writer = SplitWriter(unfinished, self._topics, options, space, opener, warn)
+                    if folder.exists():
+                        folder.rename(Path(temporary, "replaced"))
+                    writer.folder = unfinished.rename(folder)
+                    return writer
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be written: {error.strerror}") from None
+        reserve = f"{options.reserve_bytes / 1e6:.0f} MB"
+        raise OutputError(f"{folder}: the disk has less than {reserve} left; free some space")
+
+    def _run(self) -> None:
+        try:
+            self._write_until_closed()
+            self._writer.close()
+        except Exception as error:  # noqa: BLE001 - reported by `close`
+            self._failure = error
+            self._writer.abandon()
+
+    def _write_until_closed(self) -> None:
+        period_ns = round(self._options.flush_period_s * NS)
+        due_ns = time.monotonic_ns() + period_ns
+        closing = False
+        while not closing:
+            with self._wake:
+                if not self._closing and self._queued_bytes < WAKE_BYTES:
+                    self._wake.wait(min(POLL_S, self._options.flush_period_s))
+                closing = self._closing
+                messages, self._queue = self._queue, []
+            size = 0
+            for topic, log_time_ns, sequence, data in messages:
+                self._writer.write(topic, log_time_ns, sequence, data)
+                size += len(data)
+                if time.monotonic_ns() >= due_ns:  # a long queue must not delay the flush
+                    self._writer.flush(time.monotonic_ns())
+                    due_ns = time.monotonic_ns() + period_ns
+            with self._wake:
+                self._queued_bytes -= size
+                self._queued_messages -= len(messages)
+            if time.monotonic_ns() >= due_ns:
+                self._writer.flush(time.monotonic_ns())
+                due_ns = time.monotonic_ns() + period_ns
