@@ -17,7 +17,7 @@ from scipy.stats import theilslopes
 
 from scara_effmass.daq.channel import ForceSignal
 from scara_effmass.daq.source import make_source
-from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.settings import DaqSettings, checked
 
 if TYPE_CHECKING:

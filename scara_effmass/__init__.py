@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from scara_effmass.errors import EffmassError
-    from scara_effmass.impacts.detection import Detector
+    from scara_effmass.impacts.detector import Detector
     from scara_effmass.impacts.result import Result
     from scara_effmass.impacts.validator import Validator
     from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
@@ -35,7 +35,7 @@ _MODULES = {
     "ContactAssessment": "values",
     "Decision": "values",
     "DetectionSettings": "settings",
-    "Detector": "impacts.detection",
+    "Detector": "impacts.detector",
     "EffectiveMasses": "model.dynamics",
     "EffmassError": "errors",
     "ForceBlock": "values",

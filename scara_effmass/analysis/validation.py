@@ -18,7 +18,7 @@ from scara_effmass.analysis.recorded_run import (
     run_infos,
 )
 from scara_effmass.bags.files import open_bag
-from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings
@@ -164,7 +164,7 @@ class _Feed:
             lost_samples=self._lost,
             dropouts=self._detector.dropouts,
             glitches=self._detector.glitches,
-            pushes=self._detector.pushes,
+            pushes=self._detector.sustained_contacts,
             simulated=self._simulated,
             sources=tuple(sorted(self._sources)),
             relative_uncertainty=self._uncertainty,

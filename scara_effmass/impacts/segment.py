@@ -1,4 +1,7 @@
-"""A stretch of force in which something happened, judged as a whole: contacts, drop-outs, glitches."""
+"""A segment of force with activity, classified as a whole: contacts, tensile pulses, dropouts, glitches.
+
+Forces are in [N], positions and durations in samples.
+"""
 
 from __future__ import annotations
 
@@ -7,99 +10,237 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from scara_effmass.impacts.background import centre_and_spread
-from scara_effmass.impacts.contact import measure, separate
-from scara_effmass.impacts.faults import lone_samples, stuck_runs
+from scara_effmass.impacts.baseline import median_and_deviation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from scara_effmass.impacts.background import Background
-    from scara_effmass.impacts.contact import DetectedContact
+    from scara_effmass.impacts.baseline import Baseline
     from scara_effmass.values import BoolArray, FloatArray
 
-CREDIBLE = 3
-"""A contact that is not complete needs so many samples to be believed."""
+FLANK_LOW = 0.1
+"""A flank is extrapolated from this share of the peak ..."""
+FLANK_HIGH = 0.5
+"""... to this one."""
+MIN_INCOMPLETE_SAMPLES = 3
+"""Minimum number of samples of a contact that is not complete."""
+_GLITCH_SHARE = 0.25
+"""The neighbours of a glitch are below this share of it, which excludes half-sines of 2.4 samples and more."""
+
+
+class DetectedContact(NamedTuple):
+    """One contact, positions counted from the start of the segment."""
+
+    first: int
+    """First and last sample above the release level."""
+    last: int
+    onset: float
+    end: float
+    peak: float
+    """[N] above baseline"""
+    area: float
+    """[N samples] above baseline"""
+    complete: bool
+    """Both flanks were recorded."""
+    clipped: bool = False
 
 
 class Segment(NamedTuple):
-    """What a stretch of force holds, in samples from its beginning."""
+    """Content of a segment; dropouts and glitches by the sample at which they start."""
 
     contacts: list[DetectedContact]
-    pulls: list[DetectedContact]
-    """What would be contacts if the sign of the force were changed."""
+    tensile_pulses: list[DetectedContact]
+    """Contacts of the force with its sign inverted."""
     dropouts: NDArray[np.intp]
     glitches: NDArray[np.intp]
 
 
-def classify(samples: FloatArray, saturated: BoolArray, background: Background, gap: int, before: int) -> Segment:
-    """Return what is in `samples` (n,) [N] beside their `background`.
+def classify(samples: FloatArray, saturated: BoolArray, baseline: Baseline, gap: int, margin: int) -> Segment:
+    """Return the content of `samples` (n,) [N].
 
-    Contacts are apart when `gap` samples between them are without force. The force in the last `before` samples
-    ahead of a contact has to be the baseline, or else its numbers are not above what was there.
+    Contacts are separated by at least `gap` samples without force. A contact is complete only if the `margin` samples
+    before it are at the baseline.
     """
-    force = samples - background.baseline
-    stuck, stuck_end = stuck_runs(samples, background.flat_run, background.zero_run, saturated)
+    force = samples - baseline.force
+    dropouts, dropout_ends = flat_runs(samples, baseline.flat_run, baseline.zero_run, saturated)
     valid = np.ones(samples.size, dtype=np.bool_)
-    for start, stop in zip(stuck, stuck_end, strict=True):
+    for start, stop in zip(dropouts, dropout_ends, strict=True):
         valid[start:stop] = False
     force[~valid] = 0.0
-    level, release = _levels(force, valid, background, gap)
-    glitches = lone_samples(force, level)
+    threshold, release = _thresholds(force, valid, baseline, gap)
+    glitches = lone_samples(force, threshold)
     force[glitches] = 0.5 * (force[glitches - 1] + force[glitches + 1])
 
-    contacts = _contacts(force, _Known(valid, saturated, level, release, gap, before))
-    pulls: list[DetectedContact] = []
-    if force.min() < -background.level:
-        level, release = _levels(-force, valid, background, gap)
-        pulls = _contacts(-force, _Known(valid, saturated, level, release, gap, before))
-    return Segment(contacts, pulls, stuck, glitches)
+    contacts = _contacts(force, _Criteria(valid, saturated, threshold, release, gap, margin))
+    tensile_pulses: list[DetectedContact] = []
+    if force.min() < -baseline.threshold:
+        threshold, release = _thresholds(-force, valid, baseline, gap)
+        tensile_pulses = _contacts(-force, _Criteria(valid, saturated, threshold, release, gap, margin))
+    return Segment(contacts, tensile_pulses, dropouts, glitches)
 
 
-class _Known(NamedTuple):
-    """What contacts are found by: the masks (n,), the levels [N], and the numbers of samples of `judge`."""
+def runs(mask: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return start and stop of each run of True in `mask` (n,)."""
+    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
+    return edges[::2], edges[1::2]
+
+
+def flat_runs(
+    samples: FloatArray, flat_run: int, zero_run: int, saturated: BoolArray
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return start and stop of each dropout in `samples` (n,).
+
+    A dropout is a run of at least `flat_run` equal samples, or of `zero_run` exact zeros. Samples that are `saturated`
+    (n,) do not count: they repeat at the end of the measuring range.
+    """
+    first, last = runs((samples[1:] == samples[:-1]) & ~saturated[1:])
+    long_enough = last - first + 1 >= np.where(samples[first] == 0.0, zero_run, flat_run)
+    return first[long_enough], last[long_enough] + 1
+
+
+def lone_samples(force: FloatArray, threshold: float) -> NDArray[np.intp]:
+    """Return the positions in `force` (n,) above baseline of single samples far from both neighbours.
+
+    Either the sample exceeds `threshold` and its neighbours are near the baseline, or the other way around.
+    """
+    previous, current, following = force[:-2], force[1:-1], force[2:]
+    size = np.abs(current)
+    spike = (size > threshold) & (np.maximum(np.abs(previous), np.abs(following)) < _GLITCH_SHARE * size)
+    rim = np.minimum(previous, following)
+    hole = (rim > threshold) & (current < _GLITCH_SHARE * rim)
+    return np.flatnonzero(spike | hole) + 1
+
+
+def separate(force: FloatArray, valid: BoolArray, threshold: float, release: float, gap: int) -> list[tuple[int, int]]:
+    """Return first and last sample of each contact in `force` (n,) [N] above baseline.
+
+    A contact stays above `release` and exceeds `threshold` once. It ends after `gap` samples below `release`; samples
+    that are not `valid` (n,) do not count.
+    """
+    above = np.flatnonzero((force > release) & valid)
+    if not above.size:
+        return []
+    if valid.all():
+        between = np.diff(above) - 1
+    else:
+        valid_count = np.cumsum(valid)
+        between = np.diff(valid_count[above]) - 1
+    parts = np.flatnonzero(between >= gap)
+    first = above[np.concatenate(([0], parts + 1))]
+    last = above[np.concatenate((parts, [above.size - 1]))]
+    return [(int(i), int(k)) for i, k in zip(first, last, strict=True) if force[i : k + 1].max() > threshold]
+
+
+def interpolated_peak(force: FloatArray, index: int) -> float:
+    """Return the vertex of the parabola through the local maximum at `index` and its neighbours [N]."""
+    current = float(force[index])
+    if index in (0, force.size - 1):
+        return current
+    previous, following = float(force[index - 1]), float(force[index + 1])
+    curvature = previous - 2.0 * current + following
+    return current - (following - previous) ** 2 / (8.0 * curvature) if curvature < 0.0 else current
+
+
+def flank_onset(force: FloatArray, first: int, peak: float) -> tuple[float, bool]:
+    """Return where the rising flank before sample `first` leaves the baseline, and whether the flank was recorded.
+
+    The line through the crossings of FLANK_LOW and FLANK_HIGH of the `peak` is extrapolated to zero, at most to the
+    last sample below zero or to the first sample of `force`. A valley between two contacts higher than FLANK_LOW takes
+    its place. The onset is not after `first`, where contact is certain.
+    """
+    high = FLANK_HIGH * peak
+    high_index = first + int(np.argmax(force[first:] > high))
+    flank = force[: high_index + 1]
+    below_high = np.flatnonzero(flank[:-1] <= high)
+    if not below_high.size:
+        return 0.0, False
+    low = max(FLANK_LOW * peak, float(flank[:-1].min()))
+    upper = _crossing(flank, int(below_high[-1]), high)
+    low_index = int(np.flatnonzero(flank[:-1] <= low)[-1])
+    lower = _crossing(flank, low_index, low)
+    extrapolated = lower - low * (upper - lower) / (high - low) if low < high else lower
+    earliest = _crossing(flank, low_index, 0.0) if flank[low_index] <= 0.0 else 0.0
+    return min(max(extrapolated, earliest), float(first)), low < 0.5 * (FLANK_LOW + FLANK_HIGH) * peak
+
+
+def measure(force: FloatArray, first: int, last: int, earliest: int, latest: int, *, intact: bool) -> DetectedContact:
+    """Return the contact from sample `first` to `last` of `force` (n,) [N] above baseline.
+
+    Samples before `earliest` or after `latest` do not belong to it. The peak is interpolated only if the contact is
+    `intact`: no sample clipped or missing.
+    """
+    part = force[earliest : latest + 1]
+    begin, stop = first - earliest, last - earliest
+    index = begin + int(np.argmax(part[begin : stop + 1]))
+    peak = interpolated_peak(part, index) if intact else float(part[index])
+    start, rise_recorded = flank_onset(part, begin, peak)
+    reversed_end, fall_recorded = flank_onset(part[::-1], part.size - 1 - stop, peak)
+    end = part.size - 1 - reversed_end
+    inside = slice(max(math.ceil(start), 0), min(math.floor(end), part.size - 1) + 1)
+    within = part[inside]
+    ends = 0.5 * (within[0] * (inside.start - start) + within[-1] * (end - (inside.stop - 1)))
+    area = float(within.sum() - 0.5 * (within[0] + within[-1]) + ends)
+    return DetectedContact(
+        first=first,
+        last=last,
+        onset=earliest + start,
+        end=earliest + end,
+        peak=peak,
+        area=area,
+        complete=rise_recorded and fall_recorded,
+    )
+
+
+class _Criteria(NamedTuple):
+    """Masks (n,), levels [N] and numbers of samples by which contacts are found."""
 
     valid: BoolArray
     saturated: BoolArray
-    level: float
+    threshold: float
     release: float
     gap: int
-    before: int
+    margin: int
 
 
-def _contacts(force: FloatArray, known: _Known) -> list[DetectedContact]:
+def _contacts(force: FloatArray, criteria: _Criteria) -> list[DetectedContact]:
     """Return the contacts in `force` (n,) [N] above baseline."""
-    valid, saturated, level, release, gap, before = known
-    spans = separate(force, valid, level, release, gap)
+    valid, saturated, threshold, release, gap, margin = criteria
+    spans = separate(force, valid, threshold, release, gap)
     contacts: list[DetectedContact] = []
     for number, (first, last) in enumerate(spans):
         earliest = spans[number - 1][1] + 1 if number else 0
         latest = spans[number + 1][0] - 1 if number + 1 < len(spans) else force.size - 1
         clipped = bool(saturated[first : last + 1].any())
-        whole = not clipped and bool(valid[first : last + 1].all())
-        contact = measure(force, first, last, earliest, latest, whole=whole)
-        ahead = force[max(earliest, first - before) : first]
+        intact = not clipped and bool(valid[first : last + 1].all())
+        contact = measure(force, first, last, earliest, latest, intact=intact)
+        before = force[max(earliest, first - margin) : first]
         complete = (
             contact.complete
             and first > 0
             and last < force.size - 1
             and bool(valid[max(math.floor(contact.onset), 0) : math.ceil(contact.end) + 1].all())
-            and (ahead.size < CREDIBLE or abs(float(np.median(ahead))) <= level)
+            and (before.size < MIN_INCOMPLETE_SAMPLES or abs(float(np.median(before))) <= threshold)
         )
-        if contact.area > 0.0 and (complete or last - first + 1 >= CREDIBLE):  # a contact pushes, noise does not
+        # A contact compresses the sensor in sum; noise does not.
+        if contact.area > 0.0 and (complete or last - first + 1 >= MIN_INCOMPLETE_SAMPLES):
             contacts.append(contact._replace(complete=complete, clipped=clipped))
     return contacts
 
 
-def _levels(force: FloatArray, valid: BoolArray, background: Background, gap: int) -> tuple[float, float]:
-    """Return above which force a contact is, and below which it is over [N].
+def _thresholds(force: FloatArray, valid: BoolArray, baseline: Baseline, gap: int) -> tuple[float, float]:
+    """Return the levels above which a contact starts and below which it ends [N].
 
-    They are those of the background, unless what is left without the contacts is wilder than that was: where noise
-    has set in, or the structure rings, its crests are no contacts.
+    They are those of the baseline, raised where the force outside the contacts is noisier than the baseline, as it is
+    while the structure rings.
     """
     outside = valid.copy()
-    for first, last in separate(force, valid, background.level, background.release, gap):
+    for first, last in separate(force, valid, baseline.threshold, baseline.release, gap):
         outside[first : last + 1] = False
     rest = force[outside]
-    times = background.level_of(centre_and_spread(rest)[1]) / background.level if rest.size else 1.0
-    return times * background.level, times * background.release
+    factor = baseline.threshold_for(median_and_deviation(rest)[1]) / baseline.threshold if rest.size else 1.0
+    return factor * baseline.threshold, factor * baseline.release
+
+
+def _crossing(force: FloatArray, index: int, value: float) -> float:
+    """Return where the line from the sample at `index` to the next one reaches `value`."""
+    return index + (value - float(force[index])) / float(force[index + 1] - force[index])

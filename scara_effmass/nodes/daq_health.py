@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from scara_effmass.daq.acquisition import Acquisition, AcquisitionStatistics
     from scara_effmass.daq.channel import ForceChannel, ForceSignal
-    from scara_effmass.impacts.detection import Detector
+    from scara_effmass.impacts.detector import Detector
 
 _LEVELS = {
     AcquisitionState.RUNNING: DiagnosticStatus.OK,
@@ -96,8 +96,11 @@ class DaqHealth:
             level, message = DiagnosticStatus.WARN, channel.tare_problem
         elif channel.samples and not detector.settled:
             level, message = DiagnosticStatus.WARN, "no steady baseline yet: impacts are not found"
-        elif detector.negative:
-            level, message = DiagnosticStatus.WARN, f"{detector.negative} times a pull: is sensor.invert set right?"
+        elif detector.tensile_pulses:
+            level, message = (
+                DiagnosticStatus.WARN,
+                f"{detector.tensile_pulses} tensile pulses: check sensor.invert",
+            )
         elif channel.saturated:
             level, message = DiagnosticStatus.WARN, f"{channel.saturated} samples at the end of the measuring range"
         elif channel.lost:
@@ -119,7 +122,7 @@ class DaqHealth:
                 "impacts": impacts,
                 "drop-outs": detector.dropouts,
                 "glitches": detector.glitches,
-                "pushes": detector.pushes,
-                "pulls like impacts": detector.negative,
+                "pushes": detector.sustained_contacts,
+                "pulls like impacts": detector.tensile_pulses,
             },
         )

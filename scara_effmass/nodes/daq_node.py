@@ -20,7 +20,7 @@ from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.channel import ForceSignal
 from scara_effmass.daq.source import make_source
 from scara_effmass.errors import DaqError, EffmassError, SettingsError
-from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.daq_health import DaqHealth
 from scara_effmass.nodes.diagnostics import Diagnostics

@@ -9,7 +9,7 @@ from scara_effmass.analysis.forces import read_force
 from scara_effmass.analysis.recorded_run import run_infos
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError
-from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.paper.motion import tool_motion
 from scara_effmass.paper.recorded_impact import RecordedImpact
 from scara_effmass.wire.message_types import FORCE_BLOCK

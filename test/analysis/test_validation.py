@@ -16,7 +16,7 @@ from scara_effmass.bags.messages import serialized
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
-from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MassModel, ValidatorSettings

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 import pytest
 
-from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import ForceBlock
 

@@ -61,7 +61,7 @@ class Errors:
             add_pulse(force[around], onset - around.start, duration, peak, shape=shape)
         impacts, detector = detect(force)
         assert len(impacts) == PHASES
-        assert (detector.dropouts, detector.glitches, detector.pushes) == (0, 0, 0)
+        assert (detector.dropouts, detector.glitches, detector.sustained_contacts) == (0, 0, 0)
         assert not any(impact.incomplete or impact.clipped or impact.rebound for impact in impacts)
         phase = np.linspace(0.0, 1.0, 100_001)
         area = float(np.mean(shape(phase)))
@@ -127,7 +127,7 @@ def test_an_impact_is_reported_in_full(detect: Detect, add_pulse: AddPulse) -> N
     force = np.random.default_rng(0).normal(30.0, BENCH_NOISE, 30_000)
     add_pulse(force, 20_000.4, 4e-3, 100.0)
     (impact,), detector = detect(force, tare=28.0, cuts=range(0, 30_000, 1280))
-    assert detector.dropouts == detector.glitches == detector.pushes == 0
+    assert detector.dropouts == detector.glitches == detector.sustained_contacts == 0
     assert impact.baseline == pytest.approx(2.0, abs=0.03)
     assert impact.noise == pytest.approx(BENCH_NOISE, rel=0.15)
     assert impact.stamp_ns == pytest.approx(1_700_000_000_123_456_789 + impact.onset_sample / RATE * 1e9, abs=2_000)

@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.faults import has_flat_run, lone_samples, runs, stuck_runs
+from scara_effmass.impacts.baseline import has_flat_run
+from scara_effmass.impacts.segment import flat_runs, lone_samples, runs
 
 
 @given(st.lists(st.booleans(), max_size=40))
@@ -21,13 +22,13 @@ def test_stuck_runs_are_those_of_groupby(values: list[int], flat_run: int, zero_
     samples = np.array(values, dtype=float)
     groups = [(value, list(group)) for value, group in groupby(range(len(values)), values.__getitem__)]
     expected = [group for value, group in groups if len(group) >= (zero_run if value == 0 else flat_run)]
-    first, stop = stuck_runs(samples, flat_run, zero_run, np.zeros(samples.size, dtype=np.bool_))
+    first, stop = flat_runs(samples, flat_run, zero_run, np.zeros(samples.size, dtype=np.bool_))
     assert [list(range(i, k)) for i, k in zip(first, stop, strict=True)] == expected
     assert has_flat_run(samples, flat_run) == any(len(group) >= flat_run for _, group in groups)
 
 
 def test_saturated_samples_are_not_stuck() -> None:
-    first, _ = stuck_runs(np.full(9, 2224.0), 3, 2, np.ones(9, dtype=np.bool_))
+    first, _ = flat_runs(np.full(9, 2224.0), 3, 2, np.ones(9, dtype=np.bool_))
     assert not first.size
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.detection import SETTLING_FRAMES, Detector
+from scara_effmass.impacts.detector import SETTLING_FRAMES, Detector
 from scara_effmass.settings import DetectionSettings
 
 if TYPE_CHECKING:

@@ -34,10 +34,10 @@ def test_impacts_of_the_wrong_sign_are_counted(
     for onset in ONSETS:
         add_pulse(noise, onset, duration, -100.0)
     impacts, detector = detect(noise)
-    assert (len(impacts), detector.negative) == (0, 3)
-    assert (detector.dropouts, detector.glitches, detector.pushes) == (0, 0, 0)
+    assert (len(impacts), detector.tensile_pulses) == (0, 3)
+    assert (detector.dropouts, detector.glitches, detector.sustained_contacts) == (0, 0, 0)
     impacts, detector = detect(-noise)
-    assert (len(impacts), detector.negative) == (3, 0)
+    assert (len(impacts), detector.tensile_pulses) == (3, 0)
 
 
 @settings(max_examples=20)
@@ -46,14 +46,14 @@ def test_blocks_make_no_difference(detect: Detect, add_pulse: AddPulse, cuts: li
     force = np.random.default_rng(0).normal(0.0, 0.05, SIZE)
     for onset in range(20_000, 140_000, 7_000):
         add_pulse(force, onset, 10e-3, -100.0)
-    assert detect(force, cuts=cuts).detector.negative == 18
+    assert detect(force, cuts=cuts).detector.tensile_pulses == 18
 
 
 def test_in_a_train_that_is_divided_each_counts_once(detect: Detect, add_pulse: AddPulse, noise: FloatArray) -> None:
     onsets = range(30_000, 90_000, 500)
     for onset in onsets:
         add_pulse(noise, onset, 10e-3, -100.0)
-    assert detect(noise).detector.negative == len(onsets)
+    assert detect(noise).detector.tensile_pulses == len(onsets)
 
 
 @pytest.mark.parametrize("cutoff", [0.1, 0.5])
@@ -68,7 +68,7 @@ def test_the_undershoot_of_an_impact_is_no_wrong_sign(
     gain = 1.0 / (1.0 + 2.0 * np.pi * cutoff / RATE)
     coupled = lfilter([gain, -gain], [1.0, -gain], force) + noise
     impacts, detector = detect(coupled)
-    assert (len(impacts), detector.negative) == (3, 0)
+    assert (len(impacts), detector.tensile_pulses) == (3, 0)
     if duration * cutoff > 0.02:
         assert coupled.min() < -50.0  # it could have been taken for one
 
@@ -85,7 +85,7 @@ def test_ringing_is_no_wrong_sign(
         noise[onset + 51 :] -= 150.0 * np.sin(rate * time) * np.exp(-damping * rate * time)
     impacts, detector = detect(noise)
     assert len(impacts) >= 2
-    assert detector.negative == 0
+    assert detector.tensile_pulses == 0
 
 
 @pytest.mark.parametrize(("after", "negative"), [(0.3, 0), (0.7, 1)])
@@ -95,24 +95,24 @@ def test_what_comes_soon_after_an_impact_is_its_answer(
     add_pulse(noise, 40_000, 4e-3, 100.0)
     add_pulse(noise, 40_000 + after * RATE, 4e-3, -100.0)
     impacts, detector = detect(noise)
-    assert (len(impacts), detector.negative) == (1, negative)
+    assert (len(impacts), detector.tensile_pulses) == (1, negative)
 
 
 def test_a_contact_after_it_excuses_none(detect: Detect, add_pulse: AddPulse, noise: FloatArray) -> None:
     add_pulse(noise, 40_000, 4e-3, -100.0)
     add_pulse(noise, 40_200, 4e-3, 50.0)
     impacts, detector = detect(noise)
-    assert (len(impacts), detector.negative) == (1, 1)
+    assert (len(impacts), detector.tensile_pulses) == (1, 1)
 
 
 def test_a_push_of_the_wrong_sign_is_no_impact_of_it(detect: Detect, add_pulse: AddPulse, noise: FloatArray) -> None:
     add_pulse(noise, 40_000, 0.1, -100.0)
-    assert detect(noise, settings=DetectionSettings(longest=0.05)).detector.negative == 0
-    assert detect(noise, settings=DetectionSettings(longest=0.15)).detector.negative == 1
+    assert detect(noise, settings=DetectionSettings(longest=0.05)).detector.tensile_pulses == 0
+    assert detect(noise, settings=DetectionSettings(longest=0.15)).detector.tensile_pulses == 1
 
 
 def test_a_load_that_goes_is_no_wrong_sign(detect: Detect, noise: FloatArray) -> None:
     noise[:60_000] += 40.0
     noise[100_000:] -= 40.0
     impacts, detector = detect(noise)
-    assert (impacts, detector.negative) == ([], 0)
+    assert (impacts, detector.tensile_pulses) == ([], 0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.settings import DetectionSettings
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def test_an_hour_at_the_floor_of_the_sensor(make_block: MakeBlock) -> None:
         force *= SENSOR_NOISE
         assert detector.feed(make_block(force, first)) == []
     assert detector.finish() == []
-    assert (detector.dropouts, detector.glitches, detector.pushes) == (0, 0, 0)
+    assert (detector.dropouts, detector.glitches, detector.sustained_contacts) == (0, 0, 0)
 
 
 def hum(generator: np.random.Generator, time: FloatArray) -> FloatArray:
@@ -72,7 +72,7 @@ def test_other_noise(
     force = kind(np.random.default_rng(0), np.arange(int(60 * RATE)) / RATE)
     impacts, detector = detect(force)
     assert impacts == []
-    assert (detector.dropouts, detector.pushes) == (0, 0)
+    assert (detector.dropouts, detector.sustained_contacts) == (0, 0)
     add_pulse(force[600_000:601_000], 100.0, 4e-3, 500.0)
     (impact,), _ = detect(force)
     assert impact.peak_force == pytest.approx(500.0, rel=0.05)

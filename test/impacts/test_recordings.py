@@ -54,7 +54,7 @@ RUNS = [run for path in sorted(FOLDER.glob("*.csv")) for run in runs_of(path)]
 
 def found_in(run: Run, detect: Detect) -> Impact:
     (impact,), detector = detect(run.force, run.rate, settings=DetectionSettings(threshold=0.5))
-    assert (detector.dropouts, detector.glitches, detector.pushes) == (0, 0, 0)
+    assert (detector.dropouts, detector.glitches, detector.sustained_contacts) == (0, 0, 0)
     return impact
 
 

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.impacts.background import FRAMES, Background, Frame
-from scara_effmass.impacts.contact import rise
-from scara_effmass.impacts.detection import Detector
-from scara_effmass.impacts.segment import classify
+from scara_effmass.impacts.baseline import BASELINE_FRAMES, Baseline, Frame
+from scara_effmass.impacts.detector import Detector
+from scara_effmass.impacts.segment import classify, flank_onset
 from scara_effmass.settings import DetectionSettings
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ def noise(size: int, level: float = 0.0) -> FloatArray:
 
 
 @pytest.mark.parametrize(
-    ("force", "first", "onset"),
+    ("force", "first", "expected"),
     [
         ([3.0, 4.0, 6.0, 10.0], 1, 0.0),  # the line would reach zero at -2: before the first sample
         ([-20.0, 1.2, 4.0, 8.0, 10.0], 1, 20.0 / 21.2),  # and here at 0.68, where the force is negative
@@ -35,19 +34,19 @@ def noise(size: int, level: float = 0.0) -> FloatArray:
     ],
 )
 def test_the_onset_is_between_the_last_sample_below_zero_and_the_first_contact(
-    force: list[float], first: int, onset: float
+    force: list[float], first: int, expected: float
 ) -> None:
-    assert rise(np.array(force), first, 10.0)[0] == pytest.approx(onset)
+    assert flank_onset(np.array(force), first, 10.0)[0] == pytest.approx(expected)
 
 
 def test_what_pulls_more_than_it_pushes_is_no_contact() -> None:
-    background = Background(DetectionSettings(), [Frame(noise(FRAME)) for _ in range(FRAMES)])
+    baseline = Baseline(DetectionSettings(), [Frame(noise(FRAME)) for _ in range(BASELINE_FRAMES)])
     samples = noise(FRAME)
     samples[300:306] += [20.0, 20.0, -90.0, -90.0, 20.0, 20.0]
     marks = np.zeros(FRAME, dtype=np.bool_)
-    assert not classify(samples, marks, background, 4, 0).contacts
+    assert not classify(samples, marks, baseline, 4, 0).contacts
     samples[302:304] += 85.0
-    assert len(classify(samples, marks, background, 4, 0).contacts) == 1
+    assert len(classify(samples, marks, baseline, 4, 0).contacts) == 1
 
 
 def test_frames_beside_a_contact_do_not_enter_the_noise(detect: Detect, add_pulse: AddPulse) -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.settings import DetectionSettings
 
 if TYPE_CHECKING:
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 RATE = 12_800.0
 SIZE = 60_000
+
+
+def counts(detector: Detector) -> tuple[int, int, int]:
+    return detector.dropouts, detector.glitches, detector.sustained_contacts
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +48,7 @@ def test_the_eventful_signal(detect: Detect, eventful: FloatArray) -> None:
     assert [impact.onset_sample for impact in impacts] == pytest.approx(onsets, abs=2)
     assert [impact.rebound for impact in impacts] == [0, 0, 1, 2, 3, 0, 0, 0]
     assert [impact.incomplete for impact in impacts] == [False, False, False, False, True, False, False, True]
-    assert (detector.dropouts, detector.glitches, detector.pushes) == (2, 1, 1)
+    assert (detector.dropouts, detector.glitches, detector.sustained_contacts) == (2, 1, 1)
 
 
 @settings(max_examples=40)
@@ -54,7 +58,7 @@ def test_cutting_into_blocks_changes_nothing(detect: Detect, eventful: FloatArra
     parts, same = detect(eventful, cuts=cuts)
     assert [impact._replace(stamp_ns=0) for impact in parts] == [impact._replace(stamp_ns=0) for impact in whole]
     assert [impact.stamp_ns for impact in parts] == pytest.approx([impact.stamp_ns for impact in whole], abs=2)
-    assert (same.dropouts, same.glitches, same.pushes) == (detector.dropouts, detector.glitches, detector.pushes)
+    assert counts(same) == counts(detector)
 
 
 def test_single_samples_change_nothing(detect: Detect, eventful: FloatArray) -> None:
@@ -95,7 +99,7 @@ def test_any_mess_gives_sound_impacts_and_the_same_in_blocks(
     whole, detector = detect(force, rate, settings=limits)
     parts, same = detect(force, rate, settings=limits, cuts=generator.integers(1, force.size, blocks).tolist())
     assert [impact._replace(stamp_ns=0) for impact in parts] == [impact._replace(stamp_ns=0) for impact in whole]
-    assert (same.dropouts, same.glitches, same.pushes) == (detector.dropouts, detector.glitches, detector.pushes)
+    assert counts(same) == counts(detector)
     onsets = [impact.onset_sample for impact in whole]
     assert onsets == sorted(onsets)
     for impact in whole:
@@ -230,7 +234,7 @@ def test_a_dropout_is_no_impact(detect: Detect, bias: float, tare: float, length
     force[10_000 : 10_000 + length] = 0.0
     impacts, detector = detect(force, tare=tare * bias)
     assert not impacts
-    assert detector.pushes == detector.glitches == 0
+    assert detector.sustained_contacts == detector.glitches == 0
     assert detector.dropouts == (0 if bias == 0.0 and length < 4 else 1)  # two zeros near zero may be chance
 
 
@@ -281,10 +285,10 @@ def test_a_push_is_no_impact_and_does_not_blind(detect: Detect, add_pulse: AddPu
     impacts, detector = detect(steady)
     assert [impact.onset_sample for impact in impacts] == pytest.approx([35_000, 50_000], abs=1)
     assert [impact.baseline for impact in impacts] == pytest.approx([40.0, 0.0], abs=0.1)
-    assert detector.pushes == 1
+    assert detector.sustained_contacts == 1
     (impact,), detector = detect(hand)
     assert impact.peak_force == pytest.approx(100.0, rel=0.005)
-    assert detector.pushes == 1
+    assert detector.sustained_contacts == 1
 
 
 def test_an_impact_on_a_baseline_that_has_gone_is_incomplete(detect: Detect, add_pulse: AddPulse) -> None:
@@ -301,7 +305,7 @@ def test_a_constant_is_no_impact(detect: Detect, value: float) -> None:
     for size in (1, 8, 100, 40_000):
         impacts, detector = detect(np.full(size, value))
         assert not impacts
-        assert detector.pushes == detector.dropouts == detector.glitches == 0
+        assert detector.sustained_contacts == detector.dropouts == detector.glitches == 0
 
 
 def test_nothing_is_nothing(make_block: MakeBlock) -> None:

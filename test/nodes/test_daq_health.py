@@ -13,7 +13,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.channel import ForceSignal
 from scara_effmass.daq.source import Reading, make_source
-from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes.daq_health import DaqHealth
 from scara_effmass.settings import DaqSettings, checked
 

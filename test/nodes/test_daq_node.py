@@ -22,7 +22,7 @@ from scara_effmass_msgs.msg import ForceBlock, Impact
 from std_srvs.srv import Trigger
 
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.impacts.detection import Detector
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes.daq_node import DaqNode
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import ForceBlock as Block

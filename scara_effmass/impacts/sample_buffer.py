@@ -1,4 +1,4 @@
-"""The last samples of a stream of force blocks, by sample number."""
+"""Buffer of the latest samples of a stream of force blocks, addressed by sample number."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scara_effmass.impacts.faults import runs
+from scara_effmass.impacts.segment import runs
 
 if TYPE_CHECKING:
     from scara_effmass.values import BoolArray, FloatArray, ForceBlock
 
 
-class Stream:
-    """Samples without a gap, as the sensor read them: the tare is added again, so that a new one is no step."""
+class SampleBuffer:
+    """Consecutive samples as the sensor read them: the tare is added back, so a new tare is no step."""
 
     def __init__(self, first_sample: int) -> None:
         self.first = self.end = first_sample
@@ -25,14 +25,14 @@ class Stream:
         self._blocks.append(block)
         self.end += block.force.size
 
-    def forget_before(self, index: int) -> None:
-        """Drop what is older than sample `index`."""
+    def discard_before(self, index: int) -> None:
+        """Discard samples older than sample `index`."""
         self.first = max(self.first, index)
         while self._blocks and self._blocks[0].first_sample + self._blocks[0].force.size <= index:
             self._blocks.popleft()
 
     def samples(self, start: int, stop: int) -> FloatArray:
-        """Return the samples from `start` up to `stop` [N], read-only; the newer they are, the sooner."""
+        """Return the samples in [start, stop) [N], read-only; the newest are the fastest to get."""
         parts: list[FloatArray] = []
         for block in reversed(self._blocks):
             first = block.first_sample
@@ -44,7 +44,7 @@ class Stream:
         return parts[0] if len(parts) == 1 else np.concatenate(parts[::-1] or [np.empty(0)])
 
     def saturated(self, start: int, stop: int) -> BoolArray:
-        """Return which samples from `start` up to `stop` are at the end of the measuring range."""
+        """Return a mask of the samples in [start, stop) at the end of the measuring range."""
         mask = np.zeros(stop - start, dtype=np.bool_)
         for block in self._blocks:
             if block.saturated_samples.size:
@@ -52,8 +52,8 @@ class Stream:
                 mask[index[(index >= 0) & (index < mask.size)]] = True
         return mask
 
-    def block_of(self, index: int) -> ForceBlock:
-        """Return the block that holds sample `index`, or the oldest one there is."""
+    def block_at(self, index: int) -> ForceBlock:
+        """Return the block that contains sample `index`, or the oldest one."""
         for block in reversed(self._blocks):
             if block.first_sample <= index:
                 return block
@@ -61,7 +61,7 @@ class Stream:
 
 
 def finite_parts(block: ForceBlock) -> list[ForceBlock]:
-    """Return `block` without the samples that are not finite, in as many parts as that leaves."""
+    """Split `block` at samples that are not finite, which are left out."""
     finite = np.isfinite(block.force)
     if finite.all():
         return [block] if block.force.size else []

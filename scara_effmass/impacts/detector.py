@@ -1,0 +1,327 @@
+"""Impact detection in a stream of force blocks; the same live and offline.
+
+Samples are processed in frames aligned to the sample number, so neither the block length nor the start of the recording
+matters. Quiet frames define the baseline. The first other frame starts a segment, which the next quiet frame ends; the
+segment is then classified as a whole.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scara_effmass.impacts.baseline import BASELINE_FRAMES, Baseline, Frame, median
+from scara_effmass.impacts.sample_buffer import SampleBuffer, finite_parts
+from scara_effmass.impacts.segment import classify
+from scara_effmass.values import Impact
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from scara_effmass.impacts.segment import DetectedContact, Segment
+    from scara_effmass.settings import DetectionSettings
+    from scara_effmass.values import FloatArray, ForceBlock
+
+FRAME_TIME = 0.05
+"""Approximate length of a frame [s]: long against an impact, short against the start of a recording."""
+MIN_FRAME_SAMPLES = 10
+SETTLING_FRAMES = BASELINE_FRAMES + 3
+"""Number of consecutive quiet frames after which the past has no influence."""
+GAP_TIME = 0.3e-3
+"""Minimum time without force between two contacts [s]; at least MIN_GAP_SAMPLES samples."""
+MIN_GAP_SAMPLES = 2
+SAME_RATE = 0.01
+"""Maximum relative change of the sample rate within a recording; the clock fit varies it a little."""
+MIN_QUIET_SHARE = 0.6
+"""Minimum share of quiet frames for a baseline when the recording ends before five frames are quiet."""
+RESPONSE_TIME = 0.5
+"""A tensile pulse within this time after a contact [s] is the response of sensor, converter or structure to it."""
+
+
+class Detector:
+    """Detects impacts in the blocks of one channel, of any sample rate and block length.
+
+    An impact is returned once a quiet frame has followed it; in a train of contacts that may take `settings.longest`.
+    `dropouts` and `glitches` (single samples) are counted from the beginning.
+
+    Detectors that start at different samples of a stream return the same impacts to the last bit once they have
+    settled: after SETTLING_FRAMES consecutive quiet frames (0.4 s at 12.8 kS/s) and `settings.rebound_time` without a
+    contact.
+    """
+
+    def __init__(self, settings: DetectionSettings) -> None:
+        self._settings = settings
+        self._impacts = _ImpactSequence(settings)
+        self._rate = math.nan
+        self.dropouts = self.glitches = 0
+        self.settled = False
+        """Whether the baseline is known at the latest sample; impacts are detected only then."""
+        self._restart()
+
+    @property
+    def sustained_contacts(self) -> int:
+        """Number of contacts longer than `settings.longest`."""
+        return self._impacts.sustained_contacts
+
+    @property
+    def tensile_pulses(self) -> int:
+        """Number of contacts that would be impacts with the sign of the force inverted: `sensor.invert` may be wrong.
+
+        Pulses that follow a contact do not count: AC coupling and ringing respond to compression with tension. Neither
+        does force below the baseline for BASELINE_FRAMES frames, which is a load that was removed.
+        """
+        return self._impacts.tensile_pulses
+
+    def feed(self, block: ForceBlock) -> list[Impact]:
+        """Return the impacts that end with `block`, in order.
+
+        Samples that are not finite count as lost. Lost samples end a contact. A lower sample number or another sample
+        rate starts a new recording.
+        """
+        impacts: list[Impact] = []
+        for part in finite_parts(block):
+            impacts += self._join(part)
+            self._buffer.append(part)
+            impacts += self._advance()
+            self.settled = self._settled
+        return impacts
+
+    def finish(self) -> list[Impact]:
+        """Return the pending impacts; the next block starts a new recording."""
+        if math.isnan(self._rate):
+            return []
+        impacts = self._close()
+        self.settled = self._settled
+        self._rate = math.nan
+        self._restart()
+        return impacts
+
+    def _restart(self) -> None:
+        self._baseline = Baseline(self._settings)
+        self._settled = False
+        self._impacts.restart()
+        self._frame_size = MIN_FRAME_SAMPLES
+        self._begin(0)
+
+    def _begin(self, first_sample: int) -> None:
+        """Expect samples that do not continue the previous ones."""
+        self._buffer = SampleBuffer(first_sample)
+        self._processed = self._counted = first_sample
+        self._segment_start: int | None = None
+        self._quiet_frames = self._frames_below = 0
+        self._previous_quiet: Frame | None = None
+        self._candidates: deque[Frame] = deque(maxlen=BASELINE_FRAMES)
+        self._held_from = first_sample
+        self._first_search = True
+
+    def _join(self, block: ForceBlock) -> list[Impact]:
+        """Prepare for `block`; return the impacts that a gap before it ends."""
+        missing = block.first_sample - self._buffer.end
+        same_rate = abs(block.sample_rate - self._rate) <= SAME_RATE * self._rate
+        self._rate = block.sample_rate
+        if same_rate and not missing and not block.lost_samples:
+            return []
+        impacts = self._close()
+        if not same_rate or not 0 <= missing <= self._settings.longest * self._rate:
+            self._restart()
+        self._begin(block.first_sample)
+        # A power of two: sample rates that differ by the clock error have the same frames.
+        doublings = max(0, round(math.log2(FRAME_TIME * self._rate / MIN_FRAME_SAMPLES)))
+        self._frame_size = MIN_FRAME_SAMPLES << doublings
+        return impacts
+
+    def _frame_end(self, index: int) -> int:
+        """Return where the frame of sample `index` ends."""
+        return (index // self._frame_size + 1) * self._frame_size
+
+    def _advance(self) -> list[Impact]:
+        impacts: list[Impact] = []
+        while (stop := self._frame_end(self._processed)) <= self._buffer.end:  # the first frame may be incomplete
+            samples = self._buffer.samples(self._processed, stop)
+            self._processed = stop
+            if self._settled:
+                impacts += self._process(samples)
+            else:
+                self._search_baseline(Frame(samples))
+        needed = self._processed - self._frame_size if self._settled else self._held_from - self._frame_size
+        self._buffer.discard_before(needed if self._segment_start is None else min(needed, self._segment_start))
+        return impacts
+
+    def _search_baseline(self, frame: Frame) -> None:
+        """Search a baseline; once it is known, the held samples are processed again."""
+        self._candidates.append(frame)
+        hold = BASELINE_FRAMES * self._frame_size
+        if self._first_search:
+            hold = max(round(self._settings.longest * self._rate), 2 * hold)
+        if len(self._candidates) == BASELINE_FRAMES and self._baseline.is_steady(self._candidates):
+            self._adopt(self._candidates)
+        if not self._settled and self._processed - self._held_from >= hold:
+            self._held_from = self._frame_end(self._held_from)
+
+    def _adopt(self, frames: Iterable[Frame]) -> None:
+        """Adopt `frames` as the baseline unless the signal is stuck where it was noisy before."""
+        baseline = Baseline(self._settings, frames)
+        if baseline.noise > 0.0 or self._baseline.flat_run > BASELINE_FRAMES * self._frame_size:
+            self._baseline = baseline
+            self._settled = True
+            self._processed = self._held_from
+            if not self._first_search:
+                self._counted = self._held_from + 1  # what continues there was counted when it started
+
+    def _lose_baseline(self, start: int) -> list[Impact]:
+        """Report the segment from `start` and search another baseline from here on."""
+        impacts = self._report(self._classify(start, self._processed).contacts, start)
+        self._settled = self._first_search = False
+        self._candidates.clear()
+        self._held_from = self._processed
+        self._segment_start = None
+        return impacts
+
+    def _process(self, samples: FloatArray) -> list[Impact]:
+        """Process the next frame, `samples`."""
+        frame = Frame(samples)
+        quiet = self._baseline.is_quiet(frame)
+        if quiet and self._segment_start is None:
+            self._update_baseline(frame)
+            return []
+        self._quiet_frames = 0
+        if self._segment_start is None:
+            self._segment_start = max(self._processed - 2 * self._frame_size, self._buffer.first)
+            self._frames_below = 0
+        if quiet:
+            impacts = self._report(self._classify(self._segment_start, self._processed).contacts, self._segment_start)
+            self._segment_start = None
+            return impacts
+        below = median(samples.copy()) < self._baseline.force - self._baseline.threshold
+        self._frames_below = self._frames_below + 1 if below else 0
+        if self._frames_below == BASELINE_FRAMES:
+            return self._lose_baseline(self._segment_start)
+        longest = self._settings.longest * self._buffer.block_at(self._segment_start).sample_rate
+        if self._processed - self._segment_start > longest + 2 * self._frame_size:
+            return self._split(self._segment_start)
+        return []
+
+    def _update_baseline(self, frame: Frame) -> None:
+        """Add the quiet frame before `frame` to the baseline if both its neighbours are quiet."""
+        self._quiet_frames += 1
+        if self._quiet_frames >= 3 and self._previous_quiet is not None:
+            self._baseline = self._baseline.extended([self._previous_quiet])
+        self._previous_quiet = frame
+
+    def _split(self, start: int) -> list[Impact]:
+        """Report the finished contacts of a segment that is too long, and continue with the unfinished one."""
+        contacts = self._classify(start, self._processed).contacts
+        at_end = bool(contacts) and start + contacts[-1].last >= self._processed - self._frame_size
+        if not at_end or self._impacts.is_sustained(contacts[-1], start, self._buffer):
+            return self._lose_baseline(start)
+        unfinished, finished = contacts[-1], contacts[:-1]
+        after_finished = finished[-1].last + 1 if finished else 0
+        self._segment_start = start + max(unfinished.first - self._frame_size, after_finished)
+        return self._report(finished, start)
+
+    def _close(self) -> list[Impact]:
+        """Return the impacts of the pending samples, which nothing continues."""
+        buffer = self._buffer
+        impacts: list[Impact] = []
+        rest = buffer.samples(self._processed, buffer.end)
+        if not self._settled:
+            frames = [*self._candidates, *([Frame(rest)] if rest.size >= MIN_FRAME_SAMPLES else [])]
+            if frames and self._baseline.is_steady(frames, MIN_QUIET_SHARE if self._first_search else 1.0):
+                self._adopt(frames)
+                impacts += self._advance()
+                rest = buffer.samples(self._processed, buffer.end)
+        active = self._segment_start is not None
+        if self._settled and (active or (rest.size and not self._baseline.is_quiet(Frame(rest)))):
+            start = self._segment_start
+            if start is None:
+                start = max(self._processed - self._frame_size, buffer.first)
+            impacts += self._report(self._classify(start, buffer.end).contacts, start)
+        return impacts
+
+    def _classify(self, start: int, stop: int) -> Segment:
+        """Classify the samples in [start, stop) and count what was not counted before."""
+        buffer = self._buffer
+        samples, saturated = buffer.samples(start, stop), buffer.saturated(start, stop)
+        gap = max(round(GAP_TIME * buffer.block_at(start).sample_rate), MIN_GAP_SAMPLES)
+        segment = classify(samples, saturated, self._baseline, gap, self._frame_size)
+        self.dropouts += int(np.count_nonzero(segment.dropouts + start >= self._counted))
+        self.glitches += int(np.count_nonzero(segment.glitches + start >= self._counted))
+        self._impacts.count_tensile_pulses(segment, start, self._counted, buffer)
+        self._counted = stop
+        return segment
+
+    def _report(self, contacts: Iterable[DetectedContact], start: int) -> list[Impact]:
+        return self._impacts.report(contacts, start, self._buffer, self._baseline)
+
+
+class _ImpactSequence:
+    """Turns contacts into impacts, numbers rebounds, and counts sustained contacts and tensile pulses."""
+
+    def __init__(self, settings: DetectionSettings) -> None:
+        self._settings = settings
+        self.sustained_contacts = self.tensile_pulses = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget previous contacts: the next impact is no rebound."""
+        self._end = self._last = -math.inf
+        self._rebound = 0
+
+    def report(
+        self, contacts: Iterable[DetectedContact], start: int, buffer: SampleBuffer, baseline: Baseline
+    ) -> list[Impact]:
+        """Return the impacts among `contacts` of the segment that starts at sample `start`."""
+        impacts: list[Impact] = []
+        for contact in contacts:
+            if self.is_sustained(contact, start, buffer):
+                self.sustained_contacts += 1
+            else:
+                impacts.append(self._impact(contact, start, buffer, baseline))
+            self._last = start + contact.last
+        return impacts
+
+    def count_tensile_pulses(self, segment: Segment, start: int, since: int, buffer: SampleBuffer) -> None:
+        """Count the tensile pulses of `segment`, which starts at sample `start`, that end at sample `since` or later.
+
+        A pulse within RESPONSE_TIME after a contact does not count.
+        """
+        for pulse in segment.tensile_pulses:
+            if not pulse.complete or start + pulse.last < since:
+                continue
+            earlier = (start + contact.last for contact in segment.contacts if contact.first < pulse.first)
+            delay = start + pulse.first - max(earlier, default=self._last)
+            sample_rate = buffer.block_at(start + pulse.first).sample_rate
+            is_response = delay <= RESPONSE_TIME * sample_rate
+            self.tensile_pulses += not is_response and not self.is_sustained(pulse, start, buffer)
+
+    def is_sustained(self, contact: DetectedContact, start: int, buffer: SampleBuffer) -> bool:
+        """Return whether `contact` of the segment that starts at sample `start` is too long for an impact."""
+        sample_rate = buffer.block_at(start + contact.first).sample_rate
+        return contact.last - contact.first >= round(self._settings.longest * sample_rate)
+
+    def _impact(self, contact: DetectedContact, start: int, buffer: SampleBuffer, baseline: Baseline) -> Impact:
+        block = buffer.block_at(start + math.floor(contact.onset))
+        onset = start + contact.onset
+        is_rebound = onset - self._end <= self._settings.rebound_time * block.sample_rate
+        self._rebound = self._rebound + 1 if is_rebound else 0
+        self._end = start + contact.end
+        samples_into_block = (start - block.first_sample) + contact.onset
+        return Impact(
+            stamp_ns=block.stamp_ns + round(samples_into_block / block.sample_rate * 1e9),
+            frame_id=block.frame_id,
+            peak_force=contact.peak,
+            duration=(contact.end - contact.onset) / block.sample_rate,
+            impulse=contact.area / block.sample_rate,
+            onset_sample=onset,
+            clipped=contact.clipped,
+            incomplete=not contact.complete,
+            rebound=self._rebound,
+            baseline=baseline.force - block.tare,
+            noise=baseline.noise,
+            clock_residual=block.clock_residual,
+            source=block.source,
+            simulated=block.simulated,
+        )

@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scara_effmass.impacts.baseline import (
+    BASELINE_FRAMES,
+    Baseline,
+    Frame,
+    has_flat_run,
+    improbable_run_length,
+    median,
+    median_and_deviation,
+    quantisation_deviation,
+)
+from scara_effmass.settings import DetectionSettings
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=50))
+def test_median_is_numpys(values: list[float]) -> None:
+    assert median(np.array(values)) == np.median(values)
+
+
+def test_the_spread_of_gaussian_noise_is_its_standard_deviation_whatever_the_outliers() -> None:
+    samples = np.random.default_rng(0).normal(3.0, 0.2, 100_000)
+    samples[:5_000] = 1e3
+    centre, spread = median_and_deviation(samples)
+    assert centre == pytest.approx(3.0, abs=0.02)
+    assert spread == pytest.approx(0.2, rel=0.1)
+
+
+@pytest.mark.parametrize("noise", [0.25, 0.3, 0.4, 0.7])
+def test_the_spread_of_rounded_noise_is_not_less_than_its_standard_deviation(noise: float) -> None:
+    samples = np.round(np.random.default_rng(0).normal(0.0, noise, (BASELINE_FRAMES, 1_000)))
+    baseline = Baseline(DetectionSettings(), map(Frame, samples))
+    assert baseline.noise >= 0.9 * noise
+
+
+def test_a_constant_has_no_spread() -> None:
+    assert median_and_deviation(np.full(9, 7.0)) == (7.0, 0.0)
+    assert quantisation_deviation(np.full(9, 7.0), 7.0) == 0.0
+
+
+def test_a_run_is_as_improbable_as_asked() -> None:
+    length = improbable_run_length(0.3, 1e-6)
+    assert 0.3**length <= 1e-6 < 0.3 ** (length - 1)
+    assert improbable_run_length(1.0, 1e-6) == sys.maxsize
+
+
+@pytest.mark.parametrize("size", [8, 128, 129, 640, 6400])
+def test_a_frame_keeps_little(size: int) -> None:
+    samples = np.arange(float(size))
+    samples[3] = samples[2]
+    frame = Frame(samples)
+    assert 8 <= frame.subsamples.size <= 128
+    assert (frame.samples.size, frame.repeated, frame.zeros) == (size, 1, 1)
+
+
+def test_levels_follow_from_the_last_quiet_frames() -> None:
+    noise = np.random.default_rng(0)
+    baseline = Baseline(DetectionSettings(threshold=1.0, noise_factor=10.0))
+    assert baseline.threshold == np.inf
+    baseline = baseline.extended([Frame(noise.normal(5.0, 0.01, 640)) for _ in range(BASELINE_FRAMES)])
+    assert baseline.force == pytest.approx(5.0, abs=0.01)
+    assert baseline.threshold == 1.0
+    assert baseline.zero_run == 2  # 5 N from zero, which quiet samples therefore never are
+    baseline = baseline.extended([Frame(noise.normal(0.0, 1.0, 640)) for _ in range(BASELINE_FRAMES)])
+    assert baseline.noise == pytest.approx(1.0, rel=0.2)
+    assert baseline.threshold == pytest.approx(10.0 * baseline.noise)
+
+
+def test_a_ramp_is_not_steady() -> None:
+    baseline = Baseline(DetectionSettings())
+    noise = np.random.default_rng(0).normal(0.0, 0.1, (BASELINE_FRAMES, 640))
+    assert baseline.is_steady([Frame(frame) for frame in noise])
+    ramp = noise + np.linspace(0.0, 50.0, noise.size).reshape(noise.shape)
+    assert not baseline.is_steady([Frame(frame) for frame in ramp])
+    noise[0] += 20.0
+    frames = [Frame(frame) for frame in noise]
+    assert not baseline.is_steady(frames)
+    assert baseline.is_steady(frames, 0.8)
+
+
+@given(
+    st.lists(st.floats(-8.0, 8.0), min_size=BASELINE_FRAMES, max_size=BASELINE_FRAMES),
+    st.floats(-16.0, 16.0),
+    st.floats(0.01, 3.0),
+    st.sampled_from((0.0, 1e-3, 1.0)),
+)
+def test_quiet_is_what_is_within_the_level_and_not_stuck(
+    centres: list[float], force: float, noise: float, step: float
+) -> None:
+    draws = np.random.default_rng(0).normal(0.0, noise, (BASELINE_FRAMES + 1, 40))
+    samples = draws + np.array([*centres, force])[:, np.newaxis]
+    samples = np.round(samples / step) * step if step else samples
+    baseline = Baseline(DetectionSettings(), map(Frame, samples[:-1]))
+    within = bool(np.all(np.abs(samples[-1] - baseline.force) <= baseline.threshold))
+    expected = within and not has_flat_run(samples[-1], baseline.flat_run)
+    assert Baseline(DetectionSettings(), map(Frame, samples[:-1])).is_quiet(Frame(samples[-1])) == expected

@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scara_effmass.impacts.baseline import Baseline, Frame
+from scara_effmass.impacts.sample_buffer import SampleBuffer, finite_parts
+from scara_effmass.impacts.segment import classify, flank_onset, interpolated_peak, measure, separate
+from scara_effmass.settings import DetectionSettings
+
+if TYPE_CHECKING:
+    from test.impacts.conftest import MakeBlock
+
+
+@given(st.floats(-0.5, 0.5), st.floats(1.0, 1e3), st.floats(0.1, 10.0))
+def test_the_top_of_a_parabola_is_exact(shift: float, peak: float, curvature: float) -> None:
+    force = peak - curvature * np.square(np.arange(5.0) - 2.0 - shift)
+    assert interpolated_peak(force, 2) == pytest.approx(peak, rel=1e-12)
+
+
+def test_the_top_at_an_end_or_of_a_plateau_is_the_sample() -> None:
+    assert interpolated_peak(np.array([3.0, 2.0]), 0) == 3.0
+    assert interpolated_peak(np.array([2.0, 3.0]), 1) == 3.0
+    assert interpolated_peak(np.array([3.0, 3.0, 3.0]), 1) == 3.0
+
+
+@given(st.floats(1.0, 9.0), st.floats(2.0, 30.0), st.floats(1.0, 30.0), st.floats(5.0, 500.0))
+def test_a_triangle_is_exact(onset: float, up: float, down: float, peak: float) -> None:
+    # Sampled where it bends, so that straight lines between samples are the triangle itself.
+    up, onset = np.ceil(up) * 10, np.ceil(onset)
+    down = np.ceil(down) * 10
+    force = np.interp(np.arange(700), [onset, onset + up, onset + up + down], [0.0, peak, 0.0])
+    ((first, last),) = separate(force, np.ones(700, dtype=np.bool_), 0.5 * peak, 0.25 * peak, 2)
+    contact = measure(force, first, last, 0, 699, intact=False)
+    assert contact.complete
+    assert contact.peak == pytest.approx(peak)
+    assert contact.onset == pytest.approx(onset, abs=1e-6)
+    assert contact.end == pytest.approx(onset + up + down, abs=1e-6)
+    assert contact.area == pytest.approx(0.5 * peak * (up + down))
+
+
+def test_an_unseen_flank_is_told() -> None:
+    assert flank_onset(np.array([8.0, 9.0, 10.0, 4.0, 0.0]), 0, 10.0) == (0.0, False)
+    onset, seen = flank_onset(np.array([0.0, 2.0, 4.0, 6.0, 8.0, 10.0]), 2, 10.0)
+    assert seen
+    assert onset == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("index", [0, 3, 39])
+def test_saturated_sample_clips_the_contact_that_contains_it(index: int) -> None:
+    settings = DetectionSettings()
+    baseline = Baseline(settings, [Frame(np.random.default_rng(n).normal(0.0, 0.1, 640)) for n in range(5)])
+    samples = np.random.default_rng(9).normal(0.0, 0.1, 40)
+    for first in (0, 36):
+        samples[first : first + 4] += [60.0, 80.0, 70.0, 50.0]
+    saturated = np.zeros(40, dtype=np.bool_)
+    saturated[index] = True
+    clipped = [contact.clipped for contact in classify(samples, saturated, baseline, 4, 0).contacts]
+    assert clipped == [index < 4, index >= 36]
+
+
+def test_buffer_keeps_a_saturated_sample_at_index_0(make_block: MakeBlock) -> None:
+    buffer = SampleBuffer(100)
+    buffer.append(make_block(np.arange(5.0), 100, saturated=[0]))
+    buffer.append(make_block(np.arange(5.0), 105, saturated=[0, 4]))
+    assert np.flatnonzero(buffer.saturated(100, 110)).tolist() == [0, 5, 9]
+    assert np.flatnonzero(buffer.saturated(105, 109)).tolist() == [0]
+    assert not buffer.saturated(101, 105).any()
+
+
+@pytest.mark.parametrize("index", [0, 2])
+def test_saturated_sample_beside_a_missing_one_stays(make_block: MakeBlock, index: int) -> None:
+    force = np.array([1.0, np.nan, 2.0])
+    parts = finite_parts(make_block(force, 7, saturated=[index]))
+    assert [part.first_sample for part in parts] == [7, 9]
+    assert [part.saturated_samples.tolist() for part in parts] == [[0] * (index == 0), [0] * (index == 2)]
+
+
+def test_contacts_are_apart_after_a_gap() -> None:
+    force = np.array([0, 9, 9, 0, 9, 0, 0, 9, 0, 2, 2, 0, 0, 0, 9], dtype=float)
+    valid = np.ones(force.size, dtype=np.bool_)
+    assert separate(force, valid, 5.0, 1.0, 2) == [(1, 4), (7, 10), (14, 14)]
+    valid[5:7] = False  # nothing is known of the gap
+    assert separate(force, valid, 5.0, 1.0, 2) == [(1, 10), (14, 14)]
+    assert separate(np.zeros(4), np.ones(4, dtype=np.bool_), 5.0, 1.0, 2) == []
+    assert separate(np.full(4, 2.0), np.ones(4, dtype=np.bool_), 5.0, 1.0, 2) == []
