@@ -1,4 +1,4 @@
-"""Two masses and a spring: limits of the reduced mass, energy balance, arrays like scalars."""
+"""Contact formulas: limits of the reduced mass, energy balance, arrays and scalars."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ def test_reduced_mass_is_symmetric_and_below_both(robot: float, obstacle: float)
 
 
 @given(masses)
-def test_an_infinite_mass_leaves_the_other(mass: float) -> None:
+def test_reduced_mass_with_an_infinite_mass_is_the_other_mass(mass: float) -> None:
     assert reduced_mass(mass, math.inf) == mass
     assert reduced_mass(math.inf, mass) == pytest.approx(mass)
     assert reduced_mass(math.inf, math.inf) == math.inf
 
 
 @given(speeds, masses, stiffnesses)
-def test_the_spring_takes_up_the_energy(speed: float, mu: float, stiffness: float) -> None:
+def test_spring_energy_at_peak_force_is_the_transferred_energy(speed: float, mu: float, stiffness: float) -> None:
     force = peak_force(speed, mu, stiffness)
     assert force**2 / (2.0 * stiffness) == pytest.approx(transferred_energy(speed, mu))
 
 
-def test_peak_force_is_that_of_an_integrated_impact() -> None:
+def test_peak_force_agrees_with_an_integrated_impact() -> None:
     """Two free masses meet at 0.25 m/s; the largest spring force in 2e5 steps of symplectic Euler."""
     robot, hand, stiffness, speed = 0.97, 0.6, 75e3, 0.25
     mu = 1.0 / (1.0 / robot + 1.0 / hand)

@@ -1,4 +1,4 @@
-"""The limits that hold for given settings: the strictest row, and settings that only tighten."""
+"""Limits for given settings: the strictest row governs, and settings can only tighten it."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ def test_default_is_every_region_with_a_transient_limit() -> None:
     assert tuple(limits()) == TRANSIENT_REGIONS
 
 
-def test_clamped_covers_the_head_too() -> None:
+def test_quasi_static_contact_covers_the_head() -> None:
     clamped = limits(contact="quasi_static")
     assert tuple(clamped) == tuple(BODY_REGIONS)
     assert {limit.obstacle_mass_kg for limit in clamped.values()} == {math.inf}
 
 
 @given(selections, contacts)
-def test_a_selection_is_that_part_of_the_default(names: tuple[str, ...], contact: ContactType) -> None:
+def test_selected_regions_are_part_of_the_default(names: tuple[str, ...], contact: ContactType) -> None:
     default = limits(contact=contact)
     assert limits(contact=contact, body_regions=names) == {n: default[n] for n in default if not names or n in names}
 
 
-def test_the_strictest_row_of_a_region_governs() -> None:
+def test_strictest_row_of_a_region_governs() -> None:
     hand = limits()["hand_fingers"]
     assert (hand.force_n, hand.pressure_n_cm2) == (280.0, 380.0)
     assert [point.number for point in hand.pressure_points] == [25]
@@ -53,7 +53,7 @@ def test_the_strictest_row_of_a_region_governs() -> None:
 
 
 @given(st.sampled_from(TRANSIENT_REGIONS))
-def test_transient_limits_are_twice_the_clamped_ones(name: str) -> None:
+def test_transient_limits_are_twice_the_quasi_static_limits(name: str) -> None:
     free, clamped = limits()[name], limits(contact="quasi_static")[name]
     assert (free.force_n, free.pressure_n_cm2) == (2.0 * clamped.force_n, 2.0 * clamped.pressure_n_cm2)
 
@@ -72,7 +72,7 @@ def test_criterion_changes_with_the_contact_area() -> None:
     stiffness=st.floats(0.0, 200.0),
     obstacle_mass=st.floats(0.0, 100.0),
 )
-def test_settings_tighten_or_are_refused(contact: ContactType, names: tuple[str, ...], **own: float) -> None:
+def test_settings_tighten_limits_or_raise(contact: ContactType, names: tuple[str, ...], **own: float) -> None:
     standard = limits(contact=contact, body_regions=names)
     loosest = {
         "max_force": max(limit.force_n for limit in standard.values()),
@@ -98,19 +98,19 @@ def test_settings_tighten_or_are_refused(contact: ContactType, names: tuple[str,
         assert limit.energy_j == standard[name].energy_j
 
 
-def test_an_own_limit_is_named_as_the_source() -> None:
+def test_own_limit_is_named_as_source() -> None:
     hand = limits(body_regions=["hand_fingers"], max_force=100.0, max_pressure=50.0)["hand_fingers"]
     assert hand.force_points == hand.pressure_points == ()
     assert hand.clause == "force: own limit (max_force); pressure: own limit (max_pressure)"
 
 
-def test_the_standards_own_values_are_accepted_and_stay_its_own() -> None:
+def test_settings_equal_to_the_standard_change_nothing() -> None:
     own = limits(body_regions=["hand_fingers"], max_force=280.0, max_pressure=380.0, stiffness=75.0, obstacle_mass=0.6)
     assert own == limits(body_regions=["hand_fingers"])
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "parts"),
     [
         ({"max_force": 441.0}, ["max_force = 441 N", "440 N", "thigh_knee", "row 26, 27"]),
         ({"max_pressure": 441.0}, ["max_pressure = 441 N/cm2", "440 N/cm2", "thigh_knee", "row 27"]),
@@ -123,9 +123,9 @@ def test_the_standards_own_values_are_accepted_and_stay_its_own() -> None:
         ({"body_regions": ["hands"]}, ["body_regions = 'hands'", *BODY_REGIONS]),
     ],
 )
-def test_refusals_name_key_value_region_and_bound(settings: dict[str, object], told: list[str]) -> None:
+def test_errors_name_key_value_region_and_bound(settings: dict[str, object], parts: list[str]) -> None:
     with pytest.raises(LimitError) as refused:
         limits(**settings)
     message = str(refused.value)
-    assert [part for part in told if part not in message] == []
+    assert [part for part in parts if part not in message] == []
     assert "\n" not in message

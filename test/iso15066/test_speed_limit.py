@@ -1,4 +1,4 @@
-"""The allowable speed: reference figures, the pruning against all limits, and how it depends on its inputs."""
+"""Allowable speed: reference values, agreement with the minimum over all limits, monotonicity."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_reference_speeds(contact: str, region: str, light: float, heavy: float,
 
 
 @given(st.lists(any_limit, min_size=1, max_size=8).map(tuple), masses, factors)
-def test_pruning_changes_nothing(limits: tuple[Limit, ...], mass: float, factor: float) -> None:
+def test_governing_limits_give_the_speed_of_all_limits(limits: tuple[Limit, ...], mass: float, factor: float) -> None:
     expected = smallest_speed(limits, mass, factor)
     assert SpeedLimits(limits).speed_limit(mass, factor).allowable_speed == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
@@ -91,13 +91,13 @@ def test_pruning_changes_nothing_in_the_standards_table(
     assert limits.speed_limit(mass, factor).allowable_speed == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-def test_what_governs_all_regions_together() -> None:
+def test_governing_regions_of_the_standard() -> None:
     assert [limit.region for limit in speed_limits().governing] == ["hand_fingers", "lower_leg"]
     assert [limit.region for limit in speed_limits(contact="quasi_static").governing] == ["face"]
 
 
 @given(regions, masses.filter(math.isfinite), factors)
-def test_at_the_ceiling_the_force_is_the_limit(region: str, mass: float, factor: float) -> None:
+def test_force_at_the_allowable_speed_is_the_limit(region: str, mass: float, factor: float) -> None:
     speed, limit, _, mu = speed_limits(body_regions=[region]).speed_limit(mass, factor)
     stiffness = factor * limit.stiffness_n_m
     assert mu == reduced_mass(mass, limit.obstacle_mass_kg)
@@ -106,7 +106,7 @@ def test_at_the_ceiling_the_force_is_the_limit(region: str, mass: float, factor:
 
 
 @given(st.sampled_from(ContactType), masses, masses, factors, factors)
-def test_heavier_or_stiffer_is_never_faster(
+def test_higher_mass_or_stiffness_never_raises_the_speed(
     contact: ContactType, mass: float, other_mass: float, factor: float, other_factor: float
 ) -> None:
     limits = speed_limits(contact=contact)
@@ -116,13 +116,13 @@ def test_heavier_or_stiffer_is_never_faster(
 
 
 @given(masses, st.floats(0.01, 100.0), st.floats(0.01, 100.0))
-def test_a_larger_area_is_never_slower(mass: float, area: float, other_area: float) -> None:
+def test_larger_area_never_lowers_the_speed(mass: float, area: float, other_area: float) -> None:
     small, large = (speed_limits(contact_area=a).speed_limit(mass) for a in sorted((area, other_area)))
     assert small.allowable_speed <= large.allowable_speed * (1 + 1e-12)
 
 
 @given(masses, regions, st.floats(1.0, 4.0))
-def test_tighter_settings_are_never_faster(mass: float, region: str, tighter: float) -> None:
+def test_tighter_settings_never_raise_the_speed(mass: float, region: str, tighter: float) -> None:
     standard = speed_limits(body_regions=[region])
     (limit,) = standard.limits
     for key, value in (
@@ -136,18 +136,18 @@ def test_tighter_settings_are_never_faster(mass: float, region: str, tighter: fl
 
 
 @given(masses, regions)
-def test_more_regions_are_never_faster(mass: float, region: str) -> None:
+def test_more_regions_never_raise_the_speed(mass: float, region: str) -> None:
     every = speed_limits().speed_limit(mass).allowable_speed
     assert every <= speed_limits(body_regions=[region]).speed_limit(mass).allowable_speed * (1 + 1e-12)
 
 
 @given(masses, regions)
-def test_clamped_is_never_faster_than_free(mass: float, region: str) -> None:
+def test_quasi_static_contact_is_never_faster_than_transient(mass: float, region: str) -> None:
     clamped, free = (speed_limits(contact=c, body_regions=[region]) for c in ("quasi_static", "transient"))
     assert clamped.speed_limit(mass).allowable_speed <= 0.5 * free.speed_limit(mass).allowable_speed * (1 + 1e-12)
 
 
-def test_an_infinite_mass_leaves_the_body_part_or_nothing() -> None:
+def test_speed_at_infinite_effective_mass() -> None:
     free = speed_limits(body_regions=["lower_leg"]).speed_limit(math.inf)
     assert free.reduced_mass == pytest.approx(75.0)
     assert free.allowable_speed == pytest.approx(260.0 / math.sqrt(75.0 * 60e3))
@@ -155,17 +155,17 @@ def test_an_infinite_mass_leaves_the_body_part_or_nothing() -> None:
 
 
 @pytest.mark.parametrize("mass", [0.0, -1.0, math.nan, -math.inf, 5e-324, MIN_EFFECTIVE_MASS / 2])
-def test_a_mass_that_cannot_be_is_refused(mass: float) -> None:
+def test_invalid_mass_raises(mass: float) -> None:
     with pytest.raises(LimitError, match="effective_mass"):
         speed_limits().speed_limit(mass)
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.99, -1.0, math.nan])
-def test_a_factor_that_loosens_is_refused(factor: float) -> None:
+def test_stiffness_factor_below_one_raises(factor: float) -> None:
     with pytest.raises(LimitError, match="stiffness_factor"):
         speed_limits().speed_limit(1.0, factor)
 
 
-def test_no_limit_is_no_permission() -> None:
+def test_no_limit_raises() -> None:
     with pytest.raises(LimitError, match="at least one region"):
         SpeedLimits(())

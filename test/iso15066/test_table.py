@@ -1,4 +1,4 @@
-"""The transcription of the standard's table, against invariants that a wrong copy breaks."""
+"""The limits table agrees with a second transcription and with physical invariants."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robots for the tests of the model: the shipped file, variations of it, and small URDFs."""
+"""Robots for the tests of the model: the shipped file, variants of it, and URDF files."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def omron_rows() -> dict[str, Any]:
 
 
 @pytest.fixture
-def from_rows(tmp_path: Path) -> Callable[[object], Robot]:
+def load_rows(tmp_path: Path) -> Callable[[object], Robot]:
     """Write a DH file and load it."""
 
     def load(rows: object) -> Robot:
@@ -70,9 +70,9 @@ def along() -> Callable[..., EffectiveMasses]:
         q = np.asarray(q, dtype=float)
         frame = next(iter(dynamics.robot.contact_frames.values()))
         qd = np.linalg.pinv(dynamics.jacobian(q, frame)) @ np.asarray(n, dtype=float)
-        (effective_masses,) = dynamics.effective_masses(q, qd, 1e-6)
-        assert np.allclose(effective_masses.direction, np.asarray(n) / np.linalg.norm(n), atol=1e-6)
-        return effective_masses
+        (masses,) = dynamics.effective_masses(q, qd, 1e-6)
+        assert np.allclose(masses.direction, np.asarray(n) / np.linalg.norm(n), atol=1e-6)
+        return masses
 
     return ask
 
@@ -88,7 +88,7 @@ def load_urdf_file() -> Callable[..., Robot]:
 
 
 @pytest.fixture(scope="session")
-def refused_or_finite() -> Callable[[Callable[[], Robot]], None]:
+def assert_raises_or_finite() -> Callable[[Callable[[], Robot]], None]:
     """Require that a spoilt robot is refused in one line, or else gives masses or says why it has none."""
 
     def require(load: Callable[[], Robot]) -> None:
@@ -98,11 +98,11 @@ def refused_or_finite() -> Callable[[Callable[[], Robot]], None]:
             message = str(error)
             assert "\n" not in message
             return
-        for effective_masses in dynamics.effective_masses(
+        for masses in dynamics.effective_masses(
             dynamics.robot.sample_configurations()[0], np.ones(dynamics.robot.model.nv), 0.005
         ):
-            assert np.isfinite(effective_masses.speed)
-            assert effective_masses.full > 0.0 or dynamics.full_reason
-            assert effective_masses.lumped > 0.0 or effective_masses.lumped_reason
+            assert np.isfinite(masses.speed)
+            assert masses.full > 0.0 or dynamics.full_reason
+            assert masses.lumped > 0.0 or masses.lumped_reason
 
     return require

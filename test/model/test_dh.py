@@ -1,4 +1,4 @@
-"""DH files: what they say is what is read, and whatever is wrong is named in one line."""
+"""DH files: values are read as stated, and every wrong value is named in one line."""
 
 from __future__ import annotations
 
@@ -50,12 +50,10 @@ def test_shipped_file(omron: Robot) -> None:
     assert omron.model.velocityLimit.tolist() == [12.6, 12.6, 3.0, 50.0]
 
 
-def test_samples_lie_within_the_limits_and_fill_them(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
-) -> None:
+def test_samples_cover_the_joint_limits(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
     for joint, (lower, upper) in enumerate(((4.0, 6.0), (-6.0, -4.5), (5.0, 5.3), (-100.0, 100.0))):
         omron_rows["joints"][joint].update(lower=lower, upper=upper)
-    robot = from_rows(omron_rows)
+    robot = load_rows(omron_rows)
     samples = robot.sample_configurations()
     assert np.all(samples >= robot.model.lowerPositionLimit)
     assert np.all(samples <= robot.model.upperPositionLimit)
@@ -64,7 +62,7 @@ def test_samples_lie_within_the_limits_and_fill_them(
     assert np.array_equal(samples, robot.sample_configurations())
 
 
-def test_contact_points_can_be_picked(omron_rows: dict[str, Any], tmp_path: Path) -> None:
+def test_contact_points_can_be_selected(omron_rows: dict[str, Any], tmp_path: Path) -> None:
     omron_rows["contact_points"] = {"tool": [0, 0, 0], "edge": [0.1, 0, 0], "corner": [0.1, 0.1, 0]}
     path = tmp_path / "robot.yaml"
     path.write_text(yaml.safe_dump(omron_rows))
@@ -116,18 +114,18 @@ def test_contact_points_can_be_picked(omron_rows: dict[str, Any], tmp_path: Path
     ],
 )
 def test_wrong_value_is_named(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], key: str, value: object, named: str
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], key: str, value: object, named: str
 ) -> None:
     put(omron_rows, key, value)
     with pytest.raises(RobotError, match=rf"robot\.yaml: {named}") as refusal:
-        from_rows(omron_rows)
+        load_rows(omron_rows)
     assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.parametrize(
     "content", [b"", b"just words", b"- 1", b"a: [", b"\xff\xfe\x00", b"\x00", b"a: !!python/none x"]
 )
-def test_file_that_is_no_robot(tmp_path: Path, content: bytes) -> None:
+def test_file_that_is_not_a_robot_raises(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "robot.yaml"
     path.write_bytes(content)
     with pytest.raises(RobotError, match=r"robot\.yaml: ") as refusal:
@@ -135,67 +133,63 @@ def test_file_that_is_no_robot(tmp_path: Path, content: bytes) -> None:
     assert "\n" not in str(refusal.value)
 
 
-def test_missing_file_and_folder(tmp_path: Path) -> None:
+def test_missing_file_and_folder_raise(tmp_path: Path) -> None:
     for path in (tmp_path / "none.yaml", tmp_path):
         with pytest.raises(RobotError, match="cannot be read"):
             load_robot(path)
 
 
-def test_no_mass_at_all_is_refused(omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> None:
+def test_robot_without_mass_raises(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
     for body in (*omron_rows["links"], omron_rows["payload"]):
         body["mass"] = 0.0
     with pytest.raises(RobotError, match=r"robot\.yaml: the moving links have no mass"):
-        from_rows(omron_rows)
+        load_rows(omron_rows)
 
 
-def test_link_without_mass_leaves_no_model_believed(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
-) -> None:
+def test_link_without_mass_leaves_no_model(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
     omron_rows["links"][1]["mass"] = 0.0
-    dynamics = RobotDynamics(from_rows(omron_rows))
+    dynamics = RobotDynamics(load_rows(omron_rows))
     for reason in (dynamics.robot.masses_reason, dynamics.lumped_reason, dynamics.full_reason):
         assert reason.startswith("no mass behind joint2")
 
 
-def test_inertia_of_no_body_leaves_the_lumped_model(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+def test_impossible_inertia_leaves_the_lumped_model(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
 ) -> None:
     omron_rows["links"][1]["inertia"] = [0.001, 0.001, 0.0227, 0.0, 0.0, 0.0]
-    dynamics = RobotDynamics(from_rows(omron_rows))
+    dynamics = RobotDynamics(load_rows(omron_rows))
     assert "the inertia of link2 is impossible" in dynamics.full_reason
     assert dynamics.lumped is not None
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e3])
-def test_single_number_is_a_moment_that_a_body_can_have(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], scale: float
+def test_single_inertia_satisfies_the_triangle_inequality(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], scale: float
 ) -> None:
     for link in omron_rows["links"]:
         link["inertia"] *= scale
-    assert "cannot belong" not in from_rows(omron_rows).inertias_reason
+    assert "cannot belong" not in load_rows(omron_rows).inertias_reason
 
 
-def test_payload_inertia_alone_is_no_full_model(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+def test_payload_inertia_alone_gives_no_full_model(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
 ) -> None:
     for link in omron_rows["links"]:
         del link["inertia"]
-    assert from_rows(omron_rows).inertias_reason == "the file gives no inertia tensors"
+    assert load_rows(omron_rows).inertias_reason == "the file gives no inertia tensors"
 
 
-def test_no_link_needs_an_inertia_if_the_massless_ones_have_none(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
-) -> None:
+def test_massless_links_need_no_inertia(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
     for link in omron_rows["links"]:
         del link["inertia"]
     omron_rows["links"][3]["mass"] = 0.0
-    assert from_rows(omron_rows).masses_reason == ""
+    assert load_rows(omron_rows).masses_reason == ""
 
 
-def test_placeholders_are_recognised(omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> None:
+def test_placeholders_are_recognised(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
     for link in omron_rows["links"]:
         link.update(mass=1.0, inertia=[1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-    robot = from_rows(omron_rows)
+    robot = load_rows(omron_rows)
     assert "placeholders" in robot.masses_reason
     assert robot.coms_reason
     assert robot.inertias_reason
@@ -203,11 +197,11 @@ def test_placeholders_are_recognised(omron_rows: dict[str, Any], from_rows: Call
 
 
 def test_centres_of_mass_at_the_origins_are_placeholders(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
 ) -> None:
     for link in omron_rows["links"]:
         link["com"] = [0.0, 0.0, 0.0]
-    dynamics = RobotDynamics(from_rows(omron_rows))
+    dynamics = RobotDynamics(load_rows(omron_rows))
     assert "placeholders" in dynamics.lumped_reason
     assert "placeholders" in dynamics.full_reason
     assert dynamics.robot.masses_reason == ""
@@ -230,22 +224,22 @@ ROWS = yaml.safe_load(OMRON.read_text())
 
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(changes=st.lists(st.tuples(st.sampled_from(leaves(ROWS)), values | st.just(...)), min_size=1, max_size=2))
-def test_spoilt_file_is_refused_or_gives_finite_answers(
-    from_rows: Callable[[object], Robot],
-    refused_or_finite: Callable[[Callable[[], Robot]], None],
+def test_mutated_file_raises_or_gives_finite_masses(
+    load_rows: Callable[[object], Robot],
+    assert_raises_or_finite: Callable[[Callable[[], Robot]], None],
     changes: list[tuple[str, object]],
 ) -> None:
     rows = copy.deepcopy(ROWS)
     for key, value in changes:
         with suppress(KeyError, IndexError, TypeError):  # the first change may take away where the second would go
             put(rows, key, value)
-    refused_or_finite(lambda: from_rows(rows))
+    assert_raises_or_finite(lambda: load_rows(rows))
 
 
-def test_tensors_of_some_links_only_are_no_full_model(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+def test_inertias_of_some_links_give_no_full_model(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
 ) -> None:
     del omron_rows["links"][1]["inertia"]
-    dynamics = RobotDynamics(from_rows(omron_rows))
+    dynamics = RobotDynamics(load_rows(omron_rows))
     assert dynamics.full_reason == "no inertia tensor for link2, while other links have one"
     assert not dynamics.lumped_reason

@@ -1,4 +1,4 @@
-"""What a contact point presents, against physics: impulses, duality, the worst direction, singular poses."""
+"""Effective masses agree with physics: impulses, kinetic energy, worst direction, singular poses."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def robots(omron_dynamics: RobotDynamics, load_urdf_file: Callable[..., Robot]) 
     ]
 
 
-def test_impulse_changes_the_speed_as_on_a_free_mass(
+def test_impulse_changes_the_speed_like_that_of_a_free_mass(
     omron_dynamics: RobotDynamics, load_urdf_file: Callable[..., Robot], along: Callable[..., EffectiveMasses]
 ) -> None:
     impulse = 0.7
@@ -61,7 +61,7 @@ def test_impulse_changes_the_speed_as_on_a_free_mass(
             assert along(dynamics, q, n).full == pytest.approx(impulse / (n @ jacobian @ jump), rel=1e-6)
 
 
-def test_energy_of_the_lightest_motion_is_that_of_the_effective_mass(
+def test_minimum_kinetic_energy_is_that_of_the_effective_mass(
     omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses]
 ) -> None:
     # Khatib's duality: of all joint motions that move the point at speed 1 along n, whatever it does across n,
@@ -80,7 +80,7 @@ def test_energy_of_the_lightest_motion_is_that_of_the_effective_mass(
         assert other @ matrix @ other >= mass * (1.0 - 1e-9)
 
 
-def test_worst_direction_is_worse_than_any_other_and_is_attained(
+def test_worst_direction_is_the_maximum_over_directions(
     omron_dynamics: RobotDynamics, load_urdf_file: Callable[..., Robot], along: Callable[..., EffectiveMasses]
 ) -> None:
     for dynamics in robots(omron_dynamics, load_urdf_file):
@@ -88,19 +88,19 @@ def test_worst_direction_is_worse_than_any_other_and_is_attained(
             jacobian = dynamics.jacobian(q, frame_of(dynamics))
             mobility = jacobian @ np.linalg.inv(mass_matrix(dynamics.robot.model, q)) @ jacobian.T
             values, vectors = np.linalg.eigh(mobility)
-            effective_masses = along(dynamics, q, vectors[:, 0])
-            assert effective_masses.worst_full == pytest.approx(1.0 / values[0], rel=1e-6)
-            assert effective_masses.full == pytest.approx(effective_masses.worst_full, rel=1e-6)
+            masses = along(dynamics, q, vectors[:, 0])
+            assert masses.worst_full == pytest.approx(1.0 / values[0], rel=1e-6)
+            assert masses.full == pytest.approx(masses.worst_full, rel=1e-6)
             for n in unit_vectors(16):
-                assert 1.0 / (n @ mobility @ n) <= effective_masses.worst_full * (1.0 + 1e-9)
+                assert 1.0 / (n @ mobility @ n) <= masses.worst_full * (1.0 + 1e-9)
 
 
 def test_smallest_singular_value(omron_dynamics: RobotDynamics, load_urdf_file: Callable[..., Robot]) -> None:
     for dynamics in robots(omron_dynamics, load_urdf_file):
         for q in dynamics.robot.sample_configurations():
-            (effective_masses,) = dynamics.effective_masses(q, np.ones(len(q)), 0.005)
+            (masses,) = dynamics.effective_masses(q, np.ones(len(q)), 0.005)
             values = np.linalg.svd(dynamics.jacobian(q, frame_of(dynamics)), compute_uv=False)
-            assert effective_masses.smallest_singular_value == pytest.approx(values[-1], rel=1e-6, abs=1e-6)
+            assert masses.smallest_singular_value == pytest.approx(values[-1], rel=1e-6, abs=1e-6)
 
 
 def test_speed_and_direction_are_those_of_the_contact_point(omron_dynamics: RobotDynamics) -> None:
@@ -108,95 +108,91 @@ def test_speed_and_direction_are_those_of_the_contact_point(omron_dynamics: Robo
     for q in omron_dynamics.robot.sample_configurations():
         qd = rng.uniform(-2.0, 2.0, 4)
         velocity = omron_dynamics.jacobian(q, frame_of(omron_dynamics)) @ qd
-        (effective_masses,) = omron_dynamics.effective_masses(q, qd, 0.005)
-        assert effective_masses.speed == pytest.approx(np.linalg.norm(velocity), rel=1e-12)
-        np.testing.assert_allclose(np.array(effective_masses.direction) * effective_masses.speed, velocity, atol=1e-12)
+        (masses,) = omron_dynamics.effective_masses(q, qd, 0.005)
+        assert masses.speed == pytest.approx(np.linalg.norm(velocity), rel=1e-12)
+        np.testing.assert_allclose(np.array(masses.direction) * masses.speed, velocity, atol=1e-12)
 
 
-def test_slow_point_gets_the_worst_direction(omron_dynamics: RobotDynamics) -> None:
+def test_speed_below_the_threshold_gives_the_worst_direction(omron_dynamics: RobotDynamics) -> None:
     q = np.array([0.3, 1.1, 0.1, 0.2])
     (slow,) = omron_dynamics.effective_masses(q, np.full(4, 1e-4), 0.005)
     (still,) = omron_dynamics.effective_masses(q, np.zeros(4), 0.005)
-    for effective_masses in (slow, still):
-        assert effective_masses.direction == (0.0, 0.0, 0.0)
-        assert (effective_masses.lumped, effective_masses.full) == (
-            effective_masses.worst_lumped,
-            effective_masses.worst_full,
+    for masses in (slow, still):
+        assert masses.direction == (0.0, 0.0, 0.0)
+        assert (masses.lumped, masses.full) == (
+            masses.worst_lumped,
+            masses.worst_full,
         )
     assert still.speed == 0.0
 
 
-def test_no_threshold_and_no_motion_is_no_direction_but_no_error(omron_dynamics: RobotDynamics) -> None:
-    (effective_masses,) = omron_dynamics.effective_masses(np.array([0.3, 1.1, 0.1, 0.2]), np.zeros(4), 0.0)
-    assert effective_masses.direction == (0.0, 0.0, 0.0)
-    assert effective_masses.full == effective_masses.worst_full
+def test_rest_with_zero_threshold_has_no_direction(omron_dynamics: RobotDynamics) -> None:
+    (masses,) = omron_dynamics.effective_masses(np.array([0.3, 1.1, 0.1, 0.2]), np.zeros(4), 0.0)
+    assert masses.direction == (0.0, 0.0, 0.0)
+    assert masses.full == masses.worst_full
 
 
 @given(q2=st.floats(-1e-3, 1e-3), q1=st.floats(-2.0, 2.0))
-def test_stretched_scara_is_heavy_along_itself_and_finite_across(
-    omron_dynamics: RobotDynamics, q1: float, q2: float
-) -> None:
+def test_nearly_stretched_scara_has_finite_mass_across(omron_dynamics: RobotDynamics, q1: float, q2: float) -> None:
     across = np.array([1.0, 0.0, 0.0, 0.0])
-    (effective_masses,) = omron_dynamics.effective_masses(np.array([q1, q2, 0.1, 0.0]), across, 0.0)
-    assert effective_masses.lumped == pytest.approx(0.97, rel=0.01)
-    assert 0.5 < effective_masses.full < 2.0
-    for worst in (effective_masses.worst_lumped, effective_masses.worst_full):
+    (masses,) = omron_dynamics.effective_masses(np.array([q1, q2, 0.1, 0.0]), across, 0.0)
+    assert masses.lumped == pytest.approx(0.97, rel=0.01)
+    assert 0.5 < masses.full < 2.0
+    for worst in (masses.worst_lumped, masses.worst_full):
         assert worst > 0.97 + 2.0 / 1e-6
-    assert effective_masses.smallest_singular_value < 2e-4
+    assert masses.smallest_singular_value < 2e-4
 
 
-def test_exactly_stretched_scara_has_no_nan(omron_dynamics: RobotDynamics) -> None:
+def test_stretched_scara_gives_no_nan(omron_dynamics: RobotDynamics) -> None:
     for qd in (np.zeros(4), np.array([0.5, 0.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.1, 3.0])):
-        (effective_masses,) = omron_dynamics.effective_masses(np.array([0.4, 0.0, 0.1, 0.0]), qd, 0.005)
-        assert effective_masses.worst_lumped > CAP
-        assert effective_masses.worst_full > CAP
-        assert effective_masses.lumped > 0.0
-        assert effective_masses.full > 0.0
-        assert effective_masses.lumped_reason == ""
+        (masses,) = omron_dynamics.effective_masses(np.array([0.4, 0.0, 0.1, 0.0]), qd, 0.005)
+        assert masses.worst_lumped > CAP
+        assert masses.worst_full > CAP
+        assert masses.lumped > 0.0
+        assert masses.full > 0.0
+        assert masses.lumped_reason == ""
 
 
-def test_singular_poses_of_a_six_axis_arm_have_no_nan(load_urdf_file: Callable[..., Robot]) -> None:
+def test_singular_poses_of_a_six_axis_arm_give_no_nan(load_urdf_file: Callable[..., Robot]) -> None:
     dynamics = RobotDynamics(load_urdf_file("ur5_robot.urdf"))
     rng = np.random.default_rng(RNG_SEED)
     wrist = [np.array([0.3, -1.0, 1.2, 0.4, q5, 0.1]) for q5 in (0.0, math.pi, -math.pi)]
     elbow = [np.array([0.3, -1.0, q3, 0.4, 1.0, 0.1]) for q3 in (0.0, math.pi)]
     for q in (*wrist, *elbow, np.zeros(6)):
         for qd in (np.zeros(6), *rng.normal(size=(4, 6))):
-            (effective_masses,) = dynamics.effective_masses(q, qd, 0.005)
-            assert effective_masses.full > 0.0
-            assert effective_masses.worst_full >= effective_masses.full * (1.0 - 1e-9)
-            assert effective_masses.smallest_singular_value >= 0.0
-            assert math.isnan(effective_masses.lumped)
-            assert "parallel" in effective_masses.lumped_reason
+            (masses,) = dynamics.effective_masses(q, qd, 0.005)
+            assert masses.full > 0.0
+            assert masses.worst_full >= masses.full * (1.0 - 1e-9)
+            assert masses.smallest_singular_value >= 0.0
+            assert math.isnan(masses.lumped)
+            assert "parallel" in masses.lumped_reason
 
 
 class TestPlanarArm:
     """Two revolute joints: the contact point reaches a plane, and only directions in it count."""
 
     @pytest.fixture
-    def dynamics(self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> RobotDynamics:
+    def dynamics(self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> RobotDynamics:
         omron_rows["joints"] = omron_rows["joints"][:2]
         omron_rows["links"] = omron_rows["links"][:2]
         omron_rows["payload"]["mass"] = 0.55
-        return RobotDynamics(from_rows(omron_rows))
+        return RobotDynamics(load_rows(omron_rows))
 
-    def test_worst_direction_is_sought_in_the_plane(self, dynamics: RobotDynamics) -> None:
+    def test_worst_direction_lies_in_the_plane(self, dynamics: RobotDynamics) -> None:
         assert dynamics.lumped is not None
         assert dynamics.lumped.massless_joints == ()
         # The payload sits on the distal axis of link 2, the elbow's share on the other: M2 and M3 of Eq. 28.
         _, m2, m3 = dynamics.lumped.aggregated
         phi = np.linspace(0.0, np.pi, 20001)
         for q in dynamics.robot.sample_configurations():
-            (effective_masses,) = dynamics.effective_masses(q, np.zeros(2), 0.005)
-            assert effective_masses.worst_lumped == pytest.approx(
-                scara_lumped_mass(q[0], q[1], phi, m2, m3).max(), rel=1e-4
-            )
-            assert math.isfinite(effective_masses.worst_full)
+            (masses,) = dynamics.effective_masses(q, np.zeros(2), 0.005)
+            assert masses.worst_lumped == pytest.approx(scara_lumped_mass(q[0], q[1], phi, m2, m3).max(), rel=1e-4)
+            assert math.isfinite(masses.worst_full)
 
-    def test_stretched_arm_is_heavy(self, dynamics: RobotDynamics) -> None:
-        (effective_masses,) = dynamics.effective_masses(np.array([0.7, 0.0]), np.zeros(2), 0.005)
-        assert effective_masses.worst_lumped > CAP
-        assert effective_masses.worst_full > CAP
+    def test_stretched_planar_arm_exceeds_the_cap(self, dynamics: RobotDynamics) -> None:
+        (masses,) = dynamics.effective_masses(np.array([0.7, 0.0]), np.zeros(2), 0.005)
+        assert masses.worst_lumped > CAP
+        assert masses.worst_full > CAP
 
 
 class TestOneJoint:
@@ -207,31 +203,29 @@ class TestOneJoint:
         return omron_rows
 
     def test_masses_are_moment_of_inertia_over_lever_squared(
-        self, rows: dict[str, Any], from_rows: Callable[[object], Robot]
+        self, rows: dict[str, Any], load_rows: Callable[[object], Robot]
     ) -> None:
-        dynamics = RobotDynamics(from_rows(rows))
-        (effective_masses,) = dynamics.effective_masses(np.array([0.4]), np.array([1.0]), 0.005)
+        dynamics = RobotDynamics(load_rows(rows))
+        (masses,) = dynamics.effective_masses(np.array([0.4]), np.array([1.0]), 0.005)
         about_axis = 2.74 * 0.08029**2 + 0.02952 + 0.25 * 0.275**2 + 0.0002
-        assert effective_masses.full == pytest.approx(about_axis / 0.275**2, rel=1e-12)
-        assert effective_masses.worst_full == pytest.approx(effective_masses.full, rel=1e-12)
-        assert effective_masses.lumped == pytest.approx(2.74 * 0.08029 / 0.275 + 0.25, rel=1e-12)
-        assert effective_masses.speed == pytest.approx(0.275)
-        assert effective_masses.smallest_singular_value == pytest.approx(0.275)
+        assert masses.full == pytest.approx(about_axis / 0.275**2, rel=1e-12)
+        assert masses.worst_full == pytest.approx(masses.full, rel=1e-12)
+        assert masses.lumped == pytest.approx(2.74 * 0.08029 / 0.275 + 0.25, rel=1e-12)
+        assert masses.speed == pytest.approx(0.275)
+        assert masses.smallest_singular_value == pytest.approx(0.275)
 
-    def test_contact_point_on_the_axis_is_refused(
-        self, rows: dict[str, Any], from_rows: Callable[[object], Robot]
-    ) -> None:
+    def test_contact_point_on_the_axis_raises(self, rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
         rows["contact_points"] = {"flange": [-0.275, 0.0, 0.3]}
-        robot = from_rows(rows)
+        robot = load_rows(rows)
         with pytest.raises(RobotError, match=r"robot\.yaml: contact point flange: .* axis"):
             RobotDynamics(robot)
 
 
-def test_several_contact_points_each_have_their_own_answer(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
+def test_each_contact_point_has_its_own_masses(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
 ) -> None:
     omron_rows["contact_points"] = {"tool": [0.0, 0.0, 0.0], "corner": [0.1, 0.0, 0.0]}
-    dynamics = RobotDynamics(from_rows(omron_rows))
+    dynamics = RobotDynamics(load_rows(omron_rows))
     assert dynamics.contact_points == ("tool", "corner")
     q, qd = np.array([0.3, 1.1, 0.1, 0.2]), np.array([0.3, 0.2, 0.0, -0.5])
     tool, corner = dynamics.effective_masses(q, qd, 0.005)
@@ -245,12 +239,12 @@ class TestOffsetContactPoint:
     R_X = 0.12
 
     @pytest.fixture
-    def dynamics(self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> RobotDynamics:
+    def dynamics(self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> RobotDynamics:
         omron_rows["contact_points"] = {"edge": [self.R_X, 0.0, 0.0]}
-        return RobotDynamics(from_rows(omron_rows))
+        return RobotDynamics(load_rows(omron_rows))
 
     @given(q1=st.floats(-2.3, 2.3), q2=st.floats(0.1, 2.5), q4=st.floats(-6.0, 6.0))
-    def test_cancels_along_x4(
+    def test_offset_has_no_effect_along_x4(
         self, omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses], q1: float, q2: float, q4: float
     ) -> None:
         dynamics = self.built(omron_dynamics)
@@ -269,7 +263,7 @@ class TestOffsetContactPoint:
         frame = model.addFrame(pin.Frame("edge", tool.parentJoint, 0, pose, pin.FrameType.OP_FRAME))
         return RobotDynamics(replace(omron_dynamics.robot, model=model, contact_frames={"edge": frame}))
 
-    def test_built_as_from_the_file(self, dynamics: RobotDynamics, omron_dynamics: RobotDynamics) -> None:
+    def test_offset_robot_agrees_with_the_file(self, dynamics: RobotDynamics, omron_dynamics: RobotDynamics) -> None:
         q, qd = np.array([0.3, 1.1, 0.1, 0.2]), np.array([0.3, 0.2, 0.0, 0.5])
         other = self.built(omron_dynamics)
         np.testing.assert_allclose(
@@ -280,36 +274,36 @@ class TestOffsetContactPoint:
         )
 
     @pytest.mark.parametrize("tilt", [0.01, 0.5, math.pi / 2.0])
-    def test_lumped_mass_is_refused_across_x4(
+    def test_lumped_mass_is_undefined_across_x4(
         self, dynamics: RobotDynamics, along: Callable[..., EffectiveMasses], tilt: float
     ) -> None:
         q = [0.3, 1.1, 0.1, 0.2]
         phi = q[0] + q[1] - q[3] + tilt
-        effective_masses = along(dynamics, q, [math.cos(phi), math.sin(phi), 0.0])
-        assert math.isnan(effective_masses.lumped)
-        assert "joint4" in effective_masses.lumped_reason
-        assert math.isfinite(effective_masses.full)
-        assert math.isfinite(effective_masses.worst_full)
+        masses = along(dynamics, q, [math.cos(phi), math.sin(phi), 0.0])
+        assert math.isnan(masses.lumped)
+        assert "joint4" in masses.lumped_reason
+        assert math.isfinite(masses.full)
+        assert math.isfinite(masses.worst_full)
 
-    def test_lumped_mass_is_refused_for_the_worst_direction(self, dynamics: RobotDynamics) -> None:
-        (effective_masses,) = dynamics.effective_masses(np.array([0.3, 1.1, 0.1, 0.2]), np.zeros(4), 0.005)
-        assert math.isnan(effective_masses.lumped)
-        assert math.isnan(effective_masses.worst_lumped)
-        assert "joint4" in effective_masses.lumped_reason
-        assert math.isfinite(effective_masses.full)
+    def test_lumped_mass_is_undefined_for_the_worst_direction(self, dynamics: RobotDynamics) -> None:
+        (masses,) = dynamics.effective_masses(np.array([0.3, 1.1, 0.1, 0.2]), np.zeros(4), 0.005)
+        assert math.isnan(masses.lumped)
+        assert math.isnan(masses.worst_lumped)
+        assert "joint4" in masses.lumped_reason
+        assert math.isfinite(masses.full)
 
-    def test_rotor_at_joint_4_gives_the_lumped_mass_back(
-        self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], along: Callable[..., EffectiveMasses]
+    def test_armature_at_joint_4_defines_the_lumped_mass(
+        self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], along: Callable[..., EffectiveMasses]
     ) -> None:
         omron_rows["contact_points"] = {"edge": [self.R_X, 0.0, 0.0]}
         omron_rows["joints"][3]["armature"] = 1e-3
-        effective_masses = along(RobotDynamics(from_rows(omron_rows)), [0.3, 1.1, 0.1, 0.2], [1.0, 0.0, 0.0])
-        assert math.isfinite(effective_masses.lumped)
-        assert math.isfinite(effective_masses.worst_lumped)
+        masses = along(RobotDynamics(load_rows(omron_rows)), [0.3, 1.1, 0.1, 0.2], [1.0, 0.0, 0.0])
+        assert math.isfinite(masses.lumped)
+        assert math.isfinite(masses.worst_lumped)
 
 
 @given(q1=st.floats(-2.3, 2.3), q2=st.floats(0.1, 2.5), phi=st.floats(-3.0, 3.0), rise=st.floats(-1.5, 1.5))
-def test_inclined_normals_mix_the_planar_and_the_vertical_mass(
+def test_inclined_normal_combines_planar_and_vertical_mass(
     omron: Robot,
     omron_dynamics: RobotDynamics,
     along: Callable[..., EffectiveMasses],
@@ -333,7 +327,7 @@ def test_inclined_normals_mix_the_planar_and_the_vertical_mass(
     q3=st.floats(0.0, 0.45),
     q4=st.floats(-6.0, 6.0),
 )
-def test_quill_and_tool_angle_count_for_nothing(
+def test_quill_and_tool_angle_have_no_effect(
     omron_dynamics: RobotDynamics,
     along: Callable[..., EffectiveMasses],
     q1: float,
@@ -348,16 +342,16 @@ def test_quill_and_tool_angle_count_for_nothing(
     assert there.full == pytest.approx(here.full, rel=1e-6)
 
 
-def test_link_lengths_count_for_nothing_in_the_lumped_mass(
+def test_link_lengths_have_no_effect_on_the_lumped_mass(
     omron_rows: dict[str, Any],
-    from_rows: Callable[[object], Robot],
+    load_rows: Callable[[object], Robot],
     omron_dynamics: RobotDynamics,
     along: Callable[..., EffectiveMasses],
 ) -> None:
     for row, link, length in zip(omron_rows["joints"][:2], omron_rows["links"][:2], (0.4, 0.15), strict=True):
         link["com"][0] *= length / row["a"]  # the same kappa
         row["a"] = length
-    other = RobotDynamics(from_rows(omron_rows))
+    other = RobotDynamics(load_rows(omron_rows))
     for q, n in zip(omron_dynamics.robot.sample_configurations(), unit_vectors(64), strict=True):
         assert along(other, q, n).lumped == pytest.approx(along(omron_dynamics, q, n).lumped, rel=1e-6)
 
@@ -380,13 +374,13 @@ class TestSmallestEigenvalue:
         assert error <= 1e-7 * values[2] * 10.0**scale
 
     @given(small=st.floats(1e-7, 1e-1), middle=st.floats(0.2, 1.0), seed=st.integers(0, 2**32 - 1))
-    def test_is_sharp_where_one_direction_is_lost(self, small: float, middle: float, seed: int) -> None:
+    def test_is_accurate_near_a_singular_pose(self, small: float, middle: float, seed: int) -> None:
         # Near an ordinary singular pose two directions stay mobile, and the mass along the third stays good.
         matrix = rotated(np.array([small, middle, 1.0]), seed)
         assert smallest_eigenvalue(matrix.tolist(), 3) == pytest.approx(np.linalg.eigvalsh(matrix)[0], rel=1e-6)
 
     @given(small=st.floats(1e-7, 1.0), seed=st.integers(0, 2**32 - 1))
-    def test_leaves_out_directions_out_of_reach(self, small: float, seed: int) -> None:
+    def test_ignores_unreachable_directions(self, small: float, seed: int) -> None:
         assert smallest_eigenvalue(rotated(np.array([0.0, small, 1.0]), seed).tolist(), 2) == pytest.approx(
             small, rel=1e-6
         )
@@ -412,11 +406,11 @@ class TestMasslessJoint:
 
     @pytest.fixture
     def with_offset(
-        self, omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+        self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
     ) -> Callable[[float], RobotDynamics]:
         def build(offset: float) -> RobotDynamics:
             omron_rows["contact_points"] = {"edge": [offset, 0.0, 0.0]}
-            return RobotDynamics(from_rows(omron_rows))
+            return RobotDynamics(load_rows(omron_rows))
 
         return build
 
@@ -445,11 +439,11 @@ class TestMasslessJoint:
 
 
 def test_joint_that_moves_no_inertia_has_no_full_model(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
 ) -> None:
     for body in (omron_rows["links"][2], omron_rows["links"][3], omron_rows["payload"]):
         body["inertia"] = [1e-4, 1e-4, 0.0, 0.0, 0.0, 0.0]
-    dynamics = RobotDynamics(from_rows(omron_rows))
+    dynamics = RobotDynamics(load_rows(omron_rows))
     assert dynamics.full_reason.startswith("joint4 moves no inertia")
     omron_rows["joints"][3]["armature"] = 1e-6
-    assert RobotDynamics(from_rows(omron_rows)).full_reason == ""
+    assert RobotDynamics(load_rows(omron_rows)).full_reason == ""

@@ -1,4 +1,4 @@
-"""What settings add to a robot file, and what they may not."""
+"""Settings that robot files accept."""
 
 from __future__ import annotations
 
@@ -15,6 +15,6 @@ if TYPE_CHECKING:
 
 
 @pytest.mark.parametrize("extra", [{"payload_mass": 1.0}, {"armature": ("joint1=1",)}])
-def test_a_dh_file_states_its_own(omron_file: Path, extra: dict[str, object]) -> None:
+def test_urdf_settings_raise_for_a_dh_file(omron_file: Path, extra: dict[str, object]) -> None:
     with pytest.raises(RobotError, match="must be unset for a DH file"):
         load_robot(omron_file, MonitorSettings.model_validate(extra))

@@ -1,4 +1,4 @@
-"""Mass matrices and Jacobians against Eqs. 9-14 written out with numpy, and against finite differences."""
+"""Mass matrices and Jacobians agree with Eqs. 9-14 in numpy and with finite differences."""
 
 from __future__ import annotations
 
@@ -95,19 +95,19 @@ def spatial_rows(omron_rows: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.parametrize("which", ["omron_rows", "spatial_rows"])
 def test_full_mass_matrix_is_eq_9(
-    which: str, request: pytest.FixtureRequest, from_rows: Callable[[object], Robot]
+    which: str, request: pytest.FixtureRequest, load_rows: Callable[[object], Robot]
 ) -> None:
     rows = request.getfixturevalue(which)
-    robot = from_rows(rows)
+    robot = load_rows(rows)
     data = robot.model.createData()
     for q in robot.sample_configurations():
         np.testing.assert_allclose(pin.crba(robot.model, data, q), eq_9(rows, q), rtol=1e-9, atol=1e-12)
 
 
 def test_mass_matrix_is_twice_the_kinetic_energy(
-    spatial_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+    spatial_rows: dict[str, Any], load_rows: Callable[[object], Robot]
 ) -> None:
-    robot = from_rows(spatial_rows)
+    robot = load_rows(spatial_rows)
     rng = np.random.default_rng(1)
     bodies = [(i, link) for i, link in enumerate(spatial_rows["links"])]
 
@@ -131,10 +131,10 @@ def test_mass_matrix_is_twice_the_kinetic_energy(
         assert 0.5 * qd @ matrix @ qd == pytest.approx(energy, rel=1e-7)
 
 
-def test_jacobian_is_the_derivative_of_the_position(
-    spatial_rows: dict[str, Any], from_rows: Callable[[object], Robot]
+def test_jacobian_agrees_with_finite_differences(
+    spatial_rows: dict[str, Any], load_rows: Callable[[object], Robot]
 ) -> None:
-    robot = from_rows(spatial_rows)
+    robot = load_rows(spatial_rows)
     dynamics = RobotDynamics(robot)
     tool = np.array([*spatial_rows["contact_points"]["tool"], 1.0])
     for q in robot.sample_configurations()[:16]:
@@ -145,10 +145,10 @@ def test_jacobian_is_the_derivative_of_the_position(
         np.testing.assert_allclose(dynamics.jacobian(q, robot.contact_frames["tool"]), np.transpose(columns), atol=1e-8)
 
 
-def test_lumped_mass_matrix_is_eq_14(omron_rows: dict[str, Any], from_rows: Callable[[object], Robot]) -> None:
+def test_lumped_mass_matrix_is_eq_14(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
     for link in omron_rows["links"]:
         link["com"][2] = 0.07  # heights count for nothing on parallel axes, and must not do harm
-    dynamics = RobotDynamics(from_rows(omron_rows))
+    dynamics = RobotDynamics(load_rows(omron_rows))
     assert dynamics.lumped is not None
     model = dynamics.lumped.model
     data = model.createData()
@@ -177,12 +177,12 @@ def test_two_masses_keep_mass_and_centre_of_mass_of_every_link(omron_dynamics: R
 
 
 def test_armature_adds_to_the_diagonal_of_both_models(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
 ) -> None:
     rotors = np.array([0.31, 0.17, 4.0, 0.02])
     for row, rotor in zip(omron_rows["joints"], rotors, strict=True):
         row["armature"] = float(rotor)
-    geared = RobotDynamics(from_rows(omron_rows))
+    geared = RobotDynamics(load_rows(omron_rows))
     assert geared.lumped is not None
     assert omron_dynamics.lumped is not None
     for q in geared.robot.sample_configurations()[:8]:
@@ -195,10 +195,10 @@ def test_armature_adds_to_the_diagonal_of_both_models(
 
 
 def test_armature_makes_the_robot_heavier(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
 ) -> None:
     omron_rows["joints"][1]["armature"] = 0.1
-    geared = RobotDynamics(from_rows(omron_rows))
+    geared = RobotDynamics(load_rows(omron_rows))
     for q in geared.robot.sample_configurations():
         heavy, light = (
             dynamics.effective_masses(q, np.array([1.0, 0.0, 0.0, 0.0]), 0.0)[0]
@@ -208,13 +208,13 @@ def test_armature_makes_the_robot_heavier(
         assert heavy.full >= light.full * (1.0 - 1e-12)
 
 
-def test_only_the_moment_about_the_axes_counts_for_a_scara(
-    omron_rows: dict[str, Any], from_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
+def test_only_inertia_about_the_axes_affects_a_scara(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
 ) -> None:
     for body in omron_rows["links"]:
         izz = body["inertia"]
         body["inertia"] = [0.9 * izz, 0.8 * izz, izz, 0.1 * izz, 0.0, 0.0]
-    other = RobotDynamics(from_rows(omron_rows))
+    other = RobotDynamics(load_rows(omron_rows))
     for q in other.robot.sample_configurations():
         here, there = (
             pin.crba(dynamics.robot.model, dynamics.robot.model.createData(), q) for dynamics in (omron_dynamics, other)
@@ -222,7 +222,7 @@ def test_only_the_moment_about_the_axes_counts_for_a_scara(
         np.testing.assert_allclose(there, here, atol=1e-12)
 
 
-def test_inverse_that_the_live_path_uses_is_the_inverse_of_crba(omron_dynamics: RobotDynamics) -> None:
+def test_compute_minverse_is_the_inverse_of_crba(omron_dynamics: RobotDynamics) -> None:
     assert omron_dynamics.lumped is not None
     for model in (omron_dynamics.robot.model, omron_dynamics.lumped.model):
         data = model.createData()

@@ -66,7 +66,7 @@ def with_more(*parts: str) -> str:
     return SCARA.replace("</robot>", "".join(parts) + "</robot>")
 
 
-class TestRecordedRobots:
+class TestRobotFiles:
     @pytest.mark.parametrize(
         ("name", "joints", "moving_mass", "doubt"),
         [
@@ -80,7 +80,7 @@ class TestRecordedRobots:
             ("scara_icube_tutorial.urdf", 3, 2.7, "inertia tensor"),
         ],
     )
-    def test_masses_and_what_is_believed(
+    def test_masses_and_plausibility(
         self, load_urdf_file: Callable[..., Robot], name: str, joints: int, moving_mass: float, doubt: str
     ) -> None:
         robot = load_urdf_file(name)
@@ -90,21 +90,21 @@ class TestRecordedRobots:
         assert ("placeholders" in robot.inertias_reason) == bool(doubt)
         assert doubt in robot.inertias_reason
         dynamics = RobotDynamics(robot)
-        (effective_masses,) = dynamics.effective_masses(robot.sample_configurations()[5], np.ones(joints), 0.005)
-        assert np.isnan(effective_masses.full) == bool(doubt)
+        (masses,) = dynamics.effective_masses(robot.sample_configurations()[5], np.ones(joints), 0.005)
+        assert np.isnan(masses.full) == bool(doubt)
 
-    def test_wx200_grippers_are_held_and_dummy_inertias_are_noted(self, load_urdf_file: Callable[..., Robot]) -> None:
+    def test_wx200_gripper_is_fixed_and_placeholders_are_noted(self, load_urdf_file: Callable[..., Robot]) -> None:
         robot = load_urdf_file("wx200.urdf")
         assert robot.joint_names == ("waist", "shoulder", "elbow", "wrist_angle", "wrist_rotate")
         assert "held fixed in the model: gripper, left_finger, right_finger" in robot.notes
         assert any("placeholder inertia" in note and "ee_arm_link" in note for note in robot.notes)
 
-    def test_denso_stays_doubted_with_a_payload(self, load_urdf_file: Callable[..., Robot]) -> None:
+    def test_denso_masses_stay_implausible_with_a_payload(self, load_urdf_file: Callable[..., Robot]) -> None:
         robot = load_urdf_file("scara_denso_hsr065a1_n32.urdf", payload_mass=1.5)
         assert robot.masses_reason
         assert robot.iso_mass == pytest.approx(4.0 / 2.0 + 1.5)
 
-    def test_panda_finger_mimics_only_if_it_has_to_move(self, load_urdf_file: Callable[..., Robot]) -> None:
+    def test_moving_mimic_joint_raises(self, load_urdf_file: Callable[..., Robot]) -> None:
         with pytest.raises(RobotError, match=r"joint panda_finger_joint2: must not mimic another joint"):
             load_urdf_file("panda.urdf", locked_joints=(), contact_points=("panda_rightfinger",))
 
@@ -121,14 +121,14 @@ def test_urdf_agrees_with_eq_27(along: Callable[..., EffectiveMasses]) -> None:
     assert dynamics.lumped.planar_masses(robot) == pytest.approx((2.38, 0.97), abs=1e-3)
 
 
-def test_standard_mass_with_a_payload() -> None:
+def test_iso_mass_with_a_payload() -> None:
     robot = parse(payload_mass=0.25)
     assert robot.moving_mass == pytest.approx(5.04)
     assert robot.iso_mass == pytest.approx(2.77)
     assert parse().iso_mass == pytest.approx(2.52)
 
 
-def test_default_contact_point_is_the_tip_and_said() -> None:
+def test_default_contact_point_is_the_tip_with_a_note() -> None:
     robot = parse()
     assert list(robot.contact_frames) == ["tip"]
     assert any("contact point tip: the tip of the longest chain" in note for note in robot.notes)
@@ -140,7 +140,7 @@ def test_continuous_joint_keeps_one_coordinate_without_bounds() -> None:
     assert robot.model.upperPositionLimit[3] > 1e5
 
 
-class TestLockedAndUnneededJoints:
+class TestFixedJoints:
     GRIPPER = (
         link("jaw", 0.3, "0.02 0 0", "0.0001 0.0001 0.0001"),
         joint("gripper_slide", "tool", "jaw", "prismatic"),
@@ -152,7 +152,7 @@ class TestLockedAndUnneededJoints:
         assert robot.moving_mass == pytest.approx(5.34)
 
     @pytest.mark.parametrize("kind", ["revolute", "prismatic", "floating", "planar"])
-    def test_joints_beside_the_chain_are_held_whatever_their_type(self, kind: str) -> None:
+    def test_joints_beside_the_chain_are_fixed(self, kind: str) -> None:
         robot = parse(with_more(link("flap", 0.3), joint("side", "fore", "flap", kind)))
         assert robot.joint_names == ("j1", "j2", "j3", "j4")
         assert robot.model.nq == 4
@@ -172,25 +172,25 @@ class TestLockedAndUnneededJoints:
         assert dynamics.lumped is not None
         assert dynamics.lumped.planar_masses(robot) == pytest.approx((2.38, 0.97), abs=1e-3)
 
-    def test_payload_hangs_at_the_end_whatever_is_watched_first(self) -> None:
+    def test_payload_is_at_the_tip_for_any_contact_points(self) -> None:
         masses = [
             [body.mass for body in list(parse(contact_points=points, payload_mass=0.25).model.inertias)[1:]]
             for points in (("tip",), ("fore", "tip"), ("tip", "fore"), ("upper",))
         ]
         assert masses == [[2.74, 2.0, 0.2, pytest.approx(0.35)]] * 4
 
-    def test_contact_on_the_base_is_refused_wherever_it_stands(self) -> None:
+    def test_contact_point_on_the_base_raises(self) -> None:
         for points in (("base",), ("tip", "base")):
             with pytest.raises(
                 RobotError, match=r"scara\.urdf: contact_points = 'base': must not be fixed to the base"
             ):
                 parse(contact_points=points)
 
-    def test_everything_locked(self) -> None:
+    def test_all_joints_locked_raises(self) -> None:
         with pytest.raises(RobotError, match=r"scara\.urdf: contact_points = 'base': must not be fixed to the base"):
             parse(locked_joints=("*",))
 
-    def test_held_joint_with_a_range_without_zero_stands_at_its_nearest_limit(self) -> None:
+    def test_fixed_joint_is_at_zero_or_its_nearest_limit(self) -> None:
         limit = '<limit lower="0.5" upper="0.9" effort="1" velocity="3"/>'
         text = with_more(link("flap", 0.3, "0 0 0"), joint("side", "fore", "flap", "prismatic", inside=limit))
         body = parse(text).model.inertias[2]
@@ -259,13 +259,13 @@ def test_unknown_contact_point_names_the_links() -> None:
         parse(contact_points=("nose",))
 
 
-def test_loop_beside_the_chain_is_refused() -> None:
+def test_loop_beside_the_chain_raises() -> None:
     loop = ('<link name="a"/><link name="b"/>', joint("ab", "a", "b", "fixed"), joint("ba", "b", "a", "fixed"))
     with pytest.raises(RobotError, match="must not form a loop"):
         parse(with_more(*loop))
 
 
-def test_no_masses_and_no_joints_are_refused() -> None:
+def test_no_masses_and_no_joints_raise() -> None:
     bare = SCARA
     for part in PARTS[1:5]:
         bare = bare.replace(part, f'<link name="{ET.fromstring(part).get("name")}"/>')  # noqa: S314  written above
@@ -275,13 +275,13 @@ def test_no_masses_and_no_joints_are_refused() -> None:
         parse('<robot name="rock"><link name="rock"/></robot>')
 
 
-def test_one_link_without_mass_leaves_no_model_believed() -> None:
+def test_one_link_without_mass_leaves_no_model() -> None:
     robot = parse(SCARA.replace(PARTS[2], '<link name="fore"/>'))
     assert robot.masses_reason.startswith("no mass behind j2")
     assert robot.inertias_reason == robot.masses_reason
 
 
-def test_axis_of_any_length_is_a_direction() -> None:
+def test_axis_need_not_be_a_unit_vector() -> None:
     text = SCARA.replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -2.5"/>', 1)
     robot, plain = parse(text), parse()
     np.testing.assert_allclose(robot.axis_in_joint_frame(1), [0.0, 0.0, -1.0], atol=1e-12)
@@ -294,8 +294,8 @@ def test_axis_of_any_length_is_a_direction() -> None:
 
 @settings(max_examples=150)
 @given(data=st.data())
-def test_spoilt_urdf_is_refused_or_gives_finite_answers(
-    refused_or_finite: Callable[[Callable[[], Robot]], None], data: st.DataObject
+def test_mutated_urdf_raises_or_gives_finite_masses(
+    assert_raises_or_finite: Callable[[Callable[[], Robot]], None], data: st.DataObject
 ) -> None:
     root = ET.fromstring(SCARA)  # noqa: S314  written above
     for _ in range(data.draw(st.integers(1, 3))):
@@ -313,7 +313,7 @@ def test_spoilt_urdf_is_refused_or_gives_finite_answers(
                 ["", "nan", "-1", "0", "1e-300", "1e300", "base", "tip", "fixed", "planar", "0 0 1", "ü"]
             )
             child.set(key, data.draw(words | st.text(st.characters(codec="utf-8", categories=["L", "N"]), max_size=4)))
-    refused_or_finite(lambda: parse(ET.tostring(root, encoding="unicode")))
+    assert_raises_or_finite(lambda: parse(ET.tostring(root, encoding="unicode")))
 
 
 def test_armature_of_a_urdf_adds_to_the_mass_matrix() -> None:
@@ -325,17 +325,17 @@ def test_armature_of_a_urdf_adds_to_the_mass_matrix() -> None:
 
 
 @pytest.mark.parametrize("entry", ["j1", "j1=", "=1", "j1=-1", "j1=nan", "j1=inf", "j1=heavy", "j9=1"])
-def test_an_armature_that_makes_no_sense_is_named(entry: str) -> None:
+def test_invalid_armature_raises(entry: str) -> None:
     with pytest.raises(RobotError, match="armature"):
         parse(armature=(entry,))
 
 
-def test_an_armature_given_twice_is_named() -> None:
+def test_repeated_armature_raises() -> None:
     with pytest.raises(RobotError, match="each joint once"):
         parse(armature=("j1=1", "j1=2"))
 
 
-def test_the_link_before_a_locked_joint_is_a_tip() -> None:
+def test_link_before_a_locked_joint_is_the_tip() -> None:
     """The fingers of a gripper end no arm: a camera on the first link must not take their place."""
     text = with_more(
         '<link name="camera"/>',
@@ -348,18 +348,18 @@ def test_the_link_before_a_locked_joint_is_a_tip() -> None:
     assert robot.joint_names == ("j1", "j2", "j3", "j4")
 
 
-def test_an_arm_that_ends_in_locked_joints_is_watched_where_they_begin() -> None:
+def test_contact_point_is_before_locked_end_joints() -> None:
     robot = parse(locked_joints=("j3", "j4"))
     assert list(robot.contact_frames) == ["fore"]
     assert robot.joint_names == ("j1", "j2")
 
 
-def test_an_arm_that_is_locked_throughout_says_so() -> None:
+def test_locked_joints_are_named_in_the_error() -> None:
     with pytest.raises(RobotError, match=r"fixed to the base \(locked: j1, j2, j3, j4\)"):
         parse(locked_joints=("j*",))
 
 
-def test_tensors_of_some_links_only_are_no_full_model() -> None:
+def test_inertias_of_some_links_give_no_full_model() -> None:
     text = SCARA.replace('izz="0.02272"', 'izz="0"').replace('ixx="0.02" iyy="0.02" izz="0"', 'ixx="0" iyy="0" izz="0"')
     assert text != SCARA
     assert RobotDynamics(parse(text)).full_reason == "no inertia tensor for fore, while other links have one"

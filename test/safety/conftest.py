@@ -1,4 +1,4 @@
-"""Robots for the tests of the verdict: the shipped SCARA and relatives of it that lack something."""
+"""Robots for the tests of the monitor: the shipped SCARA and variants of it."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def bare_scara(tmp_path_factory: pytest.TempPathFactory) -> RobotDynamics:
 
 
 @pytest.fixture(scope="session")
-def skew_arm(tmp_path_factory: pytest.TempPathFactory) -> RobotDynamics:
+def skew_scara(tmp_path_factory: pytest.TempPathFactory) -> RobotDynamics:
     """An arm whose second axis is tilted out of the first link's plane of mass: it cannot be lumped."""
 
     def tilt(file: dict[str, Any]) -> None:

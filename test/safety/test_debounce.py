@@ -1,4 +1,4 @@
-"""The debounce against its definition: the worst that was seen within the release time."""
+"""The debounced verdict is the worst verdict within the release time."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def reason(verdict: Verdict, stamp_ns: int) -> str:
 
 
 @given(steps, st.sampled_from([0, 1, RELEASE_NS, 10_000]))
-def test_shows_the_worst_within_the_release_time(sequence: list[tuple[int, Verdict]], release_ns: int) -> None:
+def test_worst_verdict_within_the_release_time_shows(sequence: list[tuple[int, Verdict]], release_ns: int) -> None:
     debounced = hold(release_ns)
     history: list[tuple[int, Verdict]] = []
     for stamp_ns, verdict in zip(accumulate(gap for gap, _ in sequence), (v for _, v in sequence), strict=True):
@@ -39,7 +39,7 @@ def test_shows_the_worst_within_the_release_time(sequence: list[tuple[int, Verdi
 
 
 @given(steps)
-def test_gets_worse_at_once_with_the_reason_of_the_moment(sequence: list[tuple[int, Verdict]]) -> None:
+def test_worse_verdict_shows_at_once_with_its_reason(sequence: list[tuple[int, Verdict]]) -> None:
     debounced = hold()
     shown, stamp_ns = Verdict.OK, 0
     for gap, verdict in sequence:
@@ -49,14 +49,14 @@ def test_gets_worse_at_once_with_the_reason_of_the_moment(sequence: list[tuple[i
             assert (shown, why) == (verdict, reason(verdict, stamp_ns))
 
 
-def test_improves_exactly_when_the_release_time_is_over() -> None:
+def test_verdict_improves_exactly_after_the_release_time() -> None:
     debounced = hold()
     assert debounced.update(Verdict.VIOLATION, "too fast", 1000) == (Verdict.VIOLATION, "too fast")
     assert debounced.update(Verdict.OK, "", 1000 + RELEASE_NS - 1) == (Verdict.VIOLATION, "held after: too fast")
     assert debounced.update(Verdict.OK, "", 1000 + RELEASE_NS) == (Verdict.OK, "")
 
 
-def test_improves_step_by_step() -> None:
+def test_verdict_improves_step_by_step() -> None:
     debounced = hold()
     debounced.update(Verdict.VIOLATION, "too fast", 1000)
     assert debounced.update(Verdict.WARN, "near", 1090)[0] is Verdict.VIOLATION
@@ -64,7 +64,7 @@ def test_improves_step_by_step() -> None:
     assert debounced.update(Verdict.OK, "", 1190)[0] is Verdict.OK
 
 
-def test_a_lapse_counts_from_the_joint_state_that_ends_it() -> None:
+def test_stale_input_holds_unknown_from_the_next_joint_state() -> None:
     debounced = hold()
     debounced.update(Verdict.OK, "", 1000)
     debounced.mark_stale("no names")
@@ -73,7 +73,7 @@ def test_a_lapse_counts_from_the_joint_state_that_ends_it() -> None:
     assert debounced.update(Verdict.OK, "", 5100) == (Verdict.VIOLATION, "held after: too fast")
 
 
-def test_without_release_time_nothing_is_held() -> None:
+def test_zero_release_time_holds_nothing() -> None:
     debounced = hold(0)
     debounced.mark_stale("no names")
     assert debounced.update(Verdict.OK, "", 5000) == (Verdict.OK, "")
@@ -81,7 +81,7 @@ def test_without_release_time_nothing_is_held() -> None:
     assert debounced.update(Verdict.OK, "", 5002) == (Verdict.OK, "")
 
 
-def test_clear_forgets_everything() -> None:
+def test_clear_discards_held_verdicts() -> None:
     debounced = hold()
     debounced.update(Verdict.VIOLATION, "too fast", 1000)
     debounced.mark_stale("no names")

@@ -1,4 +1,4 @@
-"""What a joint state must be: every kind of bad one is refused with its reason, whatever else it holds."""
+"""Joint state validation: each kind of invalid joint state gives UNKNOWN with its reason."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("bad", "reason"), BAD.values(), ids=BAD.keys())
-def test_a_bad_joint_state_is_unknown_and_the_next_good_one_is_not(
+def test_invalid_joint_state_gives_unknown_and_the_next_valid_one_does_not(
     scara: RobotDynamics, bad: JointState, reason: str
 ) -> None:
     feed = Feed(monitor(scara))
@@ -118,7 +118,9 @@ def test_a_bad_joint_state_is_unknown_and_the_next_good_one_is_not(
         (1, "the joint state is 1700000000.001 s old"),
     ],
 )
-def test_a_bad_stamp_is_unknown_and_the_next_good_one_is_not(scara: RobotDynamics, stamp_ns: int, reason: str) -> None:
+def test_invalid_stamp_gives_unknown_and_the_next_valid_one_does_not(
+    scara: RobotDynamics, stamp_ns: int, reason: str
+) -> None:
     watched = monitor(scara)
     for stamp, now, expected in (
         (NOW, NOW, (Verdict.OK, "")),
@@ -130,7 +132,7 @@ def test_a_bad_stamp_is_unknown_and_the_next_good_one_is_not(scara: RobotDynamic
         assert [(c.verdict, c.reason) for c in decision.contacts] == [expected]
 
 
-def test_ages_at_the_limit_are_believed(scara: RobotDynamics) -> None:
+def test_age_exactly_at_the_limit_is_valid(scara: RobotDynamics) -> None:
     for age_ns in (-20 * MS, 0, 200 * MS):
         decision = monitor(scara).assess(state(NOW - age_ns), NOW)
         assert decision is not None
@@ -138,7 +140,7 @@ def test_ages_at_the_limit_are_believed(scara: RobotDynamics) -> None:
         assert decision.contacts[0].input_age == age_ns / 1e9
 
 
-def test_joints_of_another_device_are_counted_and_left_alone(scara: RobotDynamics) -> None:
+def test_joint_states_of_other_devices_are_ignored_and_counted(scara: RobotDynamics) -> None:
     watched = monitor(scara)
     gripper = state(names=("left_finger", "right_finger"), position=(0.0, 0.0), velocity=())
     for _ in range(3):
@@ -153,7 +155,7 @@ def test_joints_of_another_device_are_counted_and_left_alone(scara: RobotDynamic
     velocity=st.tuples(*[st.floats(0.01, 1.0)] * 4),
     others=st.tuples(*[st.floats()] * 3),
 )
-def test_order_and_extra_joints_change_no_bit(
+def test_joint_order_and_extra_joints_change_no_bit(
     scara: RobotDynamics,
     order: list[int],
     position: tuple[float, ...],
@@ -171,16 +173,16 @@ def test_order_and_extra_joints_change_no_bit(
     assert repr(monitor(scara).assess(mixed, NOW)) == repr(monitor(scara).assess(plain, NOW))
 
 
-class TestVelocityOfZero:
+class TestZeroVelocity:
     """A velocity of exactly zero is believed only of a joint that is seen to stand still."""
 
-    def test_all_zero_while_moving_is_never_believed(self, scara: RobotDynamics) -> None:
+    def test_zero_velocity_while_moving_gives_unknown(self, scara: RobotDynamics) -> None:
         feed = Feed(monitor(scara))
         seen = [feed(state(position=(0.3 + 0.002 * i, *Q[1:]), velocity=(0.0,) * 4), 4 * MS) for i in range(300)]
         assert {verdict for verdict, _ in seen} == {Verdict.UNKNOWN}
         assert any("joint1 moved" in reason for _, reason in seen)
 
-    def test_moving_again_after_rest_is_noticed(self, scara: RobotDynamics) -> None:
+    def test_motion_after_rest_at_zero_velocity_gives_unknown(self, scara: RobotDynamics) -> None:
         feed = Feed(monitor(scara))
         for _ in range(200):
             verdict, _ = feed(state(velocity=(0.0,) * 4))
@@ -191,13 +193,13 @@ class TestVelocityOfZero:
         assert seen[moved][1].startswith("joint1 moved")
         assert {verdict for verdict, _ in seen[moved:]} == {Verdict.UNKNOWN}
 
-    def test_a_robot_that_stands_still_is_confirmed_within_a_tenth_of_a_second(self, scara: RobotDynamics) -> None:
+    def test_rest_is_confirmed_within_a_tenth_of_a_second(self, scara: RobotDynamics) -> None:
         feed = Feed(monitor(scara))
         verdicts = [feed(state(velocity=(0.0,) * 4))[0] for _ in range(110)]
         assert set(verdicts[:100]) == {Verdict.UNKNOWN}
         assert set(verdicts[100:]) == {Verdict.OK}
 
-    def test_one_joint_at_rest_needs_its_own_confirmation(self, scara: RobotDynamics) -> None:
+    def test_rest_is_confirmed_per_joint(self, scara: RobotDynamics) -> None:
         feed = Feed(monitor(scara))
         verdict, reason = feed(state(velocity=(0.1, 0.0, 0.1, 0.1)))
         assert (verdict, reason) == (
@@ -205,13 +207,13 @@ class TestVelocityOfZero:
             "the velocity of joint2 reads zero, not yet confirmed by its position",
         )
 
-    def test_a_joint_that_was_seen_moving_may_stop(self, scara: RobotDynamics) -> None:
+    def test_joint_that_moved_may_stop(self, scara: RobotDynamics) -> None:
         feed = Feed(monitor(scara))
         feed()
         assert feed(state(velocity=(0.0,) * 4)) == (Verdict.OK, "")
 
     @pytest.mark.parametrize("speed", [0.06, 0.3, 2.0])
-    def test_slow_motion_under_zero_velocity_is_noticed_too(self, scara: RobotDynamics, speed: float) -> None:
+    def test_slow_motion_at_zero_velocity_gives_unknown(self, scara: RobotDynamics, speed: float) -> None:
         feed = Feed(monitor(scara))
         feed()
         seen = set()
@@ -220,7 +222,7 @@ class TestVelocityOfZero:
             seen.add(feed(state(position=q, velocity=(0.0, 0.1, 0.1, 0.1)))[0])
         assert Verdict.UNKNOWN in seen
 
-    def test_drift_of_an_encoder_is_tolerated(self, scara: RobotDynamics) -> None:
+    def test_encoder_drift_is_tolerated(self, scara: RobotDynamics) -> None:
         feed = Feed(monitor(scara))
         feed()
         for i in range(3000):
@@ -228,8 +230,8 @@ class TestVelocityOfZero:
             assert feed(state(position=q, velocity=(0.0,) * 4))[0] is Verdict.OK
 
 
-class TestTravelBeyondTheVelocity:
-    def test_a_leap_is_never_ok(self, scara: RobotDynamics) -> None:
+class TestTravel:
+    def test_position_jump_gives_unknown(self, scara: RobotDynamics) -> None:
         """Two senders at different poses on one topic, or an encoder that leaps: faster than any joint."""
         feed = Feed(monitor(scara))
         feed()
@@ -239,14 +241,12 @@ class TestTravelBeyondTheVelocity:
             assert "where its velocity accounts for" in reason
         assert feed(state(position=(1.5, *Q[1:])))[0] is Verdict.OK
 
-    def test_a_velocity_that_is_far_too_small_is_found_out(self, scara: RobotDynamics) -> None:
+    def test_far_too_small_velocity_gives_unknown(self, scara: RobotDynamics) -> None:
         feed = Feed(monitor(scara, release_time=0.2))
         seen = [feed(state(position=(0.002 * i, *Q[1:]), velocity=(0.001, *QD[1:])))[0] for i in range(500)]
         assert set(seen[30:]) == {Verdict.UNKNOWN}
 
-    def test_standing_still_at_a_velocity_is_believed_because_it_errs_to_the_safe_side(
-        self, scara: RobotDynamics
-    ) -> None:
+    def test_rest_at_nonzero_velocity_is_valid_because_it_is_on_the_safe_side(self, scara: RobotDynamics) -> None:
         feed = Feed(monitor(scara))
         assert {feed()[0] for _ in range(2000)} == {Verdict.OK}
 
@@ -256,7 +256,7 @@ class TestTravelBeyondTheVelocity:
         step_ms=st.integers(1, 150),
         noise=st.floats(0.0, 0.002),
     )
-    def test_honest_motion_is_believed(
+    def test_consistent_motion_is_valid(
         self, scara: RobotDynamics, amplitude: float, rate: float, step_ms: int, noise: float
     ) -> None:
         """Sampled a little late, and with the steps of a coarse encoder."""
@@ -273,7 +273,7 @@ class TestTravelBeyondTheVelocity:
 class TestDifferentiation:
     """Where the velocity may be taken from positions, it is taken over header time."""
 
-    def test_equals_the_velocity_that_was_sent(self, scara: RobotDynamics) -> None:
+    def test_differentiated_velocity_equals_the_sent_one(self, scara: RobotDynamics) -> None:
         """Powers of two throughout, so that the difference quotient is exact."""
         step_ns = 15_625_000
         start = NOW - NOW % step_ns
@@ -290,14 +290,14 @@ class TestDifferentiation:
             else:
                 assert decision.contacts[0].reason.startswith("the velocity is empty, and one joint state alone")
 
-    def test_a_gap_cannot_be_differentiated(self, scara: RobotDynamics) -> None:
+    def test_gap_cannot_be_differentiated(self, scara: RobotDynamics) -> None:
         feed = Feed(monitor(scara, differentiate_velocity=True))
         feed(state(velocity=()))
         verdict, reason = feed(state(velocity=()), 201 * MS)
         assert verdict is Verdict.UNKNOWN
         assert "cannot be differentiated" in reason
 
-    def test_a_position_that_is_no_number_gives_no_velocity_either(self, scara: RobotDynamics) -> None:
+    def test_nan_position_gives_no_velocity(self, scara: RobotDynamics) -> None:
         feed = Feed(monitor(scara, differentiate_velocity=True))
         feed(state(velocity=()))
         assert feed(state(position=(NAN, *Q[1:]), velocity=())) == (
@@ -307,12 +307,12 @@ class TestDifferentiation:
         assert feed(state(velocity=()))[0] is Verdict.UNKNOWN
         assert feed(state(velocity=()))[1].startswith("the velocity of joint1 reads zero")
 
-    def test_wrong_lengths_are_refused_all_the_same(self, scara: RobotDynamics) -> None:
+    def test_wrong_velocity_length_is_invalid_with_differentiation(self, scara: RobotDynamics) -> None:
         feed = Feed(monitor(scara, differentiate_velocity=True))
         assert feed(state(velocity=QD[:2])) == (Verdict.UNKNOWN, "2 velocities for 4 names")
 
 
-def believable(joint_state: JointState, now_ns: int, last_ns: int) -> bool:
+def is_valid(joint_state: JointState, now_ns: int, last_ns: int) -> bool:
     """Whether a joint state may lead to a verdict, said a second time and as plainly as possible."""
     names = list(joint_state.names)
     if "" in names or len(set(names)) < len(names) or not set(JOINTS) <= set(names):
@@ -334,8 +334,8 @@ wild_names = st.lists(st.sampled_from([*JOINTS, "gripper", "", "joint1 ", "\N{GR
 stamps = st.one_of(
     st.integers(-(2**63), 2**63 - 1), st.integers(NOW - 300 * MS, NOW + 50 * MS), st.sampled_from([0, NOW])
 )
-garbage = st.builds(state, stamps, wild_names, st.lists(numbers, max_size=7), st.lists(numbers, max_size=7))
-nearly_good = st.builds(
+random_states = st.builds(state, stamps, wild_names, st.lists(numbers, max_size=7), st.lists(numbers, max_size=7))
+nearly_valid_states = st.builds(
     state,
     st.integers(NOW - 250 * MS, NOW + 30 * MS),
     st.one_of(st.just(JOINTS), st.permutations(JOINTS)),
@@ -344,9 +344,9 @@ nearly_good = st.builds(
 )
 
 
-@given(st.lists(st.one_of(garbage, nearly_good, st.just(state())), min_size=1, max_size=6), st.booleans())
+@given(st.lists(st.one_of(random_states, nearly_valid_states, st.just(state())), min_size=1, max_size=6), st.booleans())
 @example([state(velocity=(1e-300,) * 4)], False)  # noqa: FBT003 - positional for hypothesis
-def test_nothing_that_comes_in_raises_or_leaks_or_is_believed_wrongly(
+def test_no_input_raises_or_gives_nan_or_a_wrong_verdict(
     scara: RobotDynamics,
     states: list[JointState],
     differentiate: bool,  # noqa: FBT001
@@ -354,7 +354,7 @@ def test_nothing_that_comes_in_raises_or_leaks_or_is_believed_wrongly(
     watched = monitor(scara, differentiate_velocity=differentiate)
     last_ns = 0
     for joint_state in states:
-        good = believable(joint_state, NOW, last_ns)
+        good = is_valid(joint_state, NOW, last_ns)
         decision = watched.assess(joint_state, NOW)
         if decision is None:
             assert not set(joint_state.names) & set(JOINTS)

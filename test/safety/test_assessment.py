@@ -1,4 +1,4 @@
-"""The verdict against a recomputation from the masses, limit by limit, and its monotonies."""
+"""Assessments agree with a recomputation from masses and limits, and are monotonic in their inputs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,9 @@ def settings_of(**settings: object) -> MonitorSettings:
     return MonitorSettings.model_validate({"release_time": 0.0, **settings})
 
 
-def judged(dynamics: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings) -> list[ContactAssessment]:
+def first_assessment(
+    dynamics: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings
+) -> list[ContactAssessment]:
     """Return the assessments of the first joint state that a fresh monitor sees."""
     decision = Monitor(dynamics, settings).assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
     assert decision is not None
@@ -48,8 +50,8 @@ def judged(dynamics: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSett
     return list(decision.contacts)
 
 
-def one(dynamics: RobotDynamics, q: Vector, qd: Vector, **settings: object) -> ContactAssessment:
-    (contact,) = judged(dynamics, q, qd, settings_of(**settings))
+def assess_one(dynamics: RobotDynamics, q: Vector, qd: Vector, **settings: object) -> ContactAssessment:
+    (contact,) = first_assessment(dynamics, q, qd, settings_of(**settings))
     return contact
 
 
@@ -78,18 +80,18 @@ any_settings = st.builds(
 
 
 @given(positions, velocities, any_settings)
-def test_is_what_the_masses_and_limits_say(
+def test_assessment_agrees_with_masses_and_limits(
     scara: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings
 ) -> None:
-    (contact,) = judged(scara, q, qd, settings)
-    (effective_masses,) = scara.effective_masses(np.array(q), np.array(qd), settings.speed_threshold)
-    masses = {
-        MassModel.LUMPED: effective_masses.lumped,
-        MassModel.FULL: effective_masses.full,
+    (contact,) = first_assessment(scara, q, qd, settings)
+    (masses,) = scara.effective_masses(np.array(q), np.array(qd), settings.speed_threshold)
+    mass_by_model = {
+        MassModel.LUMPED: masses.lumped,
+        MassModel.FULL: masses.full,
         MassModel.ISO: scara.robot.iso_mass,
-        MassModel.LARGEST: max(effective_masses.lumped, effective_masses.full),
+        MassModel.LARGEST: max(masses.lumped, masses.full),
     }
-    mass = masses[settings.effective_mass_model]
+    mass = mass_by_model[settings.effective_mass_model]
     cautious = mass * (1.0 + settings.mass_uncertainty)
     allowed = {
         limit.region: limit.permissible_force_n
@@ -119,16 +121,16 @@ def test_is_what_the_masses_and_limits_say(
     if speed > expected * (1.0 + 1e-9) + 1e-12:
         assert contact.verdict is Verdict.VIOLATION
     elif speed < settings.warn_ratio * expected * (1.0 - 1e-9) - 1e-12:
-        lighter = mass < min(effective_masses.full, settings.mass_cap) * (1.0 - settings.model_margin)
+        lighter = mass < min(masses.full, settings.mass_cap) * (1.0 - settings.model_margin)
         assert contact.verdict is (Verdict.WARN if lighter else Verdict.OK)
     assert bool(contact.reason) == (contact.verdict is not Verdict.OK)
 
 
 @given(positions, velocities, any_settings)
-def test_the_sign_of_the_margin_is_the_verdict(
+def test_sign_of_the_margin_gives_the_verdict(
     scara: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings
 ) -> None:
-    (contact,) = judged(scara, q, qd, settings)
+    (contact,) = first_assessment(scara, q, qd, settings)
     if contact.margin < 0.0:
         assert contact.verdict is Verdict.VIOLATION
     elif contact.allowable_speed > 0.0:
@@ -136,10 +138,10 @@ def test_the_sign_of_the_margin_is_the_verdict(
 
 
 @given(positions, velocities, any_settings)
-def test_nothing_but_missing_masses_is_not_finite(
+def test_only_missing_masses_are_nan(
     offset_scara: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings
 ) -> None:
-    for contact in judged(offset_scara, q, qd, settings):
+    for contact in first_assessment(offset_scara, q, qd, settings):
         for name, value in contact._asdict().items():
             if isinstance(value, float) and name not in {"lumped_mass", "full_mass"}:
                 assert math.isfinite(value), name
@@ -148,30 +150,33 @@ def test_nothing_but_missing_masses_is_not_finite(
         assert length == 0.0 if contact.worst_direction_used else length == pytest.approx(1.0)
 
 
-def test_a_direction_beside_the_one_without_mass_has_a_finite_worst(offset_scara: RobotDynamics) -> None:
+def test_worst_mass_is_finite_without_lumped_mass_across(offset_scara: RobotDynamics) -> None:
     """Straight down: joint 4, which carries no lumped inertia, moves the rim, but not along this direction."""
-    rim = judged(offset_scara, (0.3, 1.2, 0.1, 0.4), (1e-15, 1e-15, 0.1, 1e-15), settings_of())[1]
+    rim = first_assessment(offset_scara, (0.3, 1.2, 0.1, 0.4), (1e-15, 1e-15, 0.1, 1e-15), settings_of())[1]
     assert rim.lumped_mass == pytest.approx(0.55)
     assert rim.worst_direction_mass >= rim.lumped_mass
 
 
 @given(positions, velocities, st.sampled_from(["mass_uncertainty", "stiffness_uncertainty"]), fractions, fractions)
-def test_more_uncertainty_never_allows_more(
+def test_higher_uncertainty_never_raises_the_allowable_speed(
     scara: RobotDynamics, q: Vector, qd: Vector, name: str, less: float, more: float
 ) -> None:
     less, more = sorted((less, more))
-    assert one(scara, q, qd, **{name: more}).allowable_speed <= one(scara, q, qd, **{name: less}).allowable_speed
+    assert (
+        assess_one(scara, q, qd, **{name: more}).allowable_speed
+        <= assess_one(scara, q, qd, **{name: less}).allowable_speed
+    )
 
 
 @given(positions, velocities, st.sampled_from(["person_speed", "speed_uncertainty"]), st.floats(0.0, 2.0))
-def test_a_closing_speed_is_taken_off(scara: RobotDynamics, q: Vector, qd: Vector, name: str, closing: float) -> None:
-    alone, closer = one(scara, q, qd), one(scara, q, qd, **{name: closing})
+def test_closing_speed_is_subtracted(scara: RobotDynamics, q: Vector, qd: Vector, name: str, closing: float) -> None:
+    alone, closer = assess_one(scara, q, qd), assess_one(scara, q, qd, **{name: closing})
     assert closer.allowable_speed == max(0.0, alone.allowable_speed - closing)
     assert closer.predicted_force >= alone.predicted_force
     assert (closer.predicted_force > alone.predicted_force) == (name == "person_speed" and closing > 1e-12)
 
 
-def test_a_person_faster_than_every_limit_is_a_violation_at_rest(scara: RobotDynamics) -> None:
+def test_person_speed_above_every_limit_gives_violation_at_rest(scara: RobotDynamics) -> None:
     decision = Monitor(scara, settings_of(person_speed=5.0)).assess(
         JointState(NOW, JOINTS, np.array([0.3, 1.2, 0.1, 0.0]), np.full(4, 1e-9)), NOW
     )
@@ -181,19 +186,20 @@ def test_a_person_faster_than_every_limit_is_a_violation_at_rest(scara: RobotDyn
 
 
 @given(positions, velocities)
-def test_the_verdict_gets_no_better_with_speed(scara: RobotDynamics, q: Vector, qd: Vector) -> None:
-    slower = one(scara, q, qd, speed_threshold=1e-9)
+def test_higher_speed_gives_violation(scara: RobotDynamics, q: Vector, qd: Vector) -> None:
+    slower = assess_one(scara, q, qd, speed_threshold=1e-9)
     factor = 1.5 * slower.allowable_speed / slower.speed
     assume(all(abs(factor * v) < limit for v, limit in zip(qd, (12.6, 12.6, 3.0, 50.0), strict=True)))
-    faster = one(scara, q, tuple(factor * v for v in qd), speed_threshold=1e-9)  # type: ignore[arg-type]
+    faster = assess_one(scara, q, tuple(factor * v for v in qd), speed_threshold=1e-9)  # type: ignore[arg-type]
     assert faster.verdict is Verdict.VIOLATION
     assert faster.allowable_speed == pytest.approx(slower.allowable_speed, rel=1e-6)
 
 
 @given(positions, velocities)
-def test_the_largest_mass_allows_the_least(scara: RobotDynamics, q: Vector, qd: Vector) -> None:
+def test_largest_mass_gives_the_lowest_allowable_speed(scara: RobotDynamics, q: Vector, qd: Vector) -> None:
     lumped, full, largest = (
-        one(scara, q, qd, effective_mass_model=model) for model in (MassModel.LUMPED, MassModel.FULL, MassModel.LARGEST)
+        assess_one(scara, q, qd, effective_mass_model=model)
+        for model in (MassModel.LUMPED, MassModel.FULL, MassModel.LARGEST)
     )
     assert largest.effective_mass == max(lumped.effective_mass, full.effective_mass)
     assert largest.allowable_speed == min(lumped.allowable_speed, full.allowable_speed)
@@ -204,23 +210,23 @@ def test_the_largest_mass_allows_the_least(scara: RobotDynamics, q: Vector, qd: 
 
 
 @given(positions, velocities)
-def test_below_the_threshold_the_worst_direction_counts(scara: RobotDynamics, q: Vector, qd: Vector) -> None:
-    contact = one(scara, q, qd, speed_threshold=1.0)
+def test_worst_direction_is_used_below_the_speed_threshold(scara: RobotDynamics, q: Vector, qd: Vector) -> None:
+    contact = assess_one(scara, q, qd, speed_threshold=1.0)
     assume(contact.speed < 1.0)
     assert contact.worst_direction_used
     assert contact.direction == (0.0, 0.0, 0.0)
     assert contact.effective_mass == contact.worst_direction_mass
-    directed = one(scara, q, qd, speed_threshold=1e-9)
+    directed = assess_one(scara, q, qd, speed_threshold=1e-9)
     assert contact.allowable_speed <= directed.allowable_speed * (1.0 + 1e-6)
 
 
 @given(st.floats(-2.3, 2.3), velocities, st.sampled_from([0.0, 1e-12, -1e-9, 1e-7]), st.sampled_from(MassModel))
-def test_a_stretched_arm_is_capped_and_flagged(
+def test_stretched_arm_gives_capped_mass(
     scara: RobotDynamics, q1: float, qd: Vector, q2: float, model: MassModel
 ) -> None:
     still: Vector = (1e-9, 1e-9, 1e-9, 1e-9)
     for velocity in (still, qd):
-        contact = one(scara, (q1, q2, 0.1, 0.0), velocity, effective_mass_model=model)
+        contact = assess_one(scara, (q1, q2, 0.1, 0.0), velocity, effective_mass_model=model)
         if model is MassModel.ISO:
             assert contact.effective_mass == scara.robot.iso_mass
             continue
@@ -236,28 +242,26 @@ def test_a_stretched_arm_is_capped_and_flagged(
 
 
 def test_clamped_contact_has_no_obstacle_mass(scara: RobotDynamics) -> None:
-    contact = one(scara, (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1), contact="quasi_static")
+    contact = assess_one(scara, (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1), contact="quasi_static")
     assert contact.obstacle_mass == 0.0
     assert contact.reduced_mass == contact.effective_mass
 
 
-def test_a_light_lumped_mass_is_a_warning(scara: RobotDynamics) -> None:
+def test_mass_below_the_full_model_gives_warn(scara: RobotDynamics) -> None:
     """The shipped lumped model is the heavier one; ISO's constant is not, in a fifth of the workspace."""
     q, qd = (0.0, -1.2, 0.1, 0.0), (0.0005, 0.0005, 0.01, 0.001)
-    light = one(scara, q, qd, effective_mass_model="iso", speed_threshold=0.1)
+    light = assess_one(scara, q, qd, effective_mass_model="iso", speed_threshold=0.1)
     assert light.full_mass > light.iso_mass * 1.2
     assert light.verdict is Verdict.WARN
     assert light.reason.startswith("the iso mass of 2.77 kg is below the full model's ")
-    tolerant = one(scara, q, qd, effective_mass_model="iso", speed_threshold=0.1, model_margin=1.0)
+    tolerant = assess_one(scara, q, qd, effective_mass_model="iso", speed_threshold=0.1, model_margin=1.0)
     assert tolerant.verdict is Verdict.OK
 
 
 @pytest.mark.parametrize("model", MassModel)
-def test_a_model_that_does_not_exist_is_never_replaced(
-    bare_scara: RobotDynamics, skew_arm: RobotDynamics, model: MassModel
-) -> None:
+def test_missing_model_gives_unknown(bare_scara: RobotDynamics, skew_scara: RobotDynamics, model: MassModel) -> None:
     q, qd = (0.3, 1.2, 0.1, 0.0), (0.01, 0.01, 0.01, 0.01)
-    bare, skew = (one(dynamics, q, qd, effective_mass_model=model) for dynamics in (bare_scara, skew_arm))
+    bare, skew = (assess_one(dynamics, q, qd, effective_mass_model=model) for dynamics in (bare_scara, skew_scara))
     assert math.isnan(bare.full_mass)
     assert math.isnan(skew.lumped_mass)
     if model in {MassModel.FULL, MassModel.LARGEST}:
@@ -276,7 +280,7 @@ def test_a_model_that_does_not_exist_is_never_replaced(
 
 
 @given(positions, velocities)
-def test_the_tightest_of_several_contact_points_governs(offset_scara: RobotDynamics, q: Vector, qd: Vector) -> None:
+def test_tightest_contact_point_governs(offset_scara: RobotDynamics, q: Vector, qd: Vector) -> None:
     settings = settings_of(effective_mass_model="full", reference_speed=1.0)
     decision = Monitor(offset_scara, settings).assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
     assert decision is not None
@@ -286,7 +290,7 @@ def test_the_tightest_of_several_contact_points_governs(offset_scara: RobotDynam
     assert decision.speed_scaling == min(1.0, decision.allowable_speed)
 
 
-def test_one_unknown_contact_point_stops_the_robot(offset_scara: RobotDynamics) -> None:
+def test_unknown_contact_point_allows_nothing(offset_scara: RobotDynamics) -> None:
     settings = settings_of(effective_mass_model="lumped")
     decision = Monitor(offset_scara, settings).assess(
         JointState(NOW, JOINTS, np.array([0.3, 1.2, 0.1, 0.0]), np.array([0.1, 0.1, 0.01, 0.5])), NOW
@@ -311,7 +315,7 @@ def test_scaling_brings_the_reference_speed_to_the_allowable_one(
         assert decision.speed_scaling * wanted == pytest.approx(decision.allowable_speed)
 
 
-def test_changed_settings_hold_from_the_next_joint_state_on(scara: RobotDynamics) -> None:
+def test_changed_settings_apply_to_the_next_joint_state(scara: RobotDynamics) -> None:
     monitor = Monitor(scara, settings_of())
     seen = []
     for i, model in enumerate(("lumped", "full", "iso")):
@@ -327,7 +331,7 @@ def test_changed_settings_hold_from_the_next_joint_state_on(scara: RobotDynamics
     assert len(set(seen)) == 3
 
 
-def test_a_setting_that_loosens_a_limit_changes_nothing(scara: RobotDynamics) -> None:
+def test_rejected_settings_change_nothing(scara: RobotDynamics) -> None:
     monitor = Monitor(scara, settings_of(max_force=100.0))
     before = monitor.settings
     with pytest.raises(LimitError):
@@ -353,7 +357,7 @@ def test_effective_mass_below_the_minimum_gives_unknown(
             body["mass"] *= scale
             body["inertia"] *= scale
 
-    light = one(scara_variant(shrink), (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1), effective_mass_model=model)
+    light = assess_one(scara_variant(shrink), (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1), effective_mass_model=model)
     if valid:
         assert light.verdict in {Verdict.OK, Verdict.WARN}
         assert light.effective_mass > 0.0
@@ -369,7 +373,7 @@ def test_placeholder_masses_give_unknown(scara_variant: Variant) -> None:
         for link in file["links"]:
             link.update(mass=1.0, inertia=[1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 
-    contact = one(scara_variant(replace_inertias), (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1))
+    contact = assess_one(scara_variant(replace_inertias), (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1))
     assert contact.verdict is Verdict.UNKNOWN
     assert contact.reason == "every link has mass 1 and identity inertia: placeholders, not data"
     assert contact.iso_mass == 0.0

@@ -1,4 +1,4 @@
-"""What a monitor remembers: debounce over joint states, latch, first cause, silence, jumps of the clock."""
+"""State of a monitor: debounce, latch, first cause, watchdog, jumps of the clock."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def reason(decision: Decision) -> str:
     return decision.contacts[0].reason
 
 
-def test_release_takes_its_time_on_header_stamps(scara: RobotDynamics) -> None:
+def test_release_time_counts_on_header_stamps(scara: RobotDynamics) -> None:
     watched = monitor(scara, release_time=0.1)
     assert verdict(send(watched, 0)) is Verdict.OK
     assert verdict(send(watched, 10, FAST)) is Verdict.VIOLATION
@@ -54,7 +54,7 @@ def test_release_takes_its_time_on_header_stamps(scara: RobotDynamics) -> None:
     assert verdict(send(watched, 110)) is Verdict.OK
 
 
-def test_nothing_is_allowed_while_unknown_is_held(scara: RobotDynamics) -> None:
+def test_held_unknown_allows_nothing(scara: RobotDynamics) -> None:
     watched = monitor(scara, release_time=0.1)
     send(watched, 0)
     send(watched, 10, names=("joint1",) * 4)
@@ -68,7 +68,7 @@ def test_nothing_is_allowed_while_unknown_is_held(scara: RobotDynamics) -> None:
     assert verdict(send(watched, 120)) is Verdict.OK
 
 
-def test_a_gap_in_the_stamps_is_a_lapse(scara: RobotDynamics) -> None:
+def test_gap_between_stamps_gives_held_unknown(scara: RobotDynamics) -> None:
     watched = monitor(scara, release_time=0.1)
     send(watched, 0)
     after = send(watched, 201)
@@ -77,7 +77,7 @@ def test_a_gap_in_the_stamps_is_a_lapse(scara: RobotDynamics) -> None:
 
 
 class TestFirstCause:
-    def test_is_the_first_and_stays(self, scara: RobotDynamics) -> None:
+    def test_first_cause_stays_until_reset(self, scara: RobotDynamics) -> None:
         watched = monitor(scara)
         causes = []
         for at, speed, names in ((0, SLOW, JOINTS), (1, FAST, JOINTS), (2, SLOW, ("joint1",) * 4)):
@@ -92,13 +92,13 @@ class TestFirstCause:
         watched.reset()
         assert watched.first_cause is None
 
-    def test_may_be_the_very_first_joint_state(self, scara: RobotDynamics) -> None:
+    def test_first_joint_state_can_be_the_first_cause(self, scara: RobotDynamics) -> None:
         watched = monitor(scara)
         send(watched, 0, FAST)
         assert watched.first_cause is not None
         assert watched.first_cause.stamp_ns == NOW
 
-    def test_does_not_count_what_was_unknown_before_anything_was_understood(self, scara: RobotDynamics) -> None:
+    def test_unknown_before_the_first_valid_input_is_no_cause(self, scara: RobotDynamics) -> None:
         watched = monitor(scara, latch=True)
         watched.watchdog_decision(10**9)
         send(watched, 0, names=("joint1",) * 4)
@@ -129,13 +129,13 @@ class TestLatch:
         assert latched.contacts[0].allowable_speed == 0.0
         assert latched.contacts[0].margin == -latched.contacts[0].speed
 
-    def test_never_hides_something_worse(self, scara: RobotDynamics) -> None:
+    def test_worse_verdict_than_the_latched_one_shows(self, scara: RobotDynamics) -> None:
         watched = monitor(scara, latch=True)
         send(watched, 0, FAST)
         worse = send(watched, 1, names=("joint1",) * 4)
         assert (verdict(worse), reason(worse)) == (Verdict.UNKNOWN, "joint joint1 is named twice")
 
-    def test_switched_on_later_holds_what_was_first(self, scara: RobotDynamics) -> None:
+    def test_latch_switched_on_later_holds_the_first_cause(self, scara: RobotDynamics) -> None:
         watched = monitor(scara)
         send(watched, 0)
         send(watched, 1, FAST)
@@ -143,7 +143,7 @@ class TestLatch:
         watched.apply(MonitorSettings(release_time=0.0, latch=True))
         assert verdict(send(watched, 3)) is Verdict.VIOLATION
 
-    def test_reset_clears_what_is_held_as_well(self, scara: RobotDynamics) -> None:
+    def test_reset_clears_held_verdicts(self, scara: RobotDynamics) -> None:
         watched = monitor(scara, latch=True, release_time=10.0)
         send(watched, 0)
         send(watched, 1, FAST)
@@ -151,8 +151,8 @@ class TestLatch:
         assert verdict(send(watched, 2)) is Verdict.OK
 
 
-class TestSilence:
-    def test_is_unknown_and_allows_nothing(self, scara: RobotDynamics) -> None:
+class TestWatchdogDecision:
+    def test_watchdog_decision_is_unknown_and_allows_nothing(self, scara: RobotDynamics) -> None:
         watched = monitor(scara)
         for expected in ("no joint state yet", "no joint state for 0.25 s"):
             silent = watched.watchdog_decision(250 * MS)
@@ -162,14 +162,14 @@ class TestSilence:
             send(watched, 0)
         assert silent.contacts[0].stamp_ns == NOW
 
-    def test_changes_no_later_verdict(self, scara: RobotDynamics) -> None:
+    def test_watchdog_decision_changes_no_later_verdict(self, scara: RobotDynamics) -> None:
         undisturbed, watched = (monitor(scara, release_time=0.1) for _ in range(2))
         for at in range(0, 2000, 150):
             watched.watchdog_decision(10**9)
             assert repr(send(watched, at)) == repr(send(undisturbed, at))
 
 
-def test_after_a_jump_back_of_the_clock_old_stamps_are_new_again(scara: RobotDynamics) -> None:
+def test_earlier_stamps_are_valid_after_the_clock_jumps_back(scara: RobotDynamics) -> None:
     watched = monitor(scara, release_time=0.1)
     send(watched, 5000, FAST)
     assert reason(send(watched, 4990)).startswith("the header stamp goes back")
@@ -177,7 +177,7 @@ def test_after_a_jump_back_of_the_clock_old_stamps_are_new_again(scara: RobotDyn
     assert verdict(send(watched, 0)) is Verdict.OK
 
 
-def test_a_clock_that_was_set_back_unannounced_is_recovered_from(scara: RobotDynamics) -> None:
+def test_monitor_recovers_from_system_time_set_back(scara: RobotDynamics) -> None:
     """System time has no jump callback: what was the future then must not block the stamps of now for ever."""
     watched = monitor(scara)
     send(watched, 3_600_000)
@@ -185,7 +185,7 @@ def test_a_clock_that_was_set_back_unannounced_is_recovered_from(scara: RobotDyn
     assert verdicts[-1] is Verdict.OK
 
 
-def test_counts_every_verdict_it_gave(scara: RobotDynamics) -> None:
+def test_verdicts_are_counted(scara: RobotDynamics) -> None:
     watched = monitor(scara)
     for at, speed in enumerate((SLOW, FAST, SLOW, FAST, FAST)):
         send(watched, at, speed)
@@ -197,7 +197,7 @@ def test_counts_every_verdict_it_gave(scara: RobotDynamics) -> None:
 
 
 @pytest.mark.parametrize("text", ["no robot_description yet", "robot_description: not XML"])
-def test_without_a_robot_nothing_is_allowed(text: str) -> None:
+def test_no_robot_allows_nothing(text: str) -> None:
     decision = no_robot_decision(text)
     (contact,) = decision.contacts
     assert (contact.verdict, contact.reason, contact.contact_point) == (Verdict.UNKNOWN, text, "")

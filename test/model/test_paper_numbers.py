@@ -1,4 +1,4 @@
-"""Every number that the paper prints of the Omron i4-550L, out of the shipped file."""
+"""The shipped robot file reproduces the paper's numbers for the Omron i4-550L."""
 
 from __future__ import annotations
 
@@ -59,13 +59,13 @@ def reduced(mass: FloatArray, obstacle: float) -> FloatArray:
     return np.asarray(1.0 / (1.0 / mass + 1.0 / obstacle))
 
 
-def placed(x: float, y: float, elbow: float) -> tuple[float, float]:
+def joint_angles(x: float, y: float, elbow: float) -> tuple[float, float]:
     """Joint angles of a 0.275 m + 0.275 m arm at (x, y); `elbow` is the sign of q2: +1 is the right arm."""
     q2 = elbow * np.arccos((x * x + y * y) / (2.0 * 0.275**2) - 1.0)
     return float(np.arctan2(y, x) - q2 / 2.0), float(q2)
 
 
-def test_equivalent_masses_come_out_of_the_construction(omron: Robot, omron_dynamics: RobotDynamics) -> None:
+def test_planar_masses_are_m2_and_m3(omron: Robot, omron_dynamics: RobotDynamics) -> None:
     assert omron_dynamics.lumped is not None
     m2, m3 = omron_dynamics.lumped.planar_masses(omron)
     assert m2 == pytest.approx(M2, abs=0.005)
@@ -75,29 +75,29 @@ def test_equivalent_masses_come_out_of_the_construction(omron: Robot, omron_dyna
     assert sum(omron_dynamics.lumped.aggregated) == pytest.approx(omron.moving_mass + omron.payload_mass, rel=1e-12)
 
 
-def test_standard_mass(omron: Robot) -> None:
+def test_iso_mass(omron: Robot) -> None:
     assert omron.moving_mass == pytest.approx(5.04)
     assert omron.iso_mass == pytest.approx(M_R, abs=0.005)
 
 
 @pytest.mark.parametrize(("obstacle", "mu"), [(0.50, 0.42), (2.39, 1.28), (3.72, 1.59), (7.35, 2.01)])
-def test_reduced_mass_of_the_standard(omron: Robot, obstacle: float, mu: float) -> None:
+def test_reduced_mass_of_the_iso_mass(omron: Robot, obstacle: float, mu: float) -> None:
     assert reduced(np.array(omron.iso_mass), obstacle) == pytest.approx(mu, abs=0.0051)
 
 
 @given(q1=q1_values, q2=q2_values, phi=directions)
-def test_matrix_path_gives_eqs_27_and_28(
+def test_masses_agree_with_eqs_27_and_28(
     omron: Robot, omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses], q1: float, q2: float, phi: float
 ) -> None:
     assume(abs(np.sin(q2)) > 1e-3)
     assert omron_dynamics.lumped is not None
-    effective_masses = along(omron_dynamics, [q1, q2, 0.1, 0.3], [np.cos(phi), np.sin(phi), 0.0])
+    masses = along(omron_dynamics, [q1, q2, 0.1, 0.3], [np.cos(phi), np.sin(phi), 0.0])
     m2, m3 = omron_dynamics.lumped.planar_masses(omron)
-    assert effective_masses.lumped == pytest.approx(float(scara_lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
-    assert effective_masses.full == pytest.approx(float(scara_full_mass(q1, q2, phi, FITTED)), rel=1e-6)
+    assert masses.lumped == pytest.approx(float(scara_lumped_mass(q1, q2, phi, m2, m3)), rel=1e-6)
+    assert masses.full == pytest.approx(float(scara_full_mass(q1, q2, phi, FITTED)), rel=1e-6)
 
 
-def test_matrix_path_gives_eqs_27_and_28_on_thousands_of_cases(
+def test_masses_agree_with_eqs_27_and_28_in_thousands_of_cases(
     omron: Robot, omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses]
 ) -> None:
     assert omron_dynamics.lumped is not None
@@ -131,14 +131,14 @@ def test_largest_mass_is_eq_30(q2: float, phi: float) -> None:
     assert scara_lumped_mass(phi - q2, q2, phi, M2, M3) == pytest.approx(float(largest), rel=1e-6)
 
 
-def test_stretched_arm_is_infinitely_heavy_along_itself() -> None:
+def test_stretched_arm_has_infinite_mass_along_itself() -> None:
     assert scara_max_lumped_mass(0.0, M2, M3) == np.inf
     assert scara_lumped_mass(0.0, 0.0, 0.0, M2, M3) == np.inf
     assert scara_full_mass(0.0, 0.0, 0.0, FITTED) == np.inf
 
 
 @given(q1=q1_values, q2=q2_values, phi=directions, turn=directions)
-def test_turning_robot_and_direction_changes_nothing(q1: float, q2: float, phi: float, turn: float) -> None:
+def test_masses_are_invariant_under_rotation_and_reflection(q1: float, q2: float, phi: float, turn: float) -> None:
     assume(abs(np.sin(q2)) > 1e-2)
     for law, parameters in ((scara_lumped_mass, (M2, M3)), (scara_full_mass, (FITTED,))):
         mass = float(law(q1, q2, phi, *parameters))
@@ -187,10 +187,10 @@ def test_errors_of_the_simplified_model_on_the_grid_of_50_by_50() -> None:
 
 
 def test_impact_point_of_figure_17(omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses]) -> None:
-    q1, q2 = placed(0.3, 0.2, elbow=1.0)
+    q1, q2 = joint_angles(0.3, 0.2, elbow=1.0)
     assert np.degrees([q1, q2]) == pytest.approx([-15.35, 98.08], abs=0.005)
     right = along(omron_dynamics, [q1, q2, 0.0, 0.0], [1.0, 0.0, 0.0])
-    left = along(omron_dynamics, [*placed(0.3, 0.2, elbow=-1.0), 0.0, 0.0], [1.0, 0.0, 0.0])
+    left = along(omron_dynamics, [*joint_angles(0.3, 0.2, elbow=-1.0), 0.0, 0.0], [1.0, 0.0, 0.0])
     assert right.lumped == pytest.approx(0.981, abs=5e-4)
     assert left.lumped == pytest.approx(2.891, abs=5e-4)
     mu = [reduced(np.array(right.lumped), obstacle) for obstacle in OBSTACLES]
@@ -199,7 +199,7 @@ def test_impact_point_of_figure_17(omron_dynamics: RobotDynamics, along: Callabl
 
 @pytest.mark.parametrize(("y", "mass"), [(0.2, 0.981), (0.0, 1.247), (-0.2, 2.891)])
 def test_three_points_that_span_the_range(y: float, mass: float) -> None:
-    assert scara_lumped_mass(*placed(0.3, y, elbow=1.0), 0.0, M2, M3) == pytest.approx(mass, abs=5e-4)
+    assert scara_lumped_mass(*joint_angles(0.3, y, elbow=1.0), 0.0, M2, M3) == pytest.approx(mass, abs=5e-4)
 
 
 def test_reduced_mass_tends_to_the_obstacle() -> None:
