@@ -1,8 +1,7 @@
-"""Kill the recorder with SIGKILL at random moments, and see what is left of its recordings.
+"""Kill the recorder with SIGKILL at random moments and check its bags.
 
-Each run records in a process of its own, which tells after every few messages how many are known to be in the files.
-After the kill every file must be readable with at least those messages, in order and byte by byte; and `repair` must
-make of it a recording that the indexed readers of mcap and rosbags take.
+Each run records in its own process, which reports after every few messages how many are saved. After the kill, all
+saved messages must be readable, in order and unchanged, and after `repair` mcap and rosbags must read them by index.
 
     python benchmarks/kill_recorder.py [--runs 100] [--seed 1] [--json]
 """
@@ -38,27 +37,27 @@ if TYPE_CHECKING:
 STRING = "std_msgs/msg/String"
 TOPICS = ("/few", "/many")
 FLUSH_S = 0.02
-LONGEST_S = 0.6
+MAX_RUN_S = 0.6
 BURST = 20
 PAUSE_S = 0.001
-TOLD = struct.Struct("<Q")
+SAVED_COUNT = struct.Struct("<Q")
 
 
 class Outcome(NamedTuple):
-    """What one kill left: messages told to be saved, found, and found after the repair; and how it went."""
+    """Result of one run: messages reported as saved, read, and read after the repair."""
 
     after_s: float
-    told: int
-    found: int
+    saved: int
+    readable: int
     repaired: int
     parts: int
     age_s: float
-    """From the last message that was found to the kill."""
+    """Time from the last readable message to the kill."""
 
 
 def measure(runs: int = 100, seed: int = 1, progress: Callable[[int], None] = lambda _: None) -> list[Outcome]:
-    """Return the outcome of every run. Raises RuntimeError when a recording is not as it must be."""
-    known_types()  # here, so that the processes of the runs begin with it
+    """Return the outcome of every run. Raises RuntimeError if a bag is not as required."""
+    known_types()  # cached before the fork
     generator = random.Random(seed)  # noqa: S311 - no secret
     outcomes = []
     for number in range(runs):
@@ -83,7 +82,7 @@ def _run(bag: Path, generator: random.Random) -> Outcome:
         warn_bytes=0,
         warn_before_s=0.0,
     )
-    after_s = generator.uniform(0.0, LONGEST_S)
+    after_s = generator.uniform(0.0, MAX_RUN_S)
     receive, send = os.pipe()
     process = os.fork()
     if not process:
@@ -94,39 +93,40 @@ def _run(bag: Path, generator: random.Random) -> Outcome:
     os.kill(process, signal.SIGKILL)
     os.waitpid(process, 0)
     with os.fdopen(receive, "rb") as pipe:
-        said = pipe.read()
-    told = TOLD.unpack_from(said, len(said) // TOLD.size * TOLD.size - TOLD.size)[0] if len(said) >= TOLD.size else 0
-    return _checked(bag, after_s, killed_ns, told)
+        reports = pipe.read()
+    complete = len(reports) // SAVED_COUNT.size
+    saved = SAVED_COUNT.unpack_from(reports, (complete - 1) * SAVED_COUNT.size)[0] if complete else 0
+    return _check(bag, after_s, killed_ns, saved)
 
 
 def _record(bag: Path, options: RecorderOptions, send: int) -> NoReturn:
-    """Record until killed, in the process of the run."""
+    """Record until killed, in the forked process."""
     try:
         recording = BagRecorder(bag, options)
         numbers = [recording.add_topic(topic, STRING) for topic in TOPICS]
         count = 0
         while True:
             for _ in range(BURST):
-                for topic in numbers[count % 10 != 0 :]:  # every tenth message of the one is beside one of the other
+                for topic in numbers[count % 10 != 0 :]:  # one message of the first topic for ten of the second
                     number = count // 10 if topic == 0 else count
                     recording.write(topic, time.time_ns(), message(topic, number))
                 count += 1
-            os.write(send, TOLD.pack(recording.report().saved))
+            os.write(send, SAVED_COUNT.pack(recording.report().saved))
             time.sleep(PAUSE_S)
     finally:
         os._exit(1)
 
 
-def _checked(bag: Path, after_s: float, killed_ns: int, told: int) -> Outcome:
-    found, last_ns = _found(bag) if bag.exists() else (0, 0)
-    _require(found >= told, f"{found} messages are there, {told} were saved")
-    age_s = (killed_ns - last_ns) / 1e9 if found else 0.0
+def _check(bag: Path, after_s: float, killed_ns: int, saved: int) -> Outcome:
+    readable, last_ns = _read(bag) if bag.exists() else (0, 0)
+    _require(readable >= saved, f"{readable} messages are readable, {saved} were saved")
+    age_s = (killed_ns - last_ns) / 1e9 if readable else 0.0
     if not bag.exists():
-        return Outcome(after_s, told, 0, 0, 0, 0.0)
+        return Outcome(after_s, saved, 0, 0, 0, 0.0)
     report = repair(bag)
     _require(not report.failed and not any(file.kept_original for file in report.files), f"{report}")
     kept = sum(file.messages for file in report.files)
-    _require(kept == found, f"{found} messages were there, {kept} after the repair")
+    _require(kept == readable, f"{readable} messages before the repair, {kept} after it")
     indexed = 0
     for file in report.files:
         with file.path.open("rb") as opened:
@@ -134,59 +134,59 @@ def _checked(bag: Path, after_s: float, killed_ns: int, told: int) -> Outcome:
             summary = reader.get_summary()
             _require(summary is not None and summary.statistics is not None, f"{file.path}: no summary")
             indexed += sum(1 for _ in reader.iter_messages())
-    _require(indexed == found, f"mcap reads {indexed} of {found} messages")
+    _require(indexed == readable, f"mcap reads {indexed} of {readable} messages")
     with AnyReader([bag]) as reader:
         counts = dict.fromkeys(TOPICS, 0)
         for connection, _, data in reader.messages():
             topic = TOPICS.index(connection.topic)
-            _require(data == message(topic, counts[connection.topic]), f"{connection.topic}: another message")
+            _require(data == message(topic, counts[connection.topic]), f"{connection.topic}: a message differs")
             counts[connection.topic] += 1
-    _require(sum(counts.values()) == found, f"rosbags reads {sum(counts.values())} of {found} messages")
+    _require(sum(counts.values()) == readable, f"rosbags reads {sum(counts.values())} of {readable} messages")
     about = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-    _require(about["message_count"] == found, f"metadata.yaml says {about['message_count']} of {found} messages")
+    _require(about["message_count"] == readable, f"metadata.yaml lists {about['message_count']} of {readable} messages")
     _require(repair(bag).intact, "a second repair finds something to do")
-    return Outcome(after_s, told, found, kept, len(report.files), age_s)
+    return Outcome(after_s, saved, readable, kept, len(report.files), age_s)
 
 
-def _found(bag: Path) -> tuple[int, int]:
-    """Return how many messages can be read as they are, and the last log time; all in order, byte by byte."""
+def _read(bag: Path) -> tuple[int, int]:
+    """Return the number of readable messages, checked for order and content, and the last log time."""
     counts, last_ns = [0, 0], 0
     try:
         opened = open_bag(bag)
     except BagError as error:
-        _require("no message of it can be read" in str(error), str(error))
+        _require("no message can be read" in str(error), str(error))
         return 0, 0
     with opened:
         for raw in opened.messages():
             topic = TOPICS.index(raw.topic)
-            _require(raw.data == message(topic, counts[topic]), f"{raw.topic}: another message than {counts[topic]}")
+            _require(raw.data == message(topic, counts[topic]), f"{raw.topic}: message {counts[topic]} differs")
             counts[topic] += 1
             last_ns = raw.log_time_ns
     return sum(counts), last_ns
 
 
-def _require(fulfilled: bool, otherwise: str) -> None:  # noqa: FBT001 - a condition
-    if not fulfilled:
-        raise RuntimeError(otherwise)
+def _require(condition: bool, failure: str) -> None:  # noqa: FBT001 - a condition
+    if not condition:
+        raise RuntimeError(failure)
 
 
 def main() -> None:
-    """Run, and print what came of it."""
+    """Run and print the totals."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     outcomes = measure(args.runs, args.seed)
-    ages = [outcome.age_s for outcome in outcomes if outcome.found] or [0.0]
+    ages = [outcome.age_s for outcome in outcomes if outcome.readable] or [0.0]
     result = {
         "runs": len(outcomes),
-        "without a message yet": sum(not outcome.found for outcome in outcomes),
-        "messages found": sum(outcome.found for outcome in outcomes),
-        "messages told to be saved": sum(outcome.told for outcome in outcomes),
+        "without a message yet": sum(not outcome.readable for outcome in outcomes),
+        "messages readable": sum(outcome.readable for outcome in outcomes),
+        "messages reported as saved": sum(outcome.saved for outcome in outcomes),
         "parts": sum(outcome.parts for outcome in outcomes),
-        "age of the last message found, median [s]": float(np.median(ages)),
-        "age of the last message found, worst [s]": max(ages),
+        "age of the last readable message, median [s]": float(np.median(ages)),
+        "age of the last readable message, worst [s]": max(ages),
     }
     lines = json.dumps(result) if args.json else "\n".join(f"{key}: {value}" for key, value in result.items())
     sys.stdout.write(f"{lines}\n")
