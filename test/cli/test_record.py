@@ -107,7 +107,7 @@ def test_what_it_prints(tmp_path: Path) -> None:
     assert (process.returncode, errors) == (0, "")
     lines = output.splitlines()
     assert lines[0] == "recorded        /notes: 10 messages"
-    assert lines[1] == "not recorded    /never: nobody published it"
+    assert lines[1] == "not recorded    /never: no publisher"
     assert lines[2].startswith("in all          10 messages, 0 lost, 0.0 MB in ")
     assert lines[2].endswith(f" s: {bag}")
     assert len(list(bag.glob("bag_*.mcap"))) > 1
@@ -137,14 +137,14 @@ def test_killed_it_leaves_what_repair_completes(tmp_path: Path, here: Cli) -> No
 REFUSALS = {
     "nothing to do": (["record"], "one of the arguments -o/--output --repair is required"),
     "both": (["record", "-o", "a", "--repair", "b"], "not allowed with argument"),
-    "a file": (["record", "-o", "a.mcap"], "a.mcap: a recording is a folder; a name without .mcap would be right"),
-    "negative size": (["record", "-o", "a", "--max-size", "-1"], "--max-size = -1.0: 0 (never) or more would be right"),
-    "no duration": (["record", "-o", "a", "--duration", "0"], "duration = 0.0: more than 0 would be right"),
-    "all and some": (["record", "-o", "a", "b", "--all"], "topics = 'b': --all records every topic"),
+    "a file": (["record", "-o", "a.mcap"], "a.mcap: must be a folder name without .mcap"),
+    "negative size": (["record", "-o", "a", "--max-size", "-1"], "--max-size = -1.0: must be >= 0 (0: never)"),
+    "no duration": (["record", "-o", "a", "--duration", "0"], "duration = 0.0: must be > 0 s"),
+    "all and some": (["record", "-o", "a", "b", "--all"], "topics = 'b': must be empty with --all"),
     "a wrong name": (["record", "-o", "a", "b c"], "record: topic 'b c': "),
     "unwritable": (["record", "-o", "/proc/none/a"], "/proc/none/a: cannot be written"),
-    "repair of nothing": (["record", "--repair", "a"], "a: there is no such file or folder"),
-    "repair of topics": (["record", "--repair", "a", "b"], "record: b: --repair takes no topics"),
+    "repair of nothing": (["record", "--repair", "a"], "a: does not exist"),
+    "repair of topics": (["record", "--repair", "a", "b"], "record: topics = 'b': must be empty with --repair"),
     "ROS parameters": (["record", "-o", "a", "--", "-p", "b:=1"], "recorder: no parameter 'b'"),
 }
 

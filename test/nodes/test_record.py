@@ -215,7 +215,7 @@ def test_a_publisher_that_offers_less_than_the_first_is_recorded_too(cell: Cell)
     report = cell.record(script(), topics=("notes",))
     assert {data for _, data in cell.read()} == {text("hello")}
     assert list(report.recording.topics) == ["/notes"]
-    assert any("subscribed anew" in line for line in cell.said)
+    assert any("subscribing again" in line for line in cell.said)
 
 
 def test_all_but_hidden_topics_are_recorded_when_asked(cell: Cell) -> None:
@@ -230,7 +230,7 @@ def test_all_but_hidden_topics_are_recorded_when_asked(cell: Cell) -> None:
                 publisher.publish(Float64(data=1.0))
             yield
 
-    report = cell.record(script(), everything=True)
+    report = cell.record(script(), all_topics=True)
     names = set(report.recording.topics)
     assert {"/a", "/b/c", "/rosout"} <= names
     assert not any("hidden" in name for name in names)
@@ -377,9 +377,9 @@ def test_it_ends_after_its_duration(cell: Cell) -> None:
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"duration_s": 0.0}, "record: duration = 0.0: more than 0 would be right"),
-        ({"duration_s": float("nan")}, "record: duration = nan: more than 0"),
-        ({"everything": True, "topics": ("a",)}, "record: topics = 'a': --all records every topic"),
+        ({"duration_s": 0.0}, "record: duration = 0.0: must be > 0 s"),
+        ({"duration_s": float("nan")}, "record: duration = nan: must be > 0"),
+        ({"all_topics": True, "topics": ("a",)}, "record: topics = 'a': must be empty with --all"),
         ({"topics": ("no topic",)}, "record: topic 'no topic': .*must not contain characters other than"),
         ({"ros_arguments": ("--ros-args", "--nonsense")}, "ROS arguments: .*--nonsense"),
         ({"ros_arguments": ("--ros-args", "-p", "speed:=1")}, "recorder: no parameter 'speed'"),
