@@ -87,8 +87,8 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "missing robot": (["doctor", "--robot", "no.urdf"], "no.urdf: no such file; must be a URDF or DH YAML file"),
     "missing parameters": (["assess", TOUR, "-o", "a.csv", "--params", "no.yaml"], "no.yaml: cannot be read"),
     "missing parameters of a node": (["monitor", "--params", "no.yaml"], "no.yaml: cannot be read"),
-    "missing bag": (["assess", "no.mcap", "-o", "a.csv"], "no.mcap: there is no such file"),
-    "not a bag": (["assess", ROBOT, "-o", "a.csv"], "is no recording in one of the formats"),
+    "missing bag": (["assess", "no.mcap", "-o", "a.csv"], "no.mcap: does not exist"),
+    "not a bag": (["assess", ROBOT, "-o", "a.csv"], "is not a bag; expected MCAP"),
     "wrong topic": (
         ["assess", TOUR, "-o", "a.csv", "--topic", "/arm"],
         "no joint states on /arm; --topic must be one",
@@ -110,7 +110,7 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
         "/proc/none/a.mcap: cannot be written",
     ),
     "negative rate": (["replay", TOUR, "--rate", "-1"], "rate = -1.0: must be 0 or more"),
-    "missing bag to replay": (["replay", "no.mcap"], "no.mcap: there is no such file"),
+    "missing bag to replay": (["replay", "no.mcap"], "no.mcap: does not exist"),
 }
 
 
