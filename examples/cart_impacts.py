@@ -1,4 +1,4 @@
-"""Real impacts through import, signal and detection: the mass of a cart from impulse and change of velocity.
+"""Import real impacts and detect them: the mass of a cart from impulse and change of velocity.
 
     python examples/cart_impacts.py test/recordings/cart_impacts
 
@@ -15,22 +15,19 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.stats import theilslopes
 
-from scara_effmass.daq.channel import ForceSignal
-from scara_effmass.daq.source import make_source
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.settings import DaqSettings, checked
+from scara_effmass.importers.force import import_force
+from scara_effmass.settings import DetectionSettings, ImportSettings, checked
 
 if TYPE_CHECKING:
     from scara_effmass.values import FloatArray, Impact
 
-NOW_NS = 1_000_000_000
-"""The recordings have no absolute time, so theirs begins at any."""
 MEDIAN_S, LINE_S = 0.25, 0.5
 """For so long before and after the contact, the velocity goes into a median, and into a line."""
 
 
 class Motion(NamedTuple):
-    """Velocity (n,) [m/s] at the times (n,) [s]; `start_s` is when the recording begins."""
+    """Velocity (n,) [m/s] at the times (n,) [s]; the recording starts at `start_s`."""
 
     start_s: float
     time_s: FloatArray
@@ -44,36 +41,22 @@ def main(folder: Path) -> None:
         columns = read_columns(path)
         for run in sorted({name.partition(":")[0] for name in columns}):
             motion = motion_of(columns, run)
-            for impact in impacts_in(path, run):
-                onset = motion.start_s + (impact.stamp_ns - NOW_NS) / 1e9
+            for after_start_s, impact in impacts_in(path, run):
+                onset = motion.start_s + after_start_s
                 changes = (change(motion, onset, onset + impact.duration) for change in (by_medians, by_lines))
                 masses = ",".join(f"{impact.impulse / change:.3f}" for change in changes)
                 measured = f"{impact.peak_force:.2f},{impact.duration:.3f},{impact.impulse:.4f}"
                 print(f"{path.stem},{run},{measured},{masses}")  # noqa: T201
 
 
-def impacts_in(path: Path, run: str) -> list[Impact]:
-    """Return the impacts in one run: what `daq_node` does, without ROS."""
-    given = {
-        "source": "bag",
-        "bag": {"path": str(path), "topic": f"{run}: Force (N)", "time_column": f"{run}: Time (s)", "rate": 0.0},
-        "sensor": {"invert": True},
-        "detection": {"threshold": 0.5},
-    }
-    settings = checked(DaqSettings, given, "cart impacts")
-    source = make_source(settings, lambda: NOW_NS)
-    detector = Detector(settings.detection)
-    found: list[Impact] = []
-    source.start()
-    try:
-        signal = ForceSignal(source, settings)
-        while (reading := source.read(timeout_s=0.0)) is not None:
-            (blocks,) = signal.blocks(reading)
-            for block in blocks:
-                found += detector.feed(block)
-    finally:
-        source.close()
-    return found + detector.finish()
+def impacts_in(path: Path, run: str) -> list[tuple[float, Impact]]:
+    """Return the impacts of one run, each with its onset [s] after the first sample."""
+    columns = {"topic": f"{run}: Force (N)", "time_column": f"{run}: Time (s)"}
+    settings = checked(ImportSettings, {**columns, "sensor.invert": True}, "cart impacts")
+    detector = Detector(DetectionSettings(threshold=0.5))
+    blocks = list(import_force(path, settings).blocks)
+    impacts = [impact for block in blocks for impact in detector.feed(block)] + detector.finish()
+    return [((impact.stamp_ns - blocks[0].stamp_ns) / 1e9, impact) for impact in impacts]
 
 
 def read_columns(path: Path) -> dict[str, tuple[str, ...]]:

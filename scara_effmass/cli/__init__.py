@@ -23,6 +23,7 @@ COMMANDS = {
     "daq": "run the force node: an NI-9230, a recording, or simulated force",
     "validator": "run the node that holds impacts against their predictions",
     "sim": "run the simulated cell's robot",
+    "import": "convert force from CSV and TDMS files and from wrench topics to a bag",
     "replay": "play a bag into the live nodes, with /clock",
     "record": "record live topics into a bag that survives a crash; complete one that was killed",
     "assess": "assess every joint state of bags, offline, into a table or a bag",
@@ -34,6 +35,9 @@ COMMANDS = {
 }
 ALIASES = {"bench": "sim"}
 """Former names of commands, still accepted."""
+
+MODULES = {"import": "import_force"}
+"""Modules of commands whose name is a Python keyword."""
 
 BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 """Exit codes: the first as rich has it, the last two as a shell gives them to a process that a signal ended."""
@@ -102,5 +106,5 @@ def _parser(arguments: list[str]) -> argparse.ArgumentParser:
             name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter
         )
         if name in arguments:
-            import_module(f"scara_effmass.cli.{name}").add_to(command)
+            import_module(f"scara_effmass.cli.{MODULES.get(name, name)}").add_to(command)
     return parser

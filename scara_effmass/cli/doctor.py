@@ -142,8 +142,8 @@ def _daq(params: Path | None) -> Iterator[CheckResult]:
     for device in devices:
         simulated = ", simulated by its driver" if device.simulated else ""
         channels = f"; for an IEPE force sensor: {', '.join(device.channels)}" if device.channels else ""
-        text = device.trouble or f"{device.product}{simulated}{channels}"
-        yield CheckResult("note" if device.trouble or device.simulated else "ok", device.name, text)
+        text = device.problem or f"{device.product}{simulated}{channels}"
+        yield CheckResult("note" if device.problem or device.simulated else "ok", device.name, text)
     if settings.source is ForceSourceKind.NI9230:
         present = [channel for device in devices for channel in device.channels]
         missing = set(settings.ni9230.channels) - {

@@ -1,4 +1,4 @@
-"""Force from an IEPE sensor on a NI-9230, or another module that can supply one, through NI-DAQmx."""
+"""The source `ni9230`: IEPE force sensors on an NI-9230 or another module that supplies them, through NI-DAQmx."""
 
 from __future__ import annotations
 
@@ -10,9 +10,17 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from scara_effmass.daq.ni_driver import AnalogMultiChannelReader, Task, constants, errors, optional, told, translated
-from scara_effmass.daq.ni_errors import NOT_YET_AVAILABLE
-from scara_effmass.daq.source import Reading, Unit
+from scara_effmass.daq.ni_driver import (
+    AnalogMultiChannelReader,
+    Task,
+    constants,
+    daq_error,
+    errors,
+    optional,
+    translated,
+)
+from scara_effmass.daq.ni_errors import SAMPLES_NOT_YET_AVAILABLE
+from scara_effmass.daq.source import ForceSource, Reading
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,80 +30,77 @@ if TYPE_CHECKING:
     from scara_effmass.values import BoolArray, FloatArray
 
 BUFFER_TIME_S = 10.0
-"""What the driver's buffer holds of a continuous acquisition: how long reading may pause without a loss."""
+"""Buffer of the driver: how long reading may pause without a loss."""
 
 
 @final
-class Ni9230:
-    """Samples in newtons of the channels in `settings.ni9230`, `settings.block_time` at a time; see `ForceSource`.
+class Ni9230Source(ForceSource):
+    """Samples of the channels in `settings.ni9230`, one block each `settings.block_time`.
 
-    The driver numbers samples without a gap or fails, so `Reading.lost` is 0; what is missing after an OverrunError or
-    a DeviceLostError is for the caller to find from the time that passed. `close` may come from another thread and
-    ends a `read` that waits. Where the driver says that a channel was overloaded but not when, its samples at the
-    limit are marked, or all of the reading if none is.
+    The driver numbers samples without a gap or fails, so `Reading.lost` is 0; the caller finds from the time what is
+    missing after an OverrunError or a DeviceLostError. The driver states that a channel was overloaded, but not when:
+    its samples at the limit are marked, or the whole reading if there is none.
     """
-
-    unit = Unit.NEWTON
 
     def __init__(self, settings: DaqSettings, now_ns: Callable[[], int]) -> None:
         self._settings = settings
         self._now_ns = now_ns
         self.requested_rate = self.sample_rate = settings.ni9230.sample_rate
-        self.channels = _short(settings.ni9230.channels)
+        self.channels = _topic_names(settings.ni9230.channels)
         self.simulated = False
         self.limit = math.inf
         self.filter_delay = settings.ni9230.filter_delay_samples / self.sample_rate
         self.description = f"{', '.join(settings.ni9230.channels)}, IEPE, {settings.ni9230.coupling.value} coupling"
 
         self._subject = f"ni9230.channels = {', '.join(settings.ni9230.channels)}"
-        self._was_there = False
+        self._was_connected = False
         self._lock = threading.RLock()
-        """Held during calls of the driver; only aborting a task is allowed without."""
+        """Held during calls of the driver except the abort of a task."""
         self._closing = False
         self._task: Any = None
         self._next = 0
         self._failure: DaqError | None = None
-        """Came with the samples of the last reading, and is raised by the next one."""
+        """Error that came with the samples of the last reading; the next one raises it."""
 
     @property
     def ended(self) -> bool:
-        """Whether all samples of a finite acquisition have been read."""
+        """Whether all samples of a finite acquisition were read."""
         return 0 < self._settings.ni9230.samples <= self._next
 
     def start(self) -> None:
-        """Reserve the device, configure it and begin to acquire. Raises DaqError, also as long as it is unplugged."""
+        """Reserve and configure the device and start to acquire. Raises DaqError, also while it is disconnected."""
         with self._lock:
             self._clear()
             self._closing = False
             self._next, self._failure = 0, None
             try:
-                with translated(self._subject, was_there=self._was_there):
+                with translated(self._subject, was_connected=self._was_connected):
                     self._configure()
                     self._task.start()
             except BaseException:
                 self._clear()
                 raise
-            self._was_there = True
+            self._was_connected = True
 
     def read(self, timeout_s: float) -> Reading | None:
-        """Return the next block, or the part of it that came within `timeout_s` [s]; None if nothing did."""
+        """Return the next block, or the part of it that came within `timeout_s` [s]; None if no sample did."""
         with self._lock:
             if self._task is None or self._closing or self.ended:
                 return None
             if self._failure is not None:
                 raise self._failure
-            got = self._fill(timeout_s)
-            if not got:
+            count = self._fill(timeout_s)
+            if not count:
                 return None
-            # The driver leaves no gaps: of a partial read, the channels follow each other more closely.
-            samples = self._buffer[: len(self.channels) * got].reshape(len(self.channels), got).copy()
+            # After a partial read the channels follow each other without a gap.
+            samples = self._buffer[: len(self.channels) * count].reshape(len(self.channels), count).copy()
             saturated = self._saturated(samples)
             samples.flags.writeable = False
-            first, self._next = self._next, self._next + got
+            first, self._next = self._next, self._next + count
             return Reading(first, samples, 0, self._read_ns, saturated=saturated)
 
     def close(self) -> None:
-        """Stop acquiring and give the device back; a `read` under way returns None."""
+        """Stop acquiring and release the device; a `read` in progress returns None."""
         self._closing = True
         task = self._task
         if task is not None:
@@ -140,11 +145,11 @@ class Ni9230:
         self._block = max(1, round(self._settings.block_time * self.sample_rate))
         self._buffer = np.empty(len(inputs) * self._block)
         self._reader = AnalogMultiChannelReader(task.in_stream)
-        self._reader.verify_array_shape = False  # ours is right, and asking the driver each time costs
-        self._tells_overload = True
+        self._reader.verify_array_shape = False  # saves a call of the driver
+        self._detects_overload = True
 
     def _delay(self, channel: Any) -> float:  # noqa: ANN401 - nidaqmx has no types
-        """Return the delay of the converter's filter [s]: what the driver says, or else what the settings do."""
+        """Return the delay of the converter's filter [s] that the driver, or else the settings state."""
         delay: float | None = optional(channel, "ai_filter_delay")
         per_second = {
             constants.DigitalWidthUnits.SECONDS: 1.0,
@@ -155,38 +160,38 @@ class Ni9230:
         return delay / per_second
 
     def _fill(self, timeout_s: float) -> int:
-        """Read up to a block into the buffer and return how many samples per channel came."""
-        wanted = self._block
+        """Read up to a block into the buffer and return the number of samples per channel."""
+        requested = self._block
         if self._settings.ni9230.samples:
-            wanted = min(wanted, self._settings.ni9230.samples - self._next)
-        part = self._buffer[: len(self.channels) * wanted].reshape(len(self.channels), wanted)
+            requested = min(requested, self._settings.ni9230.samples - self._next)
+        part = self._buffer[: len(self.channels) * requested].reshape(len(self.channels), requested)
         try:
-            got = int(self._reader.read_many_sample(part, wanted, max(0.0, timeout_s)))
+            count = int(self._reader.read_many_sample(part, requested, max(0.0, timeout_s)))
         except errors.Error as error:
             if self._closing:
                 return 0
-            got = int(getattr(error, "samps_per_chan_read", 0))
-            if getattr(error, "error_code", 0) != NOT_YET_AVAILABLE:
-                self._failure = told(error, self._subject, was_there=True, addition=self._unread(got))
-                if not got:
+            count = int(getattr(error, "samps_per_chan_read", 0))
+            if getattr(error, "error_code", 0) != SAMPLES_NOT_YET_AVAILABLE:
+                self._failure = daq_error(error, self._subject, was_connected=True, addition=self._unread(count))
+                if not count:
                     raise self._failure from error
         self._read_ns = self._now_ns()
-        return got
+        return count
 
-    def _unread(self, got: int) -> str:
+    def _unread(self, count: int) -> str:
         acquired = optional(self._task.in_stream, "total_samp_per_chan_acquired")
-        missing = 0 if acquired is None else int(acquired) - self._next - got
+        missing = 0 if acquired is None else int(acquired) - self._next - count
         return f"; {missing} samples were acquired and not read" if missing > 0 else ""
 
     def _saturated(self, samples: FloatArray) -> BoolArray | None:
-        if not self._tells_overload:
+        if not self._detects_overload:
             return None
         stream = self._task.in_stream
         try:
             overloaded = stream.overloaded_chans if stream.overloaded_chans_exist else ()
         except errors.Error:
-            # Not every module can tell; if the device is gone instead, the next read says so.
-            self._tells_overload = False
+            # Not every module detects overload. If the device is lost instead, the next read raises.
+            self._detects_overload = False
             return None
         rows = np.isin(self._task.channel_names, overloaded)
         if not rows.any():
@@ -199,12 +204,12 @@ class Ni9230:
     def _clear(self) -> None:
         task, self._task = self._task, None
         if task is not None:
-            with suppress(errors.Error):  # of a device that is gone, there is nothing to give back
+            with suppress(errors.Error):  # a lost device has released itself
                 task.close()
 
 
-def _short(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return names that a topic can end with: that of the channel, or of device and channel where two are alike."""
+def _topic_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return names that a topic can end with: of the channel, or of device and channel if two channels are alike."""
     short = [name.rpartition("/")[2] for name in names]
     unique = short if len(set(short)) == len(short) else names
     return tuple(re.sub(r"\W", "_", name) for name in unique)

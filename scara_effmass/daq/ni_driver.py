@@ -1,6 +1,6 @@
-"""NI-DAQmx, the driver: what it knows of its devices, and its errors in our words.
+"""The driver NI-DAQmx: its devices and its errors.
 
-The only module that imports NI's client. That works without the driver; using it then raises DriverMissingError.
+The only module that imports NI's Python client, which works without the driver until it is used.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import math
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from scara_effmass.daq.ni_errors import ABSENT, in_our_words
+from scara_effmass.daq.ni_errors import UNKNOWN_CHANNEL, explain
 from scara_effmass.errors import DaqError, DriverMissingError
 
 try:
@@ -29,26 +29,26 @@ __all__ = [
     "Device",
     "Task",
     "constants",
+    "daq_error",
     "devices",
     "driver_version",
     "errors",
     "optional",
-    "told",
     "translated",
 ]
 
 
 class Device(NamedTuple):
-    """A device that the driver knows: a chassis, a module in it, or one that stands alone."""
+    """A device that the driver knows: a chassis, a module in it, or a device without a chassis."""
 
     name: str
     product: str
     simulated: bool
-    """Made up by the driver for trying things out."""
+    """A simulated device of the driver."""
     channels: tuple[str, ...]
-    """Those that can measure force with an IEPE sensor."""
-    trouble: str
-    """Why it cannot be examined, as when it is not plugged in; else empty."""
+    """Channels that can measure with an IEPE force sensor."""
+    problem: str
+    """Why the device cannot be queried, for instance while it is disconnected; empty otherwise."""
 
 
 def driver_version() -> str:
@@ -58,62 +58,57 @@ def driver_version() -> str:
 
 
 def devices() -> tuple[Device, ...]:
-    """Return what is connected, or was and is remembered by the driver. Raises DaqError."""
+    """Return the devices that are connected, or were and are still known to the driver. Raises DaqError."""
     with translated("NI-DAQmx"):
-        return tuple(_examined(device) for device in System.local().devices)
+        return tuple(_query(device) for device in System.local().devices)
 
 
-def _examined(device: Any) -> Device:  # noqa: ANN401 - nidaqmx has no types
+def _query(device: Any) -> Device:  # noqa: ANN401 - nidaqmx has no types
     try:
         force = constants.UsageTypeAI.FORCE_IEPE_SENSOR
         channels = tuple(channel.name for channel in device.ai_physical_chans if force in channel.ai_meas_types)
         return Device(device.name, device.product_type, device.is_simulated, channels, "")
     except errors.DaqError as error:
-        return Device(
-            device.name,
-            "",
-            simulated=False,
-            channels=(),
-            trouble=str(in_our_words(error.error_code, str(error), device.name)),
-        )
+        problem = str(explain(error.error_code, str(error), device.name))
+        return Device(device.name, "", simulated=False, channels=(), problem=problem)
 
 
-def optional(thing: Any, name: str) -> Any:  # noqa: ANN401 - nidaqmx has no types
-    """Return property `name` of a thing of NI's client; None where driver or device has none, or no useful number."""
+def optional(item: Any, name: str) -> Any:  # noqa: ANN401 - nidaqmx has no types
+    """Return a property of an object of NI's client; None where the device lacks it or it is no positive number."""
     with suppress(errors.Error):
-        value = getattr(thing, name)
+        value = getattr(item, name)
         return None if isinstance(value, float) and not 0.0 < value < math.inf else value
     return None
 
 
 @contextmanager
-def translated(subject: str, *, was_there: bool = False) -> Iterator[None]:
-    """Raise what NI-DAQmx raises as a DaqError of ours."""
+def translated(subject: str, *, was_connected: bool = False) -> Iterator[None]:
+    """Raise errors of NI-DAQmx as a DaqError about `subject`."""
     try:
         yield
     except DaqError:
         raise
     except (errors.Error, OSError) as error:
-        raise told(error, subject, was_there=was_there) from error
+        raise daq_error(error, subject, was_connected=was_connected) from error
 
 
-def told(error: Exception, subject: str, *, was_there: bool = False, addition: str = "") -> DaqError:
-    """Return `error` of NI's client in our words, `addition` behind the advice; see `in_our_words`."""
+def daq_error(error: Exception, subject: str, *, was_connected: bool = False, addition: str = "") -> DaqError:
+    """Return the DaqError for an error of NI's client; see `explain`."""
     if isinstance(error, errors.DaqError):
-        if error.error_code in ABSENT:
+        if error.error_code in UNKNOWN_CHANNEL:
             addition += _alternatives()
-        return in_our_words(error.error_code, str(error), subject, was_there=was_there, addition=addition)
+        return explain(error.error_code, str(error), subject, was_connected=was_connected, addition=addition)
     if isinstance(error, (errors.DaqNotFoundError, errors.DaqNotSupportedError)):
         cause = "is not installed" if isinstance(error, errors.DaqNotFoundError) else "does not exist for this system"
         return DriverMissingError(
-            f"the driver NI-DAQmx {cause}: install it from ni.com/downloads, or set source to bag or sim"
+            f"the driver NI-DAQmx {cause}; install it from ni.com/downloads, or set source to bag or sim"
         )
-    return DriverMissingError(f"the driver NI-DAQmx cannot be used, install it again: {' '.join(str(error).split())}")
+    return DriverMissingError(f"the driver NI-DAQmx cannot be used; reinstall it: {' '.join(str(error).split())}")
 
 
 def _alternatives() -> str:
     try:
-        known = [channel for device in devices() for channel in device.channels]
+        channels = [channel for device in devices() for channel in device.channels]
     except DaqError:
         return ""
-    return f"; channels for an IEPE force sensor here: {', '.join(known) or 'none'}"
+    return f"; channels for an IEPE force sensor: {', '.join(channels) or 'none'}"

@@ -1,4 +1,4 @@
-"""What the error codes of NI-DAQmx mean for a measurement of force, and what to do about each."""
+"""Error codes of NI-DAQmx: the exception for each, and its remedy."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from scara_effmass.errors import (
     OverrunError,
 )
 
-NOT_YET_AVAILABLE = -200284
-"""A read timed out; what was there by then is in its buffer."""
-ABSENT = frozenset({-200220, -200170})
-"""There is no device, or no channel, of that name."""
-_REFUSED_VALUE = -200077
-"""A value that the device does not have; the message names the property."""
+SAMPLES_NOT_YET_AVAILABLE = -200284
+"""A read timed out; its buffer holds the samples so far."""
+UNKNOWN_CHANNEL = frozenset({-200220, -200170})
+"""No device or no channel has this name."""
+_INVALID_VALUE = -200077
+"""The device does not support a value; the message names the property."""
 
 
 class _Meaning(NamedTuple):
@@ -25,22 +25,23 @@ class _Meaning(NamedTuple):
     advice: str
 
 
-_LOST = _Meaning(DeviceLostError, "the device has gone: is it plugged in, and has it power?")
-_INTERRUPTED = _Meaning(DeviceLostError, "the device was reset, or its connection failed: check cable and power")
-_RESERVED = _Meaning(DeviceReservedError, "another program holds the device: end that, or close its test panel")
+_LOST = _Meaning(DeviceLostError, "the device was disconnected; check cable and power")
+_INTERRUPTED = _Meaning(DeviceLostError, "the device was reset or its connection failed; check cable and power")
+_RESERVED = _Meaning(DeviceReservedError, "another program uses the device; end it or close its test panel")
 _OVERRUN = _Meaning(
     OverrunError,
-    "samples were lost because they were not fetched in time: relieve this computer, or lower ni9230.sample_rate",
+    "samples were overwritten before they were read; reduce the load of this computer or ni9230.sample_rate",
 )
-_ABSENT = _Meaning(DeviceMissingError, "there is no such channel: correct the name, or plug the device in")
-_MISNAMED = _Meaning(DeviceMissingError, "no such channels can be measured together: correct ni9230.channels")
+_NO_CHANNEL = _Meaning(DeviceMissingError, "no such channel; correct the name or connect the device")
+_MISNAMED = _Meaning(DeviceMissingError, "these channels cannot be measured together; correct ni9230.channels")
 _NO_IEPE = _Meaning(
     DeviceMissingError,
-    "this module cannot supply an IEPE force sensor: name a channel of one that can, as NI 9230, 9232 or 9234",
+    "this module cannot supply an IEPE force sensor; use a channel of an NI 9230, 9232 or 9234",
 )
-_RATE = _Meaning(DeviceMissingError, "the device does not sample that fast or slowly: correct ni9230.sample_rate")
+_RATE = _Meaning(DeviceMissingError, "the device does not support this sample rate; correct ni9230.sample_rate")
 _COUPLING = _Meaning(
-    DeviceMissingError, "the device does not couple an IEPE sensor so: correct ni9230.coupling or ni9230.current"
+    DeviceMissingError,
+    "the device does not support this coupling of an IEPE sensor; correct ni9230.coupling or ni9230.current",
 )
 
 _MEANINGS: dict[int, _Meaning] = {
@@ -92,7 +93,7 @@ _MEANINGS: dict[int, _Meaning] = {
         ),
         _OVERRUN,
     ),
-    **dict.fromkeys(ABSENT, _ABSENT),
+    **dict.fromkeys(UNKNOWN_CHANNEL, _NO_CHANNEL),
     **dict.fromkeys(
         (
             -200099,  # no channel stated
@@ -138,34 +139,34 @@ _KEYS = {
     "Excit": "ni9230.current",
     "Sensitivity": "sensor.sensitivity",
 }
-"""Our name for what the driver calls its properties, by a part of that."""
+"""Parameter for each property of the driver, by a part of the property's name."""
 
 _DETAILS = ("Property:", "Requested Value:", "Possible Values:", "Maximum Value:", "Minimum Value:")
 
 
-def in_our_words(code: int, message: str, subject: str, *, was_there: bool = False, addition: str = "") -> DaqError:
-    """Return the error to raise for `code`, whose one line begins with `subject` and ends with the driver's `message`.
+def explain(code: int, message: str, subject: str, *, was_connected: bool = False, addition: str = "") -> DaqError:
+    """Return the error for `code` in one line: subject, remedy, `addition`, and the driver's `message`.
 
-    A device that cannot be reached is a DeviceLostError if it `was_there` before, else a DeviceMissingError; and so is
-    one whose name the driver no longer knows. `addition` goes with the advice.
+    A device that does not answer is lost if it `was_connected` before, else missing; likewise an unknown name.
     """
     meaning = _MEANINGS.get(code)
     if meaning is None:
-        meaning = _refused(message) if code == _REFUSED_VALUE else _Meaning(DaqError, "look this code up at ni.com")
-    if was_there and code in ABSENT:
+        meaning = _invalid_value(message) if code == _INVALID_VALUE else _Meaning(DaqError, "see this code at ni.com")
+    if was_connected and code in UNKNOWN_CHANNEL:
         meaning = _LOST
-    elif not was_there and meaning is _LOST:
-        meaning = _LOST._replace(error=DeviceMissingError, advice="the device does not answer: plug it in, power it")
-    return meaning.error(f"{subject}: {meaning.advice}{addition} (NI-DAQmx {code}: {_in_one_line(message)})")
+    elif not was_connected and meaning is _LOST:
+        meaning = _Meaning(DeviceMissingError, "the device does not answer; connect and power it")
+    return meaning.error(f"{subject}: {meaning.advice}{addition} (NI-DAQmx {code}: {_one_line(message)})")
 
 
-def _refused(message: str) -> _Meaning:
+def _invalid_value(message: str) -> _Meaning:
     keys = [key for part, key in _KEYS.items() if part in message]
-    advice = f"correct {keys[0]}" if keys else "correct what the property stands for"
-    return _Meaning(DeviceMissingError, f"the device cannot be set so: {advice}")
+    return _Meaning(
+        DeviceMissingError, f"the device does not support this setting; correct {keys[0] if keys else 'the property'}"
+    )
 
 
-def _in_one_line(message: str) -> str:
-    """Return the first line of `message`, and what else of it says which value would be right."""
+def _one_line(message: str) -> str:
+    """Return the first line of `message`, and the lines that state the property and its possible values."""
     lines = [line.strip() for line in message.splitlines() if line.strip()]
     return "; ".join([*lines[:1], *(line for line in lines[1:] if line.startswith(_DETAILS))]) or "no description"

@@ -1,4 +1,4 @@
-"""Readings that wait to be taken: not without bounds, and none lost without a trace."""
+"""Queue of readings between the acquisition thread and its consumer."""
 
 from __future__ import annotations
 
@@ -12,39 +12,40 @@ if TYPE_CHECKING:
 
 @final
 class SampleQueue:
-    """A queue between two threads. What finds no room is dropped, and counted as lost in the next reading that does.
+    """Bounded queue between two threads.
 
-    With `patient`, `put` waits for room instead, until there is some or the queue is closed.
+    A reading that does not fit is dropped, and counted as lost in the next one that fits. With `block`, `put` waits
+    until it fits or the queue is closed.
     """
 
-    def __init__(self, *, patient: bool) -> None:
-        self._patient = patient
+    def __init__(self, *, block: bool) -> None:
+        self._block = block
         self._changed = threading.Condition()
         self._readings: deque[Reading] = deque()
         self._unreported = 0
         self._closed = False
         self.samples = 0
-        """How many wait, per channel."""
+        """Samples per channel in the queue."""
         self.dropped_samples = 0
         self.dropped_readings = 0
 
-    def put(self, reading: Reading, room: float) -> None:
-        """Add a reading, if then no more than `room` samples wait, or none did; otherwise it is dropped."""
+    def put(self, reading: Reading, max_samples: float) -> None:
+        """Add a reading if the queue is empty or then holds at most `max_samples`; otherwise drop it or wait."""
         count = reading.samples.shape[1]
         with self._changed:
-            while self._patient and not self._closed and self._is_full(count, room):
+            while self._block and not self._closed and not self._fits(count, max_samples):
                 self._changed.wait()
-            if self._is_full(count, room):
-                self.dropped_readings += 1
-                self.dropped_samples += count
-                self._unreported += reading.lost + count
-            else:
+            if self._fits(count, max_samples):
                 self._readings.append(reading._replace(lost=reading.lost + self._unreported))
                 self._unreported = 0
                 self.samples += count
+            else:
+                self.dropped_readings += 1
+                self.dropped_samples += count
+                self._unreported += reading.lost + count
 
     def take(self) -> list[Reading]:
-        """Return all that wait, and make room."""
+        """Return all readings and empty the queue."""
         with self._changed:
             readings = list(self._readings)
             self._readings.clear()
@@ -53,10 +54,10 @@ class SampleQueue:
         return readings
 
     def close(self) -> None:
-        """End the waiting for room."""
+        """End a `put` that waits."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
-    def _is_full(self, count: int, room: float) -> bool:
-        return bool(self._readings) and self.samples + count > room
+    def _fits(self, count: int, max_samples: float) -> bool:
+        return not self._readings or self.samples + count <= max_samples

@@ -1,12 +1,11 @@
-"""The seam: what every source of force offers, whatever is behind it."""
+"""The interface of all force sources."""
 
 from __future__ import annotations
 
-from enum import Enum
 from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from scara_effmass.settings import ForceSourceKind, SimScene
+from scara_effmass.settings import ForceSourceKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,81 +14,91 @@ if TYPE_CHECKING:
     from scara_effmass.values import BoolArray, FloatArray
 
 
-class Unit(Enum):
-    """What the samples of a source are."""
-
-    NEWTON = "N"
-    VOLT = "V"
-
-
 class Reading(NamedTuple):
-    """Consecutive samples of all channels, as they came off the source; its arrays are read-only.
-
-    `first_sample` counts from the source's `start`, lost samples included; `lost` are missing right before it.
-    `read_ns` is the host's ROS time at which the last sample was known to exist. A recording knows when the first
-    sample was taken: `stamp_ns`, good to `clock_residual` [s]; of a device it is None, to be found by a `ClockFit`.
-    `saturated` (channels, n) marks samples at the end of the measuring range, None where there is none. `run` grows
-    when the source had to be started again: numbers go on, what was learnt about its clock does not.
-    """
+    """Consecutive samples of all channels as a source returned them; arrays are read-only."""
 
     first_sample: int
+    """Number of the first sample since `start`, lost samples included."""
     samples: FloatArray
-    """(channels, n), in the unit of the source"""
+    """(channels, n) [N]"""
     lost: int
+    """Samples missing right before the first one."""
     read_ns: int
+    """ROS time of the host when the last sample was known to exist."""
     stamp_ns: int | None = None
+    """Time of the first sample; None of a device, whose stamps a `ClockFit` estimates."""
     clock_residual: float = 0.0
+    """Uncertainty of `stamp_ns` [s]."""
     saturated: BoolArray | None = None
+    """(channels, n), marks samples at the end of the measuring range; None where there is none."""
     run: int = 0
+    """Increases when the source was restarted and its clock must be estimated anew."""
+    relative_uncertainty: float | None = None
+    """Uncertainty that a recording states; None: the settings state it."""
 
 
 class ForceSource(Protocol):
-    """A source of force. Its constructor takes the settings and the clock, and opens nothing.
+    """A source of force. Its constructor takes the settings and the ROS clock, and opens nothing.
 
-    All but `close` may raise DaqError; a DeviceLostError or OverrunError means that `close` and `start` may help.
+    All methods but `close` may raise DaqError; after a DeviceLostError or OverrunError, `close` and `start` may help.
+    Attributes are valid from the end of `start` on.
     """
 
-    unit: Unit
     simulated: bool
-    """The samples are computed, nothing was measured."""
+    """The samples are computed, not measured."""
     channels: tuple[str, ...]
-    """Short names, one per row of samples; known from the start of `start` on, as are all below."""
+    """Short names, one per row of samples; final from the constructor on unless there is only one."""
     description: str
-    """One phrase for people: what, where, coupling; the `source` of ForceBlock."""
+    """Device or file in one phrase; the `source` of ForceBlock."""
     requested_rate: float
     sample_rate: float
-    """The real one [Hz], as far as the source itself knows it."""
+    """Nominal rate [Hz] as far as the source knows it."""
     limit: float
-    """Largest magnitude it can read, in its unit; infinite when unknown."""
+    """Largest magnitude that the source can read [N]; infinite when unknown."""
     filter_delay: float
-    """From the force to its sample [s]."""
+    """Delay from the force to its sample [s]."""
+    uses_ros_time: bool = False
+    """The samples follow the ROS clock, so `use_sim_time` is allowed."""
+    is_unpaced: bool = False
+    """Samples come as fast as they are taken, so the acquisition must wait rather than drop them."""
+    subscriber_timeout: float = 0.0
+    """How long to wait for a subscriber before `start` [s]; 0: start at once."""
 
     def start(self) -> None:
-        """Open it and begin to acquire."""
+        """Open the source and start to acquire at sample 0."""
 
     def read(self, timeout_s: float) -> Reading | None:
-        """Wait for the next block of samples; None when none has come within `timeout_s` [s] or it has ended."""
+        """Return the next block of samples; None when none came within `timeout_s` [s] or the source has ended."""
+
+    def close(self) -> None:
+        """Release everything; a `read` in another thread returns None. May be called at any time, and again."""
 
     @property
     def ended(self) -> bool:
-        """Whether there will be no more: a finite acquisition or a recording is over."""
+        """Whether a finite acquisition or a recording is over."""
+        return False
 
-    def close(self) -> None:
-        """Give everything back; may be called at any time, and again."""
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """One line for each part of a recording that could not be read."""
+        return ()
+
+    @property
+    def waiting_for(self) -> str:
+        """What the next block is waiting for, where the source knows it."""
+        return ""
 
 
-SOURCES: dict[ForceSourceKind | SimScene, str] = {
-    ForceSourceKind.NI9230: "scara_effmass.daq.ni9230:Ni9230",
-    ForceSourceKind.BAG: "scara_effmass.daq.recorded:RecordedForce",
-    SimScene.HALF_SINES: "scara_effmass.daq.simulated:SimulatedForce",
-    SimScene.CELL: "scara_effmass.daq.virtual_cell:VirtualCellForce",
+SOURCES = {
+    ForceSourceKind.NI9230: "scara_effmass.daq.ni9230:Ni9230Source",
+    ForceSourceKind.BAG: "scara_effmass.daq.bag_source:BagSource",
+    ForceSourceKind.SIM: "scara_effmass.daq.sim_source:make_sim_source",
 }
-"""Where each source is; its module, and the driver it needs, is imported when it is chosen."""
+"""Constructor of each source; its module, and the driver it needs, is imported when it is chosen."""
 
 
 def make_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
-    """Return the source that `settings` choose; `now_ns` gives the ROS time. Raises DaqError or SettingsError."""
-    chosen = settings.sim.scene if settings.source is ForceSourceKind.SIM else settings.source
-    module, _, name = SOURCES[chosen].partition(":")
+    """Return the source that `settings` select; `now_ns` returns the ROS time. Raises DaqError or SettingsError."""
+    module, _, name = SOURCES[settings.source].partition(":")
     source: ForceSource = getattr(import_module(module), name)(settings, now_ns)
     return source

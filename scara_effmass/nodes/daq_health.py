@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from scara_effmass.daq.acquisition import Acquisition, AcquisitionStatistics
-    from scara_effmass.daq.channel import ForceChannel, ForceSignal
+    from scara_effmass.daq.conditioning import ForceChannel, SignalConditioner
     from scara_effmass.impacts.detector import Detector
 
 _LEVELS = {
@@ -37,7 +37,7 @@ class DaqHealth:
         self._unmatched.add(line)
 
     def statuses(
-        self, acquisition: Acquisition, signal: ForceSignal, found: Sequence[tuple[Detector, int]]
+        self, acquisition: Acquisition, signal: SignalConditioner, found: Sequence[tuple[Detector, int]]
     ) -> list[DiagnosticStatus]:
         """Return the statuses for one report; `found` is each channel's detector and its number of impacts."""
         source = acquisition.source
@@ -48,7 +48,7 @@ class DaqHealth:
         return statuses
 
     def _source(
-        self, statistics: AcquisitionStatistics, acquisition: Acquisition, signal: ForceSignal
+        self, statistics: AcquisitionStatistics, acquisition: Acquisition, signal: SignalConditioner
     ) -> DiagnosticStatus:
         source = acquisition.source
         level = _LEVELS.get(statistics.state, DiagnosticStatus.STALE)

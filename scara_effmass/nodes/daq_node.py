@@ -17,7 +17,7 @@ from scara_effmass_msgs.msg import ForceBlock, Impact
 from std_srvs.srv import Trigger
 
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
-from scara_effmass.daq.channel import ForceSignal
+from scara_effmass.daq.conditioning import SignalConditioner
 from scara_effmass.daq.source import make_source
 from scara_effmass.errors import DaqError, EffmassError, SettingsError
 from scara_effmass.impacts.detector import Detector
@@ -25,7 +25,7 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.daq_health import DaqHealth
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
-from scara_effmass.settings import READ_ONLY, DaqSettings, FilterKind, ForceSourceKind, SimScene, checked
+from scara_effmass.settings import READ_ONLY, DaqSettings, FilterKind, checked
 from scara_effmass.wire import topics
 from scara_effmass.wire.force import force_block_message, impact_message
 
@@ -78,14 +78,12 @@ class DaqNode(LifecycleBase):
     def configure(self) -> None:
         """Choose the source and create the endpoints. Raises EffmassError."""
         settings = self._settings
-        simulates = settings.source is ForceSourceKind.SIM and settings.sim.scene is SimScene.CELL
-        on_ros_time = simulates or settings.source is ForceSourceKind.BAG
-        if self.get_parameter("use_sim_time").value and not on_ros_time:
-            kind = settings.source.value
-            raise SettingsError(f"{self.get_name()}: use_sim_time = true: {kind} measures now; false would be right")
-        if settings.filter.kind is not FilterKind.NONE:
-            import_module("scara_effmass.daq.lowpass")  # takes seconds the first time: now, not while samples come
         self._source: ForceSource = make_source(settings, self._now_ns)
+        if self.get_parameter("use_sim_time").value and not self._source.uses_ros_time:
+            kind = settings.source.value
+            raise SettingsError(f"{self.get_name()}: use_sim_time = true: must be false, {kind} measures in real time")
+        if settings.filter.kind is not FilterKind.NONE:
+            import_module("scara_effmass.daq.lowpass")  # takes seconds; load it before samples come
         self._health = DaqHealth(self.get_name())
         for number, name in enumerate(self._source.channels):
             below = f"/{name}" if number else ""
@@ -105,22 +103,22 @@ class DaqNode(LifecycleBase):
     def activate(self) -> None:
         """Start to acquire. Raises DaqError, BagError or SettingsError."""
         source = self._source
-        if self._settings.source is ForceSourceKind.BAG:
+        if source.subscriber_timeout:
             self._await_subscriber()
         acquisition = Acquisition(source, self._settings, self._wake)
         acquisition.start()
         self._acquisition = acquisition
-        self._signal = ForceSignal(source, self._settings)
+        self._signal = SignalConditioner(source, self._settings)
         for output in self._outputs:
             output.begin()
         coerced = "" if source.sample_rate == source.requested_rate else f", {source.requested_rate:.9g} was asked for"
         self.get_logger().info(f"acquiring {source.description} at {source.sample_rate:.9g} Hz{coerced}")
 
     def _await_subscriber(self) -> None:
-        """Wait a while until somebody listens: what a recording holds is published once. Raises EffmassError."""
-        self._source.start()  # what cannot be read is said at once
+        """Wait for a subscriber: a recording is published once. Raises EffmassError."""
+        self._source.start()  # reports at once what cannot be read
         self._source.close()
-        deadline = time.monotonic() + self._settings.bag.subscriber_timeout
+        deadline = time.monotonic() + self._source.subscriber_timeout
         while not any(output.is_heard for output in self._outputs):
             if time.monotonic() > deadline:
                 self.get_logger().warning(f"nobody listens to {self._source.description}")

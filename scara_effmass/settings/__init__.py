@@ -15,6 +15,7 @@ from scara_effmass.settings.daq import (
     Stamps,
     TareSettings,
 )
+from scara_effmass.settings.importing import ImportSettings
 from scara_effmass.settings.loading import READ_ONLY, checked, load_settings
 from scara_effmass.settings.monitor import ContactType, MassModel, MonitorSettings
 from scara_effmass.settings.validator import CriterionSettings, ValidatorSettings
@@ -30,6 +31,7 @@ __all__ = [
     "FilterKind",
     "FilterSettings",
     "ForceSourceKind",
+    "ImportSettings",
     "MassModel",
     "MonitorSettings",
     "Ni9230Settings",

@@ -12,7 +12,7 @@ import pytest
 
 from scara_effmass.cli import main
 from scara_effmass.daq import ni_driver
-from scara_effmass.daq.ni9230 import Ni9230
+from scara_effmass.daq.ni9230 import Ni9230Source
 from scara_effmass.errors import DriverMissingError
 from scara_effmass.settings import DaqSettings
 from scara_effmass.share import share
@@ -145,7 +145,7 @@ def test_no_driver_is_worth_a_note_in_the_words_of_the_source(capsys: pytest.Cap
     code, result = examined(capsys)
     assert code == 0
     with pytest.raises(DriverMissingError) as missing:
-        Ni9230(DaqSettings(), lambda: 0).start()
+        Ni9230Source(DaqSettings(), lambda: 0).start()
     assert texts(result, "note")["NI-DAQmx"] == str(missing.value)
     assert "ni9230.channels" not in texts(result, "note")
 
@@ -183,7 +183,7 @@ def test_a_channel_that_is_not_there_is_worth_a_note(
 def test_devices_that_are_no_hardware_or_do_not_answer(
     driver: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    driver.setattr(ni_driver, "devices", lambda: (MODULE._replace(simulated=True), DEVICES[0]._replace(trouble="gone")))
+    driver.setattr(ni_driver, "devices", lambda: (MODULE._replace(simulated=True), DEVICES[0]._replace(problem="gone")))
     _, result = examined(capsys)
     notes = texts(result, "note")
     assert "simulated by its driver" in notes["cDAQ1Mod1"]

@@ -79,7 +79,7 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
         self.simulated = False
         self.reserved = False
         self.overloaded: set[str] = set()
-        self.tells_overload = True
+        self.detects_overload = True
         self.overload_questions = 0
         self.filter_delay: tuple[float, DigitalWidthUnits] | None = None
         self.limit_told = True
@@ -336,7 +336,7 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
         assert attribute == 0x2174
         self._known(task)
         self.overload_questions += 1
-        if not self.tells_overload:
+        if not self.detects_overload:
             raise error(-200452)
         self._overloads_asked = True
         return bool(self.overloaded)

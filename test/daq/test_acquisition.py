@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from nptdms import ChannelObject, TdmsWriter
 
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
-from scara_effmass.daq.simulated import SimulatedForce
-from scara_effmass.daq.source import Reading, Unit, make_source
+from scara_effmass.daq.sim_source import HalfSineSource
+from scara_effmass.daq.source import ForceSource, Reading, make_source
 from scara_effmass.errors import DaqError, DeviceLostError, DeviceMissingError, OverrunError
 from scara_effmass.settings import BagSettings, DaqSettings, ForceSourceKind, Ni9230Settings, Stamps
+from test.daq.force_bag import force_block, write_blocks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -31,13 +31,12 @@ SETTINGS = DaqSettings(backlog=0.5, ni9230=Ni9230Settings(retry_time=0.001))
 WAIT_S = 120.0
 
 
-class Scripted:
+class Scripted(ForceSource):
     """A source that does one step of its script per read: samples of a count, a fault, or a call while it reads.
 
     Its steady clock goes on with its samples. At the end of the script it waits to be closed, or has ended.
     """
 
-    unit = Unit.NEWTON
     simulated = True
     description = "a script"
     requested_rate = RATE
@@ -54,15 +53,29 @@ class Scripted:
     ) -> None:
         self.channels: tuple[str, ...] = ("a", "b")
         self.sample_rate = RATE
+        self.awaited_time = ""
+        self.scripted_losses: tuple[str, ...] = ()
         self.script = deque(script)
         self.starts = deque(starts)
         self.calls: list[str] = []
         self.steady_ns = 5 * NS
-        self.ended = False
+        self.has_ended = False
         self.idle = threading.Event()
         self._ends, self._stamped = ends, stamped
         self._closed = threading.Event()
         self._next = 0
+
+    @property
+    def ended(self) -> bool:
+        return self.has_ended
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        return self.scripted_losses
+
+    @property
+    def waiting_for(self) -> str:
+        return self.awaited_time
 
     def start(self) -> None:
         self.calls.append("start")
@@ -86,7 +99,7 @@ class Scripted:
             assert isinstance(step, tuple)
             lost, count = step
             return self._reading(lost, count)
-        self.ended = self._ends
+        self.has_ended = self._ends
         self.idle.set()
         if not self._ends:
             self._closed.wait(WAIT_S)
@@ -217,8 +230,9 @@ def test_a_reading_longer_than_the_backlog_still_finds_room_when_nothing_waits()
 
 
 def test_a_recording_played_as_fast_as_possible_waits_for_room() -> None:
-    settings = SETTINGS.model_copy(update={"source": ForceSourceKind.BAG, "bag": BagSettings(rate=0.0)})
-    made, bell = acquisition(Scripted([(0, BLOCK)] * 50, stamped=True), settings)
+    source = Scripted([(0, BLOCK)] * 50, stamped=True)
+    source.is_unpaced = True
+    made, bell = acquisition(source)
     made.start()
     taken: list[Reading] = []
     while not made.ended:
@@ -230,8 +244,9 @@ def test_a_recording_played_as_fast_as_possible_waits_for_room() -> None:
 
 
 def test_waiting_for_room_ends_with_stop() -> None:
-    settings = SETTINGS.model_copy(update={"source": ForceSourceKind.BAG, "bag": BagSettings(rate=0.0)})
-    made, bell = acquisition(Scripted([(0, BLOCK)] * 50), settings)
+    source = Scripted([(0, BLOCK)] * 50)
+    source.is_unpaced = True
+    made, bell = acquisition(source)
     made.start()
     bell.until(lambda: made.statistics().samples_waiting == 500)
     made.stop()
@@ -372,67 +387,40 @@ def test_an_error_of_the_consumers_own_callback_is_not_swallowed() -> None:
     assert isinstance(made.failure, ValueError)
 
 
-def test_no_samples_for_long_is_said() -> None:
+@pytest.mark.parametrize(("awaited_time", "cause"), [("", ""), ("the clock", ": waiting for the clock")])
+def test_missing_samples_make_it_wait(awaited_time: str, cause: str) -> None:
     gate = threading.Event()
     source = Scripted([(0, BLOCK), None, lambda: gate.wait(WAIT_S), (0, BLOCK)])
+    source.awaited_time = awaited_time
     made, bell = acquisition(source)
     made.start()
     bell.until(lambda: made.statistics().state is AcquisitionState.WAITING)
-    assert made.statistics().reason == "no samples within 1.2 s"
+    assert made.statistics().reason == f"no samples within 1.2 s{cause}"
     gate.set()
     bell.until(over(made))
     assert numbers(made.take()) == [(0, 100, 0), (100, 100, 0)]
     made.stop()
 
 
-def test_a_recording_says_what_time_it_waits_for(tmp_path: Path) -> None:
-    path = tmp_path / "cell.csv"
-    path.write_text("t (s),f (N)\n" + "".join(f"{0.1 * n:.1f},{n}\n" for n in range(20)), encoding="utf-8")
-    settings = DaqSettings(source=ForceSourceKind.BAG, block_time=0.1, bag=BagSettings(path=str(path)))
-    now_ns, bell = 500 * NS, Bell()
-    made = Acquisition(make_source(settings, lambda: now_ns), settings, bell)
-    made._timeout_s = 0.01
-    made.start()
-    bell.until(lambda: made.statistics().state is AcquisitionState.WAITING)
+def test_end_of_a_damaged_recording_states_the_losses() -> None:
+    source = Scripted([(0, BLOCK)], stamped=True)
+    source.scripted_losses = ("a.mcap: is cut off", "b.mcap: is cut off")
+    made, _ = all_of(source)
     statistics = made.statistics()
-    made.stop()
-    awaited = "waiting for the clock to reach 500.100 s: it is at 500.000 s"
-    assert (statistics.state.value, statistics.reason) == (
-        "waiting for samples",
-        f"no samples within 0.01 s: {awaited}",
-    )
-
-
-def test_a_recording_that_is_cut_off_ends_with_what_is_missing(tmp_path: Path) -> None:
-    path = tmp_path / "cell.tdms"
-    with TdmsWriter(path) as writer:
-        writer.write_segment([ChannelObject("g", "c", np.arange(100.0), {"wf_increment": 0.01, "unit_string": "N"})])
-    path.write_bytes(path.read_bytes()[:-80])
-    settings = DaqSettings(source=ForceSourceKind.BAG, bag=BagSettings(path=str(path), rate=0.0))
-    made = Acquisition(make_source(settings, lambda: NS), settings, bell := Bell())
-    made.start()
-    bell.until(over(made))
-    assert sum(reading.samples.shape[1] for reading in made.take()) == 90
-    statistics = made.statistics()
-    made.stop()
-    assert statistics.state is AcquisitionState.ENDED
-    assert statistics.reason == f"{path}: is cut off in its last segment; what came there is lost"
+    assert (statistics.state, statistics.reason) == (AcquisitionState.ENDED, "a.mcap: is cut off; b.mcap: is cut off")
     assert made.failure is None
 
 
-def test_the_runs_of_a_recording_that_was_set_back_are_told(tmp_path: Path) -> None:
-    path = tmp_path / "cell.csv"
-    path.write_text("t (s),f (N)\n" + "".join(f"{n / 10:.1f},{n}\n" for n in range(20)), encoding="utf-8")
-    settings = DaqSettings(
-        source=ForceSourceKind.BAG, backlog=9.0, block_time=0.5, bag=BagSettings(path=str(path), stamps=Stamps.NOW)
-    )
+def test_runs_of_a_bag_whose_clock_was_set_back_are_passed_on(tmp_path: Path) -> None:
+    path = write_blocks(tmp_path / "run", (force_block(500 * n, 500) for n in range(4)))
+    settings = DaqSettings(source=ForceSourceKind.BAG, backlog=9.0, bag=BagSettings(path=str(path), stamps=Stamps.NOW))
     times = chain([500 * NS, 501 * NS, 501 * NS, 400 * NS], repeat(410 * NS))
     made = Acquisition(make_source(settings, lambda: next(times)), settings, bell := Bell())
     made.start()
     bell.until(over(made))
     readings = made.take()
     made.stop()
-    assert numbers(readings) == [(5 * n, 5, 0) for n in range(4)]
+    assert numbers(readings) == [(500 * n, 500, 0) for n in range(4)]
     assert [reading.run for reading in readings] == [0, 0, 1, 1]
     assert (made.statistics().reconnects, made.statistics().samples_lost) == (0, 0)
 
@@ -485,7 +473,7 @@ def test_a_source_that_does_not_start_tells_the_caller() -> None:
 def test_it_starts_once() -> None:
     made, _ = acquisition(Scripted([]))
     made.start()
-    with pytest.raises(RuntimeError, match="make a new one"):
+    with pytest.raises(RuntimeError, match="only once"):
         made.start()
     made.stop()
 
@@ -512,7 +500,7 @@ def test_reading_a_recording_has_no_latency() -> None:
 def test_the_simulated_converter_is_read_in_real_time() -> None:
     settings = DaqSettings(source=ForceSourceKind.SIM, block_time=0.005, backlog=600.0)
     bell = Bell()
-    made = Acquisition(SimulatedForce(settings, lambda: 42), settings, bell)
+    made = Acquisition(HalfSineSource(settings, lambda: 42), settings, bell)
     made.start()
     bell.until(lambda: made.statistics().samples_read >= 20 * 64)
     made.stop()

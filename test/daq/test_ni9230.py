@@ -23,9 +23,9 @@ from nidaqmx.constants import (
 )
 from nidaqmx.errors import DaqFunctionNotSupportedError, DaqNotSupportedError
 
-from scara_effmass.daq.ni9230 import Ni9230
+from scara_effmass.daq.ni9230 import Ni9230Source
 from scara_effmass.daq.ni_driver import devices, driver_version
-from scara_effmass.daq.source import Unit, make_source
+from scara_effmass.daq.source import make_source
 from scara_effmass.errors import (
     DaqError,
     DeviceLostError,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from scara_effmass.values import FloatArray
     from test.daq.conftest import NiDevice
 
-    Open = Callable[..., Ni9230]
+    Open = Callable[..., Ni9230Source]
 
 BLOCK = 1280
 
@@ -59,8 +59,8 @@ def make(ni_device: NiDevice) -> Iterator[Open]:
     """Make a source, which is closed at the end."""
     made = []
 
-    def source(**values: object) -> Ni9230:
-        made.append(Ni9230(settings(**values), ni_device.clock))
+    def source(**values: object) -> Ni9230Source:
+        made.append(Ni9230Source(settings(**values), ni_device.clock))
         return made[-1]
 
     yield source
@@ -70,7 +70,7 @@ def make(ni_device: NiDevice) -> Iterator[Open]:
 
 @pytest.fixture
 def started(make: Open) -> Open:
-    def source(**values: object) -> Ni9230:
+    def source(**values: object) -> Ni9230Source:
         made = make(**values)
         made.start()
         return made
@@ -83,13 +83,13 @@ def got(reading: Reading | None) -> Reading:
     return reading
 
 
-def test_it_is_the_default_source(ni_device: NiDevice) -> None:
+def test_ni9230_is_the_default_source(ni_device: NiDevice) -> None:
     source: ForceSource = make_source(DaqSettings(), ni_device.clock)
-    assert isinstance(source, Ni9230)
+    assert isinstance(source, Ni9230Source)
     assert not ni_device.created
 
 
-def test_the_channel_is_set_up_for_the_sensor(ni_device: NiDevice, started: Open) -> None:
+def test_channel_is_configured_for_the_sensor(ni_device: NiDevice, started: Open) -> None:
     started(sensor__sensitivity=2.31, sensor__range=2000.0)
     (channel,) = ni_device.task.channels
     assert channel == {
@@ -109,30 +109,29 @@ def test_the_channel_is_set_up_for_the_sensor(ni_device: NiDevice, started: Open
     assert ni_device.task.samples >= 128_000
 
 
-def test_excitation_can_be_off_and_coupling_direct(ni_device: NiDevice, started: Open) -> None:
+def test_excitation_can_be_off_and_coupling_dc(ni_device: NiDevice, started: Open) -> None:
     started(ni9230__current=0.0, ni9230__coupling="DC")
     (channel,) = ni_device.task.channels
     assert channel["source"] == ExcitationSource.NONE.value
     assert channel["coupling"] == Coupling.DC.value
 
 
-def test_what_is_known_once_it_has_started(started: Open) -> None:
+def test_started_source_knows_the_device(started: Open) -> None:
     source = started()
-    assert source.unit is Unit.NEWTON
     assert source.channels == ("ai0",)
     assert source.simulated is False
     assert source.limit == pytest.approx(30.0 / 2.248e-3)
     assert source.description == "NI 9230 cDAQ1Mod1/ai0, IEPE 4 mA, AC coupling, 2.248 mV/N"
 
 
-def test_a_device_simulated_by_its_driver_is_called_so(ni_device: NiDevice, started: Open) -> None:
+def test_device_simulated_by_the_driver_is_simulated(ni_device: NiDevice, started: Open) -> None:
     ni_device.simulated = True
     source = started()
     assert source.simulated is True
     assert "simulated by its driver" in source.description
 
 
-def test_blocks_follow_each_other(ni_device: NiDevice, started: Open) -> None:
+def test_blocks_are_consecutive(ni_device: NiDevice, started: Open) -> None:
     source = started()
     begin_ns = ni_device.now_ns
     for number in range(5):
@@ -146,7 +145,7 @@ def test_blocks_follow_each_other(ni_device: NiDevice, started: Open) -> None:
     assert not source.ended
 
 
-def test_a_reading_belongs_to_whoever_got_it(started: Open) -> None:
+def test_reading_is_a_read_only_copy(started: Open) -> None:
     source = started()
     first = got(source.read(1.0)).samples
     before = first.copy()
@@ -156,7 +155,7 @@ def test_a_reading_belongs_to_whoever_got_it(started: Open) -> None:
         first[0, 0] = 1.0
 
 
-def test_several_channels_in_one_task(ni_device: NiDevice, started: Open) -> None:
+def test_channels_share_one_task(ni_device: NiDevice, started: Open) -> None:
     source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai2"))
     assert source.channels == ("ai0", "ai2")
     assert len(ni_device.created) == 1
@@ -165,7 +164,7 @@ def test_several_channels_in_one_task(ni_device: NiDevice, started: Open) -> Non
     np.testing.assert_array_equal(samples, np.arange(BLOCK) + 1e6 * np.arange(2)[:, np.newaxis])
 
 
-def test_channels_of_one_name_are_told_apart_by_their_device(make: Open) -> None:
+def test_channels_with_one_name_include_their_device(make: Open) -> None:
     source = make(ni9230__channels=("cDAQ9185-1Mod1/ai0", "cDAQ9185-1Mod2/ai0"))
     assert source.channels == ("cDAQ9185_1Mod1_ai0", "cDAQ9185_1Mod2_ai0")
 
@@ -173,13 +172,13 @@ def test_channels_of_one_name_are_told_apart_by_their_device(make: Open) -> None
 @pytest.mark.parametrize(
     "names", [(), ("ai0",), ("cDAQ1Mod1/ai0:2",), ("cDAQ1Mod1/ai0, cDAQ1Mod1/ai1",), ("a/ai0", "A/ai0")]
 )
-def test_channels_that_cannot_be_meant_are_refused(names: tuple[str, ...]) -> None:
-    with pytest.raises(SettingsError, match=r"^test: ni9230\.channels = .* would be right$"):
+def test_invalid_channels_are_refused(names: tuple[str, ...]) -> None:
+    with pytest.raises(SettingsError, match=r"^test: ni9230\.channels = .*: must .*$"):
         settings(ni9230__channels=names)
 
 
 @pytest.mark.parametrize(("asked", "real"), [(12_800.0, 12_800.0), (5_000.0, 6_400.0), (10_000.0, 12_800.0)])
-def test_the_rate_of_the_device_counts(asked: float, real: float, started: Open, ni_device: NiDevice) -> None:
+def test_sample_rate_is_that_of_the_device(asked: float, real: float, started: Open, ni_device: NiDevice) -> None:
     source = started(ni9230__sample_rate=asked)
     assert source.requested_rate == asked
     assert source.sample_rate == real
@@ -200,19 +199,19 @@ def test_the_rate_of_the_device_counts(asked: float, real: float, started: Open,
         (None, 34.0 / 12_800.0),
     ],
 )
-def test_the_filter_delay_is_asked_for(
+def test_filter_delay_is_that_of_the_driver_or_the_settings(
     told: tuple[float, Any] | None, expected: float, ni_device: NiDevice, started: Open
 ) -> None:
     ni_device.filter_delay = told
     assert started(ni9230__filter_delay_samples=34.0).filter_delay == pytest.approx(expected)
 
 
-def test_a_limit_that_is_not_told_is_unknown(ni_device: NiDevice, started: Open) -> None:
+def test_unknown_limit_is_infinite(ni_device: NiDevice, started: Open) -> None:
     ni_device.limit_told = False
     assert started().limit == math.inf
 
 
-def test_a_finite_acquisition_ends(ni_device: NiDevice, started: Open) -> None:
+def test_finite_acquisition_ends(ni_device: NiDevice, started: Open) -> None:
     source = started(ni9230__samples=10_000, ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1"))
     assert ni_device.task.finite
     begin_ns = ni_device.now_ns
@@ -228,7 +227,7 @@ def test_a_finite_acquisition_ends(ni_device: NiDevice, started: Open) -> None:
     assert (again.first_sample, source.ended) == (0, False)
 
 
-def test_what_came_before_a_timeout_is_kept(ni_device: NiDevice, started: Open) -> None:
+def test_samples_before_a_timeout_are_kept(ni_device: NiDevice, started: Open) -> None:
     source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1", "cDAQ1Mod1/ai2"))
     parts: list[FloatArray] = []
     begin_ns = ni_device.now_ns
@@ -249,7 +248,7 @@ def test_what_came_before_a_timeout_is_kept(ni_device: NiDevice, started: Open) 
     calls=st.lists(st.tuples(st.floats(0.0, 0.3), st.floats(0.0, 0.4)), max_size=20),
 )
 @hypothesis.settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
-def test_whatever_the_timeouts_each_sample_comes_once_and_in_order(
+def test_each_sample_is_read_once_and_in_order_with_any_timeouts(
     channels: int, finite: int, calls: list[tuple[float, float]], ni_device: NiDevice, make: Open
 ) -> None:
     names = tuple(f"cDAQ1Mod1/ai{number}" for number in range(channels))
@@ -268,18 +267,18 @@ def test_whatever_the_timeouts_each_sample_comes_once_and_in_order(
     source.close()
 
 
-def test_nothing_within_the_timeout_is_no_reading(started: Open) -> None:
+def test_timeout_without_samples_is_no_reading(started: Open) -> None:
     assert started().read(0.0) is None
 
 
-def test_reading_late_loses_nothing_while_the_buffer_lasts(ni_device: NiDevice, started: Open) -> None:
+def test_late_read_within_the_buffer_loses_nothing(ni_device: NiDevice, started: Open) -> None:
     source = started()
     ni_device.advance(9.9)
     assert got(source.read(0.0)).first_sample == 0
     assert got(source.read(0.0)).first_sample == BLOCK
 
 
-def test_reading_too_late_is_an_overrun_with_its_count(ni_device: NiDevice, started: Open) -> None:
+def test_read_after_the_buffer_is_an_overrun_with_its_count(ni_device: NiDevice, started: Open) -> None:
     source = started()
     source.read(1.0)
     ni_device.advance(20.0)
@@ -291,7 +290,7 @@ def test_reading_too_late_is_an_overrun_with_its_count(ni_device: NiDevice, star
 
 
 @pytest.mark.parametrize("code", [-200279, -200010, -200361, -200222])
-def test_samples_that_come_with_an_error_are_handed_on_before_it(code: int, ni_device: NiDevice, started: Open) -> None:
+def test_samples_before_an_error_are_returned_first(code: int, ni_device: NiDevice, started: Open) -> None:
     source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1"))
     ni_device.advance(1.0)
     ni_device.fail("read_analog_f64", code, samples=100)
@@ -301,11 +300,11 @@ def test_samples_that_come_with_an_error_are_handed_on_before_it(code: int, ni_d
             source.read(1.0)
 
 
-def test_an_unplugged_device_is_lost_and_comes_back(ni_device: NiDevice, started: Open) -> None:
+def test_unplugged_device_is_lost_and_comes_back(ni_device: NiDevice, started: Open) -> None:
     source = started()
     source.read(1.0)
     ni_device.unplug()
-    with pytest.raises(DeviceLostError, match="is it plugged in") as lost:
+    with pytest.raises(DeviceLostError, match="was disconnected; check cable and power") as lost:
         source.read(1.0)
     assert str(lost.value).startswith("ni9230.channels = cDAQ1Mod1/ai0: ")
     source.close()
@@ -318,7 +317,7 @@ def test_an_unplugged_device_is_lost_and_comes_back(ni_device: NiDevice, started
     assert got(source.read(1.0)).first_sample == 0
 
 
-def test_a_device_that_the_driver_forgot_is_lost_too(ni_device: NiDevice, started: Open) -> None:
+def test_device_unknown_to_the_driver_after_start_is_lost(ni_device: NiDevice, started: Open) -> None:
     source = started()
     ni_device.unplug(forget=True)
     with pytest.raises(DeviceLostError):
@@ -329,14 +328,14 @@ def test_a_device_that_the_driver_forgot_is_lost_too(ni_device: NiDevice, starte
     source.start()
 
 
-def test_a_device_that_never_was_there_is_missing(ni_device: NiDevice, make: Open) -> None:
+def test_device_that_was_never_connected_is_missing(ni_device: NiDevice, make: Open) -> None:
     ni_device.unplug()
-    with pytest.raises(DeviceMissingError, match="plug it in"):
+    with pytest.raises(DeviceMissingError, match="does not answer; connect and power it"):
         make().start()
 
 
 @pytest.mark.parametrize("code", [-88709, -88710, -200088, -50405])
-def test_a_reset_device_is_lost(code: int, ni_device: NiDevice, started: Open) -> None:
+def test_reset_device_is_lost(code: int, ni_device: NiDevice, started: Open) -> None:
     source = started()
     ni_device.fail("read_analog_f64", code)
     with pytest.raises(DeviceLostError, match="was reset"):
@@ -345,7 +344,7 @@ def test_a_reset_device_is_lost(code: int, ni_device: NiDevice, started: Open) -
     assert got(source.read(1.0)).first_sample == 0
 
 
-def test_a_reset_by_another_program_is_survived(ni_device: NiDevice, started: Open) -> None:
+def test_source_restarts_after_a_reset_by_another_program(ni_device: NiDevice, started: Open) -> None:
     source = started()
     ni_device.reset()
     with pytest.raises(DeviceLostError, match="was reset"):
@@ -354,10 +353,10 @@ def test_a_reset_by_another_program_is_survived(ni_device: NiDevice, started: Op
     assert got(source.read(1.0)).first_sample == 0
 
 
-def test_a_reserved_device(ni_device: NiDevice, make: Open) -> None:
+def test_reserved_device_is_refused_until_it_is_free(ni_device: NiDevice, make: Open) -> None:
     ni_device.reserved = True
     source = make()
-    with pytest.raises(DeviceReservedError, match="another program holds the device"):
+    with pytest.raises(DeviceReservedError, match="another program uses the device"):
         source.start()
     ni_device.reserved = False
     source.start()
@@ -373,7 +372,7 @@ def test_a_reserved_device(ni_device: NiDevice, make: Open) -> None:
         ({"ni9230__sample_rate": 20_000.0}, "Requested Value:  20.0e3; Maximum Value:  12.8e3)"),
     ],
 )
-def test_what_the_device_cannot_do_is_named(values: dict[str, object], advice: str, make: Open) -> None:
+def test_unsupported_setting_is_named(values: dict[str, object], advice: str, make: Open) -> None:
     with pytest.raises(DeviceMissingError, match=re.escape(advice)):
         make(**values).start()
 
@@ -392,7 +391,7 @@ def test_what_the_device_cannot_do_is_named(values: dict[str, object], advice: s
     ],
 )
 @pytest.mark.parametrize("call", ["create_ai_force_iepe_chan", "start_task"])
-def test_every_error_at_the_start_is_one_line(
+def test_error_at_the_start_is_one_line(
     call: str, code: int, kind: type[DaqError], ni_device: NiDevice, make: Open
 ) -> None:
     ni_device.fail(call, code)
@@ -405,10 +404,10 @@ def test_every_error_at_the_start_is_one_line(
     source.start()
 
 
-def test_an_error_that_nobody_knows_says_what_the_driver_says(ni_device: NiDevice, started: Open) -> None:
+def test_unknown_error_states_the_message_of_the_driver(ni_device: NiDevice, started: Open) -> None:
     source = started()
     ni_device.fail("read_analog_f64", -209999)
-    with pytest.raises(DaqError, match=r"look this code up .* \(NI-DAQmx -209999: Something that nobody has heard of"):
+    with pytest.raises(DaqError, match=r"see this code .* \(NI-DAQmx -209999: Something that nobody has heard of"):
         source.read(1.0)
 
 
@@ -424,7 +423,7 @@ def test_overload_marks_the_samples_at_the_limit(ni_device: NiDevice, started: O
     assert got(source.read(1.0)).saturated is None
 
 
-def test_overload_marks_all_when_it_is_not_told_when(ni_device: NiDevice, started: Open) -> None:
+def test_overload_without_samples_at_the_limit_marks_all(ni_device: NiDevice, started: Open) -> None:
     source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1"))
     ni_device.signal = lambda _, numbers: np.zeros(len(numbers))
     ni_device.overloaded = {"cDAQ1Mod1/ai0"}
@@ -433,8 +432,8 @@ def test_overload_marks_all_when_it_is_not_told_when(ni_device: NiDevice, starte
     np.testing.assert_array_equal(marks.sum(axis=1), [BLOCK, 0])
 
 
-def test_a_module_that_cannot_tell_of_overload_still_reads(ni_device: NiDevice, started: Open) -> None:
-    ni_device.tells_overload = False
+def test_module_without_overload_detection_is_read(ni_device: NiDevice, started: Open) -> None:
+    ni_device.detects_overload = False
     source = started()
     for number in range(3):
         reading = got(source.read(1.0))
@@ -443,7 +442,7 @@ def test_a_module_that_cannot_tell_of_overload_still_reads(ni_device: NiDevice, 
     assert ni_device.overload_questions == 1
 
 
-def test_close_ends_a_read_that_waits(ni_device: NiDevice, started: Open) -> None:
+def test_close_ends_a_read(ni_device: NiDevice, started: Open) -> None:
     source = started()
     ni_device.blocking = True
     answers: list[Reading | None] = []
@@ -457,7 +456,7 @@ def test_close_ends_a_read_that_waits(ni_device: NiDevice, started: Open) -> Non
     assert not source.ended
 
 
-def test_close_may_come_at_any_time_and_again(ni_device: NiDevice, make: Open) -> None:
+def test_close_is_allowed_at_any_time_and_again(ni_device: NiDevice, make: Open) -> None:
     source = make()
     source.close()
     assert source.read(1.0) is None
@@ -471,7 +470,7 @@ def test_close_may_come_at_any_time_and_again(ni_device: NiDevice, make: Open) -
     assert not ni_device.tasks
 
 
-def test_starting_twice_keeps_one_task(ni_device: NiDevice, started: Open) -> None:
+def test_second_start_keeps_one_task(ni_device: NiDevice, started: Open) -> None:
     source = started()
     source.read(1.0)
     source.start()
@@ -479,49 +478,49 @@ def test_starting_twice_keeps_one_task(ni_device: NiDevice, started: Open) -> No
     assert got(source.read(1.0)).first_sample == 0
 
 
-def test_devices_are_found(ni_device: NiDevice) -> None:
+def test_devices_are_listed(ni_device: NiDevice) -> None:
     assert driver_version() == "24.5.1"
-    found = {device.name: device for device in devices()}
-    assert list(found) == ["cDAQ1", "cDAQ1Mod1", "cDAQ1Mod2"]
-    assert found["cDAQ1"].product == "cDAQ-9174"
-    assert found["cDAQ1Mod1"].channels == ("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1", "cDAQ1Mod1/ai2")
-    assert found["cDAQ1Mod2"].channels == ()
+    names = {device.name: device for device in devices()}
+    assert list(names) == ["cDAQ1", "cDAQ1Mod1", "cDAQ1Mod2"]
+    assert names["cDAQ1"].product == "cDAQ-9174"
+    assert names["cDAQ1Mod1"].channels == ("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1", "cDAQ1Mod1/ai2")
+    assert names["cDAQ1Mod2"].channels == ()
     ni_device.unplug()
-    assert all("does not answer" in device.trouble for device in devices())
+    assert all("does not answer" in device.problem for device in devices())
     ni_device.unplug(forget=True)
     assert devices() == ()
 
 
 @pytest.mark.skipif(find_library("nidaqmx") is not None, reason="NI-DAQmx is installed here")
-@pytest.mark.parametrize("ask", [driver_version, devices, lambda: Ni9230(DaqSettings(), lambda: 0).start()])
-def test_without_the_driver_there_is_one_clear_line(ask: Callable[[], object]) -> None:
+@pytest.mark.parametrize("ask", [driver_version, devices, lambda: Ni9230Source(DaqSettings(), lambda: 0).start()])
+def test_missing_driver_is_stated_in_one_line(ask: Callable[[], object]) -> None:
     with pytest.raises(DriverMissingError) as missing:
         ask()
     assert str(missing.value) == (
-        "the driver NI-DAQmx is not installed: install it from ni.com/downloads, or set source to bag or sim"
+        "the driver NI-DAQmx is not installed; install it from ni.com/downloads, or set source to bag or sim"
     )
 
 
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (OSError("libnidaqmx.so.1: wrong ELF class"), "cannot be used, install it again: libnidaqmx.so.1: wrong"),
+        (OSError("libnidaqmx.so.1: wrong ELF class"), "cannot be used; reinstall it: libnidaqmx.so.1: wrong"),
         (DaqFunctionNotSupportedError("no such function in\nthis version"), "no such function in this version"),
-        (DaqNotSupportedError("darwin"), "does not exist for this system: install"),
+        (DaqNotSupportedError("darwin"), "does not exist for this system; install"),
     ],
 )
-def test_a_driver_that_cannot_be_used_is_missing(error: Exception, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unusable_driver_is_missing(error: Exception, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object, **__: object) -> None:
         raise error
 
     monkeypatch.setattr("nidaqmx.utils._select_interpreter", broken)
-    for ask in (driver_version, devices, Ni9230(DaqSettings(), lambda: 0).start):
+    for ask in (driver_version, devices, Ni9230Source(DaqSettings(), lambda: 0).start):
         with pytest.raises(DriverMissingError, match=words):
             ask()
 
 
 @pytest.mark.parametrize("module", ["nidaqmx", "nidaqmx.stream_readers"])
-def test_without_the_client_the_source_says_so_when_it_is_chosen(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_client_is_stated_when_the_source_is_chosen(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, module, None)
     for ours in ("ni9230", "ni_driver"):
         monkeypatch.delitem(sys.modules, f"scara_effmass.daq.{ours}")

@@ -260,9 +260,9 @@ def test_a_subscriber_that_does_not_listen_costs_the_others_nothing(new_harness:
         ("sensor.sensitivity:=2", "daq: sensor.sensitivity = 2: must be DOUBLE, is INTEGER: write 2.0"),
         ("detection.threshold:=.nan", "daq: detection.threshold = nan: must be 0 to 100000"),
         ("sim.channels:=0", "daq: sim.channels = 0: Input should be greater than or equal to 1"),
-        ("bag.axis:=w", "daq: bag.axis = 'w': String should match pattern"),
-        ("use_sim_time:=true", "daq: use_sim_time = true: ni9230 measures now; false would be right"),
-        ("block_time:=0.1", "the driver NI-DAQmx is not installed: install it from ni.com/downloads"),
+        ("bag.stamps:=then", "daq: bag.stamps = 'then': Input should be 'recorded' or 'now'"),
+        ("use_sim_time:=true", "daq: use_sim_time = true: must be false, ni9230 measures in real time"),
+        ("block_time:=0.1", "the driver NI-DAQmx is not installed; install it from ni.com/downloads"),
     ],
 )
 def test_what_it_cannot_use_is_named_in_one_line(refusal_of: Callable[..., str], argument: str, line: str) -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.daq.clock import JUMP_S, LATE_S, SETTLED_READS, ClockFit
+from scara_effmass.daq.clock_fit import JUMP_S, LATE_S, SETTLED_READS, ClockFit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

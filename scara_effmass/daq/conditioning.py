@@ -1,4 +1,4 @@
-"""From what a source reads to blocks of newtons with a time."""
+"""Condition the signal of a force source: sign, filter, tare, stamps and saturation, as ForceBlocks."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scara_effmass.daq.clock import ClockFit
-from scara_effmass.daq.source import Unit
+from scara_effmass.daq.clock_fit import ClockFit
 from scara_effmass.daq.tare import Tare
 from scara_effmass.settings import FilterKind
 from scara_effmass.values import ForceBlock
@@ -23,76 +22,71 @@ if TYPE_CHECKING:
     from scara_effmass.settings import DaqSettings
     from scara_effmass.values import BoolArray, FloatArray
 
+NS = 1e9
 RANGE_TOLERANCE = 1e-3
-"""A sample is at the end of the range so much below it: the last codes of a converter are not exactly at its limit."""
-MOST_LOST = 2**32 - 1
-"""What `ForceBlock.lost_samples` can say."""
+"""Relative distance from the end of the range at which a sample counts as saturated: converter codes end before it."""
+MAX_LOST = 2**32 - 1
+"""Largest value of `ForceBlock.lost_samples`."""
 NO_FORCE: FloatArray = np.empty(0)
 NO_FORCE.flags.writeable = False
 NONE_SATURATED: NDArray[np.uint32] = np.empty(0, np.uint32)
 NONE_SATURATED.flags.writeable = False
 
 
-class ForceSignal:
-    """Turns the readings of one source into blocks of force, for all of its channels.
+class SignalConditioner:
+    """Convert the readings of one source to force blocks of each channel.
 
-    Readings of a device are timed by the `clock` all channels share; recordings bring their own time. The delays of
-    the source's filter and of the low-pass are taken off the stamps and declared.
+    A `ClockFit` stamps the readings of a device, the same for all channels; recordings have stamps. The delays of the
+    source and of the low-pass are subtracted from the stamps and stated in the blocks.
     """
 
     def __init__(self, source: ForceSource, settings: DaqSettings) -> None:
-        """Expect readings of `source`, which has been started. Raises SettingsError when it cannot be filtered so."""
-        volts = source.unit is Unit.VOLT
-        newton_per_unit = 1e3 / settings.sensor.sensitivity if volts else 1.0
-        self._limit = min(source.limit * newton_per_unit, settings.sensor.range) * (1.0 - RANGE_TOLERANCE)
+        """Expect readings of `source`, which has been started. Raises SettingsError if the filter does not fit."""
         self._source = source
-        self._scale = -newton_per_unit if settings.sensor.invert else newton_per_unit
+        self._limit = min(source.limit, settings.sensor.range) * (1.0 - RANGE_TOLERANCE)
+        self._sign = -1.0 if settings.sensor.invert else 1.0
         self._uncertainty = 0.0 if source.simulated else settings.sensor.sensitivity_uncertainty
-        self._volts = volts
         self._end: int | None = None
         self._run = 0
         self.clock = ClockFit(source.sample_rate)
-        """Of no use for recordings."""
+        """Unused for recordings."""
         self.channels = tuple(
-            # Each sensor has a place of its own; the first has the frame that was set.
-            ForceChannel(name, f"{settings.frame_id}_{name}" if i else settings.frame_id, settings, source)
-            for i, name in enumerate(source.channels)
+            # Each sensor has a place of its own; the first one has the frame of the settings.
+            ForceChannel(name, f"{settings.frame_id}_{name}" if number else settings.frame_id, settings, source)
+            for number, name in enumerate(source.channels)
         )
 
     @property
     def taring(self) -> bool:
-        """Whether a tare is under way in any channel."""
+        """Whether a tare is in progress in any channel."""
         return any(channel.taring for channel in self.channels)
 
     def begin_tare(self) -> None:
-        """Take the force from now on for zero, once there is enough of it."""
+        """Start a tare of all channels."""
         for channel in self.channels:
             channel.begin_tare()
 
     def blocks(self, reading: Reading) -> list[list[ForceBlock]]:
-        """Return for each channel the blocks in `reading`: one, none, or several around samples that are not finite."""
+        """Return the blocks of each channel: one, or none or several around samples that are not finite."""
         n = reading.samples.shape[1]
         first = reading.first_sample
-        # Numbers that begin anew say nothing about what is missing; the source does.
+        # After a restart of the numbers only the source knows what is missing.
         lost = reading.lost if self._end is None else max(reading.lost, first - self._end)
         self._end = first + n
-        sample_rate = self._source.sample_rate
-        residual = reading.clock_residual
-        uncertainty = self._uncertainty
+        sample_rate, residual = self._source.sample_rate, reading.clock_residual
         if reading.stamp_ns is not None:
             stamp_ns = reading.stamp_ns
-            uncertainty = uncertainty if self._volts else 0.0  # nobody knows what sensor recorded the newtons
         elif n:
             if reading.run != self._run:
                 self._run = reading.run
                 self.clock.reset()
             self.clock.update(self._end, reading.read_ns)
-            stamp_ns = self.clock.stamp_ns(first) - round(self._source.filter_delay * 1e9)
-            sample_rate = self.clock.sample_rate
-            residual = self.clock.residual
+            stamp_ns = self.clock.stamp_ns(first) - round(self._source.filter_delay * NS)
+            sample_rate, residual = self.clock.sample_rate, self.clock.residual
         else:
             stamp_ns = reading.read_ns
-        force = reading.samples * self._scale
+        force = reading.samples * self._sign
+        stated = reading.relative_uncertainty
         common = ForceBlock(
             stamp_ns=stamp_ns,
             frame_id="",
@@ -107,25 +101,25 @@ class ForceSignal:
             simulated=self._source.simulated,
             tare=0.0,
             tare_stamp_ns=0,
-            relative_uncertainty=uncertainty,
+            relative_uncertainty=self._uncertainty if stated is None else stated,
         )
-        beyond: Sequence[BoolArray | None] = [None] * len(self.channels)
-        # False with NaN, too, so this one comparison tells the usual case.
+        saturated: Sequence[BoolArray | None] = [None] * len(self.channels)
+        # The comparison is False with NaN, too, so it alone covers the usual case.
         if reading.saturated is not None or not (n and -self._limit < force.min() and force.max() < self._limit):
-            marked = np.abs(force) >= self._limit
-            beyond = list(marked if reading.saturated is None else marked | reading.saturated)
+            beyond = np.abs(force) >= self._limit
+            saturated = list(beyond if reading.saturated is None else beyond | reading.saturated)
         return [
-            list(channel.blocks(common, row, saturated))
-            for channel, row, saturated in zip(self.channels, force, beyond, strict=True)
+            list(channel.blocks(common, row, marks))
+            for channel, row, marks in zip(self.channels, force, saturated, strict=True)
         ]
 
 
 class ForceChannel:
-    """One channel: its low-pass, its tare, and what became of its samples so far.
+    """Filter and tare the samples of one channel, and count them.
 
-    Nothing is held back: until the first tare is complete, blocks carry a tare of 0 with a stamp of 0, and a new tare
-    holds from the next reading on. That is a step in the force, but none in force plus tare, which is what the sensor
-    read. A tare that is refused leaves things as they were, with the reason in `tare_problem`.
+    Blocks are never held back: before the first tare is complete they state a tare of 0 with the stamp 0, and a new
+    tare applies from the next reading on. Force plus tare, which the sensor read, has no step there. A refused tare
+    changes nothing and sets `tare_problem`.
     """
 
     def __init__(self, name: str, frame_id: str, settings: DaqSettings, source: ForceSource) -> None:
@@ -133,23 +127,24 @@ class ForceChannel:
         self.name = name
         self.frame_id = frame_id
         self.samples = 0
-        """published so far"""
+        """Published samples."""
         self.saturated = 0
-        """of those"""
+        """Published samples that are saturated."""
         self.tare = 0.0
         """[N]"""
         self.tare_stamp_ns = 0
         self.tare_problem = ""
-        """why the latest tare was refused; empty when it was not"""
+        """Why the latest tare was refused; empty otherwise."""
         self._settings = settings
         self._sample_rate = source.sample_rate
         self._lowpass = _lowpass(settings, source.sample_rate)
         self._memory = self._lowpass.memory if self._lowpass else 0
         self.lowpass_delay = self._lowpass.delay / source.sample_rate if self._lowpass else 0.0
-        """[s], taken off the stamps"""
+        """[s], subtracted from the stamps."""
         self._next: int | None = None
         self._lost = 0
         self._missing = 0
+        """Lost samples that the next block will state."""
         self._since_saturated = self._memory + 1
         self._tare: Tare | None = None
         if settings.tare.at_start:
@@ -157,48 +152,50 @@ class ForceChannel:
 
     @property
     def lost(self) -> int:
-        """Samples that never came, or were not finite."""
+        """Samples that never came or were not finite."""
         return self._lost + self._missing
 
     @property
     def taring(self) -> bool:
-        """Whether a tare is under way."""
+        """Whether a tare is in progress."""
         return self._tare is not None
 
     def begin_tare(self) -> None:
-        """Take the force from now on for zero, once there is enough of it."""
+        """Start a tare."""
         self._tare = Tare(self._settings.tare, self._sample_rate)
         self.tare_problem = ""
 
-    def blocks(self, reading: ForceBlock, force: FloatArray, saturated: BoolArray | None) -> Iterator[ForceBlock]:
-        """Cut one reading into finished blocks.
+    def blocks(self, common: ForceBlock, force: FloatArray, saturated: BoolArray | None) -> Iterator[ForceBlock]:
+        """Yield the finished blocks of one reading.
 
-        `reading` has what is the same for all channels, `force` (n,) is in [N] as the sensor gave it, `saturated` (n,)
-        marks samples at the end of the range; None when there is none, and none that is not finite.
+        `common` holds the fields that all channels share. `force` (n,) is in [N] as the sensor measured it.
+        `saturated` (n,) marks samples at the end of the range; None if all samples are finite and none is marked.
         """
-        self._missing += reading.lost_samples
+        self._missing += common.lost_samples
         end = 0
         for start, stop in [(0, force.size)] if saturated is None else _finite_runs(force):
             self._missing += start - end
-            yield self._block(reading, start, force[start:stop], None if saturated is None else saturated[start:stop])
+            yield self._block(common, start, force[start:stop], None if saturated is None else saturated[start:stop])
             end = stop
         self._missing += force.size - end
 
-    def _block(self, reading: ForceBlock, start: int, force: FloatArray, saturated: BoolArray | None) -> ForceBlock:
-        first = reading.first_sample + start
+    def _block(self, common: ForceBlock, start: int, force: FloatArray, saturated: BoolArray | None) -> ForceBlock:
+        first = common.first_sample + start
         if self._missing or first != self._next:
-            self._forget()
+            self._since_saturated = self._memory + 1
+            if self._lowpass:
+                self._lowpass.reset()
         if self._lowpass:
             force = self._lowpass(force)
-        marks = self._marks(saturated, force.size)
-        block = reading._replace(
+        marks = self._influenced(saturated, force.size)
+        block = common._replace(
             frame_id=self.frame_id,
-            stamp_ns=reading.stamp_ns + round((start / reading.sample_rate - self.lowpass_delay) * 1e9),
+            stamp_ns=common.stamp_ns + round((start / common.sample_rate - self.lowpass_delay) * NS),
             first_sample=first,
             force=force - self.tare,
-            lost_samples=min(self._missing, MOST_LOST),
+            lost_samples=min(self._missing, MAX_LOST),
             saturated_samples=marks,
-            filter_delay=reading.filter_delay + self.lowpass_delay,
+            filter_delay=common.filter_delay + self.lowpass_delay,
             tare=self.tare,
             tare_stamp_ns=self.tare_stamp_ns,
         )
@@ -209,16 +206,11 @@ class ForceChannel:
         self._missing = 0
         self._next = first + force.size
         if self._tare:
-            self._go_on_taring(self._tare, force, block)
+            self._continue_tare(self._tare, force, block)
         return block
 
-    def _forget(self) -> None:
-        self._since_saturated = self._memory + 1
-        if self._lowpass:
-            self._lowpass.reset()
-
-    def _marks(self, saturated: BoolArray | None, n: int) -> NDArray[np.uint32]:
-        """Return the indices of the outputs that a saturated sample has influenced."""
+    def _influenced(self, saturated: BoolArray | None, n: int) -> NDArray[np.uint32]:
+        """Return the indices of the outputs that a saturated sample influences through the low-pass."""
         if saturated is None and self._since_saturated > self._memory:
             return NONE_SATURATED
         index = np.arange(n)
@@ -230,7 +222,7 @@ class ForceChannel:
         marks.flags.writeable = False
         return marks
 
-    def _go_on_taring(self, tare: Tare, force: FloatArray, block: ForceBlock) -> None:
+    def _continue_tare(self, tare: Tare, force: FloatArray, block: ForceBlock) -> None:
         tare.add(force, block.saturated_samples)
         if not tare.done:
             return
@@ -240,19 +232,19 @@ class ForceChannel:
             self.tare_problem = result
         else:
             self.tare = result
-            self.tare_stamp_ns = block.stamp_ns + round((force.size - 1) / block.sample_rate * 1e9)
+            self.tare_stamp_ns = block.stamp_ns + round((force.size - 1) / block.sample_rate * NS)
 
 
 def _lowpass(settings: DaqSettings, sample_rate: float) -> Lowpass | None:
     if settings.filter.kind is FilterKind.NONE:
         return None
-    # Its scipy takes a second to load and 80 MB, so only for those who filter.
+    # scipy takes a second and 80 MB to load.
     lowpass: Lowpass = import_module("scara_effmass.daq.lowpass").make_lowpass(settings.filter, sample_rate)
     return lowpass
 
 
 def _finite_runs(force: FloatArray) -> Iterator[tuple[int, int]]:
-    """Yield the bounds of each run of finite samples."""
+    """Yield start and stop of each run of finite samples."""
     finite = np.concatenate(([False], np.isfinite(force), [False]))
     edges = np.flatnonzero(finite[1:] != finite[:-1])
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)

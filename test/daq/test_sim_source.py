@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.daq.simulated import SimulatedForce
-from scara_effmass.daq.source import Unit, make_source
+from scara_effmass.daq.sim_source import HalfSineSource
+from scara_effmass.daq.source import make_source
 from scara_effmass.settings import DaqSettings, ForceSourceKind, SensorSettings, SimSettings, checked
 from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
 
@@ -35,14 +35,14 @@ class Clock:
         return self.ns
 
 
-def started(settings: DaqSettings = SETTINGS) -> tuple[SimulatedForce, Clock]:
+def started(settings: DaqSettings = SETTINGS) -> tuple[HalfSineSource, Clock]:
     clock = Clock()
-    source = SimulatedForce(settings, lambda: NOW_NS, clock)
+    source = HalfSineSource(settings, lambda: NOW_NS, clock)
     source.start()
     return source, clock
 
 
-def block(source: SimulatedForce, timeout_s: float = 0.0) -> Reading:
+def block(source: HalfSineSource, timeout_s: float = 0.0) -> Reading:
     reading = source.read(timeout_s)
     assert reading is not None
     return reading
@@ -55,10 +55,9 @@ def test_former_name_of_source_and_group_is_accepted() -> None:
 
 def test_sim_source_declares_that_it_is_simulated() -> None:
     source = make_source(SETTINGS, lambda: 0)
-    assert isinstance(source, SimulatedForce)
+    assert isinstance(source, HalfSineSource)
     assert source.simulated
     assert "simulated" in source.description
-    assert source.unit is Unit.NEWTON
     assert source.channels == ("sim0", "sim1")
     assert source.sample_rate == source.requested_rate == 12_800.0
     assert source.filter_delay == 0.0
@@ -122,7 +121,7 @@ def test_the_time_of_reading_is_ros_time() -> None:
 
 
 def test_it_waits_for_the_block_in_real_time() -> None:
-    source = SimulatedForce(
+    source = HalfSineSource(
         DaqSettings(source=ForceSourceKind.SIM, block_time=0.01, sim=SimSettings(clock_error=0.0)), lambda: NOW_NS
     )
     before = time.monotonic()

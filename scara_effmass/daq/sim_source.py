@@ -1,36 +1,53 @@
-"""The source `sim`: simulated force at the pace of a converter that has a clock of its own."""
+"""The source `sim`: simulated force at the pace of a converter with a clock of its own."""
 
 from __future__ import annotations
 
 import threading
 import time
+from importlib import import_module
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from scara_effmass.daq.source import Reading, Unit
+from scara_effmass.daq.source import ForceSource, Reading
+from scara_effmass.settings import SimScene
 from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from scara_effmass.settings import DaqSettings
+    from scara_effmass.values import FloatArray
 
 NS = 1_000_000_000
 
 
-@final
-class SimulatedForce:
-    """Noise and half-sine impacts, a block each `block_time`; see `ForceSource`.
+def make_sim_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
+    """Return the source of the scene `settings.sim.scene`."""
+    if settings.sim.scene is SimScene.HALF_SINES:
+        return HalfSineSource(settings, now_ns)
+    # MuJoCo, only for the scene that needs it
+    source: ForceSource = import_module("scara_effmass.daq.sim_cell_source").SimCellSource(settings, now_ns)
+    return source
 
-    It keeps the pace on steady time, whatever ROS time does, and the simulated converter's clock is off that by
-    `sim.clock_error`. A block that is not fetched in time waits, and so do those after it: nothing is ever lost.
+
+def simulated_reading(first: int, samples: FloatArray, limit: float, now_ns: int) -> Reading:
+    """Return a reading of `samples` (channels, n), read-only, with those at the limit [N] marked."""
+    saturated = np.abs(samples) >= limit
+    saturated.flags.writeable = False
+    return Reading(first, samples, 0, now_ns, saturated=saturated if saturated.any() else None)
+
+
+@final
+class HalfSineSource(ForceSource):
+    """Noise and half-sine impacts, one block each `block_time`.
+
+    The steady clock sets the pace, whatever ROS time does; the simulated converter deviates from it by
+    `sim.clock_error`. A block that is not read in time waits, and no sample is ever lost.
     """
 
-    unit = Unit.NEWTON
-    simulated = True
     filter_delay = 0.0
-    ended = False
+    simulated = True
 
     def __init__(
         self, settings: DaqSettings, now_ns: Callable[[], int], steady_ns: Callable[[], int] = time.monotonic_ns
@@ -51,7 +68,7 @@ class SimulatedForce:
         self._next = 0
 
     def start(self) -> None:
-        """Make the noise, and begin at sample 0."""
+        """Create the signal, and begin at sample 0."""
         sim = self._settings.sim
         self._signal = SyntheticSignal(
             channels=sim.channels,
@@ -67,7 +84,7 @@ class SimulatedForce:
         self._start_ns = self._steady_ns()
 
     def read(self, timeout_s: float) -> Reading | None:
-        """Return the next block, once its last sample has been taken; None when that takes longer, or it is closed."""
+        """Return the next block after its last sample; None if that takes longer or the source was closed."""
         signal = self._signal
         if signal is None:
             return None
@@ -80,13 +97,11 @@ class SimulatedForce:
         if self._settings.sensor.invert:
             samples = -samples
             samples.flags.writeable = False
-        saturated = np.abs(samples) >= self.limit
-        saturated.flags.writeable = False
-        reading = Reading(self._next, samples, 0, self._now_ns(), saturated=saturated if saturated.any() else None)
+        reading = simulated_reading(self._next, samples, self.limit, self._now_ns())
         self._next = end
         return reading
 
     def close(self) -> None:
-        """End a read that is waiting, and forget the noise."""
+        """End a `read` that waits, and delete the signal."""
         self._closed.set()
         self._signal = None

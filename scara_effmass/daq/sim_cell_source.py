@@ -1,4 +1,4 @@
-"""The source `sim` with the scene `cell`: force from the simulated cell, as it happens."""
+"""The source `sim` with the scene `cell`: force from the simulated cell, live."""
 
 from __future__ import annotations
 
@@ -7,34 +7,35 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from scara_effmass.daq.source import Reading, Unit
+from scara_effmass.daq.sim_source import simulated_reading
+from scara_effmass.daq.source import ForceSource
 from scara_effmass.sim.adc import ForceSensor
 from scara_effmass.sim.live import LiveSettings, LiveSim
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from scara_effmass.daq.source import Reading
     from scara_effmass.settings import DaqSettings
     from scara_effmass.sim.live import LiveOutput
 
 NS = 1_000_000_000
 MS = 1_000_000
-LONGEST_NAP_S = 0.005
-"""ROS time may run at any pace, so it is looked at this often."""
+MAX_POLL_S = 0.005
+"""Longest polling period of the ROS clock, which may run at any pace."""
 
 
 @final
-class VirtualCellForce:
-    """The force that the simulated cell's cart feels, in blocks of `block_time` of ROS time; see `ForceSource`.
+class SimCellSource(ForceSource):
+    """Force on the cart of the simulated cell, in blocks of `block_time` of ROS time.
 
-    The cell's course depends on `sim.seed` and `sim.start` alone: `sim_node` with the same two shows the joint
-    states of the same cell. Each block is computed ahead and handed out when it is due, as a device would.
+    The simulation depends on `sim.seed` and `sim.start` alone: `sim_node` with the same values publishes the joint
+    states of the same cell. Each block is computed ahead and returned when it is due, as by a device.
     """
 
-    unit = Unit.NEWTON
     simulated = True
+    uses_ros_time = True
     channels: tuple[str, ...] = ("cell",)
-    ended = False
 
     def __init__(self, settings: DaqSettings, now_ns: Callable[[], int]) -> None:
         sim = settings.sim
@@ -53,40 +54,36 @@ class VirtualCellForce:
         self._settings = settings
         self._now_ns = now_ns
         self._closed = threading.Event()
-        self._bench: LiveSim | None = None
+        self._simulation: LiveSim | None = None
         self._due_ns = 0
-        self._ahead: LiveOutput | None = None
+        self._next_output: LiveOutput | None = None
 
     def start(self) -> None:
         """Put the robot at its start, at `sim.start` or now."""
         start_ns = round(self._settings.sim.start * 1e3) * MS or self._now_ns()
-        self._bench = LiveSim(LiveSettings(sensor=self._sensor, seed=self._settings.sim.seed), start_ns)
+        self._simulation = LiveSim(LiveSettings(sensor=self._sensor, seed=self._settings.sim.seed), start_ns)
         self._due_ns = start_ns
-        self._ahead = None
+        self._next_output = None
         self._closed.clear()
 
     def read(self, timeout_s: float) -> Reading | None:
-        """Return the next block once its time has come; None when that takes longer, or it is closed."""
-        bench = self._bench
-        if bench is None:
+        """Return the next block when it is due; None if that takes longer or the source was closed."""
+        simulation = self._simulation
+        if simulation is None:
             return None
-        if self._ahead is None:
+        if self._next_output is None:
             self._due_ns += max(1, round(self._settings.block_time * 1e3)) * MS
-            self._ahead = bench.advance_to(self._due_ns)
+            self._next_output = simulation.advance_to(self._due_ns)
         left_s = timeout_s
         while (wait_s := (self._due_ns - self._now_ns()) / NS) > 0.0:
-            nap_s = min(wait_s, left_s, LONGEST_NAP_S)
-            if nap_s <= 0.0 or self._closed.wait(nap_s):
+            poll_s = min(wait_s, left_s, MAX_POLL_S)
+            if poll_s <= 0.0 or self._closed.wait(poll_s):
                 return None
-            left_s -= nap_s
-        output, self._ahead = self._ahead, None
-        samples = output.force[np.newaxis]
-        saturated = np.abs(samples) >= self.limit
-        saturated.flags.writeable = False
-        marks = saturated if saturated.any() else None
-        return Reading(output.first_sample, samples, 0, self._now_ns(), saturated=marks)
+            left_s -= poll_s
+        output, self._next_output = self._next_output, None
+        return simulated_reading(output.first_sample, output.force[np.newaxis], self.limit, self._now_ns())
 
     def close(self) -> None:
-        """End a read that is waiting, and take the cell away."""
+        """End a `read` that waits, and delete the simulation."""
         self._closed.set()
-        self._bench = None
+        self._simulation = None

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from scara_effmass.daq.channel import ForceSignal
-from scara_effmass.daq.source import Reading, Unit
+from scara_effmass.daq.conditioning import SignalConditioner
+from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import DaqSettings, FilterKind, checked
 
@@ -32,10 +32,9 @@ NAN, INF = math.nan, math.inf
 
 
 @dataclass
-class Started:
+class Started(ForceSource):
     """What a source says of itself once it has been started; the readings are made by the tests."""
 
-    unit: Unit = Unit.NEWTON
     simulated: bool = False
     channels: tuple[str, ...] = ("ai0",)
     description: str = "a load cell"
@@ -43,7 +42,6 @@ class Started:
     sample_rate: float = RATE
     limit: float = INF
     filter_delay: float = 0.0
-    ended: bool = False
 
     def start(self) -> None:
         raise AssertionError
@@ -55,10 +53,10 @@ class Started:
         raise AssertionError
 
 
-def signal(settings: Mapping[str, object] | None = None, source: Started | None = None) -> ForceSignal:
+def signal(settings: Mapping[str, object] | None = None, source: Started | None = None) -> SignalConditioner:
     """Return what is tested, without a tare unless it is asked for."""
     values = {"tare.at_start": False, **(settings or {})}
-    return ForceSignal(source or Started(), checked(DaqSettings, values, "test"))
+    return SignalConditioner(source or Started(), checked(DaqSettings, values, "test"))
 
 
 def reading(
@@ -81,14 +79,9 @@ def only_block(blocks: list[list[ForceBlock]]) -> ForceBlock:
     return block
 
 
-def test_volts_become_newtons_by_the_sensitivity() -> None:
-    volts = Started(unit=Unit.VOLT)
-    # 2248 mV/kN: 2.248 V are 1 kN.
-    block = only_block(signal(source=volts).blocks(reading([2.248, -0.0002248])))
-    assert block.force == pytest.approx([1000.0, -0.1])
-    block = only_block(signal({"sensor.sensitivity": 10.0, "sensor.invert": True}, volts).blocks(reading([1.0])))
-    assert block.force == pytest.approx([-100.0])
+def test_inverted_sensor_changes_the_sign() -> None:
     assert only_block(signal().blocks(reading([1.0, -2.0]))).force.tolist() == [1.0, -2.0]
+    assert only_block(signal({"sensor.invert": True}).blocks(reading([1.0, -2.0]))).force.tolist() == [-1.0, 2.0]
 
 
 def test_a_block_says_where_it_is_from_and_cannot_be_changed() -> None:
@@ -104,22 +97,13 @@ def test_a_block_says_where_it_is_from_and_cannot_be_changed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("unit", "simulated", "stamp_ns", "uncertainty"),
-    [
-        (Unit.VOLT, False, None, 0.15),
-        (Unit.NEWTON, False, None, 0.15),  # the driver of a converter divided by the same sensitivity
-        (Unit.VOLT, False, NOW, 0.15),
-        (Unit.NEWTON, False, NOW, 0.0),  # nobody says what was recorded
-        (Unit.VOLT, True, None, 0.0),
-        (Unit.NEWTON, True, None, 0.0),
-    ],
+    ("simulated", "stated", "uncertainty"), [(False, None, 0.15), (True, None, 0.0), (False, 0.02, 0.02)]
 )
-def test_what_the_sensitivity_leaves_uncertain(
-    *, unit: Unit, simulated: bool, stamp_ns: int | None, uncertainty: float
+def test_uncertainty_is_that_of_the_sensitivity_or_the_recording(
+    *, simulated: bool, stated: float | None, uncertainty: float
 ) -> None:
-    source = Started(unit=unit, simulated=simulated)
-    block = only_block(signal(source=source).blocks(reading([1.0], stamp_ns=stamp_ns)))
-    assert block.relative_uncertainty == uncertainty
+    made = reading([1.0])._replace(relative_uncertainty=stated)
+    assert only_block(signal(source=Started(simulated=simulated)).blocks(made)).relative_uncertainty == uncertainty
 
 
 holes = arrays(np.float64, st.integers(0, 40), elements=st.sampled_from([1.0, 2.0, 3.0, math.nan, INF, -INF]))
@@ -167,7 +151,7 @@ def test_a_device_is_timed_by_the_fit_less_the_delays() -> None:
     force = signal(source=source)
     settings: dict[str, object] = {"filter.kind": FilterKind.ZERO_PHASE, "filter.cutoff": 100.0}
     filtered = signal(settings, source)
-    delay = filtered.channels[0]._lowpass.delay / RATE if filtered.channels[0]._lowpass else NAN
+    delay = filtered.channels[0].lowpass_delay
     assert delay > 0.0
     for i in range(5):
         block = force.blocks(reading(np.zeros((2, 100)), first=i * 100))[1][0]
@@ -242,20 +226,18 @@ def test_an_impact_has_its_time_whatever_the_filter(
 
 
 @pytest.mark.parametrize(
-    ("unit", "limit", "settings", "expected"),
+    ("limit", "settings", "expected"),
     [
-        (Unit.NEWTON, INF, {"sensor.range": 2.5}, [2, 3]),
-        (Unit.NEWTON, 1.5, {}, [1, 2, 3]),
-        (Unit.NEWTON, 3.0, {"sensor.range": 2.0}, [1, 2, 3]),
-        (Unit.VOLT, 2.5, {}, [2, 3]),
-        (Unit.VOLT, 30.0, {"sensor.range": 1000.0}, [2, 3]),  # 2.248 V
-        (Unit.NEWTON, INF, {}, []),
+        (INF, {"sensor.range": 2.5}, [2, 3]),
+        (1.5, {}, [1, 2, 3]),
+        (3.0, {"sensor.range": 2.0}, [1, 2, 3]),
+        (INF, {}, []),
     ],
 )
 def test_samples_at_the_end_of_the_range_are_marked(
-    unit: Unit, limit: float, settings: dict[str, object], expected: list[int]
+    limit: float, settings: dict[str, object], expected: list[int]
 ) -> None:
-    force = signal(settings, Started(unit=unit, limit=limit))
+    force = signal(settings, Started(limit=limit))
     block = only_block(force.blocks(reading([1.0, -2.0, 3.0, -3.0])))
     assert block.saturated_samples.tolist() == expected
     assert force.channels[0].saturated == len(expected)
@@ -369,5 +351,5 @@ def test_a_filter_that_cannot_be_is_refused_in_one_line() -> None:
 
 @pytest.mark.live
 def test_scipy_is_loaded_by_those_who_filter_only() -> None:
-    program = "import sys, scara_effmass.daq.channel; sys.exit('scipy' in sys.modules)"
+    program = "import sys, scara_effmass.daq.conditioning; sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

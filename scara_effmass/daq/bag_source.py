@@ -1,0 +1,244 @@
+"""Force from a bag, played at its own pace."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from scara_effmass.daq.bag_blocks import open_blocks
+from scara_effmass.daq.source import ForceSource, Reading
+from scara_effmass.errors import SettingsError
+from scara_effmass.settings import Stamps
+from scara_effmass.wire.cdr import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from scara_effmass.daq.bag_blocks import BagBlocks
+    from scara_effmass.settings import DaqSettings
+    from scara_effmass.values import ForceBlock
+
+POLL_S = 0.005
+"""Polling period of the clock, which may be simulated."""
+MAX_LEAD_NS = 10 * NS
+"""A clock that starts up to this much before the bag belongs to a replay of it."""
+RELATIVE_NS = 10**8 * NS
+"""Stamps before this, in 1973, are relative to the start of the recording."""
+CLOCK_STEP_NS = NS // 10
+"""A clock that goes back by more was set back; adjusted clocks go back by less."""
+MAX_FORCE = 1e9
+"""[N]; no sensor measures more."""
+
+
+@final
+class BagSource(ForceSource):
+    """Play the ForceBlocks of a bag by the ROS clock; each comes at the time of its last sample.
+
+    If the clock starts within the span of the bag or up to 10 s before it, the bag is being replayed on that clock:
+    stamps are times of the clock, and a late start catches up. Otherwise, and with the stamps `now`, the first sample
+    is due at the start and the others follow at `bag.rate` times the original speed. A clock at 0 has not started
+    yet. With a rate of 0 each block is due at once.
+
+    With the stamps `now`, and where the bag has relative stamps, the first stamp is moved to the start. Samples that
+    are not finite or absurdly large become NaN.
+
+    When the clock of a replay goes back, as in a loop, playing continues there as another run; what was due before
+    and did not come, at least one sample, is lost. When another clock goes back, playing continues without a pause,
+    as another run if the stamps move with the clock. A bag that had ended stays ended.
+    """
+
+    filter_delay = 0.0  # recorded stamps are those of the force
+    limit = float("inf")
+    uses_ros_time = True
+
+    def __init__(self, settings: DaqSettings, now_ns: Callable[[], int]) -> None:
+        self.simulated = False
+        self.channels = ("",)
+        self.description = f"recorded: {settings.bag.path}"
+        self.sample_rate = self.requested_rate = 0.0
+        self.is_unpaced = settings.bag.rate == 0.0
+        self.subscriber_timeout = settings.bag.subscriber_timeout
+        self._settings = settings.bag
+        self._now_ns = now_ns
+        self._reading = threading.Lock()
+        self._closing = threading.Event()
+        self._recording: BagBlocks | None = None
+        self._block: ForceBlock | None = None
+        """The next block."""
+        self._begin_ns: int | None = None
+        """Time on the clock at which the first sample is due; None before the clock has started."""
+        self._is_replay = False
+        """The clock is that of a replay of this bag."""
+        self._latest_ns = 0
+        """Latest time on the clock since it was last set back."""
+        self._shift_ns = 0
+        self._next_sample = self._run = 0
+        self._ended = False
+
+    @property
+    def ended(self) -> bool:
+        """Whether all blocks were returned."""
+        return self._ended
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """One line for each part of the open bag that could not be read so far."""
+        return self._recording.bag.losses if self._recording else ()
+
+    @property
+    def waiting_for(self) -> str:
+        """Time on the clock that the next block is waiting for."""
+        begin_ns, block, now = self._begin_ns, self._block, f"now {self._latest_ns / NS:.3f} s"
+        if begin_ns is None or block is None:
+            return f"the clock to start ({now})"
+        return f"the clock to reach {self._due_ns(block, begin_ns) / NS:.3f} s ({now})"
+
+    def start(self) -> None:
+        """Open the bag; raises BagError or SettingsError."""
+        if not self._settings.path:
+            raise SettingsError("bag.path is empty: must be the bag to play")
+        self.close()
+        self._closing.clear()
+        try:
+            with self._reading:
+                self._next_sample = self._run = 0
+                self._begin_ns, self._is_replay, self._shift_ns = None, False, 0
+                self._block = self._open()
+                self._latest_ns = self._now_ns()
+                self._find_begin(self._latest_ns)
+        except BaseException:
+            self.close()
+            raise
+
+    def read(self, timeout_s: float) -> Reading | None:
+        """Return the next block when it is due; None if it is not within `timeout_s` [s], or at the end.
+
+        Raises BagError where the bag is damaged.
+        """
+        deadline = time.monotonic() + timeout_s
+        with self._reading:
+            if self._recording is None:
+                return None
+            self._block = self._block or next(self._recording.blocks, None)
+            self._ended = self._block is None
+            while self._block is not None and not self._closing.is_set():
+                now_ns = self._now_ns()
+                self._find_begin(now_ns)
+                self._follow_clock(now_ns)
+                if self._is_due(self._block, now_ns):
+                    block, self._block = self._block, None
+                    return self._converted(block, now_ns)
+                left_s = deadline - time.monotonic()
+                if left_s <= 0.0:
+                    break
+                self._closing.wait(min(POLL_S, left_s))
+        return None
+
+    def close(self) -> None:
+        """End a `read` that is waiting, and close the bag."""
+        self._closing.set()
+        with self._reading:
+            self._block = None
+            if self._recording is not None:
+                self._recording.bag.close()
+                self._recording = None
+
+    def _open(self) -> ForceBlock:
+        """Open the bag and return its first block."""
+        recording = self._recording = open_blocks(self._settings)
+        block = next(recording.blocks)
+        self._is_shifted = self._settings.stamps is Stamps.NOW or block.stamp_ns < RELATIVE_NS
+        self._first_ns = block.stamp_ns
+        self._ended = False
+        self.channels = (recording.topic.rpartition("/")[2],)
+        self.sample_rate = self.requested_rate = recording.sample_rate
+        self.simulated = block.simulated
+        origin = f"{recording.bag.path.name}, {recording.topic}" + f", of {recording.source}" * bool(recording.source)
+        self.description = f"recorded{', simulated' * self.simulated}: {origin}"
+        return block
+
+    def _find_begin(self, now_ns: int) -> None:
+        """Determine, once the clock has started, when the first sample is due."""
+        recording, rate = self._recording, self._settings.rate
+        if self._begin_ns is not None or recording is None:
+            return
+        if now_ns == 0 and (self._is_shifted or rate > 0.0):
+            return
+        self._begin_ns = now_ns
+        if self._is_shifted:
+            self._shift_ns = now_ns - self._first_ns
+        elif recording.start_ns - MAX_LEAD_NS <= now_ns <= recording.end_ns:
+            if rate not in {0.0, 1.0}:
+                raise SettingsError(
+                    f"{self._settings.path}: bag.rate = {rate:g}: must be 1, the bag is replayed on this clock"
+                )
+            self._begin_ns = self._first_ns
+            self._is_replay = True
+
+    def _follow_clock(self, now_ns: int) -> None:
+        """Continue from `now_ns` if the clock was set back."""
+        latest_ns = self._latest_ns
+        back_ns = latest_ns - now_ns
+        if back_ns <= CLOCK_STEP_NS:
+            self._latest_ns = max(now_ns, latest_ns)
+            return
+        self._latest_ns = now_ns
+        if self._begin_ns is None or self.is_unpaced:
+            return
+        if self._is_replay:
+            self._seek(latest_ns, now_ns)
+            return
+        self._begin_ns -= back_ns
+        if self._is_shifted:
+            self._shift_ns -= back_ns
+            self._run += 1
+
+    def _seek(self, latest_ns: int, now_ns: int) -> None:
+        """Open the bag again, and continue with the first block that ends after `now_ns`."""
+        lost, waiting = 0, self._block
+        if waiting is not None and self._next_sample:
+            lost = max(1, 1 + int((latest_ns - waiting.stamp_ns) / NS * self.sample_rate))
+        if self._recording is not None:
+            self._recording.bag.close()
+        block: ForceBlock | None = self._open()
+        while block is not None and self._last_ns(block) < now_ns:
+            block = next(self._recording.blocks, None) if self._recording else None
+        self._block = block and block._replace(lost_samples=lost)
+        self._run += 1
+
+    def _last_ns(self, block: ForceBlock) -> int:
+        return block.stamp_ns + round((len(block.force) - 1) / self.sample_rate * NS)
+
+    def _due_ns(self, block: ForceBlock, begin_ns: int) -> int:
+        return begin_ns + round((self._last_ns(block) - self._first_ns) / self._settings.rate)
+
+    def _is_due(self, block: ForceBlock, now_ns: int) -> bool:
+        if self._begin_ns is None:
+            return False
+        return self.is_unpaced or now_ns >= self._due_ns(block, self._begin_ns)
+
+    def _converted(self, block: ForceBlock, now_ns: int) -> Reading:
+        samples = np.where(np.abs(block.force) <= MAX_FORCE, block.force, np.nan)[np.newaxis]
+        samples.flags.writeable = False
+        saturated = None
+        if len(block.saturated_samples):
+            saturated = np.zeros(samples.shape, np.bool_)
+            saturated[0, block.saturated_samples] = True
+            saturated.flags.writeable = False
+        self.simulated = self.simulated or block.simulated
+        first = self._next_sample + block.lost_samples
+        self._next_sample = first + len(block.force)
+        return Reading(
+            first_sample=first,
+            samples=samples,
+            lost=block.lost_samples,
+            read_ns=now_ns,
+            stamp_ns=block.stamp_ns + self._shift_ns,
+            clock_residual=block.clock_residual,
+            saturated=saturated,
+            run=self._run,
+            relative_uncertainty=block.relative_uncertainty,
+        )

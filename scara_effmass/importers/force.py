@@ -1,0 +1,143 @@
+"""Force recordings of other programs as ForceBlocks, one by one or written to a bag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scara_effmass.bags.writer import BagWriter
+from scara_effmass.errors import BagError
+from scara_effmass.importers import BAG_IMPORTER, IMPORTERS
+from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT
+from scara_effmass.values import ForceBlock
+from scara_effmass.wire.cdr import NS
+from scara_effmass.wire.force import force_block_message
+from scara_effmass.wire.message_types import FORCE_BLOCK
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
+    from scara_effmass.importers.force_file import ForceFile
+    from scara_effmass.settings import ImportSettings
+
+MAX_VALUE = 1e9
+"""[N] or [V]; no sensor measures more."""
+RANGE_TOLERANCE = 1e-3
+"""Relative distance from the end of the range at which a sample counts as saturated."""
+MAX_LOST = 2**32 - 1
+"""Largest value of `ForceBlock.lost_samples`."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedForce:
+    """Force of one file in newtons; `losses` returns what could not be read, complete after `blocks`."""
+
+    source: str
+    sample_rate: float
+    blocks: Iterator[ForceBlock]
+    losses: Callable[[], tuple[str, ...]]
+
+
+@dataclass(slots=True)
+class ImportedTopic:
+    """Content of one imported topic, with the stamps of its first and last sample."""
+
+    file: str
+    topic: str
+    source: str
+    sample_rate_hz: float
+    samples: int = 0
+    lost_samples: int = 0
+    saturated_samples: int = 0
+    first_stamp_s: float = 0.0
+    last_stamp_s: float = 0.0
+    losses: tuple[str, ...] = ()
+
+
+def import_force(path: Path, settings: ImportSettings) -> ImportedForce:
+    """Return the force in a CSV or TDMS file, or in a topic of wrenches or numbers of a bag.
+
+    Values that are not finite numbers count as lost samples. Raises BagError or SettingsError.
+    """
+    module, _, function = IMPORTERS.get(path.suffix.lower(), BAG_IMPORTER).partition(":")
+    file: ForceFile = getattr(import_module(module), function)(path, settings)
+    return ImportedForce(file.description, file.sample_rate, _force_blocks(path, file, settings), file.losses)
+
+
+def write_force_bag(
+    paths: Sequence[Path], output: Path, settings: ImportSettings, *, overwrite: bool = False
+) -> tuple[ImportedTopic, ...]:
+    """Write the force in `paths` to a new bag and return what its topics hold.
+
+    The first file is on the topic force, the next ones are on force/file1, force/file2 and so on. Raises BagError,
+    SettingsError or OutputError, and leaves no incomplete bag then.
+    """
+    with BagWriter(output, overwrite=overwrite) as bag:
+        return tuple(
+            _write_topic(bag, f"/force/file{number}" if number else "/force", path, settings)
+            for number, path in enumerate(paths)
+        )
+
+
+def _write_topic(bag: BagWriter, topic: str, path: Path, settings: ImportSettings) -> ImportedTopic:
+    force = import_force(path, settings)
+    content = ImportedTopic(str(path), topic, force.source, force.sample_rate)
+    for block in force.blocks:
+        last_ns = block.stamp_ns + round((len(block.force) - 1) / block.sample_rate * NS)
+        bag.write(topic, FORCE_BLOCK, max(0, last_ns), force_block_message(block))
+        content.first_stamp_s = content.first_stamp_s if content.samples else block.stamp_ns / NS
+        content.last_stamp_s = last_ns / NS
+        content.samples += len(block.force)
+        content.lost_samples += block.lost_samples
+        content.saturated_samples += len(block.saturated_samples)
+    content.losses = force.losses()
+    return content
+
+
+def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iterator[ForceBlock]:
+    """Yield the finite samples in newtons, compression positive; a block ends before one that is not finite."""
+    sensor = settings.sensor
+    is_voltage = file.unit in VOLT_PER_UNIT
+    unit_scale = VOLT_PER_UNIT[file.unit] if is_voltage else NEWTON_PER_UNIT[file.unit]
+    newton_scale = (1e3 / sensor.sensitivity if is_voltage else 1.0) * (-1.0 if sensor.invert else 1.0)
+    saturation = sensor.range * (1.0 - RANGE_TOLERANCE)
+    first = lost = 0
+    is_empty = True
+    for block in file.blocks:
+        with np.errstate(over="ignore"):
+            values = block.samples * unit_scale
+        valid = np.abs(values) <= MAX_VALUE
+        force = values * newton_scale
+        force.flags.writeable = False
+        first += block.lost_samples
+        lost += block.lost_samples
+        for run in np.split(np.arange(len(force)), np.flatnonzero(np.diff(valid)) + 1):
+            if not valid[run[0]]:
+                lost += len(run)
+                continue
+            run_force = force[run[0] : run[-1] + 1]
+            yield ForceBlock(
+                stamp_ns=block.stamp_ns + round(run[0] / file.sample_rate * NS),
+                frame_id=settings.frame_id,
+                first_sample=first + int(run[0]),
+                sample_rate=file.sample_rate,
+                force=run_force,
+                lost_samples=min(lost, MAX_LOST),
+                saturated_samples=np.flatnonzero(np.abs(run_force) >= saturation).astype(np.uint32),
+                clock_residual=block.clock_residual,
+                filter_delay=0.0,
+                source=file.description,
+                simulated=file.simulated,
+                tare=0.0,
+                tare_stamp_ns=0,
+                # The sensor behind a file in newtons is unknown.
+                relative_uncertainty=sensor.sensitivity_uncertainty if is_voltage and not file.simulated else 0.0,
+            )
+            lost, is_empty = 0, False
+        first += len(force)
+    if is_empty:
+        raise BagError(f"{path}: {file.description}: has no finite sample")

@@ -1,0 +1,168 @@
+"""Convert stamped samples to blocks of uniform sampling.
+
+A sensor measures at a constant rate, but the stamps jitter, come in bursts, and samples are missing. A delayed
+sample shifts its own stamp; a missing sample shifts all stamps after it. The minimum delay within a window of
+samples tells the two apart.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from scara_effmass.importers.force_file import BLOCK_TIME_S, SampleBlock
+from scara_effmass.wire.cdr import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from scara_effmass.values import FloatArray
+
+    IntArray = NDArray[np.int64]
+
+HEAD = 4096
+"""Samples that determine the rate."""
+CHUNK = 4096
+"""Samples that are numbered at a time."""
+WINDOW = 64
+"""Samples whose minimum delay is compared with that of the samples before."""
+LAGS = (1, 4, 16, 64, 256, 1024)
+STEP_TOLERANCE, MIN_EVEN_STEPS = 0.25, 0.75
+"""Stamps are not bursts if this share of steps is within this fraction of a period."""
+NOISE_FACTOR = 2.0
+"""Two windows without a gap rarely differ by more than this multiple of the usual delay."""
+BURST_ROUNDS = 4
+MAX_LOSS = 0.5
+
+
+class _Sampling(NamedTuple):
+    """Sampling period, and the delay steps [ns] that show a gap; the second one for a window cut short at the end."""
+
+    period_ns: float
+    threshold_ns: float
+    short_threshold_ns: float
+
+
+class UniformSamples(NamedTuple):
+    """Blocks of equal periods and their rate [Hz]."""
+
+    sample_rate: float
+    blocks: Iterator[SampleBlock]
+
+
+def uniform_samples(stamps_ns: IntArray, values: FloatArray, block_time: float = BLOCK_TIME_S) -> UniformSamples:
+    """Return blocks of up to `block_time` [s] from `values` (n,) with the ascending stamps (n,) [ns].
+
+    A block ends before a gap. Its stamp is the median of what its samples state for the first one; the root mean
+    square of the deviations is its `clock_residual`. Raises ValueError when the rate is not constant.
+    """
+    if len(stamps_ns) < 2:
+        raise ValueError(f"has {len(stamps_ns)} samples; must have at least 2")
+    sampling = _sampling(stamps_ns[:HEAD])
+    sample_rate = NS / sampling.period_ns
+    size = max(1, round(block_time * sample_rate))
+    return UniformSamples(sample_rate, _blocks(stamps_ns, values, sampling, size))
+
+
+def _blocks(stamps_ns: IntArray, values: FloatArray, sampling: _Sampling, size: int) -> Iterator[SampleBlock]:
+    numbers = _sample_numbers(stamps_ns, sampling)
+    end = 0
+    for start, stop in pairwise([0, *(np.flatnonzero(np.diff(numbers) > 1) + 1).tolist(), len(numbers)]):
+        for first in range(start, stop, size):
+            last = min(first + size, stop)
+            part_ns = stamps_ns[first:last]
+            deviation_ns = _delay_ns(part_ns, sampling.period_ns)
+            shift_ns = float(np.median(deviation_ns))
+            residual_ns = float(np.sqrt(np.mean((deviation_ns - shift_ns) ** 2)))
+            lost, end = int(numbers[first]) - end, int(numbers[last - 1]) + 1
+            yield SampleBlock(int(part_ns[0]) + round(shift_ns), values[first:last], lost, residual_ns / NS)
+
+
+def _sample_numbers(stamps_ns: IntArray, sampling: _Sampling) -> IntArray:
+    """Return the number of each sample, counting missing ones."""
+    count = len(stamps_ns)
+    numbers = np.arange(count)
+    missing = 0
+    for first in range(0, count, CHUNK):
+        stop = min(first + CHUNK, count)
+        # The samples around a chunk tell its late samples from gaps.
+        begin, end = max(0, first - WINDOW), min(stop + WINDOW, count)
+        numbers[first:end] = np.arange(first, end) + missing
+        delay_ns = (stamps_ns[begin:end] - stamps_ns[0]) - numbers[begin:end] * sampling.period_ns
+        threshold_ns = np.full(end - begin, sampling.threshold_ns)
+        threshold_ns[max(0, count - WINDOW // 2 - begin) :] = sampling.short_threshold_ns
+        at = first - begin
+        while len(gaps := np.flatnonzero((_delay_steps(delay_ns) > threshold_ns)[at : stop - begin])):
+            at += int(gaps[0])
+            lost = round(_delay_steps(delay_ns)[at] / sampling.period_ns)
+            numbers[begin + at : end] += lost
+            delay_ns[at:] -= lost * sampling.period_ns
+            missing += lost
+            at += 1
+    return numbers
+
+
+def _delay_steps(delay_ns: FloatArray) -> FloatArray:
+    """Return by how much the minimum delay rises from the window before each sample to the window from it on."""
+    infinite = np.full(WINDOW, np.inf)
+    minimum = sliding_window_view(np.concatenate((infinite, delay_ns, infinite)), WINDOW).min(axis=1)
+    steps: FloatArray = minimum[WINDOW : WINDOW + len(delay_ns)] - minimum[: len(delay_ns)]
+    return steps
+
+
+def _sampling(stamps_ns: IntArray) -> _Sampling:
+    """Return the sampling of samples of which most are present."""
+    period_ns = _rough_period_ns(stamps_ns)
+    if period_ns <= 0.0:
+        raise ValueError("its times do not advance; must be times at a constant rate")
+    windows_ns = _windows(_delay_ns(stamps_ns, period_ns), max(2, min(WINDOW, len(stamps_ns)) // 4))
+    min_ns = windows_ns.min(axis=1)
+    usual_ns = float(np.median(np.median(windows_ns, axis=1) - min_ns))
+    max_ns = float(np.median(windows_ns.max(axis=1) - min_ns))
+    threshold_ns = max(0.5 * (period_ns + usual_ns), NOISE_FACTOR * usual_ns)
+    sampling = _Sampling(period_ns, threshold_ns, 0.5 * period_ns + NOISE_FACTOR * max_ns)
+    numbers = _sample_numbers(stamps_ns, sampling)
+    half = len(stamps_ns) // 2
+    period_ns = float(np.mean(stamps_ns[half:] - stamps_ns[:-half]) / np.mean(numbers[half:] - numbers[:-half]))
+    total = int(numbers[-1]) + 1
+    missing = total - len(stamps_ns)
+    if missing > MAX_LOSS * total:
+        raise ValueError(f"has no constant rate: of {total} samples at {NS / period_ns:.6g} Hz, {missing} are missing")
+    return sampling._replace(period_ns=period_ns)
+
+
+def _rough_period_ns(stamps_ns: IntArray) -> float:
+    """Return the sampling period, accurate enough to detect gaps."""
+    steps_ns = np.diff(stamps_ns)
+    period_ns = float(np.median(steps_ns))
+    half = len(stamps_ns) // 2
+    if period_ns > 0.0 and np.mean(np.abs(steps_ns - period_ns) <= STEP_TOLERANCE * period_ns) >= MIN_EVEN_STEPS:
+        # A shorter lag gives the number of periods, missing ones included, in a longer one.
+        for lag in (lag for lag in LAGS if lag <= half):
+            spans_ns = stamps_ns[lag:] - stamps_ns[:-lag]
+            period_ns = float(spans_ns.sum() / np.round(spans_ns / period_ns).sum())
+        return period_ns
+    # Bursts: compare the least delayed sample of each window with that of the next.
+    lag = min(WINDOW, half)
+    period_ns = float(np.median(stamps_ns[lag:] - stamps_ns[:-lag])) / lag
+    for _ in range(BURST_ROUNDS if half >= WINDOW else 0):
+        earliest = _windows(_delay_ns(stamps_ns, period_ns), WINDOW).argmin(axis=1)
+        earliest += np.arange(len(earliest)) * WINDOW
+        period_ns = float(np.median(np.diff(stamps_ns[earliest]) / np.diff(earliest)))
+    return period_ns
+
+
+def _delay_ns(stamps_ns: IntArray, period_ns: float) -> FloatArray:
+    """Return the delay of each sample against the first one, if none is missing."""
+    delay_ns: FloatArray = (stamps_ns - stamps_ns[0]) - np.arange(len(stamps_ns)) * period_ns
+    return delay_ns
+
+
+def _windows(values: FloatArray, size: int) -> FloatArray:
+    """Return consecutive windows (k, size) without the remainder."""
+    return values[: len(values) // size * size].reshape(-1, size)

@@ -1,0 +1,136 @@
+"""Force from a topic of wrenches or numbers in a bag, one sample per message."""
+
+from __future__ import annotations
+
+from array import array
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.run_info import first_run_info
+from scara_effmass.errors import BagError, DecodeError
+from scara_effmass.importers.force_file import ForceFile
+from scara_effmass.importers.uniform_sampling import uniform_samples
+from scara_effmass.wire.cdr import NS
+from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from scara_effmass.bags.bag import Bag
+    from scara_effmass.bags.batches import Topic
+    from scara_effmass.settings import ImportSettings
+    from scara_effmass.values import FloatArray
+
+TYPES = (WRENCH_STAMPED, WRENCH, FLOAT64)
+"""Message types that can hold force; the first type with a topic is taken."""
+HEAD = 1000
+"""Messages that determine the usual difference between stamp and log time."""
+MAX_DELAY_NS = 5 * NS
+"""A stamp that deviates from the usual difference by more is invalid."""
+CLOCK_STEP_RUN = 100
+"""Invalid stamps in a row that show a clock step."""
+
+
+class _Samples(NamedTuple):
+    """Samples (n,) with their header stamps, 0 where the type has none, and log times [ns]."""
+
+    log_times_ns: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
+    values: FloatArray
+
+
+def open_wrench_topic(path: Path, settings: ImportSettings) -> ForceFile:
+    """Read the force along `settings.axis` of a topic of wrenches, or a topic of Float64.
+
+    Times are those of the header, or the log times where no header is stamped. Raises BagError.
+    """
+    with open_bag(path) as bag:
+        topic = _topic(bag, settings.topic)
+        origin = f"{bag.path}: {topic.name}"
+        samples = _read(bag, topic, settings.axis)
+        component = "" if topic.type == FLOAT64 else f" force.{settings.axis}"
+        if samples.stamps_ns[:HEAD].any():
+            stamps_ns, values = _sort(samples, origin)
+        else:
+            stamps_ns, values = samples.log_times_ns, samples.values
+            component += ", at log times"
+        try:
+            sample_rate, blocks = uniform_samples(stamps_ns, values)
+        except ValueError as error:
+            raise BagError("; ".join([f"{origin}: {error}", *bag.losses])) from None
+        info = first_run_info(bag)
+        return ForceFile(
+            description=f"{bag.path.name}, {topic.name}{component}",
+            unit=settings.unit or "N",
+            sample_rate=sample_rate,
+            blocks=blocks,
+            simulated=info is not None and info.simulated,
+            losses=lambda: bag.losses,
+        )
+
+
+def _topic(bag: Bag, name: str) -> Topic:
+    """Return the topic `name`, or the only one that can be force."""
+    topics = [topic for topic in bag.topics if topic.type in TYPES and topic.count]
+    if name:
+        candidates = [topic for topic in topics if topic.name in {name, f"/{name}"}]
+    else:
+        types = [kind for kind in TYPES if any(topic.type == kind for topic in topics)]
+        candidates = [topic for topic in topics if topic.type == types[0]]
+        if force := [topic.name for topic in bag.topics if topic.type == FORCE_BLOCK and topic.count]:
+            raise BagError(f"{bag.path}: already has ForceBlocks on {', '.join(force)}; needs no import")
+    if len(candidates) == 1:
+        return candidates[0]
+    choices = ", ".join(f"{topic.name} ({topic.type})" for topic in (topics if name else candidates))
+    rule = f"must be one of {choices}" if choices else f"must have a topic of type {', '.join(TYPES)}"
+    raise BagError(f"{bag.path}: {f'topic = {name}' if name else 'topic is empty'}: {rule}")
+
+
+def _read(bag: Bag, topic: Topic, axis: str) -> _Samples:
+    """Return the messages that can be decoded; the others leave a gap in the sequence of times."""
+    log_times_ns, stamps_ns, values = array("q"), array("q"), array("d")
+    reason = ""
+    for message in bag.messages([topic.name]):
+        if message.type != topic.type:
+            continue
+        try:
+            stamp_ns, value = _sample(bag.deserialize(message), topic.type, axis)
+        except (DecodeError, AttributeError, TypeError, ValueError) as error:
+            reason = str(error)
+            continue
+        log_times_ns.append(message.log_time_ns)
+        stamps_ns.append(stamp_ns)
+        values.append(value)
+    if reason and not values:
+        raise BagError(f"{bag.path}: {topic.name}: no message can be decoded: {reason}")
+    return _Samples(np.frombuffer(log_times_ns, np.int64), np.frombuffer(stamps_ns, np.int64), np.frombuffer(values))
+
+
+def _sample(message: Any, kind: str, axis: str) -> tuple[int, float]:  # noqa: ANN401 - a class that the bag defines
+    if kind == FLOAT64:
+        return 0, float(message.data)
+    if kind == WRENCH:
+        return 0, float(getattr(message.force, axis))
+    stamp = message.header.stamp
+    return int(stamp.sec) * NS + int(stamp.nanosec), float(getattr(message.wrench.force, axis))
+
+
+def _sort(samples: _Samples, origin: str) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return stamps and values in the order of the stamps, without invalid stamps."""
+    log_times_ns, stamps_ns, values = samples
+    differences_ns = stamps_ns - log_times_ns
+    head_ns = np.sort(differences_ns[:HEAD])
+    deviation_ns = differences_ns - head_ns[(len(head_ns) - 1) // 2]
+    valid = np.abs(deviation_ns) <= MAX_DELAY_NS
+    edges = np.flatnonzero(np.diff(np.concatenate(([True], valid, [True]))))
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        if stop - start >= CLOCK_STEP_RUN:
+            at = start + CLOCK_STEP_RUN - 1
+            step = f"{deviation_ns[at] / NS:.3f} s off from {log_times_ns[at] / NS:.6f} s on"
+            raise BagError(f"{origin}: its stamps are {step}; must be recorded without a clock step")
+    order = np.argsort(stamps_ns[valid], kind="stable")
+    return stamps_ns[valid][order], values[valid][order]

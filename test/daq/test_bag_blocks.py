@@ -1,0 +1,200 @@
+"""Force from the ForceBlocks of a bag: gaps, damage, and what is refused."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from scara_effmass.bags.definitions import known_types
+from scara_effmass.bags.messages import serialized
+from scara_effmass.bags.writer import BagWriter
+from scara_effmass.daq.bag_source import BagSource
+from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.settings import BagSettings, DaqSettings
+from scara_effmass.wire.force import force_block_message
+from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK
+from test.daq.force_bag import MS, START_NS, block_messages, force_block, write_blocks, write_messages
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from scara_effmass.daq.source import Reading
+
+NS = 10**9
+
+
+@contextmanager
+def opened(path: Path, topic: str = "") -> Iterator[BagSource]:
+    source = BagSource(DaqSettings(bag=BagSettings(path=str(path), topic=topic, rate=0.0)), lambda: START_NS)
+    source.start()
+    try:
+        yield source
+    finally:
+        source.close()
+
+
+def played(path: Path, topic: str = "") -> list[Reading]:
+    with opened(path, topic) as source:
+        return list(iter(lambda: source.read(0.0), None))
+
+
+def numbers(readings: list[Reading]) -> list[tuple[int, int]]:
+    return [(reading.first_sample, reading.lost) for reading in readings]
+
+
+def test_blocks_are_played_unchanged(tmp_path: Path) -> None:
+    blocks = [
+        force_block(5000),
+        force_block(5100, 50, saturated_samples=np.array([3], np.uint32), relative_uncertainty=0.02),
+        force_block(5150),
+    ]
+    path = write_blocks(tmp_path / "run", blocks)
+    with opened(path) as source:
+        assert (source.channels, source.sample_rate, source.simulated) == (("force",), 1000.0, False)
+        assert source.description == "recorded: run, /force, of test"
+    readings = played(path)
+    assert numbers(readings) == [(0, 0), (100, 0), (150, 0)]
+    assert [(r.stamp_ns, r.clock_residual, r.relative_uncertainty) for r in readings] == [
+        (block.stamp_ns, 1e-5, block.relative_uncertainty) for block in blocks
+    ]
+    for reading, block in zip(readings, blocks, strict=True):
+        assert reading.samples.tolist() == [block.force.tolist()]
+        assert not reading.samples.flags.writeable
+        marks = [] if reading.saturated is None else np.flatnonzero(reading.saturated[0]).tolist()
+        assert marks == block.saturated_samples.tolist()
+
+
+def test_samples_missing_between_blocks_are_counted(tmp_path: Path) -> None:
+    restarted = force_block(0, stamp_ns=START_NS + 950 * MS)
+    blocks = [
+        force_block(0),
+        force_block(200, lost_samples=100),
+        force_block(400),
+        force_block(500, lost_samples=7, stamp_ns=START_NS + 507 * MS),
+        restarted,
+        restarted,
+        force_block(100, stamp_ns=START_NS + 1050 * MS),
+        force_block(0, stamp_ns=START_NS + 2000 * MS),
+    ]
+    readings = played(write_blocks(tmp_path / "run", blocks))
+    assert numbers(readings) == [(0, 0), (200, 100), (400, 100), (507, 7), (950, 343), (1050, 0), (2000, 850)]
+
+
+def test_drifting_rate_is_accepted_and_another_rate_is_refused(tmp_path: Path) -> None:
+    good = [force_block(0), force_block(100, sample_rate=1000.01), force_block(200, sample_rate=999.98)]
+    assert numbers(played(write_blocks(tmp_path / "good", good))) == [(0, 0), (100, 0), (200, 0)]
+    bad = write_blocks(tmp_path / "bad", [*good, force_block(300, sample_rate=2000.0)])
+    with pytest.raises(BagError, match=r"bad: /force: sample_rate = 2000 at 1700000000.300000 s: must be 1000 Hz"):
+        played(bad)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "rule"),
+    [
+        ("sample_rate", 0.0, "> 0 Hz"),
+        ("sample_rate", float("nan"), "> 0 Hz"),
+        ("clock_residual", np.inf, "a number >= 0"),
+        ("relative_uncertainty", float("nan"), "a number >= 0"),
+    ],
+)
+def test_block_with_an_impossible_value_is_refused(tmp_path: Path, field: str, value: float, rule: str) -> None:
+    changes: dict[str, Any] = {field: value}
+    path = write_blocks(tmp_path / "run", [force_block(0)._replace(**changes)])
+    with pytest.raises(BagError, match=rf"run: /force: {field} = {value:g} at .* s: must be {rule}"):
+        played(path)
+
+
+def test_clock_that_goes_back_is_refused_after_the_blocks_before(tmp_path: Path) -> None:
+    messages = block_messages([force_block(0), force_block(100)])
+    late = force_block_message(force_block(200, stamp_ns=START_NS - 10 * NS))
+    messages += [("/force", FORCE_BLOCK, START_NS + NS, late)]
+    with opened(write_messages(tmp_path / "run", messages)) as source:
+        assert [source.read(0.0) is not None for _ in range(2)] == [True, True]
+        with pytest.raises(BagError, match=r"run: /force: time goes back, 1699999990.000000 s follows 1700000000.2"):
+            source.read(0.0)
+
+
+def test_block_that_cannot_be_decoded_is_lost(tmp_path: Path) -> None:
+    good = block_messages([force_block(0), force_block(100), force_block(200)])
+    broken = [*good[:1], (*good[1][:3], good[1][3][:50]), *good[2:]]
+    assert numbers(played(write_messages(tmp_path / "some", broken))) == [(0, 0), (200, 100)]
+    with pytest.raises(BagError, match=r"all: /force: has no force that can be read; .*ForceBlock: .*length 100"):
+        played(write_messages(tmp_path / "all", broken[1:2]))
+
+
+def test_simulated_block_makes_the_source_simulated(tmp_path: Path) -> None:
+    path = write_blocks(tmp_path / "run", [force_block(0), force_block(100, simulated=True), force_block(200)])
+    with opened(path) as source:
+        assert [(source.read(0.0) is not None, source.simulated)[1] for _ in range(3)] == [False, True, True]
+    with opened(write_blocks(tmp_path / "computed", [force_block(0, simulated=True)])) as source:
+        assert (source.simulated, source.description) == (True, "recorded, simulated: computed, /force, of test")
+
+
+def test_truncated_bag_is_played_up_to_the_cut(tmp_path: Path) -> None:
+    noise = np.random.default_rng(5).normal(size=2000)
+    path = write_blocks(tmp_path / "run.mcap", (force_block(2000 * n, 2000, force=noise + n) for n in range(100)))
+    path.write_bytes(path.read_bytes()[: int(0.9 * path.stat().st_size)])
+    with opened(path) as source:
+        count = len(list(iter(lambda: source.read(0.0), None)))
+        assert 50 <= count < 100
+        assert source.ended
+        assert all(loss.startswith(f"{path}: ") for loss in source.losses)
+        assert "cut off" in "; ".join(source.losses)
+
+
+def test_value_that_is_not_finite_is_nan(tmp_path: Path) -> None:
+    force = np.array([1.0, np.nan, np.inf, -np.inf, 1e10, 2.0])
+    (reading,) = played(write_blocks(tmp_path / "run", [force_block(0, force=force)]))
+    assert np.isnan(reading.samples[0]).tolist() == [False, True, True, True, True, False]
+
+
+def test_ambiguous_topic_is_refused(tmp_path: Path) -> None:
+    messages = block_messages([force_block(0)]) + block_messages([force_block(0)], "/force/ai1")
+    path = write_messages(tmp_path / "two", messages)
+    for topic, setting in (("", "bag.topic is empty"), ("/f", "bag.topic = /f")):
+        with pytest.raises(BagError, match=f"two: {setting}: must be one of /force, /force/ai1"):
+            played(path, topic)
+    assert len(played(path, "force/ai1")) == 1
+
+
+def test_file_without_force_blocks_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    number = serialized(FLOAT64, {"data": 1.0})
+    bag = write_messages(tmp_path / "wrist", [("/load", FLOAT64, START_NS, number)])
+    table = tmp_path / "cell.csv"
+    table.write_text("t (s),f (N)\n0,1\n", encoding="utf-8")
+    for path, problem in ((bag, f"has no topic of type {FORCE_BLOCK}"), (table, "is not a bag")):
+        with pytest.raises(BagError) as refusal:
+            played(path)
+        remedy = f"convert its force first: scara-effmass import {path} -o BAG"
+        assert str(refusal.value) == f"{path}: {problem}; {remedy}"
+
+
+def test_missing_bag_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match=r"bag.path is empty: must be the bag to play"):
+        BagSource(DaqSettings(), lambda: START_NS).start()
+    with pytest.raises(BagError, match=r"nowhere.csv: does not exist"):
+        played(tmp_path / "nowhere.csv")
+
+
+def test_other_definition_of_force_block_is_refused(tmp_path: Path) -> None:
+    types = get_typestore(Stores.ROS2_JAZZY)
+    types.register(get_types_from_msg("std_msgs/Header header\nfloat64[] force", FORCE_BLOCK))
+    with BagWriter(tmp_path / "old", types=types) as bag:
+        bag.write("/force", FORCE_BLOCK, START_NS, force_block_message(force_block(0)))
+    with pytest.raises(BagError, match=r"old: definition of .*ForceBlock: must be that of this version"):
+        played(tmp_path / "old")
+
+
+def test_sqlite_bag_is_played(tmp_path: Path) -> None:
+    with Ros2Writer(tmp_path / "db3", version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
+        connection = bag.add_connection("/force", FORCE_BLOCK, typestore=known_types())
+        for _, _, log_time_ns, data in block_messages([force_block(0), force_block(100)]):
+            bag.write(connection, log_time_ns, data)
+    assert [float(value) for reading in played(tmp_path / "db3") for value in reading.samples[0]] == list(range(200))

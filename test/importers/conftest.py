@@ -1,0 +1,34 @@
+"""Import of force files as the tests call it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from scara_effmass.importers.force import import_force
+from scara_effmass.settings import ImportSettings, checked
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from scara_effmass.importers.force import ImportedForce
+    from scara_effmass.values import ForceBlock
+
+NS = 10**9
+
+
+def open_import(path: Path, **settings: Any) -> ImportedForce:  # noqa: ANN401 - any setting
+    return import_force(path, checked(ImportSettings, settings, "test"))
+
+
+def imported(path: Path, **settings: Any) -> list[ForceBlock]:  # noqa: ANN401 - any setting
+    return list(open_import(path, **settings).blocks)
+
+
+def force_of(blocks: Sequence[ForceBlock]) -> list[float]:
+    return [float(value) for block in blocks for value in block.force]
+
+
+def lost_in(blocks: Sequence[ForceBlock]) -> list[tuple[int, int]]:
+    """Return the number of the first sample after each gap, and the samples lost in the gap."""
+    return [(block.first_sample, block.lost_samples) for block in blocks if block.lost_samples]

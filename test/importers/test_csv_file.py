@@ -1,0 +1,192 @@
+"""Import of force from CSV files as programs of load cells write them."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scara_effmass.errors import BagError, EffmassError, SettingsError
+from test.importers.conftest import NS, force_of, imported, lost_in, open_import
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+CARTS = Path(__file__).parents[1] / "recordings" / "cart_impacts"
+ROWS = [(0.01 * n, 0.5 * n) for n in range(100)]
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def table(header: str, rows: Sequence[tuple[float, float]], delimiter: str = ",") -> str:
+    return "\n".join([header, *(f"{time:.6f}{delimiter}{force!r}" for time, force in rows)]) + "\n"
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize("name", ["cell.csv", "cell.CSV", "cell.tsv", "cell.txt"])
+def test_plain_file_becomes_blocks_of_100_ms(tmp_path: Path, delimiter: str, name: str) -> None:
+    path = write(tmp_path / name, table(f"Time (s){delimiter}Force (N)", ROWS, delimiter))
+    blocks = imported(path, frame_id="cell")
+    assert force_of(blocks) == [force for _, force in ROWS]
+    assert [(b.first_sample, b.lost_samples, b.stamp_ns) for b in blocks] == [
+        (10 * n, 0, n * NS // 10) for n in range(10)
+    ]
+    for block in blocks:
+        assert block.sample_rate == pytest.approx(100.0)
+        assert (block.source, block.frame_id) == (f"{name}, Force (N)", "cell")
+        assert (block.simulated, block.tare, block.tare_stamp_ns, block.relative_uncertainty) == (False, 0.0, 0, 0.0)
+        assert not block.force.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("header", "unit", "newtons"),
+    [
+        ("Time (s),Force (N)", "", 1.0),
+        ("t,Force [kN]", "", 1e3),
+        ("time_s,force_n", "", 1.0),
+        ("t,Force (lbf)", "", 4.4482216152605),
+        ("time_s,force_lbf", "lbf", 4.4482216152605),
+        ("t,Force (kgf)", "", 9.80665),
+        ("t,f", "kN", 1e3),
+        ("t,load (left)", "N", 1.0),
+    ],
+)
+def test_unit_is_that_of_the_header_or_the_setting(tmp_path: Path, header: str, unit: str, newtons: float) -> None:
+    blocks = imported(write(tmp_path / "cell.csv", table(header, ROWS)), unit=unit)
+    assert force_of(blocks) == [force * newtons for _, force in ROWS]
+
+
+@pytest.mark.parametrize(("header", "volts"), [("time_s,bridge_mv", 1e-3), ("time_s,cell (V)", 1.0)])
+def test_voltage_is_divided_by_the_sensitivity(tmp_path: Path, header: str, volts: float) -> None:
+    path = write(tmp_path / "cell.csv", table(header, ROWS))
+    blocks = imported(path, **{"sensor.sensitivity": 20.0, "sensor.invert": True})
+    assert force_of(blocks) == pytest.approx([-force * volts / 0.020 for _, force in ROWS])
+    assert {block.relative_uncertainty for block in blocks} == {0.15}
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("ms", 1e3), ("us", 1e6), ("\u00b5s", 1e6), ("\u03bcs", 1e6)])
+def test_times_may_be_in_other_units(tmp_path: Path, unit: str, scale: float) -> None:
+    rows = [(time * scale, force) for time, force in ROWS]
+    force = open_import(write(tmp_path / "cell.csv", table(f"Time ({unit}),Force (N)", rows)))
+    assert force.sample_rate == pytest.approx(100.0)
+
+
+def test_absolute_times_in_nanoseconds_keep_all_digits(tmp_path: Path) -> None:
+    first_ns = 1_700_000_000_123_456_789
+    text = "stamp_ns,force_n\n" + "".join(f"{first_ns + n * 78_125},{n}\n" for n in range(2000))
+    block = imported(write(tmp_path / "cell.csv", text))[0]
+    assert (block.stamp_ns, len(block.force)) == (first_ns, 1280)
+
+
+def test_long_table_takes_little_more_memory_than_its_numbers(tmp_path: Path) -> None:
+    rows = 50_000
+    path = write(tmp_path / "cell.csv", "t (s),f (N)\n" + "".join(f"{n / 1000:.3f},{n}\n" for n in range(rows)))
+    tracemalloc.start()
+    try:
+        count = sum(len(block.force) for block in open_import(path).blocks)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert count == rows
+    assert peak < 60 * rows  # bytes; 16 for stamp and value, 8 for the number, and growth
+
+
+def test_comments_blanks_and_missing_rows_are_skipped(tmp_path: Path) -> None:
+    rows = [f"{0.01 * n:.2f},{n}" for n in range(200)]
+    rows[50:60] = ["0.5,", ",7", "", "0.53", "   ,  ", *[f"{0.01 * n:.2f}," for n in range(55, 60)]]
+    blocks = imported(write(tmp_path / "cell.csv", "# exported\n\nTime (s),Force (N)\n" + "\n".join(rows)))
+    assert force_of(blocks) == [float(n) for n in range(200) if not 50 <= n < 60]
+    assert lost_in(blocks) == [(60, 10)]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("unit", "force"),
+    [("N", "nan"), ("N", "inf"), ("N", "1e308"), ("kN", "-1e307"), ("kN", "1.1e6"), ("N", "-1.1e9")],
+)
+def test_value_that_no_sensor_can_measure_is_lost(tmp_path: Path, unit: str, force: str) -> None:
+    text = f"t (s),f ({unit})\n0.0,1\n0.1,{force}\n0.2,2\n0.3,3\n"
+    blocks = imported(write(tmp_path / "cell.csv", text))
+    assert [(b.first_sample, b.lost_samples) for b in blocks] == [(0, 0), (2, 1), (3, 0)]
+    assert [b.stamp_ns for b in blocks] == pytest.approx([0, 2 * NS // 10, 3 * NS // 10], abs=1)
+
+
+def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
+    path = write(tmp_path / "cell.csv", table("t (s),f (N)", [(0.01 * n, f) for n, f in enumerate([1.0, -99.95, 150])]))
+    assert [b.saturated_samples.tolist() for b in imported(path, **{"sensor.range": 100.0})] == [[1, 2]]
+    assert [b.saturated_samples.tolist() for b in imported(path)] == [[]]
+
+
+@pytest.mark.parametrize(
+    ("text", "settings", "message"),
+    [
+        ("", {}, "is empty; must have a header row and rows of numbers"),
+        ("\n# note\n", {}, "is empty; must have a header row"),
+        ("force (N)\n1\n", {}, "line 1: has one column; must have times and force, separated by"),
+        ("0.0,1.0\n0.1,2.0\n", {}, "line 1: has numbers; must be a header with the names of the columns"),
+        ("t,f (N)\n", {}, r"f \(N\): has 0 samples; must have at least 2"),
+        ("t,f (N)\n0,1\n", {}, r"f \(N\): has 1 samples; must have at least 2"),
+        ("t,f (N)\n0,1\n1,a\n", {}, r"line 3: f \(N\) = 'a': must be digits with a decimal point"),
+        ("# a\nt,f (N)\n0,1\nx,2\n", {}, "line 4: t = 'x': must be digits"),
+        ("t;f (N)\n0,5;1,25\n", {}, r"line 2: f \(N\) = '1,25': must be digits with a decimal point"),
+        ("t,f (N)\n0,1\n1,2\n0.5,3\n", {}, "line 4: t = 0.5: must not be less than 1, the time before"),
+        ("t,f (N)\nnan,1\n", {}, "line 2: t = nan: must not be less than -inf"),
+        ("t,f (N)\n1,1\n1,2\n", {}, r"f \(N\): its times do not advance"),
+        ("t,f (N)\n0,nan\n1,nan\n", {}, r"f \(N\): has no finite sample"),
+        ("t,f\n0,1\n", {}, "f: states no unit; unit must be one of N, kN, lbf, kgf, V, mV"),
+        ("t,f (oz)\n0,1\n", {}, r"f \(oz\): has the unit 'oz'; convert it, or set unit to one of N, kN, lbf, kgf"),
+        ("t,f_lbf\n0,1\n", {"unit": "N"}, "f_lbf: unit = N: must be empty, the file states lbf"),
+        ("t,f (kN)\n0,1\n", {"unit": "N"}, r"f \(kN\): unit = N: must be empty, the file states kN"),
+        ("t,f (N)\n0,1\n1e308,2\n", {}, "line 3: t = 1e308: must be within 2147483647 s of 1970 or of the start"),
+        ("t (ns),f (N)\n-1e19,1\n", {}, r"line 2: t \(ns\) = -1e19: must be within"),
+        (f"t (ns),f (N)\n{'9' * 5000},1\n", {}, r"line 2: t \(ns\) = 9+: must"),
+        ("t (h),f (N)\n0,1\n", {}, r"t \(h\): has the unit h; must be one of s, "),
+        ("t,a (N),b (N)\n0,1,2\n", {}, r"topic is empty: must be one of a \(N\), b \(N\)"),
+        ("t,a,b\n0,1,2\n", {"unit": "N"}, "topic is empty: must be one of a, b"),
+        ("t,a (N)\n0,1\n", {"topic": "b"}, r"topic = b: must be one of t, a \(N\)"),
+        ("t,a (N)\n0,1\n", {"time_column": "x"}, "time_column = x: must be one of t, a"),
+        ("t,a (N),a (N)\n0,1,2\n", {"topic": "a (N)"}, "must be a name that only one column has"),
+        ("t,a (N)\n0,1\n", {"topic": "t"}, "topic = time_column = t: must be two columns"),
+        ("t\0,f\n", {}, "must be text in UTF-8"),
+    ],
+)
+def test_bad_table_is_refused_in_one_line(tmp_path: Path, text: str, settings: dict[str, Any], message: str) -> None:
+    path = write(tmp_path / "cell.csv", text)
+    with pytest.raises((BagError, SettingsError), match=message) as refusal:
+        imported(path, **settings)
+    assert str(refusal.value).startswith(f"{path}: ")
+    assert "\n" not in str(refusal.value)
+
+
+@given(text=st.text(st.characters(codec="utf-8"), max_size=60), has_header=st.booleans())
+def test_any_text_is_imported_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, text: str, *, has_header: bool
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.csv"
+    path.write_bytes((f"t,f (N)\n{text}" if has_header else text).encode())
+    try:
+        imported(path)
+    except EffmassError as error:
+        assert "\n" not in str(error)  # noqa: PT017 - most texts are refused
+
+
+@pytest.mark.parametrize(("pad", "rate", "count"), [(28, 20.0, 100), (40, 100.0, 500), (52, 100.0, 500)])
+@pytest.mark.parametrize("run", [1, 2])
+def test_recording_of_a_cart_on_a_force_sensor(pad: int, rate: float, count: int, run: int) -> None:
+    path = CARTS / f"pad_{pad}mm.csv"
+    with pytest.raises(SettingsError, match=r"topic is empty: must be one of .*Run 1: Force \(N\)"):
+        imported(path)
+    blocks = imported(path, topic=f"Run {run}: Force (N)", time_column=f"Run {run}: Time (s)")
+    assert blocks[0].sample_rate == pytest.approx(rate)
+    assert len(force_of(blocks)) == count
+    assert lost_in(blocks) == []
+    assert max(block.clock_residual for block in blocks) < 1e-9
+    assert 3.0 < -np.min(force_of(blocks)) < 11.0  # the sensor reads compression as negative

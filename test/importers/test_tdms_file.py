@@ -1,0 +1,117 @@
+"""Import of force from TDMS files of LabVIEW and NI-DAQmx."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from nptdms import ChannelObject, TdmsWriter
+
+from scara_effmass.errors import BagError, SettingsError
+from test.importers.conftest import NS, force_of, imported, lost_in, open_import
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+START = np.datetime64("2024-03-01T12:00:00.000250", "us")
+START_NS = int(START.astype("datetime64[ns]").astype(np.int64))
+TIMING = {"wf_start_time": START, "wf_increment": 1 / 12_800, "unit_string": "N"}
+FORCE = np.linspace(-1.0, 200.0, 3000)
+
+
+def write(path: Path, channels: dict[str, tuple[np.ndarray, dict[str, Any]]]) -> Path:
+    with TdmsWriter(path) as writer:
+        writer.write_segment(
+            [ChannelObject(*name.split("/"), data, properties) for name, (data, properties) in channels.items()]
+        )
+    return path
+
+
+def test_channel_keeps_its_waveform_times(tmp_path: Path) -> None:
+    blocks = imported(write(tmp_path / "run.tdms", {"Untitled/cell": (FORCE, TIMING)}))
+    assert force_of(blocks) == FORCE.tolist()
+    assert [b.stamp_ns for b in blocks] == [START_NS, START_NS + NS // 10, START_NS + NS // 5]
+    assert {(b.source, b.sample_rate, b.clock_residual) for b in blocks} == {("run.tdms, Untitled/cell", 12_800.0, 0.0)}
+
+
+@pytest.mark.parametrize(
+    ("stated", "unit", "newtons"),
+    [("Volts", "", 1e3 / 2.248), ("mV", "mV", 1.0 / 2.248), ("", "kN", 1e3), ("Kilonewtons", "", 1e3)],
+)
+def test_unit_is_that_of_the_channel_or_the_setting(tmp_path: Path, stated: str, unit: str, newtons: float) -> None:
+    path = write(tmp_path / "run.tdms", {"g/c": (FORCE, TIMING | {"unit_string": stated})})
+    assert force_of(imported(path, unit=unit)) == pytest.approx((FORCE * newtons).tolist())
+
+
+def test_cut_file_is_imported_up_to_the_cut(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.tdms", {"g/c": (FORCE, TIMING)})
+    whole = path.read_bytes()
+    for cut, losses in ((0, ()), (8000, (f"{path}: is cut off in its last segment; the rest is lost",))):
+        path.write_bytes(whole[: len(whole) - cut])
+        force = open_import(path)
+        assert force_of(list(force.blocks)) == FORCE[: len(FORCE) - cut // 8].tolist()
+        assert force.losses() == losses
+
+
+def test_channel_with_a_unit_of_force_is_selected_and_offsets_count(tmp_path: Path) -> None:
+    channels: dict[str, Any] = {
+        "g/text": (np.array(["a", "b"]), {}),
+        "g/temperature": (FORCE, TIMING | {"unit_string": "degC"}),
+        "g/cell": (FORCE.astype(np.int16), TIMING | {"wf_start_offset": 0.5}),
+    }
+    blocks = imported(write(tmp_path / "run.tdms", channels))
+    assert blocks[0].stamp_ns == START_NS + NS // 2
+    assert force_of(blocks) == FORCE.astype(np.int16).tolist()
+
+
+def test_channel_without_a_date_has_relative_stamps(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.tdms", {"g/c": (FORCE, {"wf_increment": 0.001, "unit_string": "N"})})
+    assert imported(path)[0].stamp_ns == 0
+
+
+@pytest.mark.filterwarnings("error")
+def test_values_that_are_not_finite_are_lost(tmp_path: Path) -> None:
+    values = np.array([np.nan, 1.0, 1e307, -np.inf, 2.0])
+    blocks = imported(write(tmp_path / "run.tdms", {"g/c": (values, TIMING | {"unit_string": "kN"})}))
+    assert force_of(blocks) == [1e3, 2e3]
+    assert lost_in(blocks) == [(1, 1), (4, 2)]
+    assert blocks[1].stamp_ns == START_NS + round(4 / 12_800 * NS)
+
+
+@pytest.mark.parametrize(
+    ("channels", "settings", "message"),
+    [
+        ({"g/c": {"wf_increment": 0.0}}, {}, r"g/c: wf_increment = 0.0: must be the sampling period \[s\]"),
+        ({"g/c": {"wf_increment": 1e300}}, {}, r"g/c: wf_increment = 1e\+300: must be the sampling period"),
+        ({"g/c": {"wf_start_offset": float("inf")}}, {}, "g/c: wf_start_offset = inf: must be less than"),
+        ({"g/c": {"wf_increment": "soon"}}, {}, "g/c: wf_increment = 'soon': must be a number"),
+        ({"g/c": {"unit_string": "kip"}}, {}, "g/c: has the unit 'kip'; convert it, or set unit to one of N, kN, lbf"),
+        ({"g/c": {}}, {"unit": "kN"}, "g/c: unit = kN: must be empty, the file states N"),
+        ({"g/a": {}, "g/b": {}}, {}, "topic is empty: must be one of g/a, g/b"),
+        ({"g/a": {}}, {"topic": "g/x"}, "topic = g/x: must be one of g/a"),
+    ],
+)
+def test_bad_channel_is_refused_in_one_line(
+    tmp_path: Path, channels: dict[str, dict[str, Any]], settings: dict[str, Any], message: str
+) -> None:
+    path = write(tmp_path / "run.tdms", {name: (FORCE, TIMING | changes) for name, changes in channels.items()})
+    with pytest.raises((BagError, SettingsError), match=message) as refusal:
+        imported(path, **settings)
+    assert str(refusal.value).startswith(f"{path}: ")
+
+
+def test_file_without_force_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"run.tdms: has no channel with numbers"):
+        imported(write(tmp_path / "run.tdms", {"g/text": (np.array(["a", "b"]), {})}))
+    with pytest.raises(BagError, match=r"g/c: wf_increment = missing: must be the sampling period"):
+        imported(write(tmp_path / "bare.tdms", {"g/c": (FORCE, {"unit_string": "N"})}))
+
+
+def test_damaged_file_is_refused_without_other_output(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "junk.tdms").write_bytes(b"TDSmxxxx" * 100)
+    (tmp_path / "text.tdms").write_text("no TDMS at all, but long enough to look at", encoding="utf-8")
+    for name, problem in (("junk.tdms", "has no channel with numbers"), ("text.tdms", "cannot be read: ")):
+        with pytest.raises(BagError, match=rf"{name}: {problem}"):
+            imported(tmp_path / name)
+    assert capfd.readouterr() == ("", "")

@@ -1,0 +1,121 @@
+"""Conversion of stamped samples to blocks of uniform sampling."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from scara_effmass.importers.uniform_sampling import CHUNK, uniform_samples
+
+if TYPE_CHECKING:
+    from scara_effmass.importers.force_file import SampleBlock
+
+NS = 10**9
+T0 = 1_700_000_000 * NS
+
+
+def sampled(times_ns: np.ndarray, block_time: float = 0.1) -> tuple[float, list[SampleBlock]]:
+    """Return the rate and the blocks of samples whose values are their indices."""
+    sample_rate, blocks = uniform_samples(times_ns, np.arange(len(times_ns), dtype=np.float64), block_time)
+    return sample_rate, list(blocks)
+
+
+@settings(max_examples=40)
+@given(
+    rate=st.floats(0.5, 20_000.0),
+    count=st.integers(300, 6000),
+    block_time=st.floats(0.005, 2.0),
+    gaps=st.dictionaries(st.integers(1, 5999), st.integers(1, 1000), max_size=3),
+)
+def test_uniform_stamps_stay_and_every_gap_is_counted(
+    rate: float, count: int, block_time: float, gaps: dict[int, int]
+) -> None:
+    numbers = np.arange(count)
+    for at, lost in gaps.items():
+        numbers[at:] += lost
+    assume(numbers[-1] < 1.9 * count)
+    times_ns = T0 + np.round(numbers * NS / rate).astype(np.int64)
+    sample_rate, blocks = sampled(times_ns, block_time)
+    assert sample_rate == pytest.approx(rate, rel=1e-4)
+    assert np.concatenate([block.samples for block in blocks]).tolist() == list(range(count))
+    assert {int(block.samples[0]): block.lost_samples for block in blocks if block.lost_samples} == {
+        at: lost for at, lost in gaps.items() if at < count
+    }
+    size = max(1, round(block_time * sample_rate))
+    for block in blocks:
+        assert len(block.samples) <= size
+        assert block.stamp_ns == pytest.approx(times_ns[int(block.samples[0])], abs=2)
+        assert block.clock_residual == pytest.approx(0.0, abs=2e-9)
+
+
+@pytest.mark.parametrize("count", [100, 1000, 9000])
+@pytest.mark.parametrize("jitter", [0.02, 0.1, 0.2, 0.3, 0.5])
+def test_jitter_is_averaged_and_loses_no_sample(jitter: float, count: int) -> None:
+    period_ns = 1_000_000
+    true_ns = T0 + np.arange(count) * period_ns
+    for seed in range(5):
+        noise_ns = np.random.default_rng(seed).normal(0.0, jitter * period_ns, count).astype(np.int64)
+        sample_rate, blocks = sampled(np.sort(true_ns + noise_ns))
+        assert sample_rate == pytest.approx(1000.0, rel=0.2 * jitter / count**0.5 + 1e-6)
+        assert sum(block.lost_samples for block in blocks) == 0
+        assert sum(len(block.samples) for block in blocks) == count
+        first = 0
+        for block in blocks:
+            # of the median of 100 normal numbers, five standard deviations; sorting them takes a little away
+            assert abs(block.stamp_ns - true_ns[first]) < 6.5 * jitter / 10 * period_ns
+            assert 0.5 * jitter < block.clock_residual * 1e3 < 1.5 * jitter
+            first += len(block.samples)
+
+
+def test_samples_of_a_burst_are_spread_over_their_time() -> None:
+    """A driver that passes on ten samples at once stamps all of them with the time of the last one."""
+    count, period_ns = 10 * CHUNK // 4, 1_000_000
+    true_ns = T0 + np.arange(count) * period_ns
+    sample_rate, blocks = sampled(true_ns[9::10].repeat(10))
+    assert sample_rate == pytest.approx(1000.0, rel=1e-3)
+    assert sum(block.lost_samples for block in blocks) == 0
+    assert max(abs(block.stamp_ns - true_ns[100 * n]) for n, block in enumerate(blocks)) < 10 * period_ns
+    assert 2e-3 < max(block.clock_residual for block in blocks) < 6e-3
+
+
+def test_stall_is_not_a_gap() -> None:
+    period_ns = 1_000_000
+    true_ns = T0 + np.arange(3000) * period_ns
+    stalled_ns = true_ns.copy()
+    stalled_ns[1000:1040] = true_ns[1040]
+    _, blocks = sampled(stalled_ns)
+    assert sum(block.lost_samples for block in blocks) == 0
+    gone_ns = np.delete(true_ns, slice(1000, 1040))
+    _, blocks = sampled(gone_ns)
+    (gap,) = [block for block in blocks if block.lost_samples]
+    assert (gap.lost_samples, gap.samples[0], gap.stamp_ns) == (40, 1000.0, true_ns[1040])
+
+
+def test_gap_at_the_edge_of_a_chunk_is_found() -> None:
+    period_ns = 100_000
+    for at in (CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + 63):
+        times_ns = T0 + np.arange(3 * CHUNK) * period_ns
+        times_ns[at:] += 7 * period_ns
+        _, blocks = sampled(times_ns)
+        assert [(block.lost_samples, block.samples[0]) for block in blocks if block.lost_samples] == [(7, float(at))]
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        ([], "has 0 samples; must have at least 2"),
+        ([1], "has 1 samples; must have at least 2"),
+        ([5, 5, 5, 5], "its times do not advance; must be times at a constant rate"),
+        (
+            [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 100],
+            "has no constant rate: of 101 samples at 1 Hz, 90 are missing",
+        ),
+    ],
+)
+def test_samples_without_a_constant_rate_are_refused(times: list[int], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        sampled(np.array(times, np.int64) * NS)

@@ -1,0 +1,195 @@
+"""Import of force from topics of wrenches and numbers in a bag."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.typesys import Stores, get_typestore
+
+from scara_effmass.bags.messages import header, message, serialized
+from scara_effmass.bags.writer import BagWriter
+from scara_effmass.errors import BagError
+from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, STRING, WRENCH, WRENCH_STAMPED
+from scara_effmass.wire.topics import RECORDING_INFO
+from test.importers.conftest import force_of, imported, lost_in, open_import
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+NS = 10**9
+MS = 10**6
+T0 = 1_700_000_000 * NS
+TRUNCATED = b"\x00\x01\x00\x00"
+
+Messages = list[tuple[str, str, int, bytes]]
+
+
+def wrench(force_z: float) -> object:
+    force, torque = (
+        message("geometry_msgs/msg/Vector3", dict(zip("xyz", values, strict=True)))
+        for values in ((1.0, 2.0, force_z), (0.0, 0.0, 0.0))
+    )
+    return message(WRENCH, {"force": force, "torque": torque})
+
+
+def wrenches(stamps_ns: Iterable[int], log_times_ns: Iterable[int]) -> Messages:
+    """Return wrenches whose force along z is their index."""
+    return [
+        (
+            "/wrench",
+            WRENCH_STAMPED,
+            int(log_ns),
+            serialized(WRENCH_STAMPED, {"header": header(int(stamp_ns), "ft"), "wrench": wrench(float(number))}),
+        )
+        for number, (stamp_ns, log_ns) in enumerate(zip(stamps_ns, log_times_ns, strict=True))
+    ]
+
+
+def floats(times_ns: Iterable[int], topic: str = "/load") -> Messages:
+    """Return numbers that are their own index."""
+    return [
+        (topic, FLOAT64, time_ns, serialized(FLOAT64, {"data": float(number)}))
+        for number, time_ns in enumerate(times_ns)
+    ]
+
+
+def write(path: Path, messages: Messages) -> Path:
+    with BagWriter(path) as bag:
+        for entry in messages:
+            bag.write(*entry)
+    return path
+
+
+TIMES_NS = [T0 + n * 10 * MS for n in range(100)]
+
+
+def test_wrench_gives_the_selected_axis_at_the_rate_of_its_stamps(tmp_path: Path) -> None:
+    stamps_ns = T0 + np.arange(1000) * 2 * MS
+    path = write(tmp_path / "run", wrenches(stamps_ns, stamps_ns + 3 * MS))
+    blocks = imported(path)
+    assert force_of(blocks) == list(range(1000))
+    assert [(b.stamp_ns, len(b.force)) for b in blocks] == [(T0 + n * 100 * MS, 50) for n in range(20)]
+    assert blocks[0].sample_rate == pytest.approx(500.0)
+    assert blocks[0].source == "run, /wrench force.z"
+    assert set(force_of(imported(path, axis="y"))) == {2.0}
+
+
+def test_messages_are_sorted_gaps_counted_and_invalid_stamps_left_out(tmp_path: Path) -> None:
+    stamps_ns = T0 + np.arange(2000) * MS
+    log_times_ns = stamps_ns + 200 * MS
+    rng = np.random.default_rng(3)
+    kept = np.delete(np.arange(2000), slice(1200, 1300))
+    swapped = kept[np.argsort(kept + rng.uniform(0, 20, len(kept)), kind="stable")]
+    stamps_ns = stamps_ns[swapped]
+    invalid = {5: 0, 700: T0 - 3600 * NS, 1500: T0 + 3600 * NS}
+    for at, stamp_ns in invalid.items():
+        stamps_ns[at] = stamp_ns
+    blocks = imported(write(tmp_path / "run", wrenches(stamps_ns, np.sort(log_times_ns[kept]))))
+    expected = np.delete(kept, np.searchsorted(kept, swapped[list(invalid)]))
+    order = {int(number): at for at, number in enumerate(swapped)}
+    assert force_of(blocks) == [float(order[int(number)]) for number in expected]
+    assert sum(block.lost_samples for block in blocks) == 103
+    numbers = np.concatenate([b.first_sample + np.arange(len(b.force)) for b in blocks])
+    assert numbers.tolist() == (expected - expected[0]).tolist()
+
+
+@pytest.mark.parametrize("count", [1500, 12_000])
+def test_clock_step_during_the_recording_is_refused(tmp_path: Path, count: int) -> None:
+    log_times_ns = T0 + np.arange(count) * MS
+    stamps_ns = log_times_ns.copy()
+    stamps_ns[count - 400 :] -= 60 * NS
+    path = write(tmp_path / "run", wrenches(stamps_ns, log_times_ns))
+    with pytest.raises(BagError, match=r"its stamps are -60.000 s off from .*; must be recorded without a clock step"):
+        imported(path)
+
+
+def test_messages_without_stamps_are_placed_by_their_log_times(tmp_path: Path) -> None:
+    bare = [("/bare", WRENCH, time, serialized(WRENCH, {"force": f, "torque": f})) for time, f in (
+        (time, message("geometry_msgs/msg/Vector3", {"x": 0.0, "y": 0.0, "z": float(n)}))
+        for n, time in enumerate(TIMES_NS)
+    )]  # fmt: skip
+    for name, messages in (("load", floats(TIMES_NS)), ("bare", bare), ("wrench", wrenches([0] * 100, TIMES_NS))):
+        blocks = imported(write(tmp_path / name, messages), unit="kN")
+        assert blocks[0].source.endswith("at log times")
+        assert force_of(blocks) == [1000.0 * n for n in range(100)]
+        assert [block.stamp_ns for block in blocks] == TIMES_NS[::10]
+
+
+def test_voltage_topic_is_divided_by_the_sensitivity(tmp_path: Path) -> None:
+    path = write(tmp_path / "run", floats(TIMES_NS))
+    force = force_of(imported(path, unit="mV", **{"sensor.sensitivity": 4.0}))
+    assert force == pytest.approx([n / 4.0 for n in range(100)])
+
+
+def test_message_that_cannot_be_decoded_is_lost(tmp_path: Path) -> None:
+    messages = floats(TIMES_NS)
+    messages[40] = (*messages[40][:3], TRUNCATED)
+    assert lost_in(imported(write(tmp_path / "some", messages))) == [(41, 1)]
+    broken: Messages = [(*entry[:3], TRUNCATED) for entry in messages]
+    with pytest.raises(BagError, match=r"all: /load: no message can be decoded: .*std_msgs/msg/Float64"):
+        imported(write(tmp_path / "all", broken))
+
+
+def test_truncated_bag_is_imported_up_to_the_cut(tmp_path: Path) -> None:
+    noise = np.random.default_rng(5).normal(size=60_000)
+    messages = [("/load", FLOAT64, T0 + n * MS, serialized(FLOAT64, {"data": value})) for n, value in enumerate(noise)]
+    path = write(tmp_path / "run.mcap", messages)
+    path.write_bytes(path.read_bytes()[: int(0.4 * path.stat().st_size)])
+    force = open_import(path)
+    values = force_of(list(force.blocks))
+    assert 1000 < len(values) < len(noise)
+    assert values == noise[: len(values)].tolist()
+    assert "cut off" in "; ".join(force.losses())
+
+
+def test_stamped_wrench_is_selected_before_other_types(tmp_path: Path) -> None:
+    messages = [*wrenches(TIMES_NS, TIMES_NS), *floats(TIMES_NS)]
+    assert open_import(write(tmp_path / "run", messages)).source == "run, /wrench force.z"
+
+
+def test_ambiguous_or_missing_topic_is_refused(tmp_path: Path) -> None:
+    two = write(tmp_path / "two", [*floats(TIMES_NS, "/a"), *floats(TIMES_NS, "/b")])
+    choices = r"must be one of /a \(std_msgs/msg/Float64\), /b \(.*\)"
+    with pytest.raises(BagError, match=rf"two: topic is empty: {choices}"):
+        imported(two)
+    with pytest.raises(BagError, match=rf"two: topic = /c: {choices}"):
+        imported(two, topic="/c")
+    assert len(force_of(imported(two, topic="b"))) == 100
+    none = write(tmp_path / "none", [("/s", STRING, T0, serialized(STRING, {"data": ""}))])
+    for topic in ("", "/s"):
+        with pytest.raises(BagError, match="must have a topic of type geometry_msgs/msg/WrenchStamped, geometry_msgs"):
+            imported(none, topic=topic)
+    with pytest.raises(BagError, match="one: /load: has 1 samples; must have at least 2"):
+        imported(write(tmp_path / "one", floats([T0])))
+
+
+def test_bag_with_force_blocks_needs_no_import(tmp_path: Path) -> None:
+    path = write(tmp_path / "run", [("/force", FORCE_BLOCK, T0, TRUNCATED), *floats(TIMES_NS)])
+    with pytest.raises(BagError, match="run: already has ForceBlocks on /force; needs no import"):
+        imported(path)
+    assert len(force_of(imported(path, topic="/load"))) == 100
+
+
+@pytest.mark.parametrize("info", [{"generated": True}, {"generated": False}, []])
+def test_generated_recording_is_simulated(tmp_path: Path, info: object) -> None:
+    text = (RECORDING_INFO, STRING, T0, serialized(STRING, {"data": json.dumps(info)}))
+    blocks = imported(write(tmp_path / "run", [text, *wrenches(TIMES_NS, TIMES_NS)]))
+    assert {block.simulated for block in blocks} == {info == {"generated": True}}
+
+
+def test_ros1_bag_is_imported(tmp_path: Path) -> None:
+    ros1 = get_typestore(Stores.ROS1_NOETIC)
+    make: dict[str, Any] = dict(ros1.types)
+    with Ros1Writer(tmp_path / "ros1.bag") as bag:
+        connection = bag.add_connection("/ft", WRENCH_STAMPED, typestore=ros1)
+        for n in range(100):
+            stamp = make["builtin_interfaces/msg/Time"](T0 // NS, n * MS)
+            vectors = [make["geometry_msgs/msg/Vector3"](0.0, 0.0, float(n)) for _ in range(2)]
+            whole = make[WRENCH_STAMPED](make["std_msgs/msg/Header"](n, stamp, "ft"), make[WRENCH](*vectors))
+            bag.write(connection, T0 + n * MS, ros1.serialize_ros1(whole, WRENCH_STAMPED))
+    assert force_of(imported(tmp_path / "ros1.bag")) == list(range(100))
