@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     import argparse
 
 EXAMPLES = """\
-A simulated robot drives into simulated carts, again and again: joint states at 1 kHz, and on run_info which
-cart waits. Start the force node with the same --start, and it has the force of the same impacts.
+A simulated robot repeatedly hits simulated carts. The node publishes joint states at 1 kHz and, on run_info, the
+cart in place. A force node with the same start publishes the force of the same impacts.
 
 examples:
   scara-effmass sim --start 1800000000
@@ -22,18 +22,15 @@ examples:
 def add_to(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.epilog = EXAMPLES
-    parser.add_argument("--start", type=float, metavar="S", help="ROS time at which it begins [s] (default: now)")
-    parser.add_argument("--seed", type=int, help="of its noise (default: 0)")
-    parser.add_argument(
-        "--clock", action="store_true", help="make the time, on /clock, and wait for nodes that fall behind"
-    )
+    parser.add_argument("--start", type=float, metavar="S", help="ROS time of the start [s] (default: now)")
+    parser.add_argument("--seed", type=int, help="random seed of the noise (default: 0)")
+    parser.add_argument("--clock", action="store_true", help="publish /clock and wait for nodes that fall behind")
     parser.set_defaults(run=run, ros_arguments=[])
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the node until it is told to stop."""
+    """Run the node until it is stopped."""
     from scara_effmass.nodes.sim_node import main  # noqa: PLC0415 - rclpy, only when the node runs
 
-    return main(
-        node_arguments(None, {"start": args.start, "seed": args.seed, "clock": args.clock or None}, args.ros_arguments)
-    )
+    parameters = {"start": args.start, "seed": args.seed, "clock": args.clock or None}
+    return main(node_arguments(None, parameters, args.ros_arguments))

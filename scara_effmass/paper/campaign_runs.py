@@ -1,4 +1,4 @@
-"""The impacts of a campaign, from its recordings: one bag per run, each of which says what was set."""
+"""Impacts and tool motions of a campaign, from its recordings: one bag per run."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ if TYPE_CHECKING:
 
     from scara_effmass.bags.bag import Bag
     from scara_effmass.paper.motion import ToolMotion
+    from scara_effmass.paper.recorded_impact import Point
     from scara_effmass.paper.scara import Scara
     from scara_effmass.settings import DetectionSettings
     from scara_effmass.values import Impact
 
-LEAD_S, SHOWN_S = 0.5e-3, 5e-3
-"""From so long before the onset the force is kept, until so long after it."""
+BEFORE_ONSET_S, AFTER_ONSET_S = 0.5e-3, 5e-3
+"""Interval of the force around the onset."""
 ALONG_X = (1.0, 0.0, 0.0)
 
 
 class CampaignRun(NamedTuple):
-    """One run: its impact, and how the tool moved."""
+    """The impact of one run, and the motion of the tool."""
 
     impact: RecordedImpact
     motion: ToolMotion
@@ -38,41 +39,45 @@ class CampaignRun(NamedTuple):
 def campaign_runs(
     folder: Path, scara: Scara, joints: tuple[str, str], settings: DetectionSettings
 ) -> list[CampaignRun]:
-    """Return the runs in `folder`, the impacts found anew in the recorded force; first two joints are `joints`.
+    """Return the runs in `folder`, with impacts detected in the recorded force; the first two joints are `joints`.
 
-    The speed is that of the last joint state before the onset, less what the clock of the force may be off. Raises
-    BagError for a recording without one whole impact along x, or that does not say at which point and with which mass.
+    The speed is that of the last joint state certainly before the onset. Raises BagError for a recording without
+    exactly one complete impact along x, or without obstacle mass and impact point.
     """
     return [_run(path, scara, joints, settings) for path in find_bags(folder)]
 
 
 def _run(path: Path, scara: Scara, joints: tuple[str, str], settings: DetectionSettings) -> CampaignRun:
     with open_bag(path) as bag:
-        point, obstacle_mass = _what_was_set(bag)
+        point, obstacle_mass = _point_and_mass(bag)
         forces = read_force(bag)
         if forces is None:
-            raise BagError(f"{path}: has no {FORCE_BLOCK}; the force of an impact would be right")
+            raise BagError(f"{path}: no {FORCE_BLOCK}: must contain the force of an impact")
         impact = _impact(bag, settings)
-    about = f"{'simulated' if forces.simulated else 'recorded'} run {path.name}"
-    motion = tool_motion(path, scara, joints, about, contact_ns=impact.stamp_ns, contact_doubt_s=impact.clock_residual)
-    time = (forces.stamp_ns - impact.stamp_ns) / 1e9
-    shown = (time >= -LEAD_S) & (time <= SHOWN_S)
-    return CampaignRun(
-        RecordedImpact(
-            point=point,
-            obstacle_mass_kg=obstacle_mass,
-            speed_m_s=motion.contact_speed_m_s,
-            peak_force_n=impact.peak_force,
-            time_s=time[shown],
-            force_n=forces.force[shown] - impact.baseline,
-            simulated=forces.simulated,
-        ),
-        motion,
+    motion = tool_motion(
+        path,
+        scara,
+        joints,
+        source=f"{'simulated' if forces.simulated else 'recorded'} run {path.name}",
+        contact_ns=impact.stamp_ns,
+        contact_uncertainty_s=impact.clock_residual,
     )
+    time = (forces.stamp_ns - impact.stamp_ns) / 1e9
+    shown = (time >= -BEFORE_ONSET_S) & (time <= AFTER_ONSET_S)
+    recorded_impact = RecordedImpact(
+        point=point,
+        obstacle_mass_kg=obstacle_mass,
+        speed_m_s=motion.contact_speed_m_s,
+        peak_force_n=impact.peak_force,
+        time_s=time[shown],
+        force_n=forces.force[shown] - impact.baseline,
+        simulated=forces.simulated,
+    )
+    return CampaignRun(recorded_impact, motion)
 
 
-def _what_was_set(bag: Bag) -> tuple[tuple[float, float], float]:
-    """Return the point of the impact [m] and the mass of the cart [kg]."""
+def _point_and_mass(bag: Bag) -> tuple[Point, float]:
+    """Return impact point [m] and obstacle mass [kg]."""
     for info in run_infos(bag):
         if not info.obstacle_mass or not any(info.plate_normal):
             continue
@@ -82,18 +87,16 @@ def _what_was_set(bag: Bag) -> tuple[tuple[float, float], float]:
         if not math.isfinite(x + y):
             raise BagError(f"{bag.path}: impact_position = {info.impact_position}: must be finite [m]")
         return (x, y), info.obstacle_mass
-    raise BagError(
-        f"{bag.path}: states no obstacle_mass, impact_position and plate_normal; a campaign's recording does"
-    )
+    raise BagError(f"{bag.path}: must state obstacle_mass, impact_position and plate_normal, as a campaign does")
 
 
 def _impact(bag: Bag, settings: DetectionSettings) -> Impact:
     detector = Detector(settings)
     topic = next(topic.name for topic in bag.topics if topic.type == FORCE_BLOCK)
-    found = [impact for block in bag.force_blocks(topic) for impact in detector.feed(block)] + detector.finish()
-    first = [impact for impact in found if not impact.rebound]
+    impacts = [impact for block in bag.force_blocks(topic) for impact in detector.feed(block)] + detector.finish()
+    first = [impact for impact in impacts if not impact.rebound]
     if len(first) != 1:
-        raise BagError(f"{bag.path}: {topic}: {len(first)} impacts, rebounds aside; a run has one")
+        raise BagError(f"{bag.path}: {topic}: {len(first)} impacts without rebounds: must be 1")
     if first[0].clipped or first[0].incomplete:
-        raise BagError(f"{bag.path}: {topic}: its impact is clipped or incomplete; a whole one would be right")
+        raise BagError(f"{bag.path}: {topic}: clipped or incomplete impact: must be complete")
     return first[0]

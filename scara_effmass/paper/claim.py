@@ -1,4 +1,4 @@
-"""One statement of the paper beside what comes out here."""
+"""One claim: a statement of the paper beside this project's result."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ class Basis(Enum):
     """How much an agreement proves."""
 
     GIVEN = "given"
-    """The shipped files or settings state the paper's number: agreement is bookkeeping."""
+    """The shipped files or settings state the paper's number."""
     FITTED = "fitted"
-    """The robot's masses and inertias were fitted to this number: agreement shows the fit, not the claim."""
+    """Masses and inertias of the shipped robot were fitted to this number."""
     RESULT = "result"
-    """It follows from the model, with nothing fitted to it."""
+    """The number follows from the model without a fit to it."""
 
 
 class Outcome(Enum):
-    """What the comparison says."""
+    """Result of the comparison."""
 
     MATCH = "match"
     NO_MATCH = "no match"
@@ -27,10 +27,9 @@ class Outcome(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A claim.
+    """A statement `paper` at `where` in the paper, our result `ours`, and the `rule` for a match.
 
-    `value` [`unit`] is the number behind `ours`, None where there is none; `rule` says when the claim counts as met.
-    `basis` is None where nothing was checked.
+    `value` [`unit`] is the number in `ours`, None without one; `basis` is None where nothing was checked.
     """
 
     key: str
@@ -45,52 +44,54 @@ class Claim:
     note: str = ""
 
 
-def near(
-    key: str,
-    where: str,
-    paper: str,
-    printed: float,
-    value: float,
-    tolerance: float,
-    unit: str,
-    basis: Basis,
-    note: str = "",
-) -> Claim:
-    """Return the claim that `value` is `printed`, to within `tolerance`."""
-    rule = f"within {_quantity(tolerance, unit)} of {_quantity(printed, unit)}"
-    return _judged(key, where, paper, value, unit, rule, basis, note, met=abs(value - printed) <= tolerance)
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """A statement of the paper; its methods compare it with a result. NaN never matches."""
 
+    key: str
+    where: str
+    text: str
+    basis: Basis = Basis.RESULT
 
-def at_most(
-    key: str, where: str, paper: str, bound: float, value: float, unit: str, basis: Basis, note: str = ""
-) -> Claim:
-    """Return the claim that `value` does not exceed `bound`."""
-    return _judged(key, where, paper, value, unit, f"at most {_quantity(bound, unit)}", basis, note, met=value <= bound)
+    def near(self, value: float, expected: float, tolerance: float, unit: str = "", note: str = "") -> Claim:
+        """Return the claim that `value` is within `tolerance` of `expected`."""
+        rule = f"within {_quantity(tolerance, unit)} of {_quantity(expected, unit)}"
+        return self._compared(value, unit, rule, note, met=abs(value - expected) <= tolerance)
 
+    def at_most(self, value: float, bound: float, unit: str = "", note: str = "") -> Claim:
+        """Return the claim that `value` does not exceed `bound`."""
+        return self._compared(value, unit, f"at most {_quantity(bound, unit)}", note, met=value <= bound)
 
-def more_than(
-    key: str, where: str, paper: str, bound: float, value: float, unit: str, basis: Basis, note: str = ""
-) -> Claim:
-    """Return the claim that `value` exceeds `bound`."""
-    return _judged(
-        key, where, paper, value, unit, f"more than {_quantity(bound, unit)}", basis, note, met=value > bound
-    )
+    def more_than(self, value: float, bound: float, unit: str = "", note: str = "") -> Claim:
+        """Return the claim that `value` exceeds `bound`."""
+        return self._compared(value, unit, f"more than {_quantity(bound, unit)}", note, met=value > bound)
 
+    def holds(self, ours: str, rule: str, note: str = "", *, met: bool) -> Claim:
+        """Return a claim without a single number."""
+        return self._claim(ours, None, "", rule, self.basis, _outcome(met=met), note)
 
-def holds(key: str, where: str, paper: str, ours: str, rule: str, basis: Basis, note: str = "", *, met: bool) -> Claim:
-    """Return a claim that is no single number."""
-    return Claim(key, where, paper, ours, None, "", rule, basis, _outcome(met=met), note)
+    def not_checked(self, reason: str) -> Claim:
+        """Return a claim that cannot be checked here."""
+        return self._claim("", None, "", "", None, Outcome.NOT_CHECKED, reason)
 
+    def _compared(self, value: float, unit: str, rule: str, note: str, *, met: bool) -> Claim:
+        return self._claim(_quantity(value, unit), value, unit, rule, self.basis, _outcome(met=met), note)
 
-def not_checked(key: str, where: str, paper: str, why: str) -> Claim:
-    """Return a claim that cannot be compared here."""
-    return Claim(key, where, paper, "", None, "", "", None, Outcome.NOT_CHECKED, why)
-
-
-def _judged(
-    key: str, where: str, paper: str, value: float, unit: str, rule: str, basis: Basis, note: str, *, met: bool
-) -> Claim:
-    return Claim(key, where, paper, _quantity(value, unit), value, unit, rule, basis, _outcome(met=met), note)
+    def _claim(
+        self, ours: str, value: float | None, unit: str, rule: str, basis: Basis | None, outcome: Outcome, note: str
+    ) -> Claim:
+        return Claim(
+            key=self.key,
+            where=self.where,
+            paper=self.text,
+            ours=ours,
+            value=value,
+            unit=unit,
+            rule=rule,
+            basis=basis,
+            outcome=outcome,
+            note=note,
+        )
 
 
 def _outcome(*, met: bool) -> Outcome:

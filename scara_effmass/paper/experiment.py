@@ -14,30 +14,31 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from scara_effmass.paper.motion import ToolMotion
-    from scara_effmass.paper.recorded_impact import RecordedImpact
+    from scara_effmass.paper.figure_specs import FigureInputs
     from scara_effmass.paper.scara import Scara
 
 
-def figure_17(motion: ToolMotion) -> Figure:
-    """Position and velocity of the tool along x, and the instant of impact."""
-    figure = new_figure(10.5, 4.2, f"Fig. 17  Tool along x, {motion.about}")
+def figure_17(inputs: FigureInputs) -> Figure:
+    """Draw position and velocity of the tool along x, and the instant of impact."""
+    motion = inputs.motion
+    figure = new_figure(10.5, 4.2, f"Fig. 17  Tool along x, {motion.source}")
     position, velocity = figure.subplots(1, 2)
     for axes, values, name, label in (
         (position, motion.x_m, "(a) position", "x [mm]"),
         (velocity, motion.speed_m_s, "(b) velocity", "velocity along x [mm/s]"),
     ):
         axes.plot(motion.time_s, 1e3 * values, color=CYCLE[0], linewidth=1.6)
-        axes.axvline(motion.contact_s, color=ISO_RED, linestyle="--", zorder=1.5, label=motion.contact)
+        axes.axvline(motion.contact_s, color=ISO_RED, linestyle="--", zorder=1.5, label=motion.contact_label)
         axes.set(xlabel="time [s]", ylabel=label, title=name, xlim=(0.0, motion.time_s[-1]))
         axes.grid(alpha=0.3)
     figure.legend(*position.get_legend_handles_labels(), loc="outside lower left")
     return figure
 
 
-def figure_18(scara: Scara, runs: Sequence[RecordedImpact]) -> Figure:
-    """Force over time for each configuration with one obstacle mass; every repetition is a line."""
-    runs = [run for run in runs if run.obstacle_mass_kg == SHOWN_OBSTACLE_KG]
+def figure_18(inputs: FigureInputs) -> Figure:
+    """Draw force over time for each configuration with one obstacle mass, one line per repetition."""
+    scara = inputs.scara
+    runs = [run for run in inputs.runs if run.obstacle_mass_kg == SHOWN_OBSTACLE_KG]
     title = f"Fig. 18  Impact force, {origin(runs)}, $m_H$ = {SHOWN_OBSTACLE_KG:g} kg"
     figure = new_figure(8.5, 4.8, title)
     axes = figure.subplots()
@@ -52,8 +53,9 @@ def figure_18(scara: Scara, runs: Sequence[RecordedImpact]) -> Figure:
     return figure
 
 
-def figure_19(scara: Scara, runs: Sequence[RecordedImpact]) -> Figure:
-    """Mean peak forces (only where there are runs), and sqrt(mu) of the simplified model, by configuration."""
+def figure_19(inputs: FigureInputs) -> Figure:
+    """Draw mean peak forces, if there are runs, and sqrt(mu) of the simplified model, by configuration."""
+    scara, runs = inputs.scara, inputs.runs
     points = points_by_mass(scara, runs) if runs else sorted(POINTS, key=lambda point: mass_at(scara, point))
     title = "Fig. 19  Peak force and $\\sqrt{\\mu}$" if runs else "Fig. 19 (b)  $\\sqrt{\\mu}$, simplified model"
     figure = new_figure(10.5 if runs else 6.5, 4.8, title)
@@ -73,13 +75,13 @@ def _draw_curves(
     axes: Axes,
     scara: Scara,
     points: Sequence[tuple[float, float]],
-    law: Callable[[tuple[float, float], float], float | None],
+    quantity: Callable[[tuple[float, float], float], float | None],
 ) -> None:
-    """Draw one curve per obstacle mass over the configurations; what `law` does not know stays out."""
+    """Draw `quantity`(point, mass) over the configurations, one curve per obstacle mass; None is left out."""
     for mass, color, marker in reversed(list(zip(OBSTACLES_KG, CYCLE, MARKERS, strict=True))):
-        known = [(place, value) for place, point in enumerate(points) if (value := law(point, mass)) is not None]
-        if known:
-            axes.plot(*zip(*known, strict=True), marker=marker, color=color, linewidth=1.8, label=f"{mass:.2f}")
+        values = [(i, value) for i, point in enumerate(points) if (value := quantity(point, mass)) is not None]
+        if values:
+            axes.plot(*zip(*values, strict=True), marker=marker, color=color, linewidth=1.8, label=f"{mass:.2f}")
     names = [f"{point_name(point)} mm\n{mass_at(scara, point):.2f} kg" for point in points]
     axes.set_xticks(range(len(points)), names)
     axes.set(xlabel="tool at the impact, its effective mass $m_{n,s}$", xlim=(-0.3, len(points) - 0.7))

@@ -1,4 +1,4 @@
-"""All figures, the page and the claims: written together or not at all."""
+"""Write all figures, the page and the claims, or nothing."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import matplotlib as mpl
 from scara_effmass import __version__
 from scara_effmass.analysis.figure import FORMATS, write
 from scara_effmass.analysis.output import atomic_file
-from scara_effmass.analysis.page import Picture
 from scara_effmass.analysis.plot_style import STYLE
+from scara_effmass.analysis.report import EmbeddedFigure
 from scara_effmass.paper.claim import Outcome
 from scara_effmass.paper.experiment_claims import motion_claims, run_claims
 from scara_effmass.paper.figure_specs import FIGURE_SPECS
@@ -21,36 +21,38 @@ from scara_effmass.paper.mass_claims import mass_claims
 from scara_effmass.paper.page import page
 from scara_effmass.paper.reduced_mass_claims import reduced_mass_claims
 from scara_effmass.paper.robot_claims import robot_claims
-from scara_effmass.paper.scara import agreement
-from scara_effmass.paper.workspace import spread_positions
+from scara_effmass.paper.scara import compare_models
+from scara_effmass.paper.workspace import equal_area_poses
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from scara_effmass.paper.claim import Claim
-    from scara_effmass.paper.figure_specs import FigureSpec, Material
-    from scara_effmass.paper.scara import Agreement
+    from scara_effmass.paper.figure_specs import FigureInputs, FigureSpec
+    from scara_effmass.paper.scara import ModelAgreement
 
 PAGE, CLAIMS = "index.html", "claims.json"
+STEPS = len(FIGURE_SPECS) + 1
+"""Largest number of calls of `advance` in `make_figure_set`."""
 
 
 @dataclass(frozen=True, slots=True)
 class FigureSet:
-    """What was made: names of the figures, what is left out and why, the claims, and how well two ways agree."""
+    """Names of the figures, what is left out and why, the claims, and the agreement of the two models."""
 
     figures: tuple[str, ...]
     left_out: tuple[str, ...]
     claims: tuple[Claim, ...]
-    agreement: Agreement
+    agreement: ModelAgreement
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many claims have which outcome."""
-        return {each.value: sum(claim.outcome is each for claim in self.claims) for each in Outcome}
+        """Number of claims by outcome."""
+        return {outcome.value: sum(claim.outcome is outcome for claim in self.claims) for outcome in Outcome}
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON takes it."""
+        """Return the content of `claims.json`."""
         claims = [
             {**asdict(claim), "basis": claim.basis and claim.basis.value, "outcome": claim.outcome.value}
             for claim in self.claims
@@ -70,54 +72,47 @@ class FigureSet:
 
 
 def make_figure_set(
-    material: Material,
+    inputs: FigureInputs,
     folder: Path,
     *,
     overwrite: bool,
     advance: Callable[[], object],
-    plates: Sequence[FigureSpec] = FIGURE_SPECS,
+    specs: Sequence[FigureSpec] = FIGURE_SPECS,
 ) -> FigureSet:
-    """Draw and compare, and write figures (PNG and SVG), `index.html` and `claims.json` into `folder`.
+    """Write figures (PNG and SVG), `index.html` and `claims.json` into `folder`; call `advance` after each step.
 
-    `advance` is called after each of `STEPS`. Raises OutputError, before anything is drawn, where a file is in the way.
+    Raises OutputError, before anything is drawn, where a file exists.
     """
-    left_out = [f"Fig. {plate.number}: {why}" for plate in plates if (why := plate.whole_missing(material))]
-    plates = [plate for plate in plates if not plate.whole_missing(material)]
-    left_out += [f"Fig. {plate.number} {why}" for plate in plates if (why := plate.part_missing(material))]
-    names = [f"{plate.name}{suffix}" for plate in plates for suffix in FORMATS] + [PAGE, CLAIMS]
+    left_out = [f"Fig. {spec.number}: {reason}" for spec in specs if (reason := spec.missing(inputs))]
+    specs = [spec for spec in specs if not spec.missing(inputs)]
+    left_out += [f"Fig. {spec.number} {reason}" for spec in specs if (reason := spec.part_missing(inputs))]
+    names = [f"{spec.name}{suffix}" for spec in specs for suffix in FORMATS] + [PAGE, CLAIMS]
     with ExitStack() as stack:
         paths = {name: stack.enter_context(atomic_file(folder / name, overwrite=overwrite)) for name in names}
-        for plate in plates:
+        for spec in specs:
             with mpl.rc_context(STYLE):
-                write(plate.draw(material), *(paths[f"{plate.name}{suffix}"] for suffix in FORMATS))
+                write(spec.draw(inputs), *(paths[f"{spec.name}{suffix}"] for suffix in FORMATS))
             advance()
-        album = FigureSet(tuple(plate.name for plate in plates), tuple(left_out), _claims(material), _checked(material))
+        # Not on the joint grid: its stretched arm has no velocity along n.
+        agreement = compare_models(inputs.dynamics, inputs.scara, *equal_area_poses(inputs.scara))
+        figure_set = FigureSet(tuple(spec.name for spec in specs), tuple(left_out), _claims(inputs), agreement)
         advance()
-        pictures = [
-            Picture(plate.name, f"Fig. {plate.number}", plate.caption, paths[f"{plate.name}.png"].read_bytes())
-            for plate in plates
+        figures = [
+            EmbeddedFigure(spec.name, f"Fig. {spec.number}", spec.caption, paths[f"{spec.name}.png"].read_bytes())
+            for spec in specs
         ]
-        text = page(pictures, album.claims, album.left_out, album.agreement)
-        paths[PAGE].write_text(text, encoding="utf-8")
-        paths[CLAIMS].write_text(json.dumps(album.as_dict(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    return album
+        paths[PAGE].write_text(page(figures, figure_set), encoding="utf-8")
+        text = json.dumps(figure_set.as_dict(), indent=1, ensure_ascii=False)
+        paths[CLAIMS].write_text(text + "\n", encoding="utf-8")
+    return figure_set
 
 
-STEPS = len(FIGURE_SPECS) + 1
-"""How often `make_album` advances, at most."""
-
-
-def _claims(material: Material) -> tuple[Claim, ...]:
-    scara = material.scara
+def _claims(inputs: FigureInputs) -> tuple[Claim, ...]:
+    scara = inputs.scara
     return (
         *robot_claims(scara),
-        *mass_claims(material.dynamics, scara),
+        *mass_claims(inputs.dynamics, scara),
         *reduced_mass_claims(scara),
-        *motion_claims(material.motion),
-        *run_claims(scara, material.runs),
+        *motion_claims(inputs.motion),
+        *run_claims(scara, inputs.runs),
     )
-
-
-def _checked(material: Material) -> Agreement:
-    # Not on the grid of angles: the stretched arm on it moves across itself only, so along n it has no velocity.
-    return agreement(material.dynamics, material.scara, *spread_positions(material.scara))

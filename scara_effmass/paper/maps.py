@@ -1,4 +1,4 @@
-"""Maps of one quantity over the workspace or over the two angles, with the standard's value in red."""
+"""Contour maps of one quantity over the workspace or over q1 and q2, with the standard's value in red."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from scara_effmass.paper.scara import Scara
-    from scara_effmass.paper.workspace import Poses
+    from scara_effmass.paper.workspace import JointAngles
     from scara_effmass.values import FloatArray
 
 TICKS_M = np.arange(-0.5, 0.51, 0.25)
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
-    """What a colour means: levels [units of `label`], and at which ends values may lie beyond them."""
+class ColorScale:
+    """Contour levels [units of `label`]; `extend` tells at which ends values may lie beyond them."""
 
     label: str
     levels: FloatArray
@@ -38,11 +38,11 @@ class Scale:
 
     @property
     def norm(self) -> Normalize:
-        """The colour of each value, one between two levels."""
+        """One colour between two levels."""
         return BoundaryNorm(self.levels.tolist(), 256, extend=self.extend)
 
-    def drawable(self, values: FloatArray) -> FloatArray:
-        """Return `values` with a ceiling: contours cannot be drawn next to infinity (the stretched arm along n)."""
+    def clip(self, values: FloatArray) -> FloatArray:
+        """Return `values` with a finite maximum: contours cannot be drawn next to infinity."""
         if self.extend == "neither":
             return values
         below, top = self.levels[-2:]
@@ -55,16 +55,15 @@ class Scale:
         bar.ax.minorticks_off()
 
 
-def draw_map(axes: Axes, across: FloatArray, up: FloatArray, values: FloatArray, scale: Scale) -> None:
-    """Fill `axes` with the colours of `values` at (across, up), all (n, m)."""
-    axes.contourf(
-        across, up, scale.drawable(values), levels=scale.levels, norm=scale.norm, extend=scale.extend
-    ).set_edgecolor("face")  # no hairlines between the bands
+def draw_map(axes: Axes, x: FloatArray, y: FloatArray, values: FloatArray, scale: ColorScale) -> None:
+    """Fill `axes` with the colours of `values` at (x, y), all (n, m)."""
+    contours = axes.contourf(x, y, scale.clip(values), levels=scale.levels, norm=scale.norm, extend=scale.extend)
+    contours.set_edgecolor("face")  # no gaps between the bands
 
 
-def draw_iso(axes: Axes, across: FloatArray, up: FloatArray, values: FloatArray, scale: Scale, iso: float) -> None:
-    """Draw in red where `values` are `iso`."""
-    lines = axes.contour(across, up, scale.drawable(values), levels=[iso], colors=ISO_RED, linewidths=2.0)
+def draw_iso(axes: Axes, x: FloatArray, y: FloatArray, values: FloatArray, scale: ColorScale, iso: float) -> None:
+    """Draw the contour of `iso` in red."""
+    lines = axes.contour(x, y, scale.clip(values), levels=[iso], colors=ISO_RED, linewidths=2.0)
     lines.set_path_effects([withStroke(linewidth=3.6, foreground="white")])
 
 
@@ -73,14 +72,14 @@ def iso_handle(label: str) -> Line2D:
     return Line2D([], [], color=ISO_RED, linewidth=2.0, label=label, path_effects=[Stroke()])
 
 
-def dress_workspace(axes: Axes) -> None:
-    """Name the axes of a map over the tool's position."""
+def label_workspace(axes: Axes) -> None:
+    """Set labels and limits of a map over the tool position."""
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xticks=TICKS_M, yticks=TICKS_M)
     axes.set(xlim=(-0.6, 0.6), ylim=(-0.6, 0.6))
 
 
-def dress_angles(axes: Axes, scara: Scara, poses: Poses) -> None:
-    """Name the axes of a map over the two angles."""
+def label_angles(axes: Axes, scara: Scara, poses: JointAngles) -> None:
+    """Set labels and limits of a map over q1 and q2."""
     q2 = np.degrees(poses.q2)
     q1_max = float(np.degrees(scara.q1_max))
     axes.set(xlabel="$q_1$ [deg]", ylabel="$q_2$ [deg]", xlim=(-q1_max, q1_max), ylim=(q2.min(), q2.max()))

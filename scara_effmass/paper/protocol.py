@@ -1,4 +1,4 @@
-"""What the paper's comparison and experiment were carried out with. Masses [kg], positions [m], speeds [m/s]."""
+"""Conditions of the paper's comparison and experiment. Masses [kg], positions [m], speeds [m/s]."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import math
 
 OBSTACLES_KG = (0.50, 2.39, 3.72, 7.35)
 SHOWN_OBSTACLE_KG = 2.39
-"""Of Figs. 12, 14, 15 and 18; the text says so for 12 and 18 only."""
+"""Obstacle mass of Figs. 12, 14, 15 and 18; the text states it for 12 and 18 only."""
 ALONG_X, ALONG_Y = 0.0, math.pi / 2.0
 OBLIQUE = math.atan2(0.8, 0.6)
 """phi of the normal (0.6, 0.8, 0) of Fig. 12 (b)."""
 POINT_OF_FIG_17 = (0.300, 0.200)
 POINTS = (POINT_OF_FIG_17, (0.300, 0.0), (0.300, -0.200))
-"""The three impact points. Only the first one is in the paper's text; the others, of Table III, are our choice."""
+"""The three impact points. Only the first one is in the paper's text; the other two are chosen here."""
 SPEED = 0.250
 REPETITIONS = 3
 SAMPLE_RATE, SAMPLES = 12_800.0, 10_000
 
 
 def point_name(point: tuple[float, float]) -> str:
-    """Return it as the paper writes it, in [mm]."""
-    x, y = (round(1e3 * each) for each in point)
+    """Return the point as the paper writes it, in [mm]."""
+    x, y = (round(1e3 * coordinate) for coordinate in point)
     return f"({x}, {y})".replace("-", "\N{MINUS SIGN}")

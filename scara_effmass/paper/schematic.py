@@ -1,4 +1,4 @@
-"""Fig. 7: the robot from above where it is lightest and where it is heaviest along the normal."""
+"""Fig. 7: poses of smallest and of largest effective mass along the normal, seen from above."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from scara_effmass.paper.figure_specs import FigureInputs
     from scara_effmass.paper.scara import Scara
 
 LIGHT_Q1, HEAVY_Q1 = math.radians(25.0), math.radians(-50.0)
-"""Chosen: the paper draws one pose of each kind, and its angles are not in the text."""
+"""Chosen here: the text of the paper does not give the angles of its two poses."""
 
 
-def figure_7(scara: Scara) -> Figure:
-    """Show the poses of smallest and largest effective mass, along x."""
+def figure_7(inputs: FigureInputs) -> Figure:
+    """Draw a pose of smallest and one of largest effective mass, along x."""
+    scara = inputs.scara
     figure = new_figure(10.0, 5.0, "Fig. 7  Poses of smallest and of largest effective mass, n = [1 0 0]")
     light, heavy = figure.subplots(1, 2)
     q2 = -LIGHT_Q1 + math.pi / 2.0

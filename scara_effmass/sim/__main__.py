@@ -1,4 +1,4 @@
-"""`python -m scara_effmass.sim -o bags`: make the reference recordings."""
+"""`python -m scara_effmass.sim -o bags`: generate the shipped recordings."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from scara_effmass.sim.generate import generate
 
 
 def main() -> int:
-    """Make the recordings; return 0, or 2 with one line on stderr where they cannot be written."""
-    parser = argparse.ArgumentParser(prog="python -m scara_effmass.sim", description="Make the reference recordings.")
-    parser.add_argument("-o", dest="folder", type=Path, required=True, help="folder to write them into")
-    parser.add_argument("--force", action="store_true", help="replace recordings that are there")
+    """Generate the recordings; return 0, or 2 with one line on stderr."""
+    parser = argparse.ArgumentParser(prog="python -m scara_effmass.sim", description="Generate the shipped recordings.")
+    parser.add_argument("-o", dest="folder", type=Path, required=True, help="output folder")
+    parser.add_argument("--force", action="store_true", help="replace existing recordings")
     options = parser.parse_args()
     try:
         for path in generate(options.folder, overwrite=options.force):

@@ -1,4 +1,4 @@
-"""The whole experiment as bags: every configuration and obstacle mass, several times, a little different each time."""
+"""The paper's experiment as bags: repeated impacts in every configuration, with small random variations."""
 
 from __future__ import annotations
 
@@ -9,21 +9,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.run_info import run_infos
-from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.sim.adc import ForceSensor
 from scara_effmass.sim.controller import DEFAULT_GAINS
 from scara_effmass.sim.experiment import run_impact
 from scara_effmass.sim.impact_setup import CONFIGURATIONS, DWELL_S, OBSTACLE_MASSES, ImpactSetup
+from scara_effmass.sim.recording_writer import write_recording
 from scara_effmass.sim.recordings import EPOCH_NS, SEED
 from scara_effmass.sim.rng import uniform
 from scara_effmass.sim.spring_contact import POLYETHYLENE
-from scara_effmass.sim.topics import FORCE_TOPIC, JOINT_STATES_TOPIC, RUN_INFO_TOPIC
 from scara_effmass.values import RunInfo
-from scara_effmass.wire.force import force_block_message
-from scara_effmass.wire.joint_state import joint_state_message
-from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE, RUN_INFO
-from scara_effmass.wire.run_info import run_info_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,26 +31,26 @@ if TYPE_CHECKING:
     from scara_effmass.values import ForceBlock
 
 REVISION = 2
-"""To be raised when the recordings change."""
+"""Increase it when the recordings change."""
 SUMMARY = "impact of the i4-550L on a cart, simulated with MuJoCo; nothing was measured"
 SPEED_SPREAD = 0.02
-"""Runs differ in speed by up to so much, relative, of either sign;"""
+"""Largest relative variation of the speed between runs."""
 OFFSET_SPREAD_M = 1e-3
-"""in where the cart waits;"""
+"""Largest variation of the cart's position."""
 START_SPREAD_S = 0.01
-"""in when the robot sets off;"""
+"""Largest delay of the robot's start."""
 CLOCK_SPREAD = 50e-6
-"""and in the rate of the converter's clock."""
+"""Largest relative error of the converter clock."""
 RUN_SPACING_NS = 10_000_000_000
-"""From the start of one run to that of the next."""
-PUBLISHED_NS = 1_000_000
-"""So long after its last sample came out of the converter, a block is published."""
-_VARIATION = 6  # stream of the seed
+"""From the start of one run to the start of the next."""
+PUBLISH_DELAY_NS = 1_000_000
+"""From the last sample of a block to its publication."""
+_VARIATION_STREAM = 6
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """What is to be done: `repetitions` runs of each configuration with each obstacle mass [kg]."""
+    """Parameters: `repetitions` runs of each configuration with each obstacle mass [kg]."""
 
     configurations: tuple[Configuration, ...] = CONFIGURATIONS
     obstacle_masses: tuple[float, ...] = OBSTACLE_MASSES
@@ -65,7 +60,7 @@ class Campaign:
     contact: SpringContact = POLYETHYLENE
     servo: ServoGains = DEFAULT_GAINS
     noise: float = 0.1
-    """of the force, standard deviation [N]"""
+    """standard deviation of the force [N]"""
     tip_mass: float = 0.0
     """[kg]"""
     guide_friction: float = 0.5
@@ -76,10 +71,10 @@ class Campaign:
     def runs(self) -> tuple[Run, ...]:
         """The runs, in order."""
         series = product(self.configurations, self.obstacle_masses, range(1, self.repetitions + 1))
-        return tuple(self._run(number, *which) for number, which in enumerate(series))
+        return tuple(self._run(number, *case) for number, case in enumerate(series))
 
     def _run(self, number: int, configuration: Configuration, obstacle_mass: float, repetition: int) -> Run:
-        speed, offset, start, clock = uniform((self.seed, _VARIATION, number), 4).tolist()
+        speed, offset, start, clock = uniform((self.seed, _VARIATION_STREAM, number), 4).tolist()
         seed = self.seed * 1000 + number
         setup = ImpactSetup(
             configuration=configuration,
@@ -107,7 +102,7 @@ class Run(NamedTuple):
 
     @property
     def note(self) -> str:
-        """All settings of the run as text; recordings with the same note are of the same run."""
+        """All settings of the run as text; recordings of the same run have the same note."""
         setup = self.setup
         settings = {
             "generator": "scara-effmass campaign",
@@ -153,7 +148,7 @@ class Run(NamedTuple):
 
 
 class CampaignStep(NamedTuple):
-    """A run that is recorded: the `number`-th of `total`; `kept` where the recording was there already."""
+    """A recorded run, number `number` of `total`; `kept` if its recording existed already."""
 
     number: int
     total: int
@@ -164,45 +159,36 @@ class CampaignStep(NamedTuple):
 def run_campaign(folder: Path, campaign: Campaign, *, overwrite: bool = False) -> Iterator[CampaignStep]:
     """Record every run of `campaign` as a bag in `folder`; yield after each.
 
-    A recording that is there and says that it is of the same run is kept, so a campaign can be gone on with; with
-    `overwrite` all are made anew. Raises OutputError where something else is in the way, or the disk takes no more.
-    The same versions of the libraries give the same bytes.
+    An existing recording of the same run is kept, so an interrupted campaign can be resumed; with `overwrite` all
+    runs are recorded again. The same versions of the libraries give the same bytes. Raises OutputError where
+    something else exists, or when the disk is full.
     """
     runs = campaign.runs
     for number, run in enumerate(runs, 1):
         path = folder / run.name
         kept = not overwrite and path.exists()
         if kept and _recorded_note(path) != run.note:
-            raise OutputError(f"{path}: is there, and not of this run; another folder, or replacing it, would be right")
+            raise OutputError(f"{path}: exists and is not of this run; choose another folder or replace it")
         if not kept:
             record(path, run, overwrite=overwrite)
         yield CampaignStep(number, len(runs), path, kept)
 
 
 def record(path: Path, run: Run, *, overwrite: bool = False) -> ImpactRun:
-    """Do a run and record it as the live suite does: joint states and force as they come. Raises OutputError."""
+    """Simulate a run and record it as the live suite would. Raises OutputError."""
     result = run_impact(run.setup)
-    messages = [
-        (state.stamp_ns, JOINT_STATES_TOPIC, JOINT_STATE, joint_state_message(state)) for state in result.joint_states
-    ]
-    messages += [
-        (_published_ns(block), FORCE_TOPIC, FORCE_BLOCK, force_block_message(block)) for block in result.force_blocks
-    ]
-    with BagWriter(path, overwrite=overwrite) as bag:
-        info = run_info_message(run.info(result.truth))
-        bag.write(RUN_INFO_TOPIC, RUN_INFO, run.setup.start_ns, info)
-        for log_time_ns, topic, kind, data in sorted(messages):
-            bag.write(topic, kind, log_time_ns, data)
+    blocks = ((_publish_time_ns(block), block) for block in result.force_blocks)
+    write_recording(path, run.info(result.truth), result.joint_states, blocks, overwrite=overwrite)
     return result
 
 
-def _published_ns(block: ForceBlock) -> int:
-    taken_s = (len(block.force) - 1) / block.sample_rate + block.filter_delay
-    return block.stamp_ns + round(taken_s * 1e9) + PUBLISHED_NS
+def _publish_time_ns(block: ForceBlock) -> int:
+    duration_s = (len(block.force) - 1) / block.sample_rate + block.filter_delay
+    return block.stamp_ns + round(duration_s * 1e9) + PUBLISH_DELAY_NS
 
 
 def _recorded_note(path: Path) -> str | None:
-    """Return the note of the bag at `path`; None where it is no complete recording of one run."""
+    """Return the note of the bag at `path`, None if it is not a complete recording of one run."""
     try:
         with open_bag(path) as bag:
             notes = [info.note for _, info in run_infos(bag)]

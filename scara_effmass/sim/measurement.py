@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from scara_effmass.sim.controller import EncoderReading
     from scara_effmass.sim.impact_setup import ImpactSetup
 
-SOURCE = "simulated force: virtual test bench, sensor 208C03 on NI-9230, AC coupled"
+SOURCE = "simulated force: MuJoCo cell, sensor 208C03 on NI-9230, AC coupled"
 TARE_S = 0.5
 BLOCK_S = 0.1
 STAMP_DELAY_S = 0.3e-3

@@ -35,7 +35,7 @@ def test_it_records_then_keeps_then_replaces(here: Cli, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "campaign"
     first = here("campaign", "-o", folder, *SMALL)
     assert (first.returncode, first.stderr) == (0, "")
-    assert "2 impacts on the simulated cell (MuJoCo); nothing was measured" in first.stdout
+    assert "2 impacts in the simulated cell (MuJoCo); nothing was measured" in first.stdout
     assert "kept" not in first.stdout
     assert [bag.name for bag in find_bags(folder)] == ["300_0_500g_1", "300_0_500g_2"]
     assert stated(folder / "300_0_500g_1").simulated
@@ -45,7 +45,7 @@ def test_it_records_then_keeps_then_replaces(here: Cli, tmp_path: Path) -> None:
     assert result["simulated"] is True
     assert (result["made"], result["kept"]) == (0, 2)
     assert [run["obstacle_mass_kg"] for run in result["runs"]] == [0.5, 0.5]
-    assert "2, which were there already" in here("campaign", "-o", folder, *SMALL).stdout
+    assert "kept            2 existing recordings" in here("campaign", "-o", folder, *SMALL).stdout
 
     other = here("campaign", "-o", folder, *SMALL, "--seed", "1")
     assert other.returncode == 2
@@ -74,16 +74,16 @@ def test_the_tip_is_as_asked_for(here: Cli, tmp_path: Path) -> None:
     ("options", "named"),
     [
         (("--configuration", "nowhere"), "300_-200"),
-        (("--mass", "-1"), "above 0"),
-        (("--mass", "nan"), "above 0"),
-        (("--mass", "heavy"), "above 0"),
+        (("--mass", "-1"), "must be a number from 0.001 to 1000"),
+        (("--mass", "nan"), "--mass"),
+        (("--mass", "heavy"), "--mass"),
         (("--mass", "0.001"), "stiffness"),
         (("--mass", "1", "--mass", "1.0001"), "gram"),
-        (("--repetitions", "0"), "from 1 up"),
-        (("--seed", "1.5"), "from 0 up"),
+        (("--repetitions", "0"), "must be a whole number from 1"),
+        (("--seed", "1.5"), "must be a whole number from 0"),
         (("--friction", "2"), "friction"),
         (("--stiffness", "1e9"), "stiffness"),
-        (("--damping", "inf"), "--damping"),
+        (("--damping", "inf"), "damping = inf"),
     ],
 )
 def test_bad_options_are_refused_before_anything_is_written(

@@ -1,4 +1,4 @@
-"""The paper's robot, its shipped recording, and made-up impacts."""
+"""The paper's robot, its shipped recording, and synthetic impacts."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import pytest
 
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
-from scara_effmass.paper.figure_specs import Material
+from scara_effmass.paper.figure_specs import FigureInputs
 from scara_effmass.paper.motion import tool_motion
 from scara_effmass.paper.protocol import OBSTACLES_KG, POINTS, REPETITIONS, SPEED
 from scara_effmass.paper.recorded_impact import RecordedImpact, root_reduced_mass
-from scara_effmass.paper.scara import closed_form_of
+from scara_effmass.paper.scara import scara_of
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 
@@ -31,7 +31,7 @@ def dynamics() -> RobotDynamics:
 
 @pytest.fixture(scope="session")
 def scara(dynamics: RobotDynamics) -> Scara:
-    return closed_form_of(dynamics)
+    return scara_of(dynamics)
 
 
 @pytest.fixture(scope="session")
@@ -40,15 +40,15 @@ def motion(scara: Scara) -> ToolMotion:
 
 
 @pytest.fixture(scope="session")
-def material(dynamics: RobotDynamics, scara: Scara, motion: ToolMotion) -> Material:
-    return Material(dynamics, scara, motion)
+def inputs(dynamics: RobotDynamics, scara: Scara, motion: ToolMotion) -> FigureInputs:
+    return FigureInputs(dynamics, scara, motion)
 
 
 @pytest.fixture(scope="session")
 def runs(scara: Scara) -> tuple[RecordedImpact, ...]:
-    """Return half-sine impacts of two masses and a linear spring, for every case of the paper."""
+    """Half-sine impacts of two masses and a linear spring, for every case of the paper."""
     time = np.arange(0.0, 0.006, 1.0 / 12_800.0)
-    made = []
+    impacts = []
     for point in POINTS:
         for mass in OBSTACLES_KG:
             root = root_reduced_mass(scara, point, mass)
@@ -56,5 +56,7 @@ def runs(scara: Scara) -> tuple[RecordedImpact, ...]:
             force = np.where(time < duration, peak * np.sin(np.pi * time / duration), 0.0)
             for repetition in range(REPETITIONS):
                 scatter = 1.0 + 0.01 * (repetition - 1)
-                made.append(RecordedImpact(point, mass, SPEED, scatter * peak, time, scatter * force, simulated=True))
-    return tuple(made)
+                impacts.append(
+                    RecordedImpact(point, mass, SPEED, scatter * peak, time, scatter * force, simulated=True)
+                )
+    return tuple(impacts)

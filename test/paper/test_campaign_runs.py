@@ -12,7 +12,7 @@ from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
-from scara_effmass.paper.campaign_runs import LEAD_S, SHOWN_S, campaign_runs
+from scara_effmass.paper.campaign_runs import AFTER_ONSET_S, BEFORE_ONSET_S, campaign_runs
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.share import share
 from scara_effmass.wire.message_types import RUN_INFO
@@ -67,13 +67,13 @@ def test_the_impacts_are_the_true_ones(shipped: list[CampaignRun]) -> None:
         assert impact.peak_force_n == pytest.approx(info.true_peak_force, rel=5e-3)
         assert impact.speed_m_s == pytest.approx(info.true_speed, rel=2e-3)
         assert motion.contact_x_m == pytest.approx(impact.point[0], abs=1.2e-3)
-        assert motion.about == f"simulated run {bag.name}"
+        assert motion.source == f"simulated run {bag.name}"
 
 
 def test_the_force_begins_before_the_onset_and_rises_from_there(shipped: list[CampaignRun]) -> None:
     for impact, _ in shipped:
-        assert -LEAD_S <= impact.time_s[0] < 0.0
-        assert SHOWN_S - 1e-4 < impact.time_s[-1] <= SHOWN_S
+        assert -BEFORE_ONSET_S <= impact.time_s[0] < 0.0
+        assert AFTER_ONSET_S - 1e-4 < impact.time_s[-1] <= AFTER_ONSET_S
         assert np.abs(impact.force_n[impact.time_s < -1e-4]).max() < 1.5
         assert impact.force_n.max() == pytest.approx(impact.peak_force_n, rel=0.02)
 
@@ -81,13 +81,13 @@ def test_the_force_begins_before_the_onset_and_rises_from_there(shipped: list[Ca
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"plate_normal": (0.0, 0.0, 0.0)}, "states no"),
+        ({"plate_normal": (0.0, 0.0, 0.0)}, "must state obstacle_mass"),
         ({"obstacle_mass": 0.0}, "obstacle_mass"),
         ({"plate_normal": (0.0, 1.0, 0.0)}, "plate_normal"),
         ({"impact_position": (math.nan, 0.0, 0.0)}, "impact_position"),
     ],
 )
-def test_a_recording_that_does_not_say_what_was_set_is_refused(
+def test_a_recording_without_point_or_mass_is_refused(
     scara: Scara, tmp_path: Path, changes: dict[str, Any], named: str
 ) -> None:
     path = copied(tmp_path / "run", changes)

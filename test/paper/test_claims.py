@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.paper.claim import Basis, Outcome, at_most, more_than, near
+from scara_effmass.paper.claim import Basis, Outcome, Statement
 from scara_effmass.paper.experiment_claims import motion_claims, run_claims
 from scara_effmass.paper.mass_claims import mass_claims
 from scara_effmass.paper.reduced_mass_claims import reduced_mass_claims
@@ -122,10 +122,6 @@ def test_one_impact_is_too_few_to_judge_by(scara: Scara, runs: tuple[RecordedImp
 
 
 def test_nan_never_matches() -> None:
-    nan = float("nan")
-    for claim in (
-        near("a", "", "", 1.0, nan, 0.1, "kg", Basis.RESULT),
-        at_most("a", "", "", 1.0, nan, "kg", Basis.RESULT),
-        more_than("a", "", "", 1.0, nan, "kg", Basis.RESULT),
-    ):
+    statement, nan = Statement("a", "", ""), float("nan")
+    for claim in (statement.near(nan, 1.0, 0.1), statement.at_most(nan, 1.0), statement.more_than(nan, 1.0)):
         assert claim.outcome is Outcome.NO_MATCH

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.paper.density import Distribution, at_positions, over_workspace, peaks
+from scara_effmass.paper.density import MassDistribution, density_peaks, sampled_distribution, workspace_distribution
 
 if TYPE_CHECKING:
     from scara_effmass.paper.scara import Scara
 
 
 def test_the_whole_workspace_along_x_and_y(scara: Scara) -> None:
-    along_x, along_y = over_workspace(scara), over_workspace(scara, np.pi / 2.0)
+    along_x, along_y = workspace_distribution(scara), workspace_distribution(scara, np.pi / 2.0)
     assert along_x.below(2.77) == pytest.approx(0.709, abs=1e-3)
     assert along_x.mean == pytest.approx(2.359, abs=2e-3)
     assert along_x.median == pytest.approx(1.7725, abs=1e-3)
@@ -23,22 +23,22 @@ def test_the_whole_workspace_along_x_and_y(scara: Scara) -> None:
 
 
 def test_2500_positions_stand_for_it(scara: Scara) -> None:
-    few, whole = at_positions(scara), over_workspace(scara)
-    assert few.mass.size == 2500
-    assert few.below(2.77) == pytest.approx(whole.below(2.77), abs=5e-3)
-    assert few.median == pytest.approx(whole.median, abs=0.02)
+    sampled, whole = sampled_distribution(scara), workspace_distribution(scara)
+    assert sampled.mass.size == 2500
+    assert sampled.below(2.77) == pytest.approx(whole.below(2.77), abs=5e-3)
+    assert sampled.median == pytest.approx(whole.median, abs=0.02)
 
 
 def test_density_and_peaks() -> None:
     rng = np.random.default_rng(8)
     mass = np.concatenate((rng.normal(1.5, 0.1, 4000), rng.normal(4.0, 0.1, 6000)))
-    spread = Distribution(mass, np.full(mass.size, 1.0 / mass.size))
+    distribution = MassDistribution(mass, np.full(mass.size, 1.0 / mass.size))
     edges = np.linspace(0.0, 8.0, 81)
-    assert np.sum(spread.density(edges)) * 0.1 == pytest.approx(1.0)
-    assert any(abs(peak - 1.5) < 0.2 for peak in peaks(spread))
-    assert any(abs(peak - 4.0) < 0.2 for peak in peaks(spread))
-    assert spread.median == pytest.approx(float(np.median(mass)), abs=1e-3)
+    assert np.sum(distribution.density(edges)) * 0.1 == pytest.approx(1.0)
+    assert any(abs(peak - 1.5) < 0.2 for peak in density_peaks(distribution))
+    assert any(abs(peak - 4.0) < 0.2 for peak in density_peaks(distribution))
+    assert distribution.median == pytest.approx(float(np.median(mass)), abs=1e-3)
 
 
 def test_the_papers_two_peaks(scara: Scara) -> None:
-    np.testing.assert_allclose(peaks(over_workspace(scara)), [1.0, 3.35], atol=0.1)
+    np.testing.assert_allclose(density_peaks(workspace_distribution(scara)), [1.0, 3.35], atol=0.1)

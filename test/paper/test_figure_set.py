@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from scara_effmass.paper.figure_specs import Material
+    from scara_effmass.paper.figure_specs import FigureInputs
 
-FEW = [plate for plate in FIGURE_SPECS if plate.number in {18, 19}]
+FEW = [spec for spec in FIGURE_SPECS if spec.number in {18, 19}]
 FILES = {"figure_19.png", "figure_19.svg", "index.html", "claims.json"}
 
 
 def made(
-    material: Material, folder: Path, *, overwrite: bool = False, plates: Sequence[FigureSpec] = FEW
+    inputs: FigureInputs, folder: Path, *, overwrite: bool = False, specs: Sequence[FigureSpec] = FEW
 ) -> dict[str, bytes]:
-    make_figure_set(material, folder, overwrite=overwrite, advance=lambda: None, plates=plates)
+    make_figure_set(inputs, folder, overwrite=overwrite, advance=lambda: None, specs=specs)
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
@@ -54,15 +54,15 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_all_files_are_the_same_every_time(material: Material, tmp_path: Path) -> None:
-    plates = [FIGURE_SPECS[0], *FEW]
-    first, second = (made(material, tmp_path / folder, plates=plates) for folder in ("one", "two"))
+def test_all_files_are_the_same_every_time(inputs: FigureInputs, tmp_path: Path) -> None:
+    specs = [FIGURE_SPECS[0], *FEW]
+    first, second = (made(inputs, tmp_path / folder, specs=specs) for folder in ("one", "two"))
     assert set(first) == FILES | {"figure_6.png", "figure_6.svg"}
     assert first == second
 
 
-def test_the_page_is_whole_and_loads_nothing(material: Material, tmp_path: Path) -> None:
-    files = made(material, tmp_path)
+def test_the_page_is_whole_and_loads_nothing(inputs: FigureInputs, tmp_path: Path) -> None:
+    files = made(inputs, tmp_path)
     text = files["index.html"].decode()
     page = Page()
     page.feed(text)
@@ -84,25 +84,25 @@ def test_the_page_is_whole_and_loads_nothing(material: Material, tmp_path: Path)
     assert max(result["closed_form_check"][f"{model}_relative_difference"] for model in ("lumped", "full")) < 1e-9
 
 
-def test_nothing_is_replaced_unasked(material: Material, tmp_path: Path) -> None:
+def test_nothing_is_replaced_unasked(inputs: FigureInputs, tmp_path: Path) -> None:
     (tmp_path / "claims.json").write_text("mine")
     with pytest.raises(OutputError, match=r"claims\.json: exists already"):
-        made(material, tmp_path)
+        made(inputs, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["claims.json"]
     assert (tmp_path / "claims.json").read_text() == "mine"
-    assert made(material, tmp_path, overwrite=True)["claims.json"] != b"mine"
+    assert made(inputs, tmp_path, overwrite=True)["claims.json"] != b"mine"
 
 
-def test_nothing_is_left_when_drawing_fails(material: Material, tmp_path: Path) -> None:
-    def fail(_: Material) -> Figure:
+def test_nothing_is_left_when_drawing_fails(inputs: FigureInputs, tmp_path: Path) -> None:
+    def fail(_: FigureInputs) -> Figure:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         make_figure_set(
-            material,
+            inputs,
             tmp_path,
             overwrite=False,
             advance=lambda: None,
-            plates=[*FEW, FigureSpec(99, "Never drawn.", fail)],
+            specs=[*FEW, FigureSpec(99, fail, "Never drawn.")],
         )
     assert list(tmp_path.iterdir()) == []

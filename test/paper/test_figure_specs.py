@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from scara_effmass.paper.figure_specs import FigureSpec, Material
+    from scara_effmass.paper.figure_specs import FigureInputs, FigureSpec
     from scara_effmass.paper.recorded_impact import RecordedImpact
     from scara_effmass.paper.scara import Scara
     from scara_effmass.values import FloatArray
 
-BY_NUMBER = {plate.number: plate for plate in FIGURE_SPECS}
+BY_NUMBER = {spec.number: spec for spec in FIGURE_SPECS}
 
 
-def drawn(plate: FigureSpec, material: Material) -> Figure:
+def drawn(spec: FigureSpec, inputs: FigureInputs) -> Figure:
     with mpl.rc_context(STYLE):
-        figure = plate.draw(material)
+        figure = spec.draw(inputs)
         figure.draw_without_rendering()
     return figure
 
@@ -43,14 +43,14 @@ def red_line(axes: Axes) -> FloatArray:
 
 
 def test_the_papers_figures_are_all_there() -> None:
-    assert [plate.number for plate in FIGURE_SPECS] == [6, 7, 8, 9, 10, 11, 12, 14, 15, 17, 18, 19]
-    assert all(plate.caption.endswith(".") for plate in FIGURE_SPECS)
+    assert [spec.number for spec in FIGURE_SPECS] == [6, 7, 8, 9, 10, 11, 12, 14, 15, 17, 18, 19]
+    assert all(spec.caption.endswith(".") for spec in FIGURE_SPECS)
 
 
-@pytest.mark.parametrize("plate", FIGURE_SPECS, ids=lambda plate: plate.name)
-def test_it_can_be_read(plate: FigureSpec, material: Material, runs: tuple[RecordedImpact, ...]) -> None:
-    figure = drawn(plate, replace(material, runs=runs))
-    assert figure.get_suptitle().startswith(f"Fig. {plate.number} ")
+@pytest.mark.parametrize("spec", FIGURE_SPECS, ids=lambda spec: spec.name)
+def test_it_can_be_read(spec: FigureSpec, inputs: FigureInputs, runs: tuple[RecordedImpact, ...]) -> None:
+    figure = drawn(spec, replace(inputs, runs=runs))
+    assert figure.get_suptitle().startswith(f"Fig. {spec.number} ")
     for axes in figure.axes:
         labels = [axes.get_ylabel()] if axes.get_label() == "<colorbar>" else [axes.get_xlabel(), axes.get_ylabel()]
         for label in labels:
@@ -60,9 +60,9 @@ def test_it_can_be_read(plate: FigureSpec, material: Material, runs: tuple[Recor
     assert min(box.x0, box.y0, width - box.x1, height - box.y1) > -0.02, "something is cut off"
 
 
-def test_the_red_line_of_figure_6_is_where_the_mass_is_the_standards(material: Material) -> None:
-    workspace, angles, _ = drawn(BY_NUMBER[6], material).axes
-    scara = material.scara
+def test_the_red_line_of_figure_6_is_where_the_mass_is_the_standards(inputs: FigureInputs) -> None:
+    workspace, angles, _ = drawn(BY_NUMBER[6], inputs).axes
+    scara = inputs.scara
     q1, q2 = np.radians(red_line(angles)).T
     np.testing.assert_allclose(scara.lumped(q1, q2), scara.iso_mass, rtol=0.06)
     q = inverse_kinematics(red_line(workspace), ElbowConfig.RIGHT)
@@ -70,71 +70,71 @@ def test_the_red_line_of_figure_6_is_where_the_mass_is_the_standards(material: M
 
 
 @pytest.mark.parametrize(("panel", "phi"), [(0, np.pi / 2.0), (1, np.arctan2(0.8, 0.6))])
-def test_the_red_line_of_figure_12_is_where_mu_is_the_standards(material: Material, panel: int, phi: float) -> None:
-    axes = drawn(BY_NUMBER[12], material).axes[panel]
-    assert_on_mu_iso(material.scara, red_line(axes), ElbowConfig.RIGHT, phi)
+def test_the_red_line_of_figure_12_is_where_mu_is_the_standards(inputs: FigureInputs, panel: int, phi: float) -> None:
+    axes = drawn(BY_NUMBER[12], inputs).axes[panel]
+    assert_on_mu_iso(inputs.scara, red_line(axes), ElbowConfig.RIGHT, phi)
 
 
-def test_figure_14_is_the_left_arm(material: Material) -> None:
-    workspace, angles, _ = drawn(BY_NUMBER[14], material).axes
+def test_figure_14_is_the_left_arm(inputs: FigureInputs) -> None:
+    workspace, angles, _ = drawn(BY_NUMBER[14], inputs).axes
     assert angles.get_ylim() == pytest.approx((-148.0, 0.0), abs=0.01)
-    assert_on_mu_iso(material.scara, red_line(workspace), ElbowConfig.LEFT, 0.0)
+    assert_on_mu_iso(inputs.scara, red_line(workspace), ElbowConfig.LEFT, 0.0)
 
 
-def test_figure_15_takes_the_smaller_one(material: Material) -> None:
-    axes = drawn(BY_NUMBER[15], material).axes[0]
-    scara = material.scara
+def test_figure_15_takes_the_smaller_one(inputs: FigureInputs) -> None:
+    axes = drawn(BY_NUMBER[15], inputs).axes[0]
+    scara = inputs.scara
     iso = reduced_mass(scara.iso_mass, 2.39)
     points = red_line(axes)
     both = []
-    for side in ElbowConfig:
-        q = inverse_kinematics(points, side)
+    for elbow_config in ElbowConfig:
+        q = inverse_kinematics(points, elbow_config)
         mu = reduced_mass(scara.lumped(q[:, 0], q[:, 1]), 2.39)
         both.append(np.where(np.abs(q[:, 0]) <= scara.q1_max, mu, np.inf))
     assert np.median(np.abs(np.minimum(*both) / iso - 1.0)) < 0.01
 
 
-def assert_on_mu_iso(scara: Scara, points: FloatArray, side: ElbowConfig, phi: float) -> None:
-    q = inverse_kinematics(points, side)
+def assert_on_mu_iso(scara: Scara, points: FloatArray, elbow_config: ElbowConfig, phi: float) -> None:
+    q = inverse_kinematics(points, elbow_config)
     mu = reduced_mass(scara.lumped(q[:, 0], q[:, 1], phi), 2.39)
     assert np.median(np.abs(mu / reduced_mass(scara.iso_mass, 2.39) - 1.0)) < 0.01
 
 
-def test_figure_17_shows_the_contact_at_300_mm(material: Material) -> None:
-    position, velocity = drawn(BY_NUMBER[17], material).axes
+def test_figure_17_shows_the_contact_at_300_mm(inputs: FigureInputs) -> None:
+    position, velocity = drawn(BY_NUMBER[17], inputs).axes
     at = float(np.asarray(position.get_lines()[1].get_xdata())[0])
     for axes, expected in ((position, 300.0), (velocity, 250.0)):
         line = axes.get_lines()[0]
         assert np.interp(at, np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) == pytest.approx(expected)
-    assert "generated" in drawn(BY_NUMBER[17], material).get_suptitle()
+    assert "generated" in drawn(BY_NUMBER[17], inputs).get_suptitle()
 
 
-def test_forces_are_called_simulated_where_they_are(material: Material, runs: tuple[RecordedImpact, ...]) -> None:
+def test_forces_are_called_simulated_where_they_are(inputs: FigureInputs, runs: tuple[RecordedImpact, ...]) -> None:
     for kind, flag in (("simulated", True), ("measured", False)):
-        with_runs = replace(material, runs=tuple(replace(run, simulated=flag) for run in runs))
+        with_runs = replace(inputs, runs=tuple(replace(run, simulated=flag) for run in runs))
         assert kind in drawn(BY_NUMBER[18], with_runs).get_suptitle()
         assert kind in drawn(BY_NUMBER[19], with_runs).axes[0].get_title("left")
 
 
-def test_figure_18_has_every_repetition_of_one_obstacle(material: Material, runs: tuple[RecordedImpact, ...]) -> None:
-    (axes,) = drawn(BY_NUMBER[18], replace(material, runs=runs)).axes
+def test_figure_18_has_every_repetition_of_one_obstacle(inputs: FigureInputs, runs: tuple[RecordedImpact, ...]) -> None:
+    (axes,) = drawn(BY_NUMBER[18], replace(inputs, runs=runs)).axes
     assert len(axes.get_lines()) == 9
     peaks = sorted(float(np.max(line.get_ydata())) for line in axes.get_lines())
     expected = sorted(float(run.force_n.max()) for run in runs if run.obstacle_mass_kg == 2.39)
     assert peaks == pytest.approx(expected)
 
 
-def test_figure_19_has_mean_forces_and_roots(material: Material, runs: tuple[RecordedImpact, ...]) -> None:
-    forces, roots = drawn(BY_NUMBER[19], replace(material, runs=runs)).axes
+def test_figure_19_has_mean_forces_and_roots(inputs: FigureInputs, runs: tuple[RecordedImpact, ...]) -> None:
+    forces, roots = drawn(BY_NUMBER[19], replace(inputs, runs=runs)).axes
     for measured, predicted in zip(forces.get_lines(), roots.get_lines(), strict=True):
         ratio = np.divide(measured.get_ydata(), predicted.get_ydata())
         np.testing.assert_allclose(ratio, 250.0)  # v sqrt(k) of the made-up impacts
     assert [line.get_label() for line in roots.get_lines()] == ["7.35", "3.72", "2.39", "0.50"]
 
 
-def test_nothing_is_invented_without_impacts(material: Material) -> None:
-    assert BY_NUMBER[18].whole_missing(material)
-    assert BY_NUMBER[19].part_missing(material)
-    (only,) = drawn(BY_NUMBER[19], material).axes
+def test_nothing_is_invented_without_impacts(inputs: FigureInputs) -> None:
+    assert BY_NUMBER[18].missing(inputs)
+    assert BY_NUMBER[19].part_missing(inputs)
+    (only,) = drawn(BY_NUMBER[19], inputs).axes
     assert "sqrt" in only.get_ylabel()
-    assert not [plate for plate in FIGURE_SPECS if plate.number != 18 and plate.whole_missing(material)]
+    assert not [spec for spec in FIGURE_SPECS if spec.number != 18 and spec.missing(inputs)]

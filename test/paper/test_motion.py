@@ -40,8 +40,8 @@ def state(number: int, names: tuple[str, ...], velocities: bool) -> JointState: 
 def test_the_shipped_recording(motion: ToolMotion) -> None:
     assert motion.contact_x_m == pytest.approx(0.3, abs=1e-9)
     assert motion.contact_speed_m_s == pytest.approx(0.25, rel=1e-9)
-    assert motion.share_of_path == pytest.approx(0.5, rel=1e-9)
-    assert "nothing is hit" in motion.contact
+    assert motion.path_share == pytest.approx(0.5, rel=1e-9)
+    assert "nothing is hit" in motion.contact_label
 
 
 def test_velocity_is_the_derivative_of_position_whatever_the_order(scara: Scara, tmp_path: Path) -> None:
@@ -49,7 +49,7 @@ def test_velocity_is_the_derivative_of_position_whatever_the_order(scara: Scara,
     motion = tool_motion(path, scara, JOINTS, "made up", contact_ns=START_NS + 400_000_000)
     np.testing.assert_allclose(motion.speed_m_s[1:-1], np.gradient(motion.x_m, motion.time_s)[1:-1], atol=1e-5)
     assert motion.contact_s == pytest.approx(0.4)
-    assert motion.contact == "instant of impact"
+    assert motion.contact_label == "instant of impact"
 
 
 @pytest.mark.parametrize(
@@ -57,8 +57,8 @@ def test_velocity_is_the_derivative_of_position_whatever_the_order(scara: Scara,
     [
         (("joint1", "gripper"), True, {"contact_x": 0.3}, "joint2"),
         (JOINTS, False, {"contact_x": 0.3}, "velocity"),
-        (JOINTS, True, {"contact_x": 0.6}, "never is at x = 0.6 m"),
-        (JOINTS, True, {"contact_ns": START_NS - 1}, "not in the recording"),
+        (JOINTS, True, {"contact_x": 0.6}, "must reach x = 0.6 m"),
+        (JOINTS, True, {"contact_ns": START_NS - 1}, "must be within the recording"),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_line(

@@ -12,8 +12,8 @@ import yaml
 from scara_effmass.errors import RobotError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
-from scara_effmass.paper.scara import agreement, closed_form_of, matrix_masses
-from scara_effmass.paper.workspace import spread_positions
+from scara_effmass.paper.scara import compare_models, matrix_masses, scara_of
+from scara_effmass.paper.workspace import equal_area_poses
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse_kinematics
@@ -39,21 +39,21 @@ def test_parameters_are_those_of_the_file(scara: Scara) -> None:
 
 @pytest.mark.parametrize("phi", [0.0, 0.9, np.pi / 2.0, -2.0])
 def test_closed_forms_agree_with_the_mass_matrices(dynamics: RobotDynamics, scara: Scara, phi: float) -> None:
-    check = agreement(dynamics, scara, *spread_positions(scara, count=12), phi)
+    check = compare_models(dynamics, scara, *equal_area_poses(scara, count=12), phi)
     assert check.poses == 144
     assert max(check.lumped, check.full) < 1e-9
 
 
 def test_a_wrong_parameter_is_noticed(dynamics: RobotDynamics, scara: Scara) -> None:
-    poses = spread_positions(scara, count=8)
+    poses = equal_area_poses(scara, count=8)
     heavier = replace(scara, m2=1.01 * scara.m2, inertia=replace(scara.inertia, i2=1.01 * scara.inertia.i2))
-    check = agreement(dynamics, heavier, *poses)
+    check = compare_models(dynamics, heavier, *poses)
     assert check.lumped > 1e-3
     assert check.full > 1e-5
 
 
 def test_matrix_masses_do_not_depend_on_the_quill(dynamics: RobotDynamics, scara: Scara) -> None:
-    poses = spread_positions(scara, count=4)
+    poses = equal_area_poses(scara, count=4)
     low, high = (np.concatenate(matrix_masses(dynamics, *poses, 0.5, q3)) for q3 in (0.0, 0.45))
     np.testing.assert_allclose(low, high, rtol=1e-12)
 
@@ -70,4 +70,4 @@ def test_another_robot_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text(yaml.safe_dump(rows, sort_keys=False), encoding="utf-8")
     with pytest.raises(RobotError):
-        closed_form_of(RobotDynamics(load_robot(path, MonitorSettings())))
+        scara_of(RobotDynamics(load_robot(path, MonitorSettings())))

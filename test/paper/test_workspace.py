@@ -7,26 +7,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.paper.workspace import both_arms, joint_grid, spread_positions
+from scara_effmass.paper.workspace import equal_area_poses, joint_grid, polar_grid
 from scara_effmass.sim.scara_kinematics import ElbowConfig
 
 if TYPE_CHECKING:
     from scara_effmass.paper.scara import Scara
 
 
-@pytest.mark.parametrize("side", ElbowConfig)
-def test_the_grid_spans_both_ranges_and_no_singular_pose(scara: Scara, side: ElbowConfig) -> None:
-    q1, q2 = np.degrees(joint_grid(scara, side))
+@pytest.mark.parametrize("elbow_config", ElbowConfig)
+def test_the_grid_spans_both_ranges_and_no_singular_pose(scara: Scara, elbow_config: ElbowConfig) -> None:
+    q1, q2 = np.degrees(joint_grid(scara, elbow_config))
     assert q1.shape == q2.shape == (50, 50)
     assert (q1.min(), q1.max()) == pytest.approx((-136.0, 136.0), abs=1e-2)
     assert np.abs(q2).max() == pytest.approx(148.0, abs=1e-2)
-    assert np.all(q2 * side.value >= 0.0)
-    assert np.isfinite(scara.lumped(*joint_grid(scara, side))).all()
+    assert np.all(q2 * elbow_config.value >= 0.0)
+    assert np.isfinite(scara.lumped(*joint_grid(scara, elbow_config))).all()
 
 
-@pytest.mark.parametrize("side", ElbowConfig)
-def test_positions_are_spread_evenly_over_the_area(scara: Scara, side: ElbowConfig) -> None:
-    x, y = scara.tool(*spread_positions(scara, side))
+@pytest.mark.parametrize("elbow_config", ElbowConfig)
+def test_positions_are_spread_evenly_over_the_area(scara: Scara, elbow_config: ElbowConfig) -> None:
+    x, y = scara.tool(*equal_area_poses(scara, elbow_config))
     assert len(x) == 2500
     # Any part of the workspace holds its share of the positions. Its outline is known in polar coordinates: at
     # radius r the arm covers 272 deg, so the share within r is that of r^2.
@@ -37,19 +37,19 @@ def test_positions_are_spread_evenly_over_the_area(scara: Scara, side: ElbowConf
     # Squares well inside it hold as many as their area says.
     area = np.radians(272.0) / 2.0 * (outer**2 - inner**2)
     for centre in ((0.35, 0.1), (0.2, 0.3), (-0.15, 0.3)):
-        inside = (np.abs(x - centre[0]) < 0.08) & (np.abs(y - side.value * centre[1]) < 0.08)
+        inside = (np.abs(x - centre[0]) < 0.08) & (np.abs(y - elbow_config.value * centre[1]) < 0.08)
         assert inside.mean() == pytest.approx(0.16**2 / area, rel=0.1)
 
 
-def test_both_arms_are_at_the_same_position(scara: Scara) -> None:
-    places = both_arms(scara, 20, 61)
-    for poses, side in ((places.right, ElbowConfig.RIGHT), (places.left, ElbowConfig.LEFT)):
-        reached = np.isfinite(poses.q1)
-        assert np.all(np.sign(poses.q2[:, 1:]) == side.value)
+def test_polar_grid_are_at_the_same_position(scara: Scara) -> None:
+    grid = polar_grid(scara, 20, 61)
+    for poses, elbow_config in ((grid.right, ElbowConfig.RIGHT), (grid.left, ElbowConfig.LEFT)):
+        reachable = np.isfinite(poses.q1)
+        assert np.all(np.sign(poses.q2[:, 1:]) == elbow_config.value)
         x, y = scara.tool(*poses)
-        np.testing.assert_allclose(x[reached], places.x[reached], atol=1e-12)
-        np.testing.assert_allclose(y[reached], places.y[reached], atol=1e-12)
+        np.testing.assert_allclose(x[reachable], grid.x[reachable], atol=1e-12)
+        np.testing.assert_allclose(y[reachable], grid.y[reachable], atol=1e-12)
         assert np.nanmax(np.abs(poses.q1)) <= scara.q1_max * (1.0 + 1e-9)
-    alone = np.isfinite(places.right.q1) ^ np.isfinite(places.left.q1)
-    assert (np.isfinite(places.right.q1) | np.isfinite(places.left.q1)).all()
+    alone = np.isfinite(grid.right.q1) ^ np.isfinite(grid.left.q1)
+    assert (np.isfinite(grid.right.q1) | np.isfinite(grid.left.q1)).all()
     assert 0.1 < alone.mean() < 0.9

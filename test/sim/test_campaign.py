@@ -14,7 +14,7 @@ from scara_effmass.errors import OutputError
 from scara_effmass.sim.campaign import RUN_SPACING_NS, Campaign, record, run_campaign
 from scara_effmass.sim.experiment import run_impact
 from scara_effmass.sim.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES
-from scara_effmass.sim.topics import FORCE_TOPIC
+from scara_effmass.sim.recording_writer import FORCE_TOPIC
 
 if TYPE_CHECKING:
     from pathlib import Path
