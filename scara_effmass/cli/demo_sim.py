@@ -125,7 +125,7 @@ def _run_live(
             return timed_out or len(validations) >= IMPACTS or any(process.ended for process in processes)
 
         with MonitorClient(dynamics.contact_points, on_cycle, on_validation) as client, status:
-            if not client.spin(START_TIMEOUT_S, lambda: all(client.has_ends(*end) for end in ENDPOINTS) or finished()):
+            if not client.spin(START_TIMEOUT_S, lambda: all(client.has_peers(*end) for end in ENDPOINTS) or finished()):
                 raise EffmassError(f"nodes: not running after {START_TIMEOUT_S:g} s")
             require_running(processes)
             # The recorder subscribes once it receives the first /clock message, which the simulation publishes.

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import argparse
 
 EXAMPLES = """\
-ROS arguments stand behind -- or --ros-args; they win over the options.
+ROS arguments follow -- or --ros-args and take precedence over the options.
 
 examples:
   scara-effmass monitor
@@ -29,10 +29,10 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the node until it is told to stop."""
+    """Run the node until a signal ends it."""
     from scara_effmass.nodes.monitor_node import NodeSettings, main  # noqa: PLC0415 - rclpy, only when the node runs
 
     if args.params:
-        load_settings(NodeSettings, args.params, "monitor")  # says in one line what ROS would say in ten
-    given = {name: getattr(args, name) for name in ("robot", "effective_mass_model")}
-    return main(node_arguments(args.params, given, args.ros_arguments))
+        load_settings(NodeSettings, args.params, "monitor")  # an invalid file gives one line here, ten in ROS
+    overrides = {name: getattr(args, name) for name in ("robot", "effective_mass_model")}
+    return main(node_arguments(args.params, overrides, args.ros_arguments))

@@ -35,25 +35,27 @@ examples:
 def add_to(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.epilog = EXAMPLES
-    parser.add_argument("bag", type=Path, metavar="BAG", help="recording")
+    parser.add_argument("bag", type=Path, metavar="BAG", help="bag to replay")
     parser.add_argument(
-        "--rate", type=float, default=1.0, help="times the original speed; 0: as fast as a monitor answers"
+        "--rate", type=float, default=1.0, help="speed relative to the recording; 0: as fast as a monitor answers"
     )
-    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="where to begin [s]")
-    parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="how much to replay [s]")
-    parser.add_argument("--loop", action="store_true", help="begin again at the end, until it is stopped")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="start in the recording [s]")
+    parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="recorded time to replay [s]")
+    parser.add_argument("--loop", action="store_true", help="repeat until interrupted")
+    parser.add_argument("--topic", help="topic to publish as /joint_states (default: every topic keeps its name)")
     parser.add_argument(
-        "--topic", help="topic that is published as /joint_states (default: every topic keeps its name)"
-    )
-    parser.add_argument(
-        "--topics", nargs="+", default=(), metavar="TOPIC", help="topics to replay (default: all that can be)"
+        "--topics",
+        nargs="+",
+        default=(),
+        metavar="TOPIC",
+        help="topics to replay (default: all but node outputs)",
     )
     parser.add_argument(
         "--subscribers",
         type=int,
         default=1,
         metavar="N",
-        help="begin when so many listen to the joint states (default: 1)",
+        help="minimum number of subscribers of the joint states before the start (default: 1)",
     )
     parser.add_argument(
         "--wait",
@@ -67,8 +69,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay, and print what was sent."""
-    from scara_effmass.nodes.replay import ReplayOptions, replay  # noqa: PLC0415 - rclpy, only when it runs
+    """Replay and print the report."""
+    from scara_effmass.nodes.replay import ReplayOptions, replay  # noqa: PLC0415 - loads rclpy
 
     options = ReplayOptions(
         bag=args.bag,
@@ -85,11 +87,11 @@ def run(args: argparse.Namespace) -> int:
     with progress_bar(*columns) as progress:
         task = progress.add_task("replay", total=None)
 
-        def show(now: ReplayProgress) -> None:
-            name = f"pass {now.pass_number}" if args.loop else args.bag.name
-            progress.update(task, description=name, completed=now.time_s, total=now.span_s)
+        def on_progress(state: ReplayProgress) -> None:
+            name = f"pass {state.pass_number}" if args.loop else args.bag.name
+            progress.update(task, description=name, completed=state.time_s, total=state.span_s)
 
-        report = replay(options, show)
+        report = replay(options, on_progress)
     if args.json:
         print_json({**asdict(report), "achieved_rate": report.achieved_rate})
     else:
@@ -99,8 +101,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _lines(report: ReplayReport) -> Iterator[tuple[str, str]]:
     for topic, count in report.sent.items():
-        heard = ", nobody listened" if topic in report.unheard else ""
-        yield "sent", f"{topic}: {count} messages{heard}"
+        note = ", no subscriber" if topic in report.unheard else ""
+        yield "sent", f"{topic}: {count} messages{note}"
     for topic, reason in report.skipped.items():
         yield "not replayed", f"{topic}: {reason}"
     yield "played", f"{report.replayed_s:.2f} s in {report.wall_s:.2f} s, {report.achieved_rate:.2f} times real time"
@@ -110,6 +112,6 @@ def _lines(report: ReplayReport) -> Iterator[tuple[str, str]]:
     if report.late:
         yield "late", f"{report.late} messages by more than 10 ms, at worst {1e3 * report.worst_lateness_s:.0f} ms"
     for topic in report.unacknowledged:
-        yield "not received", f"{topic}: a subscriber has not confirmed everything"
+        yield "not received", f"{topic}: a subscriber has not acknowledged every message"
     for warning in report.warnings:
         yield "warning", warning

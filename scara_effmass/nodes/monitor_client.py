@@ -1,4 +1,4 @@
-"""A subscriber to what the monitor publishes, in a ROS context of its own."""
+"""Client of the monitor's topics, with its own ROS context."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from scara_effmass.wire.contact_state import contact_from
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from types import FrameType, TracebackType
+    from types import FrameType
 
     from rclpy.event_handler import QoSSubscriptionMatchedInfo
 
@@ -32,17 +32,17 @@ if TYPE_CHECKING:
 
     OnCycle = Callable[[tuple[ContactAssessment, ...], int], None]
 
-_SLICE_S = 0.05
-"""Longest stay inside the executor; signals are acted upon between two stays."""
+_SPIN_SLICE_S = 0.05
+"""Maximum delay of the reaction to a signal."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _TOPICS = 3
 
 
 @final
 class MonitorClient:
-    """Hands on the monitor's cycles, one per joint state; to be used in a `with`, in the main thread.
+    """Collects the contact states of each joint state, a cycle. Use it in a `with`, in the main thread.
 
-    Counts `cycles`, `silences` (UNKNOWNs of the watchdog, which answer no joint state), and keeps the last
+    Counts `cycles` and `silences` (decisions of the watchdog, without a joint state) and keeps the latest
     `allowable_speed` [m/s] and `speed_scaling` [0-1].
     """
 
@@ -52,9 +52,9 @@ class MonitorClient:
         on_cycle: OnCycle,
         on_validation: Callable[[ImpactValidation], None] | None = None,
     ) -> None:
-        """Call `on_cycle(contacts, at_ns)` per joint state, `at_ns` being the node's clock when it was assessed.
+        """Call `on_cycle(contacts, time_ns)` per joint state, with the monitor's clock at its assessment.
 
-        `on_validation` is called with what a validator publishes.
+        `on_validation` gets every message of a validator.
         """
         self.cycles = 0
         self.silences = 0
@@ -65,13 +65,12 @@ class MonitorClient:
         self._pending: list[ContactAssessment] = []
         self._matched: set[str] = set()
         self._handlers: dict[int, Any] = {}
-        self._signalled: list[int] = []
-        self._kept = ExitStack()
+        self._pending_signals: list[int] = []
+        self._stack = ExitStack()
         context = Context()
-        # Python's own handlers stay: an interrupt shall end the whole command, not the context alone.
+        # rclpy must not handle signals: an interrupt ends the whole command, not only the context.
         rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-        self._kept.callback(context.try_shutdown)
-        # On the time of the replay, or of the bench, as the monitor is.
+        self._stack.callback(context.try_shutdown)
         node = Node(
             "watch",
             context=context,
@@ -81,7 +80,7 @@ class MonitorClient:
         )
         self._node = node
         self._clock = node.get_clock()
-        self._kept.callback(node.destroy_node)
+        self._stack.callback(node.destroy_node)
         for kind, topic, callback in (
             (ContactState, topics.CONTACT_STATE, self._on_contact_state),
             (Float64, topics.ALLOWABLE_SPEED, self._on_allowable_speed),
@@ -95,54 +94,52 @@ class MonitorClient:
             )
         self._executor = EventsExecutor(context=context)
         self._executor.add_node(node)
-        self._kept.callback(self._executor.shutdown)
+        self._stack.callback(self._executor.shutdown)
 
     @property
     def connected(self) -> bool:
-        """Whether a monitor publishes on every topic."""
+        """Whether every topic of the monitor has a publisher."""
         return len(self._matched) == _TOPICS
 
-    def has_ends(self, topic: str, publishers: int, subscribers: int) -> bool:
-        """Whether at least so many publish on `topic` and subscribe to it, this one included."""
+    def has_peers(self, topic: str, publishers: int, subscribers: int) -> bool:
+        """Return whether `topic` has at least so many publishers and subscribers, this client included."""
         node = self._node
         return node.count_publishers(topic) >= publishers and node.count_subscribers(topic) >= subscribers
 
     @property
     def now_ns(self) -> int:
-        """The time on /clock; 0 before it has begun."""
+        """Time on /clock [ns], 0 before the first message."""
         return int(self._clock.now().nanoseconds)
 
     def spin(self, seconds: float, done: Callable[[], bool] = bool) -> bool:
-        """Receive for `seconds` or until `done`; return whether it is.
+        """Receive for `seconds` or until `done`; return the result of `done`.
 
-        SIGINT and SIGTERM take effect here, as they did before the `with`.
+        The earlier handlers of SIGINT and SIGTERM are called here.
         """
         deadline = time.monotonic() + seconds
-        while not (finished := done()) and (left := deadline - time.monotonic()) > 0.0:
-            spin_for(self._executor, min(left, _SLICE_S))
-            self._act_on_signals()
-        return finished
+        while not (is_done := done()) and (left := deadline - time.monotonic()) > 0.0:
+            spin_for(self._executor, min(left, _SPIN_SLICE_S))
+            self._handle_signals()
+        return is_done
 
     def __enter__(self) -> MonitorClient:
-        # An exception out of a callback is logged by the executor as a fault of the node: signals wait for its end.
-        self._handlers = {number: signal.signal(number, self._note_signal) for number in _SIGNALS}
+        # The executor would log a KeyboardInterrupt in a callback as an error of the node, so signals are deferred.
+        self._handlers = {number: signal.signal(number, self._on_signal) for number in _SIGNALS}
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
-        self._kept.close()
-        self._act_on_signals()
+        self._stack.close()
+        self._handle_signals()
 
-    def _note_signal(self, number: int, _frame: FrameType | None) -> None:
-        self._signalled.append(number)
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        self._pending_signals.append(number)
 
-    def _act_on_signals(self) -> None:
-        if self._signalled:
-            number = self._signalled[0]
-            self._signalled.clear()
+    def _handle_signals(self) -> None:
+        if self._pending_signals:
+            number = self._pending_signals[0]
+            self._pending_signals.clear()
             handler = self._handlers[number]
             if callable(handler):
                 handler(number, None)
@@ -151,10 +148,10 @@ class MonitorClient:
                 signal.raise_signal(number)
 
     def _on_matched(self, topic: str) -> Callable[[QoSSubscriptionMatchedInfo], None]:
-        def note(info: QoSSubscriptionMatchedInfo) -> None:
+        def on_matched(info: QoSSubscriptionMatchedInfo) -> None:
             (self._matched.add if info.current_count else self._matched.discard)(topic)
 
-        return note
+        return on_matched
 
     def _on_contact_state(self, message: ContactState) -> None:
         contact = contact_from(message)
@@ -163,19 +160,19 @@ class MonitorClient:
             return
         pending = self._pending
         if pending and pending[0].stamp_ns != contact.stamp_ns:
-            self._hand_on()
+            self._finish_cycle()
         pending.append(contact)
         if contact.contact_point == self._last_point:
-            self._hand_on()
+            self._finish_cycle()
 
-    def _hand_on(self) -> None:
+    def _finish_cycle(self) -> None:
         contacts = tuple(self._pending)
         self._pending.clear()
         self.cycles += 1
         first = contacts[0]
-        # The age tells the monitor's clock exactly; a joint state without a stamp has none.
-        told_ns = first.stamp_ns + round(first.input_age * 1e9) if first.stamp_ns else self._clock.now().nanoseconds
-        self._on_cycle(contacts, told_ns)
+        # Stamp plus age is exactly the monitor's clock; a joint state without a stamp has no age.
+        time_ns = first.stamp_ns + round(first.input_age * 1e9) if first.stamp_ns else self._clock.now().nanoseconds
+        self._on_cycle(contacts, time_ns)
 
     def _on_allowable_speed(self, message: Float64) -> None:
         self.allowable_speed = message.data

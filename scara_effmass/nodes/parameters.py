@@ -1,4 +1,4 @@
-"""ROS parameters made from a settings model: names, types, ranges and descriptions are stated there, once."""
+"""ROS parameters declared from a settings model, which states names, types, ranges and descriptions."""
 
 from __future__ import annotations
 
@@ -23,87 +23,85 @@ if TYPE_CHECKING:
 
     from scara_effmass.settings.loading import Settings
 
-_OF_EVERY_NODE = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+_ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
 def declare(node: Node, settings: type[BaseModel]) -> dict[str, Any]:
-    """Declare every field of `settings` on `node` and return the values given to it by name, defaults included.
+    """Declare every field of `settings` on `node` and return the values by name: overrides or defaults.
 
-    Raises SettingsError for a parameter that was given but does not exist, and for a value of the wrong type or range.
+    Raises SettingsError for an unknown parameter and for a value of the wrong type or range.
     """
-    # Private, but the public way, automatically_declare_parameters_from_overrides, raises on an empty list.
-    given: dict[str, Parameter] = node._parameter_overrides  # noqa: SLF001
+    # A private attribute, because automatically_declare_parameters_from_overrides raises on an empty list.
+    overrides: dict[str, Parameter] = node._parameter_overrides  # noqa: SLF001
     fields = flat_fields(settings)
-    unknown = [name for name in sorted(given) if name not in fields and not name.startswith(_OF_EVERY_NODE)]
+    unknown = [name for name in sorted(overrides) if name not in fields and not name.startswith(_ROS_PARAMETERS)]
     if unknown:
         raise SettingsError(f"{node.get_name()}: no parameter {unknown[0]!r}: {nearest(unknown[0], fields)}")
-    return {name: from_ros(_declared(node, name, field, given.get(name))) for name, field in fields.items()}
+    return {name: from_ros(_declared(node, name, field, overrides.get(name))) for name, field in fields.items()}
 
 
 def on_parameters_changed(
     node: Node,
     current: Callable[[], Settings],
-    take: Callable[[Settings, AbstractSet[str]], None],
-    judge: Callable[[Settings], object] = lambda _: None,
+    apply: Callable[[Settings, AbstractSet[str]], None],
+    validate: Callable[[Settings], object] = lambda _: None,
 ) -> None:
-    """Have `take` called with the `current` settings, and the names of those that were set, whenever any are set.
+    """Call `apply` with the new settings and the names of the changed parameters after every change.
 
-    A change at which the settings model or `judge` raises an EffmassError is refused, with that as its reason.
+    Refuse a change if the settings model or `validate` raises EffmassError, whose text becomes the reason.
     """
 
     def changed(changes: list[Parameter]) -> Settings:
         settings = current()
-        kind = type(settings)
-        values = {p.name: from_ros(p) for p in changes if p.name in kind.model_fields}
-        return checked(kind, {**settings.model_dump(), **values}, node.get_name())
+        model = type(settings)
+        values = {p.name: from_ros(p) for p in changes if p.name in model.model_fields}
+        return checked(model, {**settings.model_dump(), **values}, node.get_name())
 
-    def judged(changes: list[Parameter]) -> SetParametersResult:
+    def on_set(changes: list[Parameter]) -> SetParametersResult:
         try:
-            judge(changed(changes))
+            validate(changed(changes))
         except EffmassError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    node.add_on_set_parameters_callback(judged)
-    node.add_post_set_parameters_callback(lambda changes: take(changed(changes), {p.name for p in changes}))
+    node.add_on_set_parameters_callback(on_set)
+    node.add_post_set_parameters_callback(lambda changes: apply(changed(changes), {p.name for p in changes}))
 
 
 def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401  what ROS holds, before the settings model checks it
-    """Return the value of `parameter` as a settings model takes it."""
+    """Return the value of `parameter` for a settings model."""
     value = parameter.value
     return tuple(value) if parameter.type_ is Parameter.Type.STRING_ARRAY else value
 
 
-def _declared(node: Node, name: str, field: FieldInfo, given: Parameter | None) -> Parameter:
-    """Declare one field with its default, or with what was `given` for it."""
+def _declared(node: Node, name: str, field: FieldInfo, override: Parameter | None) -> Parameter:
+    """Declare one field and return its parameter: `override` or the default."""
     default = _parameter(name, field.default)
-    if given is None:
-        given = default
-    elif given.type_ is Parameter.Type.NOT_SET and isinstance(field.default, tuple):
-        # What ROS makes of an empty list in a file or on a command line.
-        given = _parameter(name, ())
-    if given.type_ is not default.type_:
-        integer = given.type_ is Parameter.Type.INTEGER and default.type_ is Parameter.Type.DOUBLE
-        point = f": write {given.value}.0" if integer else ""
-        raise SettingsError(
-            f"{node.get_name()}: {name} = {given.value!r}: must be {default.type_.name}, is {given.type_.name}{point}"
-        )
+    parameter = default if override is None else override
+    if parameter.type_ is Parameter.Type.NOT_SET and isinstance(field.default, tuple):
+        # ROS passes an empty list from a file or command line as NOT_SET.
+        parameter = _parameter(name, ())
+    if parameter.type_ is not default.type_:
+        is_integer = parameter.type_ is Parameter.Type.INTEGER and default.type_ is Parameter.Type.DOUBLE
+        hint = f": write {parameter.value}.0" if is_integer else ""
+        rule = f"must be {default.type_.name}, is {parameter.type_.name}{hint}"
+        raise SettingsError(f"{node.get_name()}: {name} = {parameter.value!r}: {rule}")
     descriptor = _descriptor(name, field)
     try:
-        # Declared by its type, then set: of an empty list as a default, rclpy could not tell the type.
+        # Declare the type, then set the value: rclpy cannot infer the type of an empty list.
         node.declare_parameter(name, default.type_, ignore_override=True)
-        node.set_parameters([given])
+        node.set_parameters([parameter])
         node.set_descriptor(name, descriptor)
     except InvalidParameterValueException:
         (bounds,) = descriptor.floating_point_range
         raise SettingsError(
-            f"{node.get_name()}: {name} = {given.value!r}: must be {bounds.from_value:g} to {bounds.to_value:g}"
+            f"{node.get_name()}: {name} = {parameter.value!r}: must be {bounds.from_value:g} to {bounds.to_value:g}"
         ) from None
-    return given
+    return parameter
 
 
 def _parameter(name: str, value: Any) -> Parameter:  # noqa: ANN401
-    """Return a setting as a ROS parameter holds it."""
+    """Return a setting as a ROS parameter."""
     if isinstance(value, tuple):
         return Parameter(name, Parameter.Type.STRING_ARRAY, list(value))
     return Parameter(name, value=value.value if isinstance(value, Enum) else value)
@@ -128,7 +126,7 @@ def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
 
 
 def _set_range(descriptor: ParameterDescriptor, field: FieldInfo) -> None:
-    """State the closed range; the settings model refuses the end of an open one, which ROS cannot express."""
+    """Set the closed range. ROS cannot express an open end; the settings model refuses it."""
     bounds = FloatingPointRange(from_value=0.0, to_value=1e6)
     for constraint in field.metadata:
         if isinstance(constraint, annotated_types.Ge):
