@@ -2,64 +2,68 @@
 
 from __future__ import annotations
 
-from html import escape
 from typing import TYPE_CHECKING
 
 from scara_effmass import __version__
-from scara_effmass.analysis.page import bullets, document, figure, table
+from scara_effmass.analysis.report import render
 from scara_effmass.analysis.validation_scope import demands, limits, origin
-from scara_effmass.analysis.validation_tables import groups, impacts, left_out, models, recordings, truth
+from scara_effmass.analysis.validation_truth import deviations, stated_stiffness
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from pydantic import BaseModel
 
-    from scara_effmass.analysis.page import Picture
-    from scara_effmass.analysis.validation import Validation, ValidationSettings
-    from scara_effmass.impacts.result import Result
+    from scara_effmass.analysis.report import EmbeddedFigure
+    from scara_effmass.analysis.validation import ValidatedRecording, Validation, ValidationSettings
+    from scara_effmass.impacts.agreement import Agreement
+    from scara_effmass.impacts.result import ModelResult, Result
     from scara_effmass.model.robot import Robot
+    from scara_effmass.values import ValidatedImpact
 
-TITLE = "Prediction against measurement"
-STYLE = """
-.verdict { padding: .8rem 1rem; border-left: 6px solid; font-size: 18px }
-.dense th, .dense td { font-size: 11px; padding: .2rem .3rem }
-@media print { .dense th, .dense td { font-size: 7px; padding: .1rem .15rem } }
-.accepted { color: #00664a; background: #eef8f4 } .refused { color: #b03a00; background: #fdf3ee }
-"""
+N_MM = 1e3
+"""N/m in one N/mm."""
 
 
-def page(validation: Validation, pictures: Sequence[Picture], settings: ValidationSettings, robot: Robot) -> str:
+def page(validation: Validation, figures: Sequence[EmbeddedFigure], settings: ValidationSettings, robot: Robot) -> str:
     """Return the page as HTML."""
     result = validation.result
-    parts = [
-        _verdict(result),
-        table(("this report", ""), _facts(validation, settings, robot)),
-        "<h2>Limits of validity</h2>",
-        bullets(limits(validation, settings, robot)),
-        "<h2>Models</h2>",
-        models(result),
-        f"<p>On the same {result.comparison.count} impacts: {escape(result.comparison.text)}.</p>",
-        *map(figure, pictures[:1]),
-        *groups(result),
-        *map(figure, pictures[1:]),
-        *truth(validation),
-        "<h2>Left out</h2>",
-        left_out(result),
-        "<h2>Impacts</h2>",
-        *impacts(validation),
-        "<h2>Recordings</h2>",
-        recordings(validation),
-        "<h2>Settings</h2><p>Monitor settings at their defaults are not shown; report.json has them all.</p>",
-        table(("setting", "value"), _settings_rows(settings)),
-    ]
-    return document(TITLE, "\n".join(parts), STYLE)
+    stiffness = stated_stiffness(validation)
+    return render(
+        "validation.html",
+        result=result,
+        origin=origin(result),
+        facts=list(_facts(validation, settings, robot)),
+        limits=list(limits(validation, settings, robot)),
+        models=[_model_row(model) for model in result.models],
+        figures=figures,
+        by_configuration=[
+            (name or "not named", *_group_row(model, model.by_configuration[name]))
+            for name in result.models[0].by_configuration
+            for model in result.models
+        ],
+        by_obstacle_mass=[
+            (f"{mass:g}", *_group_row(model, model.by_obstacle_mass[mass]))
+            for mass in result.models[0].by_obstacle_mass
+            for model in result.models
+        ],
+        deviations=[
+            (row.quantity, f"{row.impacts}", _relative(row.mean), _relative(row.farthest))
+            for row in deviations(validation)
+        ],
+        stated_stiffness=f"{stiffness / N_MM:g}" if stiffness else "",
+        left_out=list(_left_out_rows(result)),
+        impact_heads=_impact_heads(result),
+        impacts=[list(row) for row in _impact_rows(validation)],
+        recordings=[_recording_row(recording) for recording in validation.recordings],
+        settings=list(_settings_rows(settings)),
+    )
 
 
-def _verdict(result: Result) -> str:
-    kind, text = ("accepted", "Accepted") if result.accepted else ("refused", f"Not accepted: {result.reason}")
-    about = f"{result.model} model, {origin(result)}."
-    return f'<p class="verdict {kind}"><b>{escape(text)}.</b><br>{escape(about)}</p>'
+def _left_out_rows(result: Result) -> Iterator[tuple[str, ...]]:
+    for category, counts in (("excluded", result.excluded), ("not paired", result.unpaired)):
+        for reason, count in sorted(counts.items(), key=lambda item: -item[1]):
+            yield category, reason, f"{count}", _details(result, reason)
 
 
 def _facts(validation: Validation, settings: ValidationSettings, robot: Robot) -> Iterator[tuple[str, str]]:
@@ -97,3 +101,101 @@ def _rows(section: str, settings: BaseModel, *, only_changed: bool) -> Iterator[
             yield from ((f"{section}: {name}.{key}", f"{each}") for key, each in value.items())
         elif not only_changed or value != defaults[name]:
             yield f"{section}: {name}", "(empty)" if value == "" else f"{value}"
+
+
+def _model_row(model: ModelResult) -> tuple[str, ...]:
+    found = model.overall
+    accepted = "yes" if model.accepted else f"no: {model.reason}"
+    if not found.count:
+        return (model.model, "0", *["-"] * (8), accepted)
+    r = (
+        f"undefined: {found.correlation_reason}"
+        if found.correlation_reason
+        else _with(f"{found.correlation:.5f}", found.correlation_interval, ".5f")
+    )
+    stiffness = _with(f"{found.fitted_stiffness / N_MM:.1f}", found.stiffness_interval, ".1f", 1.0 / N_MM)
+    exponent = "-" if found.exponent is None else _with(f"{found.exponent:.3f}", found.exponent_interval, ".3f")
+    return (
+        model.model,
+        f"{found.count}",
+        r,
+        stiffness if found.count > 1 else "-",
+        exponent,
+        f"{found.bias:+.2f}",
+        f"{found.rmse:.2f}",
+        f"{found.relative_rmse:.2%}",
+        "-" if found.limits is None else f"{found.limits.low:+.2f} to {found.limits.high:+.2f}",
+        f"{found.non_conservative} (largest {found.largest_shortfall:.2%}; {found.shortfalls} beyond tolerance)",
+        accepted,
+    )
+
+
+def _group_row(model: ModelResult, found: Agreement) -> tuple[str, ...]:
+    k, whole = found.fitted_stiffness, model.overall.stiffness
+    return (
+        model.model,
+        f"{found.count}",
+        f"{found.mean_force:.1f}",
+        f"{k / N_MM:.1f}" if k else "-",
+        _relative(k / whole - 1.0) if k and whole else "-",
+        f"{found.bias:+.2f}",
+        f"{found.rmse:.2f}",
+        f"{found.non_conservative}",
+    )
+
+
+def _details(result: Result, reason: str) -> str:
+    return "; ".join(sorted({one.detail for one in result.refused if one.reason == reason and one.detail})[:5])
+
+
+def _impact_heads(result: Result) -> tuple[str, ...]:
+    masses = [f"m_n {model.model} [kg]" for model in result.models]
+    errors = [f"error {model.model}" for model in result.models]
+    heads = ("recording", "onset [s, ROS time]", "configuration", "m_H [kg]", "v [mm/s]", *masses, "μ [kg]")
+    return (*heads, "measured [N]", "predicted [N]", *errors, "conservative")
+
+
+def _impact_rows(validation: Validation) -> Iterator[tuple[str, ...]]:
+    models = [model.model for model in validation.result.models]
+    names = validation.names()
+    for name, impact in zip(names, validation.result.impacts, strict=True):
+        yield (name, *_impact_row(impact, models))
+
+
+def _impact_row(impact: ValidatedImpact, models: Iterable[str]) -> Iterator[str]:
+    predictions = {prediction.model: prediction for prediction in impact.predictions}
+    known = [predictions.get(model) for model in models]
+    yield f"{impact.stamp_ns / 1e9:.6f}"
+    yield impact.configuration or "not named"
+    yield f"{impact.obstacle_mass:g}"
+    yield f"{1e3 * impact.speed:.1f}"
+    yield from ("-" if each is None else f"{each.effective_mass:.3f}" for each in known)
+    yield f"{impact.reduced_mass:.3f}"
+    yield f"{impact.measured_force:.1f}"
+    yield f"{impact.predicted_force:.1f}"
+    yield from ("-" if each is None else _relative(each.relative_error) for each in known)
+    yield "yes" if impact.conservative else "no"
+
+
+def _recording_row(recording: ValidatedRecording) -> tuple[str, ...]:
+    counted = ("dropouts", "drop-outs"), ("glitches", "glitches"), ("pushes", "pushes too long for impacts")
+    remarks = [f"{count} {what}" for name, what in counted if (count := getattr(recording, name))]
+    return (
+        recording.path.name,
+        f"{recording.joint_states}",
+        f"{recording.force_blocks}" if recording.force_blocks else "none; recorded impacts were used",
+        f"{recording.lost_samples}",
+        f"{len(recording.impacts)}",
+        f"{len(recording.refused)}",
+        "; ".join([*(["simulated"] if recording.simulated else []), *remarks, *recording.losses]),
+    )
+
+
+def _relative(share: float) -> str:
+    """Return a difference in percent, without a sign where it rounds to nothing."""
+    text = f"{share:+.2%}"
+    return text if text.strip("+-0.%") else "0.00%"
+
+
+def _with(text: str, interval: tuple[float, float] | None, form: str, scale: float = 1.0) -> str:
+    return text if interval is None else f"{text} ({interval[0] * scale:{form}} to {interval[1] * scale:{form}})"

@@ -10,8 +10,8 @@ import matplotlib as mpl
 
 from scara_effmass.analysis.figure import FORMATS, write
 from scara_effmass.analysis.output import atomic_file, check_output_path
-from scara_effmass.analysis.page import Picture
 from scara_effmass.analysis.plot_style import STYLE
+from scara_effmass.analysis.report import EmbeddedFigure
 from scara_effmass.analysis.validation_figures import PLOTS
 from scara_effmass.analysis.validation_page import page
 from scara_effmass.analysis.validation_record import record
@@ -45,7 +45,8 @@ def write_report(
             with mpl.rc_context(STYLE):
                 write(plot.draw(validation.result), *(paths[f"{plot.name}{suffix}"] for suffix in FORMATS))
         pictures = [
-            Picture(plot.name, plot.title, plot.caption, paths[f"{plot.name}.png"].read_bytes()) for plot in PLOTS
+            EmbeddedFigure(plot.name, plot.title, plot.caption, paths[f"{plot.name}.png"].read_bytes())
+            for plot in PLOTS
         ]
         paths[PAGE].write_text(page(validation, pictures, settings, robot), encoding="utf-8")
         numbers = json.dumps(record(validation, settings, robot), indent=1, ensure_ascii=False, allow_nan=False)
