@@ -33,16 +33,16 @@ _NS = 1_000_000_000
 _MS = 1_000_000
 _PERIOD_S = 0.001
 _AHEAD_NS = 20 * _MS
-"""So far the cell is computed ahead of time, so that its impacts, which take longer, hold nothing up."""
+"""Lead of the simulation: an impact takes longer to compute than the rest."""
 _STAMP = struct.Struct("<iI")
 _BEHIND_NS = {topics.CONTACT_STATE: 50 * _MS, topics.FORCE: 400 * _MS}
-"""How far behind the clock the latest stamp may be. That of a block is its first sample's; blocks last 0.1 s."""
-_STANDING_NS = 50 * _MS
+"""Largest lag of the latest stamp behind the clock; a block of 0.1 s has the stamp of its first sample."""
+_HOLD_PERIOD_NS = 50 * _MS
 _NEVER_NS = 2**62
 
 
 class NodeSettings(BaseModel):
-    """What makes a cell the same as that of the force node."""
+    """Parameters of `sim_node`; `start` and `seed` must equal those of the force node."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -57,30 +57,30 @@ class NodeSettings(BaseModel):
     seed: int = Field(0, ge=0, description="the same as sim.seed of daq_node", json_schema_extra=READ_ONLY)
     clock: bool = Field(
         default=False,
-        description="publish /clock, at most at real time, and wait for monitor and force node where they fall behind",
+        description="publish /clock at up to real time, and wait for monitor and force node if they fall behind",
         json_schema_extra=READ_ONLY,
     )
     listeners: int = Field(
         1,
         ge=0,
-        description="with clock: how many have to listen to the joint states before it begins",
+        description="with clock: subscribers of joint_states that must be present before the start",
         json_schema_extra=READ_ONLY,
     )
 
 
 class SimNode(LifecycleBase):
-    """Publishes `joint_states` at 1 kHz, and the run information of the cart that waits.
+    """Publish `joint_states` at 1 kHz and the run information of the cart in place.
 
-    Its time is ROS time; with `clock`, it makes that time, and lets it stand while others fall behind.
+    Without `clock` the node runs on ROS time; with it the node publishes that time and waits for slower nodes.
     """
 
     def __init__(self) -> None:
-        """Declare the parameters. Raises SettingsError for one that cannot be used."""
+        """Declare the parameters. Raises SettingsError for an invalid one."""
         super().__init__("sim")
         self._settings = checked(NodeSettings, parameters.declare(self, NodeSettings), self.get_name())
         self.autostart = self._settings.autostart
         if self._settings.clock and self.get_parameter("use_sim_time").value:
-            raise SettingsError(f"{self.get_name()}: clock = true: it makes the time; use_sim_time = false")
+            raise SettingsError(f"{self.get_name()}: clock = true: use_sim_time must be false")
         self._states: deque[values.JointState] = deque()
         self._carts: deque[CartPlacement] = deque()
 
@@ -89,29 +89,29 @@ class SimNode(LifecycleBase):
         warn = self.get_logger().warning
         self._joint_states = self.create_owned_publisher(JointState, topics.JOINT_STATES, topics.STREAM_QOS, warn)
         self._info = self.create_owned_publisher(RunInfo, topics.RUN_INFO, topics.INFO_QOS, warn)
-        self._pace = SimClock(self) if self._settings.clock else None
-        self.create_steady_timer(_PERIOD_S, self._publish_what_is_due)
+        self._sim_clock = SimClock(self) if self._settings.clock else None
+        self.create_steady_timer(_PERIOD_S, self._publish_due)
 
     def activate(self) -> None:
-        """Put the robot at its start."""
+        """Move the robot to its start."""
         start_ns = round(self._settings.start * 1e3) * _MS or int(self.get_clock().now().nanoseconds)
-        self._bench = LiveSim(LiveSettings(seed=self._settings.seed), start_ns)
+        self._sim = LiveSim(LiveSettings(seed=self._settings.seed), start_ns)
         self._states.clear()
         self._carts.clear()
-        if self._pace is not None:
-            self._pace.begin(start_ns)
+        if self._sim_clock is not None:
+            self._sim_clock.begin(start_ns)
 
-    def _publish_what_is_due(self) -> None:
+    def _publish_due(self) -> None:
         if not self.active:
             return
-        if self._pace is None:
+        if self._sim_clock is None:
             now_ns = int(self.get_clock().now().nanoseconds)
         elif self._joint_states.get_subscription_count() >= self._settings.listeners:
-            now_ns = self._pace.advance()
+            now_ns = self._sim_clock.advance()
         else:
-            self._pace.stand()
+            self._sim_clock.hold()
             return
-        output = self._bench.advance_to(now_ns + _AHEAD_NS)
+        output = self._sim.advance_to(now_ns + _AHEAD_NS)
         self._states += output.joint_states
         self._carts += output.carts
         while self._carts and self._carts[0].stamp_ns <= now_ns:
@@ -121,11 +121,11 @@ class SimNode(LifecycleBase):
 
 
 class SimClock:
-    """Simulated time on /clock: real time, less what others need to follow."""
+    """Simulated time on /clock: real time, slowed down for the other nodes."""
 
     def __init__(self, node: LifecycleBase) -> None:
-        """Publish the clock with `node`, and listen to what the others have done."""
-        self._clock = node.own(
+        """Create the publisher of the clock and the subscriptions to the outputs of the other nodes."""
+        self._publisher = node.own(
             node.create_publisher(ClockMessage, topics.CLOCK, qos_profile(topics.CLOCK_QOS)), node.destroy_publisher
         )
         self._done_ns: dict[str, int] = {}
@@ -138,34 +138,34 @@ class SimClock:
             )
 
     def begin(self, start_ns: int) -> None:
-        """Let time begin there."""
-        self._now_ns = self._told_ns = start_ns
+        """Start the time at `start_ns`."""
+        self._now_ns = start_ns
         self._steady_ns = time.monotonic_ns()
         self._done_ns.clear()
 
-    def stand(self) -> None:
-        """Let no time go by."""
+    def hold(self) -> None:
+        """Publish the current time, without advancing it."""
         steady_ns = time.monotonic_ns()
-        if steady_ns - self._steady_ns > _STANDING_NS:
+        if steady_ns - self._steady_ns > _HOLD_PERIOD_NS:
             self._steady_ns = steady_ns
-            self._tell()
+            self._publish()
 
     def advance(self) -> int:
-        """Let the time go by that went by in truth, as far as the others follow; return it."""
+        """Advance by the elapsed real time, as far as the other nodes follow; return the time."""
         steady_ns = time.monotonic_ns()
-        follows_ns = [done_ns + _BEHIND_NS[topic] for topic, done_ns in self._done_ns.items()]
-        self._now_ns = max(self._now_ns, min(self._now_ns + steady_ns - self._steady_ns, *follows_ns, _NEVER_NS))
+        limits_ns = [done_ns + _BEHIND_NS[topic] for topic, done_ns in self._done_ns.items()]
+        self._now_ns = max(self._now_ns, min(self._now_ns + steady_ns - self._steady_ns, *limits_ns, _NEVER_NS))
         self._steady_ns = steady_ns
-        self._tell()
+        self._publish()
         return self._now_ns
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         message = ClockMessage()
         message.clock.sec, message.clock.nanosec = divmod(self._now_ns, _NS)
-        self._clock.publish(message)
+        self._publisher.publish(message)
 
     def _on_done(self, topic: str, data: bytes) -> None:
-        # Both begin with the stamp, behind the 4 bytes that tell the encoding.
+        # In both messages the stamp follows the 4 bytes of the encapsulation header.
         sec, nanosec = _STAMP.unpack_from(data, 4)
         self._done_ns[topic] = max(self._done_ns.get(topic, 0), sec * _NS + nanosec)
 
@@ -180,7 +180,7 @@ def _run_info(cart: CartPlacement, seed: int) -> values.RunInfo:
         impact_position=setup.impact_position,
         plate_normal=setup.plate_normal,
         simulated=True,
-        note=f"simulated (MuJoCo): the robot drives into a cart\ngenerator = sim_node, seed = {seed}",
+        note=f"simulated (MuJoCo): the robot hits a cart\ngenerator = sim_node, seed = {seed}",
         contact_stiffness=setup.contact.stiffness,
         contact_exponent=setup.contact.exponent,
     )
