@@ -1,4 +1,4 @@
-"""Files that appear under their name only when they are complete, and replace nothing unasked."""
+"""Output files that appear only when complete and never replace a file without permission."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
 
 
 def check_output_path(path: Path, *, overwrite: bool) -> None:
-    """Raise OutputError when `path` may not be written: it exists and is not to be replaced, or is a folder."""
+    """Raise OutputError if `path` is a folder, or exists and must not be replaced."""
     if path.is_dir():
-        raise OutputError(f"{path}: is a folder; the name of a file would be right")
+        raise OutputError(f"{path}: is a folder; must be a file")
     if path.exists() and not overwrite:
-        raise OutputError(f"{path}: exists already; --force replaces it")
+        raise OutputError(f"{path}: already exists; use --force to replace it")
 
 
 @contextmanager
 def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
-    """Give a path to write to in a `with`; what is there at its end is renamed to `path`, or removed after an error.
+    """Give a temporary path to write to in a `with`; it becomes `path` at the end, or is removed after an error.
 
-    Folders above are made. Raises OutputError.
+    Missing parent folders are created. Raises OutputError.
     """
     check_output_path(path, overwrite=overwrite)
     unfinished = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")

@@ -1,4 +1,4 @@
-"""What a run comes down to: cycles and time per verdict, the tightest margin, why nothing was known."""
+"""Summary of a run: cycles and time per verdict, the tightest margin, and the reasons of UNKNOWN."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from scara_effmass.values import ContactAssessment, JointState
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
-"""Numbers in a reason, which tell apart what is counted as one; digits in names stay."""
-MOST_REASONS = 200
-"""Different reasons that are counted; the rest counts as one, so that no recording can fill the memory."""
+"""Matches numbers in a reason, so that reasons that differ in numbers alone count as one; digits in names stay."""
+MAX_REASONS = 200
+"""Number of different reasons to count; all others count as one, which bounds the memory."""
 OTHER_REASONS = "other reasons"
 
 
-class Tightest(NamedTuple):
-    """The contact point and moment with the smallest margin, UNKNOWN left out."""
+class TightestMargin(NamedTuple):
+    """The assessment with the smallest margin, its recording and joint positions. UNKNOWN has no margin."""
 
     contact: ContactAssessment
     source: str
@@ -30,26 +30,26 @@ class Tightest(NamedTuple):
 
 
 class Summary:
-    """Counts cycle by cycle, in bounded memory. A cycle's verdict is the worst of its contact points.
+    """Counts cycles in bounded memory. The verdict of a cycle is the worst of its contact points.
 
-    A verdict lasts until the next joint state, at most for `timeout_ns`; from there on it is UNKNOWN (a gap).
+    A verdict lasts until the next joint state, at most for `timeout_ns`; the rest of the gap is UNKNOWN.
     """
 
     def __init__(self, timeout_ns: int) -> None:
-        """Begin with nothing counted."""
+        """Start at zero."""
         self._timeout_ns = timeout_ns
         self._last: tuple[int, Verdict] | None = None
         self.cycles: Counter[Verdict] = Counter()
         self.time_ns: Counter[Verdict] = Counter()
         self.reasons: Counter[str] = Counter()
         self.gaps = 0
-        self.longest_gap_ns = 0
-        self.tightest: Tightest | None = None
+        self.max_gap_ns = 0
+        self.tightest: TightestMargin | None = None
 
     def add(
         self, contacts: Sequence[ContactAssessment], at_ns: int, state: JointState | None = None, source: str = ""
     ) -> None:
-        """Count one cycle, decided at `at_ns`; `state` is its joint state and `source` its recording, where known."""
+        """Count one cycle, assessed at `at_ns`; `state` is its joint state and `source` its recording, if known."""
         worst = contacts[0]
         for contact in contacts:
             if severity(contact.verdict) > severity(worst.verdict):
@@ -58,7 +58,7 @@ class Summary:
                 self.tightest is None or contact.margin < self.tightest.contact.margin
             ):
                 positions = {} if state is None else dict(zip(state.names, state.position.tolist(), strict=True))
-                self.tightest = Tightest(contact, source, positions)
+                self.tightest = TightestMargin(contact, source, positions)
         self.cycles[worst.verdict] += 1
         if worst.verdict is Verdict.UNKNOWN:
             self._count_reason(NUMBER.sub("…", worst.reason))
@@ -66,17 +66,17 @@ class Summary:
         self._last = (at_ns, worst.verdict)
 
     def new_recording(self) -> None:
-        """The next cycle does not follow the last one in time."""
+        """Start a new recording: its first cycle does not follow the last one in time."""
         self._last = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as JSON takes it, names with units."""
+        """Return all counts for JSON, units in the names."""
         return {
             "cycles": sum(self.cycles.values()),
             "cycles_by_verdict": {verdict.name: self.cycles[verdict] for verdict in Verdict},
             "seconds_by_verdict": {verdict.name: self.time_ns[verdict] / 1e9 for verdict in Verdict},
             "gaps": self.gaps,
-            "longest_gap_s": self.longest_gap_ns / 1e9,
+            "longest_gap_s": self.max_gap_ns / 1e9,
             "unknown_reasons": dict(self.reasons.most_common()),
             "tightest": None if self.tightest is None else _as_dict(self.tightest),
         }
@@ -85,20 +85,20 @@ class Summary:
         if self._last is None:
             return
         last_ns, verdict = self._last
-        # Out-of-order header stamps: time that has been counted is not counted again.
+        # Stamps may be out of order: no time is counted twice.
         elapsed_ns = max(0, at_ns - last_ns)
         self.time_ns[verdict] += min(elapsed_ns, self._timeout_ns)
         if elapsed_ns > self._timeout_ns:
             self.time_ns[Verdict.UNKNOWN] += elapsed_ns - self._timeout_ns
             self.gaps += 1
-            self.longest_gap_ns = max(self.longest_gap_ns, elapsed_ns)
+            self.max_gap_ns = max(self.max_gap_ns, elapsed_ns)
 
     def _count_reason(self, reason: str) -> None:
-        known = reason in self.reasons or len(self.reasons) < MOST_REASONS
+        known = reason in self.reasons or len(self.reasons) < MAX_REASONS
         self.reasons[reason if known else OTHER_REASONS] += 1
 
 
-def _as_dict(tightest: Tightest) -> dict[str, Any]:
+def _as_dict(tightest: TightestMargin) -> dict[str, Any]:
     contact = tightest.contact
     return {
         "margin_m_s": contact.margin,

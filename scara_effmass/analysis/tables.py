@@ -1,4 +1,4 @@
-"""Assessments as files: Parquet and CSV with a row per contact point and joint state, or a bag of ContactStates."""
+"""Write assessments: Parquet or CSV with a row per contact point and joint state, or a bag of ContactStates."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from scara_effmass.settings import MonitorSettings
     from scara_effmass.values import ContactAssessment
 
-ROWS_AT_ONCE = 50_000
-"""Rows of a Parquet row group; what is held in memory."""
+ROW_GROUP_SIZE = 50_000
+"""Rows of a Parquet row group, which are held in memory."""
 
 
 _UNITS = {
@@ -59,53 +59,52 @@ SCHEMA = pa.schema(
     + [(name, pa.float64()) for name in _UNITS.values()]
     + [(name, pa.bool_()) for name in _FLAGS]
 )
-"""Columns of a table: the fields of ContactState with their units, the recording, and the recorder's time."""
+"""Columns of a table: recording, log time, and the fields of ContactState with their units."""
 
 
-class Sink(Protocol):
-    """Where assessments go."""
+class AssessmentWriter(Protocol):
+    """Writes assessments."""
 
     def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
-        """Take in the contact points of one joint state."""
+        """Write the contact points of one joint state."""
 
 
-class Provenance(dict[str, str]):
-    """What a file says of its making."""
-
-    def __init__(self, settings: MonitorSettings, robot: str, bags: Sequence[Path]) -> None:
-        """Say version, settings, robot, recordings, and which table of the standard."""
-        super().__init__(
-            scara_effmass_version=__version__,
-            settings=settings.model_dump_json(),
-            robot=robot,
-            bags=json.dumps([str(bag) for bag in bags]),
-            limits_edition=EDITION,
-            limits_hash=TABLE_HASH,
-        )
+def provenance(settings: MonitorSettings, robot: str, bags: Sequence[Path]) -> dict[str, str]:
+    """Return the origin of a file: version, settings, robot, recordings, and edition of the standard."""
+    return {
+        "scara_effmass_version": __version__,
+        "settings": settings.model_dump_json(),
+        "robot": robot,
+        "bags": json.dumps([str(bag) for bag in bags]),
+        "limits_edition": EDITION,
+        "limits_hash": TABLE_HASH,
+    }
 
 
-def sink(path: Path, provenance: Mapping[str, str], frame: str, *, overwrite: bool) -> AbstractContextManager[Sink]:
-    """Return the sink for the suffix of `path`, to be used in a `with`; `frame` is that of the directions.
+def open_writer(
+    path: Path, origin: Mapping[str, str], frame: str, *, overwrite: bool
+) -> AbstractContextManager[AssessmentWriter]:
+    """Return the writer for the suffix of `path`, to be used in a `with`; directions are in `frame`.
 
     Raises OutputError for another suffix, and where the file exists or cannot be written.
     """
-    if path.suffix not in SINKS:
-        raise OutputError(f"{path}: suffix {path.suffix or 'missing'!r}: one of {', '.join(SINKS)} would be right")
-    return SINKS[path.suffix](path, provenance, frame, overwrite=overwrite)
+    if path.suffix not in WRITERS:
+        raise OutputError(f"{path}: suffix {path.suffix or 'missing'!r}: must be one of {', '.join(WRITERS)}")
+    return WRITERS[path.suffix](path, origin, frame, overwrite=overwrite)
 
 
-class _TableSink:
+class _TableWriter:
     def __init__(self, writer: parquet.ParquetWriter | csv.CSVWriter) -> None:
         self._writer = writer
         self._rows: list[tuple[str, int, ContactAssessment]] = []
 
     def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
         self._rows += [(bag, log_time_ns, contact) for contact in contacts]
-        if len(self._rows) >= ROWS_AT_ONCE:
+        if len(self._rows) >= ROW_GROUP_SIZE:
             self.flush()
 
     def flush(self) -> None:
-        """Write the rows that are held."""
+        """Write the buffered rows."""
         if self._rows:
             self._writer.write_table(pa.table(_columns(self._rows), SCHEMA))
             self._rows.clear()
@@ -123,33 +122,33 @@ def _columns(rows: list[tuple[str, int, ContactAssessment]]) -> dict[str, Sequen
 
 
 @contextmanager
-def _parquet(path: Path, provenance: Mapping[str, str], _frame: str, *, overwrite: bool) -> Iterator[Sink]:
-    schema = SCHEMA.with_metadata(dict(provenance))
+def _parquet(path: Path, origin: Mapping[str, str], _frame: str, *, overwrite: bool) -> Iterator[AssessmentWriter]:
+    schema = SCHEMA.with_metadata(dict(origin))
     with (
         atomic_file(path, overwrite=overwrite) as unfinished,
         parquet.ParquetWriter(unfinished, schema, compression="zstd") as writer,
     ):
-        rows = _TableSink(writer)
+        rows = _TableWriter(writer)
         yield rows
         rows.flush()
 
 
 @contextmanager
-def _csv(path: Path, _provenance: Mapping[str, str], _frame: str, *, overwrite: bool) -> Iterator[Sink]:
+def _csv(path: Path, _origin: Mapping[str, str], _frame: str, *, overwrite: bool) -> Iterator[AssessmentWriter]:
     with atomic_file(path, overwrite=overwrite) as unfinished, csv.CSVWriter(unfinished, SCHEMA) as writer:
-        rows = _TableSink(writer)
+        rows = _TableWriter(writer)
         yield rows
         rows.flush()
 
 
-class _BagSink:
-    def __init__(self, writer: BagWriter, provenance: Mapping[str, str], frame: str) -> None:
+class _BagWriter:
+    def __init__(self, writer: BagWriter, origin: Mapping[str, str], frame: str) -> None:
         self._writer = writer
         self._frame = frame
-        self._about = json.dumps(dict(provenance))
+        self._about = json.dumps(dict(origin))
         self._topics: dict[str, str] = {}
         self._encoders: dict[str, ContactStateEncoder] = {}
-        self._single = len(json.loads(provenance["bags"])) == 1
+        self._single = len(json.loads(origin["bags"])) == 1
 
     def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
         if not self._topics:
@@ -166,10 +165,14 @@ class _BagSink:
 
 
 @contextmanager
-def _mcap(path: Path, provenance: Mapping[str, str], frame: str, *, overwrite: bool) -> Iterator[Sink]:
+def _mcap(path: Path, origin: Mapping[str, str], frame: str, *, overwrite: bool) -> Iterator[AssessmentWriter]:
     with BagWriter(path, overwrite=overwrite) as writer:
-        yield _BagSink(writer, provenance, frame)
+        yield _BagWriter(writer, origin, frame)
 
 
-SINKS: dict[str, Callable[..., AbstractContextManager[Sink]]] = {".parquet": _parquet, ".csv": _csv, ".mcap": _mcap}
-"""What writes a file of each suffix."""
+WRITERS: dict[str, Callable[..., AbstractContextManager[AssessmentWriter]]] = {
+    ".parquet": _parquet,
+    ".csv": _csv,
+    ".mcap": _mcap,
+}
+"""Writer of each file suffix."""

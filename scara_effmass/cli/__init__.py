@@ -1,4 +1,4 @@
-"""The command line. A command's module, and what it needs, is imported when that command is called."""
+"""The command line. The module of a command is imported when the command is called."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        """Say in one line what is wrong, as for every other bad input."""
-        self.exit(INPUT_ERROR, f"{self.prog}: {message} (--help tells more)\n")
+        """Print one line and exit, as for all other invalid input."""
+        self.exit(INPUT_ERROR, f"{self.prog}: {message} (see --help)\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if "ros_arguments" in parsed:
         parsed.ros_arguments = ros_arguments
     elif ros_arguments:
-        parser.error(f"{ros_arguments[0]}: ROS arguments are for the nodes; this command takes none")
+        parser.error(f"{ros_arguments[0]}: this command takes no ROS arguments")
     before = signal.signal(signal.SIGTERM, _terminate)
     try:
         code: int = parsed.run(parsed)
@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:
-        # What is left in the buffer has no reader: without this the interpreter complains when it ends.
+        # The buffer has no reader: without this the interpreter reports a broken pipe at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     finally:
@@ -81,12 +81,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:
-    """End by an exception, so that unfinished files are removed and started processes ended."""
+    """Raise SystemExit, so that unfinished files are removed and child processes end."""
     sys.exit(TERMINATED)
 
 
 def _split(argv: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the command's own arguments, and those for ROS: what stands from `--ros-args` on, or behind `--`."""
+    """Return the arguments of the command and those of ROS, which follow `--` or start at `--ros-args`."""
     words = list(argv)
     at = next((index for index, word in enumerate(words) if word in {"--", "--ros-args"}), len(words))
     rest = words[at + 1 :] if words[at : at + 1] == ["--"] else words[at:]

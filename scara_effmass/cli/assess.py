@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from scara_effmass.analysis.closed_form_check import ClosedFormCheck
     from scara_effmass.analysis.run_report import RunReport
-    from scara_effmass.analysis.tables import Sink
+    from scara_effmass.analysis.tables import AssessmentWriter
     from scara_effmass.analysis.time_series import TimeSeriesBuilder
     from scara_effmass.bags.bag import Bag
     from scara_effmass.model.dynamics import RobotDynamics
@@ -67,7 +67,7 @@ class Assessor:
         self,
         bag: Bag,
         topic: str,
-        table: Sink,
+        table: AssessmentWriter,
         advance: Callable[[], object],
         series: Mapping[str, TimeSeriesBuilder],
     ) -> None:
@@ -139,7 +139,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Assess the recordings, write table and report, and print the summary."""
     from scara_effmass.analysis.assessment import joint_state_topic  # noqa: PLC0415
-    from scara_effmass.analysis.tables import Provenance, sink  # noqa: PLC0415
+    from scara_effmass.analysis.tables import open_writer, provenance  # noqa: PLC0415
     from scara_effmass.analysis.time_series import TimeSeriesBuilder  # noqa: PLC0415
     from scara_effmass.bags.files import find_bags, open_bag  # noqa: PLC0415
     from scara_effmass.safety import Monitor  # noqa: PLC0415
@@ -149,7 +149,7 @@ def run(args: argparse.Namespace) -> int:
     Monitor(dynamics, settings)  # refuses limits that do not exist before anything is written
     paths = [path for folder in args.bags for path in find_bags(folder)]
     assessor = Assessor(dynamics, settings)
-    provenance = Provenance(settings, dynamics.robot.origin, paths)
+    origin = provenance(settings, dynamics.robot.origin, paths)
     with ExitStack() as stack:
         report = None
         if args.report:
@@ -157,7 +157,7 @@ def run(args: argparse.Namespace) -> int:
 
             figures = len(paths) * len(dynamics.contact_points)
             report = stack.enter_context(run_report(args.report, figures, settings, overwrite=args.force))
-        table = stack.enter_context(sink(args.output, provenance, dynamics.robot.base_frame, overwrite=args.force))
+        table = stack.enter_context(open_writer(args.output, origin, dynamics.robot.base_frame, overwrite=args.force))
         progress = stack.enter_context(progress_bar())
         for path in paths:
             with open_bag(path) as bag:

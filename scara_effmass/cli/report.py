@@ -1,4 +1,4 @@
-"""Summaries in words."""
+"""Results as lines of subject and text, for the terminal and the reports."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from scara_effmass.analysis.forces import RecordedForce
-    from scara_effmass.analysis.summary import Summary, Tightest
+    from scara_effmass.analysis.summary import Summary, TightestMargin
     from scara_effmass.analysis.validation import Validation
 
 REASONS_SHOWN = 5
 
 
 def summary_lines(summary: Summary) -> Iterator[tuple[str, str]]:
-    """Yield subject and text, line by line."""
+    """Yield subject and text of each line."""
     cycles = sum(summary.cycles.values())
     total_ns = sum(summary.time_ns.values())
     for verdict in (Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN):
@@ -26,7 +26,7 @@ def summary_lines(summary: Summary) -> Iterator[tuple[str, str]]:
             share = summary.time_ns[verdict] / total_ns if total_ns else count / cycles
             yield verdict.name, f"{count} cycles, {seconds:.2f} s ({share:.1%})"
     if summary.gaps:
-        yield "gaps", f"{summary.gaps} longer than the timeout, the longest {summary.longest_gap_ns / 1e9:.3f} s"
+        yield "gaps", f"{summary.gaps} longer than the timeout, the longest {summary.max_gap_ns / 1e9:.3f} s"
     if summary.tightest is not None:
         yield from _tightest(summary.tightest)
     reasons = summary.reasons.most_common()
@@ -37,7 +37,7 @@ def summary_lines(summary: Summary) -> Iterator[tuple[str, str]]:
 
 
 def validation_lines(validation: Validation) -> Iterator[tuple[str, str]]:
-    """Yield subject and text, line by line."""
+    """Yield subject and text of each line."""
     result = validation.result
     yield "result", "accepted" if result.accepted else f"not accepted: {result.reason}"
     simulated = f", {result.simulated} of them simulated" if result.simulated else ""
@@ -87,7 +87,7 @@ def force_record(forces: RecordedForce | None) -> dict[str, Any] | None:
     }
 
 
-def _tightest(tightest: Tightest) -> Iterator[tuple[str, str]]:
+def _tightest(tightest: TightestMargin) -> Iterator[tuple[str, str]]:
     contact = tightest.contact
     speeds = f"{contact.speed:.3f} m/s where {contact.allowable_speed:.3f} m/s is allowable"
     yield "tightest margin", f"{contact.margin:+.3f} m/s ({contact.verdict.name}): {speeds}"

@@ -103,5 +103,5 @@ def test_joints_are_found_by_name() -> None:
 
 
 def test_a_robot_that_is_no_scara_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match="no SCARA"):
+    with pytest.raises(RobotError, match="not a SCARA"):
         ClosedFormCheck(variant(tmp_path / "robot.yaml", a_3=0.05), SETTINGS.mass_cap)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.analysis.summary import MOST_REASONS, OTHER_REASONS, Summary
+from scara_effmass.analysis.summary import MAX_REASONS, OTHER_REASONS, Summary
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import JointState, Verdict
 
@@ -34,7 +34,7 @@ def test_a_verdict_lasts_until_the_next_and_no_longer_than_the_timeout() -> None
     assert summary.time_ns[Verdict.WARN] == 50 * MS
     assert summary.time_ns[Verdict.UNKNOWN] == 800 * MS
     assert summary.time_ns[Verdict.VIOLATION] == 0
-    assert (summary.gaps, summary.longest_gap_ns) == (1, 1000 * MS)
+    assert (summary.gaps, summary.max_gap_ns) == (1, 1000 * MS)
 
 
 def test_time_that_goes_back_is_not_counted() -> None:
@@ -82,10 +82,10 @@ def test_reasons_that_differ_in_their_numbers_count_as_one() -> None:
 
 def test_no_recording_fills_the_memory_with_reasons() -> None:
     summary = Summary(TIMEOUT_NS)
-    for number in range(10 * MOST_REASONS):
+    for number in range(10 * MAX_REASONS):
         summary.add([contact(Verdict.UNKNOWN, 0.0, f"name{number} is odd")], 0)
-    assert len(summary.reasons) == MOST_REASONS + 1
-    assert summary.reasons[OTHER_REASONS] == 9 * MOST_REASONS
+    assert len(summary.reasons) == MAX_REASONS + 1
+    assert summary.reasons[OTHER_REASONS] == 9 * MAX_REASONS
 
 
 def test_nothing_is_json_too() -> None:

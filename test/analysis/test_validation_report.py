@@ -171,7 +171,7 @@ def test_nothing_is_overwritten_and_nothing_half_written(
     folder = tmp_path / "report"
     folder.mkdir()
     (folder / "exponent.svg").write_text("mine")
-    refused = r"exponent\.svg: exists already; --force replaces it"
+    refused = r"exponent\.svg: already exists; use --force to replace it"
     with pytest.raises(OutputError, match=refused):
         require_room(folder, overwrite=False)
     with pytest.raises(OutputError, match=refused):

@@ -234,7 +234,7 @@ def test_a_report_shows_every_contact_point_and_episode(swing_bag: Path, here: C
     (tmp_path / "a.csv").unlink()
     page_path = tmp_path / "report" / "report.html"
     page_path.write_text("precious", encoding="utf-8")
-    assert here(*words).stderr == f"{page_path}: exists already; --force replaces it\n"
+    assert here(*words).stderr == f"{page_path}: already exists; use --force to replace it\n"
     assert page_path.read_text(encoding="utf-8") == "precious"
     assert not (tmp_path / "a.csv").exists()
 
@@ -260,7 +260,7 @@ def test_existing_output_needs_force(suffix: str, swing_bag: Path, here: Cli, tm
     out.write_bytes(b"precious")
     done = here("assess", swing_bag, "-o", out)
     assert done.returncode == 2
-    assert done.stderr.startswith(f"{out}: exists already")
+    assert done.stderr.startswith(f"{out}: already exists")
     assert out.read_bytes() == b"precious"
     assert here("assess", swing_bag, "-o", out, "--force").returncode == 0
     assert out.read_bytes() != b"precious"

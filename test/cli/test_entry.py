@@ -103,7 +103,7 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
         "demo: --robot: the simulated cell has its own robot",
     ),
     "region of an assessment": (["assess", TOUR, "-o", "a.csv", "--region", "tail"], "must be one of skull"),
-    "wrong suffix": (["assess", TOUR, "-o", "a.xls"], "one of .parquet, .csv, .mcap would be right"),
+    "wrong suffix": (["assess", TOUR, "-o", "a.xls"], "must be one of .parquet, .csv, .mcap"),
     "unwritable folder": (["assess", TOUR, "-o", "/proc/none/a.csv"], "/proc/none/a.csv: cannot be written"),
     "unwritable folder for a bag": (
         ["assess", TOUR, "-o", "/proc/none/a.mcap"],

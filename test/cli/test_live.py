@@ -117,7 +117,7 @@ def test_demo_runs_the_live_monitor_and_says_the_same_as_assess(swing_bag: Path,
 
     again = cli("demo", "--bag", swing_bag, "--out", tmp_path / "out")
     assert again.returncode == 2
-    assert again.stderr == f"{tmp_path / 'out' / 'recording'}: exists already; --force replaces it\n"
+    assert again.stderr == f"{tmp_path / 'out' / 'recording'}: already exists; use --force to replace it\n"
 
 
 def test_demo_of_the_shipped_recording_calls_it_generated(cli: Cli, tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_the_page_is_whole_and_loads_nothing(inputs: FigureInputs, tmp_path: Pat
 
 def test_nothing_is_replaced_unasked(inputs: FigureInputs, tmp_path: Path) -> None:
     (tmp_path / "claims.json").write_text("mine")
-    with pytest.raises(OutputError, match=r"claims\.json: exists already"):
+    with pytest.raises(OutputError, match=r"claims\.json: already exists"):
         made(inputs, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["claims.json"]
     assert (tmp_path / "claims.json").read_text() == "mine"
