@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -101,3 +103,12 @@ def test_room_imports_only_from_below_and_its_own_libraries(room: str) -> None:
 )
 def test_misplaced_import_is_detected(room: str, source: str) -> None:
     assert any(violation(room, name) for name in imports(source))
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("module", ["nodes.monitor_node", "nodes.daq_node", "nodes.validator_node", "cli.validator"])
+def test_nodes_load_neither_simulator_nor_paper(module: str) -> None:
+    rooms = "[name for name in sys.modules if name.startswith(('scara_effmass.sim', 'scara_effmass.paper', 'mujoco'))]"
+    code = f"import sys, scara_effmass.{module}; print({rooms})"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert loaded.strip() == "[]"
