@@ -1,4 +1,4 @@
-"""Recordings of every format read as one, broken ones as far as they go."""
+"""Bags of every format are read alike, damaged ones as far as possible."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def assert_states(bag: Bag, expected: Iterable[Message], topic: str | None = Non
 
 
 def salvaged(path: Path) -> tuple[list[Message], str]:
-    """Return what can be read, and all that is said about the rest, which is one line each."""
+    """Return what can be read, and all that is warnings about the rest, which is one line each."""
     try:
         with open_bag(path) as bag:
             messages = read(bag)
@@ -306,7 +306,7 @@ def test_arbitrary_padding_does_not_break_up_the_blocks(tmp_path: Path) -> None:
         assert len(list(bag.joint_state_blocks())) < 10
 
 
-def test_what_is_no_joint_state_is_left_out_and_counted(tmp_path: Path) -> None:
+def test_invalid_joint_states_are_skipped_and_counted(tmp_path: Path) -> None:
     messages = [joints(i) for i in range(100)]
     bad = [m._replace(data=m.data[:30]) if i in {5, 50} else m for i, m in enumerate(messages)]
     with open_bag(write_mcap(tmp_path / "a.mcap", bad)) as bag:
@@ -317,7 +317,7 @@ def test_what_is_no_joint_state_is_left_out_and_counted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("where", [{0}, {5, 6}, {99}, {0, 50, 99}, set(range(100))])
-def test_what_is_no_joint_state_is_told_in_its_place(tmp_path: Path, where: set[int]) -> None:
+def test_invalid_joint_states_are_reported_in_order(tmp_path: Path, where: set[int]) -> None:
     messages = [joints(i) for i in range(100)]
     bad = [m._replace(data=m.data[:30]) if i in where else m for i, m in enumerate(messages)]
     told: list[tuple[int, bool]] = []
@@ -339,9 +339,9 @@ class TestCutOff:
         kept = []
         for size in range(len(whole) - 1, 0, -(len(whole) // 40)):
             path.write_bytes(whole[:size])
-            messages, said = salvaged(path)
+            messages, warnings = salvaged(path)
             assert messages == MIXED[: len(messages)]
-            assert said
+            assert warnings
             assert messages or size < 5000
             kept.append(len(messages))
         assert kept == sorted(kept, reverse=True)
@@ -404,14 +404,14 @@ def test_chunks_whose_times_are_nonsense_are_read_all_the_same(tmp_path: Path) -
         assert (bag.start_ns, bag.end_ns) == (MIXED[0].log_time_ns, MIXED[-1].log_time_ns)
 
 
-def test_zeros_behind_a_cut_are_no_recording(tmp_path: Path) -> None:
+def test_zeros_after_a_cut_are_reported(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", MIXED, compression=CompressionType.NONE, chunked=False)
     data = path.read_bytes()
     cut = data.find(MIXED[100].data) - 31
     path.write_bytes(data[:cut] + bytes(len(data) - cut))
-    messages, said = salvaged(path)
+    messages, warnings = salvaged(path)
     assert messages == MIXED[:100]
-    assert f"byte {cut + 9} on is not MCAP" in said
+    assert f"byte {cut + 9} on is not MCAP" in warnings
 
 
 def test_a_chunk_of_an_absurd_size_is_refused_without_reserving_it(tmp_path: Path) -> None:
@@ -436,8 +436,8 @@ def test_any_damage_gives_messages_or_one_line(tmp_path: Path, damage: list[tupl
     for at, value in damage:
         data[at % len(data)] = value
     path.write_bytes(data)
-    messages, said = salvaged(path)
-    assert messages or said
+    messages, warnings = salvaged(path)
+    assert messages or warnings
 
 
 def test_unknown_compression_is_refused(tmp_path: Path) -> None:
@@ -500,9 +500,9 @@ class TestNoRecording:
         path = FORMATS[name](tmp_path, MIXED)
         with path.open("r+b") as file:
             file.truncate(size)
-        messages, said = salvaged(path)
+        messages, warnings = salvaged(path)
         assert messages == []
-        assert "cannot be read" in said
+        assert "cannot be read" in warnings
 
     def test_sqlite_damaged_inside_is_refused(self, tmp_path: Path) -> None:
         path = single_db3(tmp_path, MIXED)
@@ -510,19 +510,19 @@ class TestNoRecording:
         middle = data.find(MIXED[200].data)
         data[middle - 3000 : middle + 3000] = bytes(6000)
         path.write_bytes(data)
-        messages, said = salvaged(path)
+        messages, warnings = salvaged(path)
         assert messages == []
-        assert said.startswith(f"{path}: cannot be read: ")
+        assert warnings.startswith(f"{path}: cannot be read: ")
 
     def test_ros1_damaged_inside_is_read_up_to_there(self, tmp_path: Path) -> None:
         path = write_ros1(tmp_path / "a.bag", MIXED)
         data = path.read_bytes()
         half = data.find(b"op=", data.find(b"joint1", len(data) // 3))
         path.write_bytes(data[:half] + b"xx" + data[half + 2 :])
-        messages, said = salvaged(path)
+        messages, warnings = salvaged(path)
         assert messages == MIXED[: len(messages)]
         assert 0 < len(messages) < len(MIXED)
-        assert "damaged, the rest is lost: Could not read uint8 field 'op'" in said
+        assert "damaged, the rest is lost: Could not read uint8 field 'op'" in warnings
 
 
 class TestFolder:
@@ -620,7 +620,7 @@ class TestDefinitions:
             (message,) = bag.messages()
             assert bag.deserialize(message).weight == 2.5
 
-    def test_a_definition_nobody_understands_leaves_the_other_topics_alone(self, tmp_path: Path) -> None:
+    def test_invalid_definition_leaves_other_topics_readable(self, tmp_path: Path) -> None:
         path = tmp_path / "a.mcap"
         with path.open("wb") as file:
             writer = Writer(file)

@@ -1,4 +1,4 @@
-"""Recordings made while messages come: everything that was taken is there, what is not is counted, disks may fail."""
+"""Recording: received messages are in the files, lost ones are counted, and disks may fail."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def until(condition: Callable[[], Any]) -> Any:  # noqa: ANN401
     return result
 
 
-def by_us(folder: Path) -> list[Message]:
+def read_bag(folder: Path) -> list[Message]:
     with open_bag(folder) as bag:
         return [Message(raw.topic, raw.log_time_ns, raw.data) for raw in bag.messages()]
 
@@ -140,7 +140,7 @@ class FaultyDisk:
         return FaultyFile(path, self)
 
 
-class TestWhatWasTaken:
+class TestRecordedMessages:
     @settings(max_examples=20)
     @given(
         messages=st.lists(
@@ -186,7 +186,7 @@ class TestWhatWasTaken:
         assert sorted(by_mcap(folder)) == sorted(put)
         assert sorted(by_rosbags(folder)) == sorted(put)
         if put:
-            found = by_us(folder)
+            found = read_bag(folder)
             assert sorted(found) == sorted(put)
             assert [message.log_time_ns for message in found] == [message.log_time_ns for message in in_order]
             with open_bag(folder) as bag:
@@ -197,7 +197,7 @@ class TestWhatWasTaken:
             number = recording.add_topic("/a", STRING)
             recording.write(number, T0, text(1))
             until(lambda: recording.report().saved)
-            assert by_us(tmp_path / "bag") == [Message("/a", T0, text(1))]
+            assert read_bag(tmp_path / "bag") == [Message("/a", T0, text(1))]
 
     def test_in_large_chunks_is_synced_as_well(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         synced: list[int] = []
@@ -251,7 +251,7 @@ class TestWhatWasTaken:
         assert recording.report().topics == {}
 
 
-class TestParts:
+class TestSplits:
     def test_end_by_time(self, tmp_path: Path) -> None:
         with BagRecorder(tmp_path / "bag", RecorderOptions(max_file_ns=100 * MS)) as recording:
             number = recording.add_topic("/a", STRING)
@@ -270,7 +270,7 @@ class TestParts:
                 names = metadata(folder)["relative_file_paths"]
                 assert names == [f"bag_{n}.mcap" for n in range(i + 1)]
                 assert len(by_rosbags(folder)) == i + 1
-                assert len(by_us(folder)) == i + 1
+                assert len(read_bag(folder)) == i + 1
         assert len(by_mcap(folder)) == 3
 
     def test_each_describes_its_topics(self, tmp_path: Path) -> None:
@@ -305,12 +305,12 @@ class TestQueue:
         assert lost >= taken.count(False) > 4000
         assert report.topics["/idle"].lost == LossCounts(queue=1)
         assert {t.received for t in report.topics.values()} == {5001 + (lost - taken.count(False)), 2}
-        found = by_us(tmp_path / "bag")
+        found = read_bag(tmp_path / "bag")
         kept = [Message("/busy", T0 + i, text(i)) for i, was_taken in enumerate(taken) if was_taken]
         assert found == [Message("/idle", T0, text(0)), *kept, Message("/busy", T0 + 6000, text(6000))]
-        said = {"/busy": {"queue": lost, "disk": 0, "middleware": 0}, "/idle": {"queue": 1, "disk": 0, "middleware": 0}}
-        assert losses_in(tmp_path / "bag" / "bag_0.mcap")[-1] == said
-        assert json.loads(metadata(tmp_path / "bag")["custom_data"][LOSSES_RECORD]) == said
+        counts = {topic: {"queue": n, "disk": 0, "middleware": 0} for topic, n in (("/busy", lost), ("/idle", 1))}
+        assert losses_in(tmp_path / "bag" / "bag_0.mcap")[-1] == counts
+        assert json.loads(metadata(tmp_path / "bag")["custom_data"][LOSSES_RECORD]) == counts
 
     def test_leaves_a_hole_in_the_sequence_numbers(self, tmp_path: Path) -> None:
         with BagRecorder(tmp_path / "bag", RecorderOptions(queue_bytes=100)) as recording:
@@ -338,24 +338,24 @@ class TestQueue:
         assert [count for count, _ in groupby(told)] == [3, 7]  # the last also at the end, if it was told before
 
 
-class TestDiskThatFills:
+class TestFullDisk:
     def test_stops_at_the_reserve_and_goes_on_in_a_new_part(self, tmp_path: Path) -> None:
-        said: list[str] = []
+        warnings: list[str] = []
         free = [10_000 * MB]
         options = RecorderOptions(flush_period_s=0.005, reserve_bytes=100 * MB, warn_bytes=500 * MB)
         folder = tmp_path / "bag"
-        with BagRecorder(folder, options, warn=said.append, free_space=lambda: free[0]) as recording:
+        with BagRecorder(folder, options, warn=warnings.append, free_space=lambda: free[0]) as recording:
             number = recording.add_topic("/a", STRING)
             recording.write(number, T0, text(0))
             until(lambda: recording.report().saved == 1)
             free[0] = 499 * MB
-            until(lambda: said)
+            until(lambda: warnings)
             assert recording.write(number, T0 + 1, text(1))
             until(lambda: recording.report().saved == 2)
             free[0] = 99 * MB
             until((folder / "metadata.yaml").exists)
             assert recording.report().stopped_by_disk
-            assert len(by_rosbags(folder)) == len(by_us(folder)) == 2
+            assert len(by_rosbags(folder)) == len(read_bag(folder)) == 2
             recording.write(number, T0 + 2, text(2))
             until(lambda: recording.report().lost)
             free[0] = 150 * MB  # more than the reserve, but not enough to begin again
@@ -367,41 +367,41 @@ class TestDiskThatFills:
         report = recording.report()
         assert report.topics["/a"].lost == LossCounts(disk=2)
         assert report.files == ("bag_0.mcap", "bag_1.mcap")
-        assert [message.data for message in by_us(folder)] == [text(0), text(1), text(4)]
-        assert [line.partition(": ")[2] for line in said] == [
-            "the disk has 499 MB left, of which 100 MB stay free" + said[0].partition("stay free")[2],
+        assert [message.data for message in read_bag(folder)] == [text(0), text(1), text(4)]
+        assert [line.partition(": ")[2] for line in warnings] == [
+            "the disk has 499 MB left, of which 100 MB stay free" + warnings[0].partition("stay free")[2],
             "the disk has less than 100 MB left: recording stops, messages are lost and counted",
             "the disk has room again: recording resumes",
         ]
         assert losses_in(folder / "bag_1.mcap")[-1]["/a"]["disk"] == 2
 
     def test_without_a_word_beforehand_costs_what_comes_meanwhile_only(self, tmp_path: Path) -> None:
-        said: list[str] = []
+        warnings: list[str] = []
         disk = FaultyDisk()
         folder = tmp_path / "bag"
 
         def free_space() -> int:
             """Say nothing of it before it is known."""
-            return disk.room if said else 1 << 40
+            return disk.room if warnings else 1 << 40
 
-        with BagRecorder(folder, QUICK, warn=said.append, free_space=free_space, opener=disk.open) as recording:
+        with BagRecorder(folder, QUICK, warn=warnings.append, free_space=free_space, opener=disk.open) as recording:
             number = recording.add_topic("/a", STRING)
             recording.write(number, T0, text(0))
             until(lambda: recording.report().saved == 1)
             disk.room = 20  # a torn record
             recording.write(number, T0 + 1, text(1, 5000))
             until(lambda: recording.report().stopped_by_disk)
-            assert by_us(folder) == [Message("/a", T0, text(0))]
+            assert read_bag(folder) == [Message("/a", T0, text(0))]
             recording.write(number, T0 + 2, text(2))
             until(lambda: recording.report().lost)
             disk.room = 1 << 40
             until(lambda: not recording.report().stopped_by_disk)
             recording.write(number, T0 + 3, text(3))
-        assert [message.data for message in by_us(folder)] == [text(0), text(1, 5000), text(3)]
-        assert sorted(by_rosbags(folder)) == by_us(folder)
+        assert [message.data for message in read_bag(folder)] == [text(0), text(1, 5000), text(3)]
+        assert sorted(by_rosbags(folder)) == read_bag(folder)
         report = recording.report()
         assert (report.topics["/a"].lost, report.unindexed) == (LossCounts(disk=1), ())
-        assert said[0].endswith("cannot be written: it is full; messages are lost and counted")
+        assert warnings[0].endswith("cannot be written: it is full; messages are lost and counted")
 
     @pytest.mark.parametrize("room", [0, 20, 700])
     @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO])
@@ -418,14 +418,14 @@ class TestDiskThatFills:
                 recording.write(number, T0 + i, text(i, 5000))
             until(lambda: recording.report().stopped_by_disk)
         report = recording.report()
-        assert by_us(folder) == [Message("/a", T0 + i, text(i)) for i in range(5)]
+        assert read_bag(folder) == [Message("/a", T0 + i, text(i)) for i in range(5)]
         assert (report.recorded, report.saved, report.topics["/a"].lost.disk) == (5, 5, 5)
         assert report.unindexed == ("bag_0.mcap",)
         assert metadata(folder)["message_count"] == 5
 
     def test_that_cannot_sync_is_said(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        said: list[str] = []
-        with BagRecorder(tmp_path / "bag", QUICK, warn=said.append) as recording:
+        warnings: list[str] = []
+        with BagRecorder(tmp_path / "bag", QUICK, warn=warnings.append) as recording:
             number = recording.add_topic("/a", STRING)
 
             def fail(_: int) -> None:
@@ -434,10 +434,10 @@ class TestDiskThatFills:
             with monkeypatch.context() as broken:
                 broken.setattr("os.fdatasync", fail)
                 recording.write(number, T0, text(0))
-                until(lambda: said)
+                until(lambda: warnings)
             until(lambda: not recording.report().stopped_by_disk)
-        assert "cannot be written: it is broken" in said[0]
-        assert by_us(tmp_path / "bag") == [Message("/a", T0, text(0))]
+        assert "cannot be written: it is broken" in warnings[0]
+        assert read_bag(tmp_path / "bag") == [Message("/a", T0, text(0))]
 
     def test_warns_by_the_rate_and_again_at_every_halving(self) -> None:
         free = [1000 * MB]
@@ -458,7 +458,7 @@ class TestDiskThatFills:
         assert space.warning(102 * second, 81 * MB)
 
 
-class TestBeginning:
+class TestStart:
     def test_over_something_else_is_refused(self, tmp_path: Path) -> None:
         (tmp_path / "bag").mkdir()
         with pytest.raises(OutputError, match="bag: exists already"):
@@ -475,7 +475,7 @@ class TestBeginning:
                 topic = recording.add_topic("/a", STRING)
                 for i in range(3 - 2 * number):
                     recording.write(topic, T0 + i, text(number))
-        assert by_us(tmp_path / "bag") == [Message("/a", T0, text(1))]
+        assert read_bag(tmp_path / "bag") == [Message("/a", T0, text(1))]
         assert [path.name for path in tmp_path.iterdir()] == ["bag"]
 
     def test_over_what_a_killed_recorder_left_replaces_it_unless_there_is_more(self, tmp_path: Path) -> None:
@@ -496,7 +496,7 @@ class TestBeginning:
             recording.write(topic, T0 + 1, text(1))
             with pytest.raises(OutputError, match=r"bag: is being recorded; stop the recorder first"):
                 BagRecorder(tmp_path / "bag", overwrite=True)
-        assert len(by_us(tmp_path / "bag")) == 2
+        assert len(read_bag(tmp_path / "bag")) == 2
 
     def test_without_room_is_refused_and_leaves_what_is_there(self, tmp_path: Path) -> None:
         BagRecorder(tmp_path / "bag").close()
@@ -520,7 +520,7 @@ class TestBeginning:
             RecorderOptions(**{key: value})  # type: ignore[arg-type]
 
 
-def test_a_fault_of_the_writing_thread_is_no_silence(tmp_path: Path) -> None:
+def test_failure_of_the_writing_thread_is_reported(tmp_path: Path) -> None:
     recording = BagRecorder(tmp_path / "bag", QUICK)
     number = recording.add_topic("/a", STRING)
     recording.write(number, -1, text(0))  # no time that the format knows
@@ -531,7 +531,7 @@ def test_a_fault_of_the_writing_thread_is_no_silence(tmp_path: Path) -> None:
 
 
 @pytest.mark.live
-def test_killed_at_random_moments_it_keeps_what_was_flushed() -> None:
+def test_killed_recorder_keeps_flushed_messages() -> None:
     """The first runs of what `benchmarks/kill_recorder.py` does a hundred times, which checks every one of them."""
     done = subprocess.run(
         [sys.executable, str(BENCH), "--runs", "10", "--seed", "7", "--json"],

@@ -1,4 +1,4 @@
-"""Recordings that were not completed: all that is there comes back indexed, and nothing is ever made worse."""
+"""Repair: incomplete bags get an index, and no bag is made worse."""
 
 from __future__ import annotations
 
@@ -324,8 +324,8 @@ class TestFolder:
         (folder / "metadata.yaml").unlink()
         cut(folder / "bag_0.mcap", (folder / "bag_0.mcap").stat().st_size - 1)
         repair(folder)
-        said = json.loads(about(folder)["custom_data"][LOSSES_RECORD])
-        assert said == {"/text": {"queue": 1, "disk": 0, "middleware": 2}}
+        warnings = json.loads(about(folder)["custom_data"][LOSSES_RECORD])
+        assert warnings == {"/text": {"queue": 1, "disk": 0, "middleware": 2}}
 
     def test_with_a_file_that_is_none_completes_the_others(self, tmp_path: Path) -> None:
         folder = recorded(tmp_path / "bag")

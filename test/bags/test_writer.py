@@ -1,4 +1,4 @@
-"""New recordings: read back by us and by others, never over something else, never half."""
+"""Written bags are read back by this package and others, never replace other files and are never incomplete."""
 
 from __future__ import annotations
 

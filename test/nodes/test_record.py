@@ -56,7 +56,7 @@ class Cell:
         rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node("cell", context=context, namespace=namespace)
         self.bag = bag
-        self.said: list[str] = []
+        self.warnings: list[str] = []
         self.now: RecordingReport | None = None
         self._context = context
 
@@ -73,12 +73,12 @@ class Cell:
         """Record while `script` goes on, step by step between what comes; end by a signal when it is through."""
 
         def step(now: RecordingReport, seconds: float) -> None:
-            assert seconds < PATIENCE_S, f"nothing came of it: {now}, {self.said}"
+            assert seconds < PATIENCE_S, f"nothing came of it: {now}, {self.warnings}"
             self.now = now
             if next(script, self) is self:
                 os.kill(os.getpid(), ending)
 
-        return record(RecordOptions(self.bag, **options), step, self.said.append)
+        return record(RecordOptions(self.bag, **options), step, self.warnings.append)
 
     def read(self) -> list[tuple[str, bytes]]:
         """What was recorded, by us; rosbags must see the same."""
@@ -162,7 +162,7 @@ def test_every_message_of_the_suite_equals_what_was_published(cell: Cell) -> Non
     assert sorted(cell.read()) == sorted(published)
     counts = {name: topic.recorded for name, topic in report.recording.topics.items()}
     assert counts == {"/joint_states": 500, "/force": 20, "/force/ai1": 20}
-    assert (report.recording.lost, report.refused, cell.said) == (0, {}, [])
+    assert (report.recording.lost, report.refused, cell.warnings) == (0, {}, [])
     assert "/tf" in report.unpublished
     assert not report.simulated_time
 
@@ -215,7 +215,7 @@ def test_a_publisher_that_offers_less_than_the_first_is_recorded_too(cell: Cell)
     report = cell.record(script(), topics=("notes",))
     assert {data for _, data in cell.read()} == {text("hello")}
     assert list(report.recording.topics) == ["/notes"]
-    assert any("subscribing again" in line for line in cell.said)
+    assert any("subscribing again" in line for line in cell.warnings)
 
 
 def test_all_but_hidden_topics_are_recorded_when_asked(cell: Cell) -> None:
@@ -292,14 +292,14 @@ def test_a_topic_that_cannot_be_recorded_is_named_and_the_others_are(
         while not heard(notes):
             yield
         notes.publish(text("here"))
-        while not cell.recorded() or not cell.said:
+        while not cell.recorded() or not cell.warnings:
             yield
         del number
 
     report = cell.record(script(), topics=("number", "notes"))
     assert cell.read() == [("/notes", text("here"))]
     assert report.refused == {"/number": "its type std_msgs/msg/Float64 is not installed; install std_msgs"}
-    assert cell.said == [f"/number: not recorded: {report.refused['/number']}"]
+    assert cell.warnings == [f"/number: not recorded: {report.refused['/number']}"]
     assert report.unpublished == ()
 
 
@@ -308,9 +308,9 @@ def test_a_topic_of_several_types_is_refused(make_cell: Callable[..., Cell]) -> 
     publishers = cell.node.create_publisher(String, "two", DEEP), other.node.create_publisher(JointState, "two", DEEP)
     until(lambda: len(cell.node.get_publishers_info_by_topic("/two")) == len(publishers))
     with BagRecorder(cell.bag) as recording:
-        inlets = TopicRecorder(cell.node, recording, ["/two"], cell.said.append)
-        inlets.discover()
-    (reason,) = inlets.refused.values()
+        topic_recorder = TopicRecorder(cell.node, recording, ["/two"], cell.warnings.append)
+        topic_recorder.discover()
+    (reason,) = topic_recorder.refused.values()
     assert reason == "it has publishers of several types: sensor_msgs/msg/JointState, std_msgs/msg/String"
 
 
@@ -323,13 +323,13 @@ def test_a_topic_that_gets_another_type_is_named_and_the_first_one_is_kept(make_
         while cell.recorded() < 1:
             yield
         other.node.create_publisher(String, "load", DEEP)
-        while not cell.said:
+        while not cell.warnings:
             yield
 
     report = cell.record(script(), topics=("load",))
     reason = "it is also published as std_msgs/msg/String; only std_msgs/msg/Float64 is recorded"
     assert report.refused == {"/load": reason}
-    assert cell.said == [f"/load: {reason}"]
+    assert cell.warnings == [f"/load: {reason}"]
     assert report.unpublished == ()
     assert [topic for topic, _ in cell.read()] == ["/load"]
 
@@ -346,8 +346,8 @@ def test_messages_lost_by_the_middleware_are_counted(cell: Cell, monkeypatch: py
     publisher = cell.node.create_publisher(String, "notes", DEEP)
     until(lambda: cell.node.get_publishers_info_by_topic("/notes"))
     with BagRecorder(cell.bag) as recording:
-        inlets = TopicRecorder(cell.node, recording, ["/notes"], cell.said.append)
-        inlets.discover()
+        topic_recorder = TopicRecorder(cell.node, recording, ["/notes"], cell.warnings.append)
+        topic_recorder.discover()
         on_message_lost = callbacks[0].message_lost
         assert on_message_lost is not None
         for change in (3, 2):

@@ -212,14 +212,14 @@ def test_every_truncation_is_refused() -> None:
         (72, b"\x02", "saturated_samples = 2: must be < 2, the number of samples"),
     ],
 )
-def test_what_is_wrong_is_named(at: int, new: bytes, message: str) -> None:
+def test_invalid_bytes_name_the_field(at: int, new: bytes, message: str) -> None:
     data = bytearray(force_block_message(SIMPLE))
     data[at : at + len(new)] = new
     with pytest.raises(DecodeError, match=message):
         decode_force_block(bytes(data))
 
 
-def test_bytes_behind_the_message_are_refused() -> None:
+def test_trailing_bytes_are_refused() -> None:
     with pytest.raises(DecodeError, match="16 bytes follow relative_uncertainty: must be <= 15"):
         decode_force_block(force_block_message(SIMPLE) + bytes(16))
 

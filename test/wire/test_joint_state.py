@@ -169,13 +169,13 @@ def test_every_truncation_is_refused(end: int) -> None:
         (32, b"\xff\xff\xff\xff", r"position has length 4294967295"),
     ],
 )
-def test_what_is_wrong_is_named(at: int, new: bytes, message: str) -> None:
+def test_invalid_bytes_name_the_field(at: int, new: bytes, message: str) -> None:
     data = bytearray(by_rosbags(SIMPLE))
     data[at : at + len(new)] = new
     with pytest.raises(DecodeError, match=message):
         JointStateDecoder().decode(bytes(data))
 
 
-def test_bytes_behind_the_message_are_refused() -> None:
+def test_trailing_bytes_are_refused() -> None:
     with pytest.raises(DecodeError, match="16 bytes follow effort: must be <= 15"):
         JointStateDecoder().decode(by_rosbags(SIMPLE) + bytes(16))
