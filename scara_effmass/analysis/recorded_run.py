@@ -54,8 +54,7 @@ def measured_topic(bag: Bag, asked: str | None) -> Topic:
     """
     found = [topic for kind in USUAL for topic in bag.topics if topic.type == kind and topic.count]
     if not found:
-        right = f"{FORCE_BLOCK} or {IMPACT}, as daq publishes them, would be right"
-        raise BagError(f"{bag.path}: holds neither force blocks nor impacts; {right}")
+        raise BagError(f"{bag.path}: must hold {FORCE_BLOCK} or {IMPACT}, as daq publishes them")
     surest = [topic for topic in found if topic.type == found[0].type]
     if asked is not None:
         chosen = [topic for topic in found if topic.name.lstrip("/") == asked.lstrip("/")]

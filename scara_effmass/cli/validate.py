@@ -95,7 +95,7 @@ def _require_different(paths: Sequence[Path]) -> None:
     for path in paths:
         place = path.resolve()
         if place in places:
-            raise SettingsError(f"{path}: given twice; once would be right, its impacts count once")
+            raise SettingsError(f"{path}: must be given only once")
         places.add(place)
 
 

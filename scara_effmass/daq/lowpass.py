@@ -88,8 +88,8 @@ class Gaussian:
         if 2 * reach + 1 > LONGEST:
             least = cutoff * HALF_WIDTH * width / (LONGEST // 2)
             raise SettingsError(
-                f"filter.cutoff = {cutoff:g}: zero_phase cannot be so low at {sample_rate:g} samples per second; "
-                f"{math.ceil(least):d} Hz or more, or filter.kind causal, would be right"
+                f"filter.cutoff = {cutoff:g}: must be at least {math.ceil(least):d} Hz for zero_phase at "
+                f"{sample_rate:g} Hz, or filter.kind must be causal"
             )
         angle = 2.0 * math.pi * cutoff / sample_rate
         n = np.arange(-reach, reach + 1)

@@ -177,7 +177,7 @@ class DaqNode(LifecycleBase):
             output.finish()
         self._diagnostics.report()
         if not any(channel.samples for channel in self._signal.channels):
-            raise DaqError(f"{self._source.description}: holds no usable sample; finite numbers would be right")
+            raise DaqError(f"{self._source.description}: holds no usable sample: samples must be finite")
         self.get_logger().info(f"{self._source.description}: the end")
         if not_read:
             self.get_logger().warning(not_read)

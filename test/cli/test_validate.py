@@ -137,7 +137,7 @@ def test_a_recording_counts_once(here: Cli, campaign: Path, tmp_path: Path) -> N
     again = campaign / ".." / campaign.name / "300_200_500g_1"
     done = here("validate", campaign, again, "-o", "report")
     assert done.returncode == 2
-    assert done.stderr == f"{again}: given twice; once would be right, its impacts count once\n"
+    assert done.stderr == f"{again}: must be given only once\n"
     assert not (tmp_path / "report").exists()
 
 

@@ -1,0 +1,38 @@
+"""Rules of style that no linter checks."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = sorted((ROOT / "scara_effmass").rglob("*.py"))
+TESTS = sorted(path for path in (ROOT / "test").rglob("*.py") if path != Path(__file__))
+
+
+def lines_with(pattern: str, paths: list[Path]) -> list[str]:
+    """Return `path:line` of every line that matches `pattern`."""
+    return [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in paths
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+        if re.search(pattern, line)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "paths"),
+    [
+        pytest.param(r"would be right", PACKAGE, id="errors say what a value must be"),
+        pytest.param(r"/ \"shared\"|\.\./shared", TESTS, id="tests read only files of the tree"),
+        pytest.param(r"from scara_effmass.* import .*\b_[a-z]", TESTS, id="tests import only public names"),
+    ],
+)
+def test_pattern_is_absent(pattern: str, paths: list[Path]) -> None:
+    assert lines_with(pattern, paths) == []
+
+
+def test_only_root_and_an_installed_driver_skip_tests() -> None:
+    assert lines_with(r"pytest\.skip|importorskip|mark\.skip(?!if\((os\.geteuid|find_library\(\"nidaqmx))", TESTS) == []
