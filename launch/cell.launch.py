@@ -26,7 +26,7 @@ ARGUMENTS = (
     DeclareLaunchArgument(
         "source",
         default_value="none",
-        choices=["none", "ni9230", "bag", "sim", "bench"],
+        choices=["none", "ni9230", "bag", "sim"],
         description="force source; none: daq_node and validator_node are not started",
     ),
     DeclareLaunchArgument(
