@@ -114,7 +114,7 @@ def _repair_file(path: Path) -> FileRepair:
         if result.has_gaps:
             original = path.with_name(path.name + DAMAGED_SUFFIX)
             if original.exists():
-                raise OutputError(f"{original}: exists already; move it away first, it may contain more than {path}")
+                raise OutputError(f"{original}: already exists; move it away first, it may contain more than {path}")
             path.rename(original)
         unfinished.replace(path)
         sync_folder(path.parent)

@@ -118,7 +118,7 @@ def check_output(path: Path, *, overwrite: bool) -> None:
     if not path.exists():
         return
     if not overwrite:
-        raise OutputError(f"{path}: exists already; --force replaces it")
+        raise OutputError(f"{path}: already exists; use --force to replace it")
     try:
         is_replaceable = path.is_file() if path.suffix == ".mcap" else _is_only_a_bag(path)
         is_busy = is_replaceable and any(map(is_being_written, bag_files(path) if path.is_dir() else [path]))

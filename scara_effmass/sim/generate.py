@@ -29,7 +29,7 @@ def generate(folder: Path, *, overwrite: bool = False) -> tuple[Path, ...]:
     """
     checksums = folder / CHECKSUMS
     if checksums.exists() and not overwrite:
-        raise OutputError(f"{checksums}: exists already; --force replaces it")
+        raise OutputError(f"{checksums}: already exists; use --force to replace it")
     bags = []
     for recording in RECORDINGS:
         blocks = ((block.stamp_ns + BLOCK_NS, block) for block in recording.force_blocks())

@@ -461,7 +461,7 @@ class TestFullDisk:
 class TestStart:
     def test_over_something_else_is_refused(self, tmp_path: Path) -> None:
         (tmp_path / "bag").mkdir()
-        with pytest.raises(OutputError, match="bag: exists already"):
+        with pytest.raises(OutputError, match="bag: already exists"):
             BagRecorder(tmp_path / "bag")
         with pytest.raises(OutputError, match="is not such a bag and is not replaced"):
             BagRecorder(tmp_path / "bag", overwrite=True)

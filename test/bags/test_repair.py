@@ -215,7 +215,7 @@ class TestFile:
         assert repair(path).intact
 
         path.write_bytes(content)  # damaged again, but the place of the original is taken
-        with pytest.raises(OutputError, match=r"a\.mcap\.damaged: exists already; move it away first"):
+        with pytest.raises(OutputError, match=r"a\.mcap\.damaged: already exists; move it away first"):
             repair(path)
         assert path.read_bytes() == content
         assert names(tmp_path) == ["a.mcap", "a.mcap.damaged"]

@@ -141,7 +141,7 @@ class TestExisting:
     @pytest.mark.parametrize("name", ["bag", "bag.mcap"])
     def test_is_kept(self, tmp_path: Path, name: str) -> None:
         path = write(tmp_path / name)
-        with pytest.raises(OutputError, match=f"{name}: exists already"):
+        with pytest.raises(OutputError, match=f"{name}: already exists"):
             BagWriter(path)
         assert only(tmp_path) == [name]
 
@@ -174,7 +174,7 @@ class TestExisting:
         writer = BagWriter(tmp_path / "bag.mcap")
         writer.write_joint_states("/joint_states", STATES)
         (tmp_path / "bag.mcap").write_text("mine")
-        with pytest.raises(OutputError, match="exists already"):
+        with pytest.raises(OutputError, match="already exists"):
             writer.close()
         assert (tmp_path / "bag.mcap").read_text() == "mine"
         assert only(tmp_path) == ["bag.mcap"]

@@ -162,7 +162,7 @@ def test_a_recording_is_replaced_only_by_force(cli: Cli, swing_bag: Path, tmp_pa
         (bag / path.name).write_bytes(path.read_bytes())
     done = cli("record", "-o", bag, "--duration", "0.1")
     assert done.returncode == 2
-    assert f"{bag}: exists already" in done.stderr
+    assert f"{bag}: already exists" in done.stderr
     assert saved(bag) == 1000
     done = cli("record", "-o", bag, "--duration", "0.1", "--force")
     assert (done.returncode, done.stderr) == (0, "")

@@ -393,7 +393,7 @@ def test_what_cannot_start_says_why_and_leaves_nothing(cell: Cell, options: dict
 
 def test_a_place_that_is_taken_is_refused(cell: Cell) -> None:
     cell.bag.mkdir()
-    with pytest.raises(OutputError, match="bag: exists already"):
+    with pytest.raises(OutputError, match="bag: already exists"):
         record(RecordOptions(cell.bag))
 
 

@@ -259,7 +259,7 @@ def test_the_command_replaces_only_when_told_and_makes_the_same_bytes(fresh: Pat
     again = run("-o", str(folder))
     assert again.returncode == 2
     assert again.stderr.count("\n") == 1
-    assert "exists already" in again.stderr
+    assert "already exists" in again.stderr
     shutil.rmtree(folder / RUNS[0])
     assert run("-o", str(folder), "--force").returncode == 0
     assert (folder / CHECKSUMS).read_text() == (fresh / CHECKSUMS).read_text()
