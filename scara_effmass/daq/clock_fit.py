@@ -1,85 +1,88 @@
-"""When a sample was taken: the running fit of a device's sample numbers to ROS time."""
+"""Fit the sample numbers of a device to ROS time."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 from statistics import median
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 
 BIN_S = 1.0
-"""The earliest read of so long stands for all of them."""
+"""Length of a bin; each bin keeps its earliest read."""
 BINS = 30
-"""So many bins tell the rate: long enough for a few ppm, short enough to follow a clock that is being slewed."""
-LEAST_BINS = 8
-"""With fewer, two late bins, as many as LATE_S makes, would spoil more than half of the slopes."""
+"""Bins that determine the rate: enough for a few ppm, few enough to follow a clock that is being slewed."""
+MIN_SLOPE_BINS = 8
+"""With fewer bins, two late ones, which JUMP_TIME_S allows, would affect more than half of the slopes."""
 OFFSET_BINS = 5
-"""So many of the latest bins tell the offset, so that a wrong rate has little time to do harm. With fewer, they say
-little about each other; how late reads usually are tells more."""
+"""Latest bins that determine the offset; with more, an error of the rate would move it further."""
 SETTLED_READS = 10
-"""By then at least one was early: all of ten are late by more than their mean delay once in 22 000 times (e^-10)."""
+"""All of ten reads are later than their mean delay once in 22 000 times (e^-10)."""
 START_UNCERTAINTY_S = 10e-3
-"""How late one read alone may be; shared out among the reads there are."""
+"""Delay that a single read may have."""
 JUMP_S = 5e-3
-"""A fit that is off by more is no fit any more: one of the two clocks has jumped."""
-LATE_S = 2.0
-"""For so long reads have to be late, all by the same to within JUMP_S, to be taken for a jump."""
+"""A larger deviation from the fit is a jump of one of the two clocks."""
+JUMP_TIME_S = 2.0
+"""Time for which reads must be late by the same amount, within JUMP_S, to count as a jump."""
 
 
 class _Point(NamedTuple):
-    """A read: seconds of nominal time since the origin, and how much later than that it was in ROS time [s]."""
+    """A read: nominal time since the origin [s], and its delay in ROS time against that [s]."""
 
     x: float
     y: float
 
 
+@final
 class ClockFit:
-    """Running fit of a device's sample numbers to ROS time, the same for all channels of the device.
+    """Fit the sample numbers of a device to ROS time while it runs.
 
-    A read comes later than its last sample was taken, by a delay that is often small, sometimes huge and never
-    negative. So a mean would be late; the earliest reads tell the time. The rate is the median of the slopes between
-    the earliest reads of each second (Theil and Sen), over the last 30 s; the offset puts the line through the earliest
-    read of the last 5 s. What every read is late by, nobody can see: stamps are late by the smallest delay there is.
+    A read comes after its last sample by a delay that is often small, sometimes large and never negative, so the
+    earliest reads determine the fit and not their mean. The rate is the median of the slopes between the earliest
+    reads of each second (Theil-Sen estimator) over the last 30 s. The offset puts the line through the earliest read
+    of the last 5 s. The smallest delay cannot be observed: stamps are late by it.
 
-    Times are integer nanoseconds, and floats only ever hold differences, so no stamp is rounded to what a float of
-    nanoseconds since 1970 can hold. The stamp of a sample follows from its index alone; nothing is accumulated.
+    Times are integers in nanoseconds and floats hold only differences, because a float of nanoseconds since 1970 is
+    too coarse. The stamp of a sample depends on its number alone; no error accumulates.
 
-    After the tenth read, the fit moves backwards by no more than one sample from read to read, so that no sample
-    comes before the previous one; the rest is made up for later and is part of `residual`. When a read is 5 ms earlier
-    than the fit, or 2 s of samples are all later by the same, at least 5 ms, a clock has jumped: the fit begins anew,
-    and stamps may leap. After a stall, what has piled up comes later by less and less, which is no jump.
+    From the tenth read on, the fit moves back by at most one sample per read, so that stamps ascend; the rest follows
+    with later reads and is part of `residual`. When a read is 5 ms earlier than the fit, or the reads of 2 s are late
+    by the same amount of at least 5 ms, a clock has jumped: the fit restarts, and stamps may step. Reads that queued
+    up during a stall become less and less late and are no jump.
     """
 
     def __init__(self, nominal_rate: float) -> None:
-        """Expect about `nominal_rate` samples per second."""
+        """Expect about `nominal_rate` [Hz]."""
         self._nominal_rate = nominal_rate
         self.sample_rate = nominal_rate
         """Measured against ROS time [Hz]; nominal during the first seconds."""
         self.residual = START_UNCERTAINTY_S
-        """What a stamp may be off [s]: nine of ten seconds have their earliest read within so much of the fit; at first
-        no less than 10 ms over the number of reads, nor than what half of the reads are late by; after a jump no less
-        than that, by a factor e less with each read; and on top, how much of a backward move is yet to be made up."""
+        """Uncertainty of a stamp [s]: the earliest reads of nine in ten seconds deviate from the fit by less.
+
+        At first it is at least 10 ms divided by the number of reads, and at least the median delay of the reads.
+        After a jump it starts at the size of the jump and falls by a factor of e per read. The part of a backward
+        move that is still due is added.
+        """
         self.restarts = 0
-        """How often a fit that had settled was given up because a clock had jumped."""
+        """How often a settled fit restarted because a clock had jumped."""
         self._reads = 0
         self._anchor = 0
         self._anchor_ns = 0
 
     @property
     def settled(self) -> bool:
-        """Whether there were more reads than it takes for one of them to have been early."""
+        """Whether there were enough reads for an early one among them."""
         return self._reads > SETTLED_READS
 
     def stamp_ns(self, sample: int) -> int:
-        """Return the ROS time at which the sample with this index was taken. Raises RuntimeError before any read."""
+        """Return the ROS time of the sample with this number. Raises RuntimeError before the first read."""
         if not self._reads:
             raise RuntimeError("the time of a sample is not known before the first read")
         return self._anchor_ns + round((sample - self._anchor) / self.sample_rate * 1e9)
 
     def update(self, sample_count: int, host_ns: int) -> None:
-        """Take in a read: `sample_count` samples, lost ones included, existed by the ROS time `host_ns`."""
+        """Add a read: `sample_count` samples, lost ones included, existed at the ROS time `host_ns`."""
         last = sample_count - 1
         if not self._reads:
             self._start(last, host_ns)
@@ -93,11 +96,11 @@ class ClockFit:
             self._jump_s = jump_s
         self._reads += 1
         x = (last - self._origin) / self._nominal_rate
-        self._sort_in(_Point(x, (host_ns - self._origin_ns) / 1e9 - x))
-        self._draw(last, x)
+        self._add_point(_Point(x, (host_ns - self._origin_ns) / 1e9 - x))
+        self._move_line(last, x)
 
     def reset(self) -> None:
-        """Forget all reads, as when the device was started again: the next one is a first one."""
+        """Discard all reads, as after a restart of the device."""
         self._reads = 0
         self.sample_rate = self._nominal_rate
         self.residual = START_UNCERTAINTY_S
@@ -114,48 +117,48 @@ class ClockFit:
         self._first_y: list[float] = []
         self._jump_s = 0.0
         self._late_reads = 0
-        self._late_by_s = 0.0
-        self._late_for_s = 0.0
+        self._late_s = 0.0
+        self._late_time_s = 0.0
 
     def _jumped(self, last: int, late_s: float) -> bool:
         if late_s <= JUMP_S:
             self._late_reads = 0
             return late_s < -JUMP_S
-        if not self._late_reads or late_s < self._late_by_s - JUMP_S:
-            # The ones before were merely delayed.
-            self._late_reads, self._late_by_s, self._late_for_s = 1, late_s, 0.0
-        elif late_s <= self._late_by_s + JUMP_S:
-            # Late by the same, so as much host time has passed as samples have come.
+        if not self._late_reads or late_s < self._late_s - JUMP_S:
+            # The reads before were delayed by more.
+            self._late_reads, self._late_s, self._late_time_s = 1, late_s, 0.0
+        elif late_s <= self._late_s + JUMP_S:
+            # A constant delay: the time of the host advances with that of the device.
             self._late_reads += 1
-            self._late_for_s += (last - self._anchor) / self._nominal_rate
-        return self._late_reads >= SETTLED_READS and self._late_for_s >= LATE_S
+            self._late_time_s += (last - self._anchor) / self._nominal_rate
+        return self._late_reads >= SETTLED_READS and self._late_time_s >= JUMP_TIME_S
 
-    def _sort_in(self, point: _Point) -> None:
+    def _add_point(self, point: _Point) -> None:
         host_s = sum(point)
         if len(self._bins) < OFFSET_BINS:
             self._first_y.append(point.y)
-        # By host time: when reads have been held up for long, all that come at once are one bin.
+        # By host time, so that reads that queued up during a stall are in one bin.
         if host_s < self._bin_end:
-            self._earliest = min(self._earliest, point, key=self._above)
+            self._earliest = min(self._earliest, point, key=self._intercept)
             return
         self._bins.append(self._earliest)
         self._earliest = point
         self._bin_end = host_s + BIN_S
-        if len(self._bins) >= LEAST_BINS:
+        if len(self._bins) >= MIN_SLOPE_BINS:
             self._slope = _median_slope(self._bins)
             self.sample_rate = self._nominal_rate / (1.0 + self._slope)
         offset = self._offset()
-        distances = sorted(abs(self._above(other) - offset) for other in self._bins)
+        distances = sorted(abs(self._intercept(earliest) - offset) for earliest in self._bins)
         self._scatter = distances[len(distances) * 9 // 10]
 
-    def _above(self, point: _Point) -> float:
+    def _intercept(self, point: _Point) -> float:
         return point.y - self._slope * point.x
 
     def _offset(self) -> float:
-        return min(map(self._above, (*list(self._bins)[-OFFSET_BINS:], self._earliest)))
+        return min(map(self._intercept, (*list(self._bins)[-OFFSET_BINS:], self._earliest)))
 
-    def _draw(self, last: int, x: float) -> None:
-        """Put the line through the envelope, but no sample before the one that precedes it."""
+    def _move_line(self, last: int, x: float) -> None:
+        """Put the line through the earliest reads, with no sample before the one that precedes it."""
         fit_ns = self._origin_ns + round((x + self._slope * x + self._offset()) * 1e9)
         behind_ns = 0
         if self.settled:
@@ -169,7 +172,7 @@ class ClockFit:
 
 
 def _median_slope(points: deque[_Point]) -> float:
-    """Return the median of the slopes between all pairs of points, which a quarter of bad ones do not spoil."""
+    """Return the median of the slopes between all pairs of points; it tolerates a quarter of outliers."""
     x, y = np.array(points).T
     i, j = np.triu_indices(len(points), 1)
     return float(np.median((y[j] - y[i]) / (x[j] - x[i])))

@@ -1,4 +1,4 @@
-"""The optional low-pass: streaming, with its delay declared. Importing it loads scipy, so do so when one is chosen."""
+"""Optional low-pass filters that state their delay. Importing this module loads scipy: import it only when needed."""
 
 from __future__ import annotations
 
@@ -18,39 +18,39 @@ if TYPE_CHECKING:
     from scara_effmass.values import FloatArray
 
 NEGLIGIBLE = 1e-3
-"""A sample is no longer said to influence the output when this fraction of its influence is left."""
+"""Remaining fraction of a sample's influence on the output that is neglected."""
 HALF_WIDTH = 4.0
-"""Where the Gaussian is cut off, in standard deviations; 6e-5 of it lies outside."""
-LONGEST = 4001
-"""Most taps of the Gaussian; with more, a block would take longer to filter than to come."""
+"""Half the length of the Gaussian in standard deviations; 6e-5 of it lies outside."""
+MAX_TAPS = 4001
+"""With more taps, filtering a block would take longer than measuring it."""
 
 
 class Lowpass(Protocol):
-    """A low-pass over one channel, fed with consecutive samples in portions of any size.
+    """Low-pass of one channel, called with consecutive samples in portions of any size.
 
-    The first sample is taken to have been there for ever, so a constant passes from the first sample on.
+    It starts as if the first sample had been constant before, so a constant passes unchanged.
     """
 
     delay: float
-    """[samples]; for slow signals, where it depends on the frequency"""
+    """[samples]; where it depends on the frequency, that of slow signals"""
     memory: int
-    """A sample influences the output at its own index and at so many after it."""
+    """Number of outputs, after the one at its own index, that a sample influences."""
 
     def __call__(self, samples: FloatArray) -> FloatArray:
-        """Return the output for the next samples: as many, not yet shifted by the delay."""
+        """Return as many outputs as samples, not shifted by the delay."""
 
     def reset(self) -> None:
-        """Forget the past, as after a gap: the next sample is a first one."""
+        """Discard the past, as after a gap."""
 
 
 class Butterworth:
-    """Causal low-pass of second order, half the power at the cutoff (scipy.signal.butter).
+    """Causal second-order low-pass with half the power at the cutoff (scipy.signal.butter).
 
-    Its output is the same bit for bit in whatever portions the samples come.
+    The output does not depend on the size of the portions, bit for bit.
     """
 
     def __init__(self, cutoff: float, sample_rate: float) -> None:
-        """Design it; both in [Hz]."""
+        """Design the filter; both in [Hz]."""
         zeros, poles, gain = signal.butter(2, cutoff, fs=sample_rate, output="zpk")
         self._sections: FloatArray = signal.zpk2sos(zeros, poles, gain)
         self._steady: FloatArray = signal.sosfilt_zi(self._sections)
@@ -69,56 +69,56 @@ class Butterworth:
         return output
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Discard the past."""
         self._state = None
 
 
 class Gaussian:
-    """Low-pass with Gaussian taps, half the power at the cutoff; it delays all frequencies alike.
+    """Low-pass with Gaussian taps and half the power at the cutoff; it delays all frequencies equally.
 
-    No tap is negative, so a peak is never made larger, and an impact is given no echo. Its output is the same to some
-    1e-15 of the largest sample in whatever portions the samples come.
+    No tap is negative, so peaks do not grow and impacts have no echo. The size of the portions changes the output by
+    about 1e-15 of the largest sample.
     """
 
     def __init__(self, cutoff: float, sample_rate: float) -> None:
-        """Design it; both in [Hz]. Raises SettingsError when it would be too long."""
+        """Design the filter; both in [Hz]. Raises SettingsError when it needs more than MAX_TAPS."""
         # |H| = exp(-(2 pi f sigma)² / 2) of the continuous Gaussian, 1/sqrt(2) at the cutoff
         width = math.sqrt(math.log(2.0)) / (2.0 * math.pi * cutoff) * sample_rate
-        reach = max(1, math.ceil(HALF_WIDTH * width))
-        if 2 * reach + 1 > LONGEST:
-            least = cutoff * HALF_WIDTH * width / (LONGEST // 2)
+        half = max(1, math.ceil(HALF_WIDTH * width))
+        if 2 * half + 1 > MAX_TAPS:
+            min_cutoff = math.ceil(cutoff * HALF_WIDTH * width / (MAX_TAPS // 2))
             raise SettingsError(
-                f"filter.cutoff = {cutoff:g}: must be at least {math.ceil(least):d} Hz for zero_phase at "
-                f"{sample_rate:g} Hz, or filter.kind must be causal"
+                f"filter.cutoff = {cutoff:g}: must be >= {min_cutoff} Hz with zero_phase at {sample_rate:g} Hz; "
+                "filter.kind = causal allows less"
             )
         angle = 2.0 * math.pi * cutoff / sample_rate
-        n = np.arange(-reach, reach + 1)
+        n = np.arange(-half, half + 1)
 
         def taps(sigma: float) -> FloatArray:
-            window = signal.windows.gaussian(2 * reach + 1, sigma)
+            window = signal.windows.gaussian(2 * half + 1, sigma)
             result: FloatArray = window / window.sum()
             return result
 
-        def beyond_half_power(sigma: float) -> float:
+        def excess_gain(sigma: float) -> float:
             return float(taps(sigma) @ np.cos(angle * n)) - math.sqrt(0.5)
 
-        # Sampled and cut off, it differs a little from the continuous one, the more the higher the cutoff.
-        self._taps = taps(float(optimize.brentq(beyond_half_power, 0.1 * width, 10.0 * width, xtol=1e-12)))
+        # The sampled, truncated Gaussian differs from the continuous one, most at high cutoffs.
+        self._taps = taps(float(optimize.brentq(excess_gain, 0.1 * width, 10.0 * width, xtol=1e-12)))
         self._past: FloatArray | None = None
-        self.delay = float(reach)
-        self.memory = 2 * reach
+        self.delay = float(half)
+        self.memory = 2 * half
 
     def __call__(self, samples: FloatArray) -> FloatArray:
         """Return the output for the next samples."""
         if not samples.size:
             return samples
         past = np.full(self.memory, samples[0]) if self._past is None else self._past
-        known = np.concatenate((past, samples))
-        self._past = known[-self.memory :]
-        return np.convolve(known, self._taps, "valid")
+        extended = np.concatenate((past, samples))
+        self._past = extended[-self.memory :]
+        return np.convolve(extended, self._taps, "valid")
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Discard the past."""
         self._past = None
 
 
@@ -131,7 +131,7 @@ LOWPASSES: dict[FilterKind, Callable[[float, float], Lowpass]] = {
 def make_lowpass(settings: FilterSettings, sample_rate: float) -> Lowpass:
     """Return the low-pass of `settings`, whose kind is not none, for samples at `sample_rate` [Hz].
 
-    Raises SettingsError when the samples are too few, or far too many, for the cutoff.
+    Raises SettingsError when the sample rate is too low, or far too high, for the cutoff.
     """
     if not settings.cutoff < sample_rate / 2.0:
         raise SettingsError(

@@ -1,4 +1,4 @@
-"""`daq_node`: force in, blocks and impacts out. Acquisition runs in its own thread; this one converts and publishes."""
+"""`daq_node`: publish force blocks and impacts. A thread of its own reads the source."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from scara_effmass.daq.source import make_source
 from scara_effmass.errors import DaqError, EffmassError, SettingsError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.daq_health import DaqHealth
+from scara_effmass.nodes.daq_health import daq_statuses
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.settings import READ_ONLY, DaqSettings, FilterKind, checked
@@ -38,14 +38,14 @@ if TYPE_CHECKING:
     from scara_effmass import values
     from scara_effmass.daq.source import ForceSource
 
-_LOOK_S = 0.01
-_DELIVERED_S = 5.0
-"""Fast DDS asks its readers every 3 s."""
+_POLL_S = 0.01
+_ACK_TIMEOUT_S = 5.0
+"""Fast DDS requests acknowledgements every 3 s."""
 _NS = 1_000_000_000
 
 
 class NodeSettings(DaqSettings):
-    """The settings of the measurement and the node's own."""
+    """Settings of the measurement and of the node."""
 
     autostart: bool = Field(default=True, description="configure and activate at start", json_schema_extra=READ_ONLY)
     stop_at_end: bool = Field(
@@ -56,12 +56,12 @@ class NodeSettings(DaqSettings):
 
 
 class DaqNode(LifecycleBase):
-    """Publishes `force`, `impact`, `wrench`, `/diagnostics`; each further channel has its own below these names."""
+    """Publish `force`, `impact`, `wrench` and `/diagnostics`; further channels publish below these names."""
 
     def __init__(self) -> None:
-        """Declare the parameters. Raises SettingsError for one that cannot be used."""
+        """Declare the parameters. Raises SettingsError."""
         super().__init__("daq")
-        # The group `sim` is also accepted under its former name.
+        # `bench` is the former name of the group `sim`.
         for name in [name for name in self._parameter_overrides if name.startswith("bench.")]:
             former = self._parameter_overrides.pop(name)
             renamed = name.replace("bench.", "sim.", 1)
@@ -76,19 +76,19 @@ class DaqNode(LifecycleBase):
         self._drain_is_due = False
 
     def configure(self) -> None:
-        """Choose the source and create the endpoints. Raises EffmassError."""
+        """Create the source and the endpoints. Raises EffmassError."""
         settings = self._settings
         self._source: ForceSource = make_source(settings, self._now_ns)
         if self.get_parameter("use_sim_time").value and not self._source.uses_ros_time:
             kind = settings.source.value
             raise SettingsError(f"{self.get_name()}: use_sim_time = true: must be false, {kind} measures in real time")
         if settings.filter.kind is not FilterKind.NONE:
-            import_module("scara_effmass.daq.lowpass")  # takes seconds; load it before samples come
-        self._health = DaqHealth(self.get_name())
+            import_module("scara_effmass.daq.lowpass")  # takes seconds, so not after the start
+        self._incompatible_qos: set[str] = set()
         for number, name in enumerate(self._source.channels):
-            below = f"/{name}" if number else ""
+            suffix = f"/{name}" if number else ""
             force, impact, wrench = (
-                self.create_owned_publisher(message_type, f"{topic}{below}", qos, self._health.incompatible)
+                self.create_owned_publisher(message_type, f"{topic}{suffix}", qos, self._incompatible_qos.add)
                 for message_type, topic, qos in (
                     (ForceBlock, topics.FORCE, topics.FORCE_QOS),
                     (Impact, topics.IMPACT, topics.STREAM_QOS),
@@ -101,7 +101,7 @@ class DaqNode(LifecycleBase):
         self.own(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
 
     def activate(self) -> None:
-        """Start to acquire. Raises DaqError, BagError or SettingsError."""
+        """Start the acquisition. Raises DaqError, BagError or SettingsError."""
         source = self._source
         if source.subscriber_timeout:
             self._await_subscriber()
@@ -110,23 +110,23 @@ class DaqNode(LifecycleBase):
         self._acquisition = acquisition
         self._signal = SignalConditioner(source, self._settings)
         for output in self._outputs:
-            output.begin()
-        coerced = "" if source.sample_rate == source.requested_rate else f", {source.requested_rate:.9g} was asked for"
-        self.get_logger().info(f"acquiring {source.description} at {source.sample_rate:.9g} Hz{coerced}")
+            output.reset()
+        requested = "" if source.sample_rate == source.requested_rate else f" (requested: {source.requested_rate:.9g})"
+        self.get_logger().info(f"acquiring {source.description} at {source.sample_rate:.9g} Hz{requested}")
 
     def _await_subscriber(self) -> None:
-        """Wait for a subscriber: a recording is published once. Raises EffmassError."""
-        self._source.start()  # reports at once what cannot be read
+        """Wait for a subscriber, because a recording is published once. Raises EffmassError."""
+        self._source.start()  # raises at once if the recording cannot be read
         self._source.close()
         deadline = time.monotonic() + self._source.subscriber_timeout
-        while not any(output.is_heard for output in self._outputs):
+        while not any(output.has_subscribers for output in self._outputs):
             if time.monotonic() > deadline:
-                self.get_logger().warning(f"nobody listens to {self._source.description}")
+                self.get_logger().warning(f"{self._source.description}: no subscriber yet, playing")
                 return
-            time.sleep(_LOOK_S)  # matches are made in threads of the middleware
+            time.sleep(_POLL_S)  # the middleware matches subscribers in threads of its own
 
     def deactivate(self) -> None:
-        """Stop to acquire."""
+        """Stop the acquisition."""
         if self._acquisition is not None:
             self._acquisition.stop()
             self._acquisition = None
@@ -135,7 +135,7 @@ class DaqNode(LifecycleBase):
         return int(self.get_clock().now().nanoseconds)
 
     def _wake(self) -> None:
-        """Have `_drain` called in the executor's thread; called in the acquisition's."""
+        """Schedule `_drain` in the executor; called in the acquisition thread."""
         if not self._drain_is_due and self.executor is not None:
             self._drain_is_due = True
             self.executor.create_task(self._drain)
@@ -143,26 +143,26 @@ class DaqNode(LifecycleBase):
     def _drain(self) -> None:
         self._drain_is_due = False
         try:
-            self._publish_what_came()
-        except Exception as error:  # noqa: BLE001 - out of a task, it would take the interpreter down
+            self._publish_readings()
+        except Exception as error:  # noqa: BLE001 - an error in a task would end the interpreter
             if not self.context.ok():
-                return  # told to stop while it was publishing
+                return  # the context was shut down while publishing
             if not isinstance(error, EffmassError):
                 self.get_logger().error(traceback.format_exc())
                 error = DaqError(f"{type(error).__name__}: {error}")
             self.abort(error)
 
-    def _publish_what_came(self) -> None:
+    def _publish_readings(self) -> None:
         acquisition = self._acquisition
         if acquisition is None or not self.active:
             return
         for reading in acquisition.take():
             channels = list(zip(self._outputs, self._signal.blocks(reading), strict=True))
-            # One after the other: each is twice as fast when it has just been done for another channel.
+            # Separate loops: each step is twice as fast right after the same step of another channel.
             for output, blocks in channels:
                 output.publish(blocks)
             for output, blocks in channels:
-                output.find_impacts(blocks)
+                output.detect_impacts(blocks)
         state = acquisition.state
         if state is not self._state:
             self._state = state
@@ -172,15 +172,15 @@ class DaqNode(LifecycleBase):
         if acquisition.ended:
             self._on_end(acquisition.statistics().reason)
 
-    def _on_end(self, not_read: str) -> None:
+    def _on_end(self, losses: str) -> None:
         for output in self._outputs:
             output.finish()
         self._diagnostics.report()
         if not any(channel.samples for channel in self._signal.channels):
-            raise DaqError(f"{self._source.description}: holds no usable sample: samples must be finite")
-        self.get_logger().info(f"{self._source.description}: the end")
-        if not_read:
-            self.get_logger().warning(not_read)
+            raise DaqError(f"{self._source.description}: has no usable sample; must have finite numbers")
+        self.get_logger().info(f"{self._source.description}: ended")
+        if losses:
+            self.get_logger().warning(losses)
         if self._settings.stop_at_end:
             for output in self._outputs:
                 output.wait_delivered()
@@ -189,21 +189,21 @@ class DaqNode(LifecycleBase):
     def _statuses(self) -> list[DiagnosticStatus]:
         if self._acquisition is None:
             return []
-        found = [(output.detector, output.impacts) for output in self._outputs]
-        return self._health.statuses(self._acquisition, self._signal, found)
+        detections = [(output.detector, output.impacts) for output in self._outputs]
+        return daq_statuses(self.get_name(), self._acquisition, self._signal, detections, self._incompatible_qos)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._acquisition is None or self._state is not AcquisitionState.RUNNING:
-            response.message = "nothing is being acquired"
+            response.message = "refused: no acquisition is running"
         else:
             self._signal.begin_tare()
             response.success = True
-            response.message = f"the next {self._settings.tare.time:g} s are taken for zero force"
+            response.message = f"taring over the next {self._settings.tare.time:g} s"
         return response
 
 
 class _Output:
-    """The topics of one channel."""
+    """Topics and impact detection of one channel."""
 
     def __init__(
         self, force: LifecyclePublisher, impact: LifecyclePublisher, wrench: LifecyclePublisher, settings: DaqSettings
@@ -212,39 +212,39 @@ class _Output:
         self._impact = impact
         self._wrench = wrench
         self._settings = settings
-        self.begin()
+        self.reset()
 
     @property
-    def is_heard(self) -> bool:
-        """Whether anybody has subscribed to the force or the impacts."""
+    def has_subscribers(self) -> bool:
+        """Whether force or impacts have a subscriber."""
         return bool(self._force.get_subscription_count() or self._impact.get_subscription_count())
 
-    def begin(self) -> None:
-        """Forget what was found before."""
+    def reset(self) -> None:
+        """Restart the impact detection."""
         self.detector = Detector(self._settings.detection)
         self.impacts = 0
 
     def publish(self, blocks: Sequence[values.ForceBlock]) -> None:
-        """Publish the blocks, and the wrenches of them."""
+        """Publish the blocks and the wrenches of their samples."""
         wrenches = self._settings.wrench_rate and self._wrench.get_subscription_count()
         for block in blocks:
             self._force.publish(force_block_message(block))
             if wrenches:
                 self._publish_wrenches(block)
 
-    def find_impacts(self, blocks: Sequence[values.ForceBlock]) -> None:
-        """Publish the impacts in the blocks."""
+    def detect_impacts(self, blocks: Sequence[values.ForceBlock]) -> None:
+        """Detect and publish the impacts in the blocks."""
         for block in blocks:
             self._publish_impacts(self.detector.feed(block))
 
     def finish(self) -> None:
-        """Publish what was still waiting for what follows."""
+        """Publish the impacts that were waiting for further samples."""
         self._publish_impacts(self.detector.finish())
 
     def wait_delivered(self) -> None:
-        """Return when every reliable subscriber has everything, or some does not take it."""
+        """Wait until all reliable subscribers have acknowledged all messages, for at most 5 s per topic."""
         for publisher in (self._force, self._impact):
-            publisher.wait_for_all_acked(Duration(seconds=_DELIVERED_S))
+            publisher.wait_for_all_acked(Duration(seconds=_ACK_TIMEOUT_S))
 
     def _publish_impacts(self, impacts: Sequence[values.Impact]) -> None:
         self.impacts += len(impacts)
@@ -252,7 +252,7 @@ class _Output:
             self._impact.publish(impact_message(impact))
 
     def _publish_wrenches(self, block: values.ForceBlock) -> None:
-        """Publish, of each interval, the sample farthest from zero: an impact is shorter than an interval."""
+        """Publish the largest sample of each interval, because an impact is shorter than an interval."""
         count = max(1, round(len(block.force) / block.sample_rate * self._settings.wrench_rate))
         for part in np.array_split(np.arange(len(block.force)), min(count, len(block.force))):
             index = int(part[np.abs(block.force[part]).argmax()])
@@ -265,5 +265,5 @@ class _Output:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node with ROS arguments `args`, or those of the process."""
+    """Run the node with the ROS arguments `args`; None means those of the process."""
     return run(DaqNode, args)

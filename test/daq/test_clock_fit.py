@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.daq.clock_fit import JUMP_S, LATE_S, SETTLED_READS, ClockFit
+from scara_effmass.daq.clock_fit import JUMP_S, JUMP_TIME_S, SETTLED_READS, ClockFit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -286,8 +286,8 @@ def test_no_stall_is_a_jump(
     block: int, before_s: float, late: list[float], phase: float, stall_s: float, speed: float
 ) -> None:
     block_s = block / 12_800.0
-    # Reads that are late for LATE_S and all by the same are what a jump looks like, and nobody can tell.
-    late = late[: int((LATE_S - 2.0 * JUMP_S) / block_s) - 1]
+    # Reads that are late for JUMP_TIME_S and all by the same are what a jump looks like, and nobody can tell.
+    late = late[: int((JUMP_TIME_S - 2.0 * JUMP_S) / block_s) - 1]
     prompt = max(SETTLED_READS, round(before_s / block_s))
     from_s = block_s * (prompt + len(late) + phase)
     delays = [FLOOR_S] * prompt + late

@@ -1,4 +1,4 @@
-"""Diagnostics of the force node."""
+"""Diagnostic statuses of the force measurement."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.conditioning import SignalConditioner
 from scara_effmass.daq.source import Reading, make_source
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.nodes.daq_health import DaqHealth
+from scara_effmass.nodes.daq_health import daq_statuses
 from scara_effmass.settings import DaqSettings, checked
 from test.daq.force_bag import force_block, write_blocks
 
@@ -24,10 +24,10 @@ WAIT_S = 20.0
 
 
 def statuses(acquisition: Acquisition, signal: SignalConditioner, settings: DaqSettings) -> list[DiagnosticStatus]:
-    return DaqHealth("daq").statuses(acquisition, signal, [(Detector(settings.detection), 0)])
+    return daq_statuses("daq", acquisition, signal, [(Detector(settings.detection), 0)])
 
 
-def test_diagnostics_state_the_delay_of_the_blocks() -> None:
+def test_channel_status_has_the_filter_delay_of_the_blocks() -> None:
     settings = checked(DaqSettings, {"source": "sim", "filter.kind": "zero_phase"}, "test")
     source = make_source(settings, lambda: 0)
     source.start()
@@ -40,7 +40,7 @@ def test_diagnostics_state_the_delay_of_the_blocks() -> None:
     assert block.filter_delay > 0.0
 
 
-def test_damaged_recording_is_a_warning(tmp_path: Path) -> None:
+def test_truncated_recording_gives_a_warning(tmp_path: Path) -> None:
     noise = np.random.default_rng(5).normal(size=2000)
     path = write_blocks(tmp_path / "run.mcap", (force_block(2000 * n, 2000, force=noise + n) for n in range(100)))
     path.write_bytes(path.read_bytes()[: int(0.9 * path.stat().st_size)])

@@ -1,4 +1,4 @@
-"""The live force node: what it publishes, how it starts, what it refuses, and how it ends."""
+"""Tests of daq_node over DDS: topics, lifecycle, refusals and exit."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from scara_effmass.wire.message_types import FORCE_BLOCK
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from scara_effmass.values import Impact as FoundImpact
+    from scara_effmass.values import Impact as ImpactValue
     from test.nodes.conftest import NodeHarness
 
 EXECUTABLE = Path(sys.executable).with_name("daq_node")
@@ -40,42 +40,42 @@ DEEP = QoSProfile(depth=20_000)
 RATE = 12_800.0
 S = 1_000_000_000
 SETTLED = 10
-"""Blocks after which the clock fit has seen a read that was not late."""
+"""Blocks after which the clock fit has settled."""
 SIM = ("-p", "source:=sim", "-p", "sim.impact_period:=0.5", "-p", "sim.seed:=7", "-p", "backlog:=600.0")
-"""Nothing is dropped, however long a machine has other things to do."""
+"""The long backlog keeps all samples on a busy machine."""
 
 
-class Heard:
-    """What came on the force topics of one channel, as bytes where bytes are compared."""
+class ForceTopics:
+    """Messages of the force topics of one channel; blocks and impacts as bytes."""
 
     def __init__(self, harness: NodeHarness, channel: str = "") -> None:
         self.blocks: list[bytes] = []
         self.impacts: list[bytes] = []
         self.wrenches: list[WrenchStamped] = []
-        below = f"/{channel}" if channel else ""
+        suffix = f"/{channel}" if channel else ""
         node = harness.node
-        node.create_subscription(ForceBlock, f"force{below}", self.blocks.append, DEEP, raw=True)
-        node.create_subscription(Impact, f"impact{below}", self.impacts.append, DEEP, raw=True)
-        node.create_subscription(WrenchStamped, f"wrench{below}", self.wrenches.append, DEEP)
+        node.create_subscription(ForceBlock, f"force{suffix}", self.blocks.append, DEEP, raw=True)
+        node.create_subscription(Impact, f"impact{suffix}", self.impacts.append, DEEP, raw=True)
+        node.create_subscription(WrenchStamped, f"wrench{suffix}", self.wrenches.append, DEEP)
 
 
-def first_samples(heard: Heard) -> list[int]:
-    return [decode_force_block(data).first_sample for data in heard.blocks]
+def first_samples(topics: ForceTopics) -> list[int]:
+    return [decode_force_block(data).first_sample for data in topics.blocks]
 
 
-def started(new_harness: Callable[..., NodeHarness], *arguments: str) -> NodeHarness:
+def start_node(new_harness: Callable[..., NodeHarness], *arguments: str) -> NodeHarness:
     harness = new_harness(name="daq")
     harness.start("--ros-args", *arguments, command=[str(EXECUTABLE)])
     return harness
 
 
-def change(harness: NodeHarness, transition: int) -> bool:
+def change_state(harness: NodeHarness, transition: int) -> bool:
     request = ChangeState.Request(transition=Transition(id=transition))
     return bool(harness.call_service(ChangeState, "change_state", request).success)
 
 
-def recording(folder: Path, pulses: Sequence[float] = (0.6, 1.1)) -> Path:
-    """Write 1.5 s of noise with half-sines of 2 ms and 100 N that begin at `pulses` [s]."""
+def write_recording(folder: Path, pulses: Sequence[float] = (0.6, 1.1)) -> Path:
+    """Write 1.5 s of noise with half-sines of 2 ms and 100 N that start at `pulses` [s]."""
     path = folder / "force.mcap"
     n = round(0.1 * RATE)
     t = np.arange(15 * n) / RATE
@@ -108,21 +108,23 @@ def recording(folder: Path, pulses: Sequence[float] = (0.6, 1.1)) -> Path:
     return path
 
 
-def test_simulated_force_is_published_whole_and_called_simulated(new_harness: Callable[..., NodeHarness]) -> None:
+def test_simulated_force_is_complete_and_marked_simulated(
+    new_harness: Callable[..., NodeHarness],
+) -> None:
     began_ns = time.time_ns()
-    harness = started(new_harness, *SIM)
+    harness = start_node(new_harness, *SIM)
     harness.subscribe()
-    heard = Heard(harness)
-    harness.spin_until(lambda: len(heard.blocks) >= 20 and len(heard.impacts) >= 2 and heard.wrenches)
-    harness.spin_until(lambda: stamp(heard.wrenches[-1]) - stamp(heard.wrenches[0]) > 1.5 * S)
-    blocks = [decode_force_block(data) for data in heard.blocks]
-    harness.spin_until(lambda: stamp(heard.wrenches[-1]) >= blocks[-1].stamp_ns)
+    topics = ForceTopics(harness)
+    harness.spin_until(lambda: len(topics.blocks) >= 20 and len(topics.impacts) >= 2 and topics.wrenches)
+    harness.spin_until(lambda: stamp(topics.wrenches[-1]) - stamp(topics.wrenches[0]) > 1.5 * S)
+    blocks = [decode_force_block(data) for data in topics.blocks]
+    harness.spin_until(lambda: stamp(topics.wrenches[-1]) >= blocks[-1].stamp_ns)
     now_ns = time.time_ns()
     for before, after in pairwise(blocks):
         assert after.first_sample == before.first_sample + len(before.force) + after.lost_samples
     for before, after in pairwise(blocks[SETTLED:]):
         step_s = (after.stamp_ns - before.stamp_ns) / 1e9
-        # As exact as it says it is, which depends on how late the reads are.
+        # The clock residual depends on the delay of the reads.
         assert step_s == pytest.approx(
             len(before.force) / before.sample_rate, abs=1e-3 + before.clock_residual + after.clock_residual
         )
@@ -134,11 +136,11 @@ def test_simulated_force_is_published_whole_and_called_simulated(new_harness: Ca
     assert began_ns <= blocks[0].stamp_ns
     assert last.stamp_ns + round(len(last.force) / last.sample_rate * S) <= now_ns
     assert blocks[0].sample_rate == pytest.approx(RATE, rel=1e-3)
-    assert all(decode_impact(data).simulated for data in heard.impacts)
+    assert all(decode_impact(data).simulated for data in topics.impacts)
     # Wrenches are samples of the blocks, 100 of them in a second.
     samples = {value for block in blocks for value in block.force.tolist()}
-    first = next(i for i, block in enumerate(blocks) if block.stamp_ns > stamp(heard.wrenches[0]))
-    some = [w for w in heard.wrenches if blocks[first].stamp_ns <= stamp(w) < blocks[-1].stamp_ns]
+    first = next(i for i, block in enumerate(blocks) if block.stamp_ns > stamp(topics.wrenches[0]))
+    some = [w for w in topics.wrenches if blocks[first].stamp_ns <= stamp(w) < blocks[-1].stamp_ns]
     assert {w.wrench.force.z for w in some} <= samples
     assert len(some) == pytest.approx(100 * (blocks[-1].stamp_ns - blocks[first].stamp_ns) / 1e9, rel=0.1)
     assert harness.diagnostic("daq: source", "samples lost by the device", bool).endswith("0")
@@ -150,103 +152,103 @@ def stamp(message: Any) -> int:  # noqa: ANN401 - any stamped message
     return int(message.header.stamp.sec * S + message.header.stamp.nanosec)
 
 
-def test_impacts_are_those_that_the_published_blocks_give_offline(new_harness: Callable[..., NodeHarness]) -> None:
-    harness = started(new_harness, *SIM, "-p", "autostart:=false")
-    heard = Heard(harness)
-    assert change(harness, Transition.TRANSITION_CONFIGURE)
+def test_live_impacts_equal_offline_impacts_of_the_published_blocks(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = start_node(new_harness, *SIM, "-p", "autostart:=false")
+    topics = ForceTopics(harness)
+    assert change_state(harness, Transition.TRANSITION_CONFIGURE)
     harness.spin_until(lambda: harness.node.count_publishers("force") and harness.node.count_publishers("impact"))
-    assert change(harness, Transition.TRANSITION_ACTIVATE)
-    harness.spin_until(lambda: len(heard.impacts) >= 5)
-    assert change(harness, Transition.TRANSITION_DEACTIVATE)
-    live = [decode_impact(data) for data in heard.impacts]
+    assert change_state(harness, Transition.TRANSITION_ACTIVATE)
+    harness.spin_until(lambda: len(topics.impacts) >= 5)
+    assert change_state(harness, Transition.TRANSITION_DEACTIVATE)
+    live = [decode_impact(data) for data in topics.impacts]
 
-    def found() -> list[FoundImpact]:
+    def offline_impacts() -> list[ImpactValue]:
         detector = Detector(DetectionSettings())
-        return [impact for data in heard.blocks for impact in detector.feed(decode_force_block(data))]
+        return [impact for data in topics.blocks for impact in detector.feed(decode_force_block(data))]
 
-    harness.spin_until(lambda: len(found()) >= len(live))  # the blocks come on a way of their own
-    assert first_samples(heard)[0] == 0
-    assert found()[: len(live)] == live
+    harness.spin_until(lambda: len(offline_impacts()) >= len(live))  # blocks and impacts arrive independently
+    assert first_samples(topics)[0] == 0
+    assert offline_impacts()[: len(live)] == live
 
 
-def test_every_channel_has_topics_of_its_own(new_harness: Callable[..., NodeHarness]) -> None:
-    harness = started(new_harness, *SIM, "-p", "bench.channels:=3")  # the former name of the group
-    heard = [Heard(harness, channel) for channel in ("", "sim1", "sim2")]
-    harness.spin_until(lambda: all(len(each.blocks) >= 3 for each in heard))
-    frames = [decode_force_block(each.blocks[-1]).frame_id for each in heard]
+def test_each_channel_has_its_own_topics(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = start_node(new_harness, *SIM, "-p", "bench.channels:=3")  # the former name of the group
+    channels = [ForceTopics(harness, channel) for channel in ("", "sim1", "sim2")]
+    harness.spin_until(lambda: all(len(channel.blocks) >= 3 for channel in channels))
+    frames = [decode_force_block(channel.blocks[-1]).frame_id for channel in channels]
     assert frames == ["force_sensor", "force_sensor_sim1", "force_sensor_sim2"]
 
 
 def test_reset_tares(new_harness: Callable[..., NodeHarness]) -> None:
-    harness = started(new_harness, *SIM, "-p", "tare.time:=0.2", "-p", "sim.impact_period:=3600.0")
-    heard = Heard(harness)
-    harness.spin_until(lambda: heard.blocks and decode_force_block(heard.blocks[-1]).tare_stamp_ns)
-    first = decode_force_block(heard.blocks[-1])
+    harness = start_node(new_harness, *SIM, "-p", "tare.time:=0.2", "-p", "sim.impact_period:=3600.0")
+    topics = ForceTopics(harness)
+    harness.spin_until(lambda: topics.blocks and decode_force_block(topics.blocks[-1]).tare_stamp_ns)
+    first = decode_force_block(topics.blocks[-1])
     answer = harness.call_service(Trigger, "reset", Trigger.Request())
     assert answer.success
-    assert answer.message == "the next 0.2 s are taken for zero force"
-    harness.spin_until(lambda: decode_force_block(heard.blocks[-1]).tare_stamp_ns > first.tare_stamp_ns)
-    assert abs(decode_force_block(heard.blocks[-1]).tare) < 0.1
+    assert answer.message == "taring over the next 0.2 s"
+    harness.spin_until(lambda: decode_force_block(topics.blocks[-1]).tare_stamp_ns > first.tare_stamp_ns)
+    assert abs(decode_force_block(topics.blocks[-1]).tare) < 0.1
 
 
-def test_inactive_is_silent_and_does_not_acquire(new_harness: Callable[..., NodeHarness]) -> None:
-    harness = started(new_harness, *SIM, "-p", "autostart:=false")
-    heard = Heard(harness)
-    assert change(harness, Transition.TRANSITION_CONFIGURE)
+def test_inactive_node_publishes_and_acquires_nothing(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = start_node(new_harness, *SIM, "-p", "autostart:=false")
+    topics = ForceTopics(harness)
+    assert change_state(harness, Transition.TRANSITION_CONFIGURE)
     harness.spin_until(lambda: harness.node.count_publishers("force"))
     answer = harness.call_service(Trigger, "reset", Trigger.Request())
-    assert (answer.success, answer.message) == (False, "nothing is being acquired")
-    assert not heard.blocks
+    assert (answer.success, answer.message) == (False, "refused: no acquisition is running")
+    assert not topics.blocks
     for times in (1, 2):
-        assert change(harness, Transition.TRANSITION_ACTIVATE)
-        harness.spin_until(partial(has_begun, heard, times))
-        assert change(harness, Transition.TRANSITION_DEACTIVATE)
+        assert change_state(harness, Transition.TRANSITION_ACTIVATE)
+        harness.spin_until(partial(has_restarted, topics, times))
+        assert change_state(harness, Transition.TRANSITION_DEACTIVATE)
 
 
-def has_begun(heard: Heard, times: int) -> bool:
-    """Whether the numbering has begun so many times, and gone on since."""
-    numbers = first_samples(heard)
+def has_restarted(topics: ForceTopics, times: int) -> bool:
+    """Return whether the numbering started at 0 `times` times and continued."""
+    numbers = first_samples(topics)
     return numbers.count(0) == times and numbers[-1] > 0
 
 
-def test_a_recording_is_played_to_its_end_and_that_ends_the_process(
+def test_stop_at_end_plays_the_recording_and_ends_the_process(
     new_harness: Callable[..., NodeHarness], tmp_path: Path
 ) -> None:
     harness = new_harness(name="daq")
-    heard = Heard(harness)
-    words = ["-p", "source:=bag", "-p", f"bag.path:={recording(tmp_path)}", "-p", "stop_at_end:=true"]
+    topics = ForceTopics(harness)
+    words = ["-p", "source:=bag", "-p", f"bag.path:={write_recording(tmp_path)}", "-p", "stop_at_end:=true"]
     words += ["-p", "bag.rate:=0.0", "-p", "autostart:=false"]
     process = harness.start("--ros-args", *words, command=[str(EXECUTABLE)])
-    assert change(harness, Transition.TRANSITION_CONFIGURE)
+    assert change_state(harness, Transition.TRANSITION_CONFIGURE)
     harness.spin_until(lambda: harness.node.count_publishers("force") and harness.node.count_publishers("impact"))
-    assert change(harness, Transition.TRANSITION_ACTIVATE)
+    assert change_state(harness, Transition.TRANSITION_ACTIVATE)
     harness.process_may_end = True
-    harness.spin_until(lambda: len(heard.blocks) == 15 and len(heard.impacts) == 2)
+    harness.spin_until(lambda: len(topics.blocks) == 15 and len(topics.impacts) == 2)
     process.communicate()
     assert process.returncode == 0
-    blocks = [decode_force_block(data) for data in heard.blocks]
+    blocks = [decode_force_block(data) for data in topics.blocks]
     assert [block.stamp_ns for block in blocks] == [1_800_000_000 * S + i * S // 10 for i in range(15)]
-    impacts = [decode_impact(data) for data in heard.impacts]
+    impacts = [decode_impact(data) for data in topics.impacts]
     assert [i.peak_force for i in impacts] == pytest.approx([100.0, 100.0], rel=0.01)
     onsets = [(i.stamp_ns - 1_800_000_000 * S) / 1e9 for i in impacts]
     assert onsets == pytest.approx([0.6, 1.1], abs=1e-4)
 
 
-def test_a_subscriber_that_does_not_listen_costs_the_others_nothing(new_harness: Callable[..., NodeHarness]) -> None:
-    harness = started(new_harness, *SIM)
+def test_stuck_subscriber_does_not_delay_others(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = start_node(new_harness, *SIM)
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=harness.domain, signal_handler_options=SignalHandlerOptions.NO)
     asleep = rclpy.create_node("asleep", context=context)
-    asleep.create_subscription(ForceBlock, "force", print, QoSProfile(depth=1))  # nobody spins it
-    heard = Heard(harness)
+    asleep.create_subscription(ForceBlock, "force", print, QoSProfile(depth=1))  # never spun
+    topics = ForceTopics(harness)
     try:
         harness.spin_until(lambda: harness.node.count_subscribers("force") == 2)
-        heard.blocks.clear()
-        harness.spin_until(lambda: len(heard.blocks) >= 20)
+        topics.blocks.clear()
+        harness.spin_until(lambda: len(topics.blocks) >= 20)
     finally:
         asleep.destroy_node()
         context.try_shutdown()
-    blocks = [decode_force_block(data) for data in heard.blocks]
+    blocks = [decode_force_block(data) for data in topics.blocks]
     assert blocks[-1].first_sample - blocks[0].first_sample == sum(len(block.force) for block in blocks[:-1])
 
 
@@ -265,11 +267,11 @@ def test_a_subscriber_that_does_not_listen_costs_the_others_nothing(new_harness:
         ("block_time:=0.1", "the driver NI-DAQmx is not installed; install it from ni.com/downloads"),
     ],
 )
-def test_what_it_cannot_use_is_named_in_one_line(refusal_of: Callable[..., str], argument: str, line: str) -> None:
+def test_invalid_parameter_is_refused_in_one_line(refusal_of: Callable[..., str], argument: str, line: str) -> None:
     assert refusal_of(DaqNode, argument).startswith(line)
 
 
-def test_what_the_filter_needs_is_loaded_before_samples_come(
+def test_filter_is_imported_at_configure(
     own_domain: int,  # noqa: ARG001 - where it is alone
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -287,8 +289,8 @@ def test_what_the_filter_needs_is_loaded_before_samples_come(
         rclpy.try_shutdown()
 
 
-def test_without_a_driver_it_ends_with_one_line_and_2(new_harness: Callable[..., NodeHarness]) -> None:
-    process = started(new_harness).process
+def test_missing_driver_exits_with_2_and_one_line(new_harness: Callable[..., NodeHarness]) -> None:
+    process = start_node(new_harness).process
     assert process is not None
     output, errors = process.communicate()
     assert (process.returncode, output) == (2, "")
@@ -296,11 +298,9 @@ def test_without_a_driver_it_ends_with_one_line_and_2(new_harness: Callable[...,
     assert only.startswith("the driver NI-DAQmx is not installed")
 
 
-def test_a_recording_that_is_not_there_ends_it_with_one_line_and_2(
-    new_harness: Callable[..., NodeHarness], tmp_path: Path
-) -> None:
+def test_missing_recording_exits_with_2_and_one_line(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> None:
     missing = tmp_path / "missing.mcap"
-    process = started(new_harness, "-p", "source:=bag", "-p", f"bag.path:={missing}").process
+    process = start_node(new_harness, "-p", "source:=bag", "-p", f"bag.path:={missing}").process
     assert process is not None
     _, errors = process.communicate()
     assert process.returncode == 2
@@ -308,18 +308,18 @@ def test_a_recording_that_is_not_there_ends_it_with_one_line_and_2(
     assert len(errors.splitlines()) == 1
 
 
-def test_running_it_takes_no_other_parameters(new_harness: Callable[..., NodeHarness]) -> None:
-    harness = started(new_harness, *SIM)
-    heard = Heard(harness)
-    harness.spin_until(lambda: heard.blocks)
+def test_parameters_are_read_only_while_running(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = start_node(new_harness, *SIM)
+    topics = ForceTopics(harness)
+    harness.spin_until(lambda: topics.blocks)
     assert "read-only" in harness.set_parameters(**{"sensor.sensitivity": 3.0})
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ends_with_0_when_told_to(new_harness: Callable[..., NodeHarness], number: signal.Signals) -> None:
-    harness = started(new_harness, *SIM)
-    heard = Heard(harness)
-    harness.spin_until(lambda: heard.blocks)
+def test_signal_exits_with_0(new_harness: Callable[..., NodeHarness], number: signal.Signals) -> None:
+    harness = start_node(new_harness, *SIM)
+    topics = ForceTopics(harness)
+    harness.spin_until(lambda: topics.blocks)
     assert harness.process is not None
     harness.process.send_signal(number)
     output, errors = harness.process.communicate()
