@@ -9,7 +9,6 @@ import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, NoReturn
 
-from scara_effmass import __doc__ as purpose
 from scara_effmass import __version__
 from scara_effmass.errors import EffmassError
 
@@ -96,7 +95,7 @@ def _split(argv: Sequence[str]) -> tuple[list[str], list[str]]:
 def _parser(arguments: list[str]) -> argparse.ArgumentParser:
     parser = _Parser(
         prog="scara-effmass",
-        description=purpose,
+        description="Assess a robot's effective mass by ISO/TS 15066, measure impacts, and validate the predictions.",
         epilog="'scara-effmass COMMAND --help' gives a command's options and examples. Bad input exits with 2.",
     )
     parser.add_argument("--version", action="version", version=f"scara-effmass {__version__}")

@@ -30,9 +30,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the node until a signal ends it."""
-    from scara_effmass.nodes.monitor_node import NodeSettings, main  # noqa: PLC0415 - rclpy, only when the node runs
+    from scara_effmass.nodes.monitor_node import NodeSettings, main  # noqa: PLC0415 - loads rclpy
 
     if args.params:
-        load_settings(NodeSettings, args.params, "monitor")  # an invalid file gives one line here, ten in ROS
+        load_settings(NodeSettings, args.params, "monitor")  # one error line; ROS would print ten
     overrides = {name: getattr(args, name) for name in ("robot", "effective_mass_model")}
     return main(node_arguments(args.params, overrides, args.ros_arguments))

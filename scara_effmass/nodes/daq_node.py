@@ -96,7 +96,7 @@ class DaqNode(LifecycleBase):
                 )
             )
             self._outputs.append(_Output(force, impact, wrench, settings))
-        self._owned.callback(self._outputs.clear)
+        self.own(self._outputs, list.clear)
         self._diagnostics = Diagnostics(self, self._statuses)
         self.own(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
 

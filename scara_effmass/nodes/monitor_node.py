@@ -6,7 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
-from rclpy.clock import JumpThreshold
+from rclpy.clock import JumpHandle, JumpThreshold
 from rclpy.duration import Duration
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
@@ -70,7 +70,7 @@ class MonitorNode(LifecycleBase):
 
     def configure(self) -> None:
         """Load the robot and create the endpoints. Raises EffmassError."""
-        self._owned.callback(self._forget_robot)
+        self.own(self, MonitorNode._forget_robot)
         self._decoder = JointStateDecoder()
         self._health = MonitorHealth(self.get_name())
         self._decision: Decision | None = None
@@ -113,7 +113,7 @@ class MonitorNode(LifecycleBase):
         self._watchdog = self.create_steady_timer(self._watchdog_period_s(), self._on_watchdog)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         jump = self.get_clock().create_jump_callback(backwards, post_callback=self._on_clock_jump)
-        self._owned.callback(jump.unregister)
+        self.own(jump, JumpHandle.unregister)
 
     def activate(self) -> None:
         """Start to publish and to count silence."""
