@@ -143,7 +143,7 @@ class Monitor:
         """Return the factor (0-1) that brings the reference speed down to the allowable speed."""
         reference_speed = self.settings.reference_speed or contact.speed
         allowable_speed = contact.allowable_speed
-        if allowable_speed <= 0.0:
+        if contact.verdict is Verdict.UNKNOWN or allowable_speed <= 0.0:
             return 0.0
         return 1.0 if reference_speed <= allowable_speed else allowable_speed / reference_speed
 
