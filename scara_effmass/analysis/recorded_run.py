@@ -9,8 +9,11 @@ from scara_effmass.bags import run_info
 from scara_effmass.bags.definitions import check_definition
 from scara_effmass.errors import BagError, DecodeError, SettingsError
 from scara_effmass.impacts.run_info import check_run_info
+from scara_effmass.importers.force import import_force
+from scara_effmass.settings import ImportSettings
+from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.force import decode_force_block, decode_impact
-from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT
+from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, WRENCH, WRENCH_STAMPED
 
 if TYPE_CHECKING:
     from collections import Counter
@@ -21,8 +24,8 @@ if TYPE_CHECKING:
     from scara_effmass.bags.batches import Topic
     from scara_effmass.values import ForceBlock, Impact, RunInfo
 
-USUAL = {FORCE_BLOCK: "force", IMPACT: "impact"}
-"""Where the suite publishes what is measured, the surer kind first: impacts can be found anew in force blocks."""
+USUAL = {FORCE_BLOCK: "force", IMPACT: "impact", WRENCH_STAMPED: "wrench", WRENCH: "wrench"}
+"""Usual topic of each type of measurement, in the order of preference."""
 
 
 class Measured(NamedTuple):
@@ -48,13 +51,14 @@ def run_infos(bag: Bag) -> list[RunInfo]:
 
 
 def measured_topic(bag: Bag, asked: str | None) -> Topic:
-    """Return the topic of the force blocks, or else of the impacts: the one asked for, else `force` (`impact`).
+    """Return the topic `asked`, or the one of the first type in USUAL that the bag has.
 
-    Raises BagError, with those there are, when that leaves none or several.
+    Of several topics of that type, the one with the usual name is taken. Raises BagError, with the topics of these
+    types, when none or several remain.
     """
     found = [topic for kind in USUAL for topic in bag.topics if topic.type == kind and topic.count]
     if not found:
-        raise BagError(f"{bag.path}: must hold {FORCE_BLOCK} or {IMPACT}, as daq publishes them")
+        raise BagError(f"{bag.path}: must hold {FORCE_BLOCK} or {IMPACT}, as daq publishes them, or {WRENCH_STAMPED}")
     surest = [topic for topic in found if topic.type == found[0].type]
     if asked is not None:
         chosen = [topic for topic in found if topic.name.lstrip("/") == asked.lstrip("/")]
@@ -67,10 +71,14 @@ def measured_topic(bag: Bag, asked: str | None) -> Topic:
 
 
 def measured(bag: Bag, topic: Topic, unreadable: Counter[str]) -> Iterator[Measured]:
-    """Yield the force blocks or impacts of `topic`; what cannot be decoded is counted, by why, in `unreadable`.
+    """Yield the force blocks or impacts of `topic`; count messages that cannot be decoded in `unreadable`.
 
-    Raises BagError when the recording has another definition of the type.
+    Wrenches are imported as force blocks; the force is their z component. Raises BagError when the recording has
+    another definition of the type, or wrenches cannot be imported.
     """
+    if topic.type in {WRENCH_STAMPED, WRENCH}:
+        yield from _imported(bag, topic)
+        return
     check_definition(bag.types, topic.type, str(bag.path))
     for message in bag.messages([topic.name]):
         if message.type != topic.type:
@@ -80,6 +88,16 @@ def measured(bag: Bag, topic: Topic, unreadable: Counter[str]) -> Iterator[Measu
             yield Measured(message.log_time_ns, decode(message.data))
         except DecodeError as error:
             unreadable[f"{bag.path}: {topic.name}: left out: {error}"] += 1
+
+
+def _imported(bag: Bag, topic: Topic) -> Iterator[Measured]:
+    """Yield the imported force of a topic of wrenches; log times keep their distance from the stamps of the first."""
+    first_log_ns = next(message.log_time_ns for message in bag.messages([topic.name]))
+    first_stamp_ns: int | None = None
+    for block in import_force(bag.path, ImportSettings(topic=topic.name)).blocks:
+        first_stamp_ns = block.stamp_ns if first_stamp_ns is None else first_stamp_ns
+        end_ns = block.stamp_ns + round(len(block.force) / block.sample_rate * NS)
+        yield Measured(first_log_ns + end_ns - first_stamp_ns, block)
 
 
 def in_order(states: Iterator[Cycle], forces: Iterator[Measured]) -> Iterator[Cycle | Measured]:

@@ -43,7 +43,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="DIR", help="folder for the report")
     add_topic(parser)
     parser.add_argument(
-        "--force-topic", metavar="TOPIC", help="topic of the force blocks or impacts (default: force, or the only one)"
+        "--force-topic",
+        metavar="TOPIC",
+        help="topic of force blocks, impacts or wrenches (default: force, or the only one)",
     )
     parser.add_argument(
         "--obstacle-mass",

@@ -12,7 +12,7 @@ import pytest
 
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.messages import serialized
+from scara_effmass.bags.messages import header, message, serialized
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
@@ -23,7 +23,7 @@ from scara_effmass.settings import MassModel, ValidatorSettings
 from scara_effmass.values import JointState
 from scara_effmass.wire.force import impact_message
 from scara_effmass.wire.joint_state import joint_state_message
-from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE, RUN_INFO, STRING
+from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE, RUN_INFO, STRING, WRENCH, WRENCH_STAMPED
 from scara_effmass.wire.topics import RECORDING_INFO
 
 if TYPE_CHECKING:
@@ -150,6 +150,32 @@ def test_recorded_impacts_serve_where_there_is_no_force(
     (impact,), expected = found.result.impacts, validation.result.impacts[0]
     for name in ("stamp_ns", "measured_force", "speed", "effective_mass", "reduced_mass", "obstacle_mass"):
         assert getattr(impact, name) == getattr(expected, name)
+
+
+def test_wrenches_are_imported_where_there_is_neither_force_nor_impact(
+    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path, validation: Validation
+) -> None:
+    path = tmp_path / "wrenches"
+    zero = message("geometry_msgs/msg/Vector3", dict.fromkeys("xyz", 0.0))
+    with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
+        for item in bag.messages():
+            if item.type != FORCE_BLOCK:
+                writer.write(*item)
+        for block in bag.force_blocks("/force"):
+            for number, force in enumerate(block.force.tolist()):
+                stamp_ns = block.stamp_ns + round(number / block.sample_rate * S)
+                along_z = message("geometry_msgs/msg/Vector3", {"x": 0.0, "y": 0.0, "z": force})
+                wrench = message(WRENCH, {"force": along_z, "torque": zero})
+                fields = {"header": header(stamp_ns, "ft"), "wrench": wrench}
+                writer.write("/ft_sensor", WRENCH_STAMPED, stamp_ns + S // 1000, serialized(WRENCH_STAMPED, fields))
+    result = validate([path], dynamics, SETTINGS)
+    (recording,) = result.recordings
+    assert (recording.force_topic, recording.lost_samples) == ("/ft_sensor", 0)
+    assert recording.sources == ("wrenches, /ft_sensor force.z",)
+    (impact,), expected = result.result.impacts, validation.result.impacts[0]
+    assert impact.stamp_ns == pytest.approx(expected.stamp_ns, abs=S / 12_800)
+    for name in ("measured_force", "speed", "effective_mass", "reduced_mass", "obstacle_mass"):
+        assert getattr(impact, name) == pytest.approx(getattr(expected, name), rel=1e-3)
 
 
 def test_the_largest_mass_can_be_judged(campaign: list[Path], dynamics: RobotDynamics) -> None:
