@@ -38,6 +38,9 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD_BYTES = 22
 """Channel (2), sequence (4), log time (8) and publish time (8) in front of the message."""
+MESSAGE_INDEX_HEAD_BYTES = RECORD_HEAD.size + 6
+"""Record head, channel (2) and size of the entries (4) in front of the entries of a message index."""
+MESSAGE_INDEX_ENTRY_BYTES = 16
 FOOTER_BYTES = RECORD_HEAD.size + 20
 MAX_CHUNK_BYTES = 1 << 30
 MAX_RUN_BYTES = 1 << 20
@@ -253,18 +256,25 @@ class McapFile:
             self._losses.add(f"{self.path}: messages of channel {channel}, which the file does not define, are lost")
 
     def _index_by_summary(self) -> bool:
-        """Take chunks, channels and counts from the summary; return whether they are consistent."""
+        """Take chunks, channels and counts from the summary; return whether they are consistent.
+
+        They are not if a message is outside the chunks: the sizes of the message indexes give the messages in chunks.
+        """
         summary = read_summary(self._file)
         if summary is None or summary.statistics is None:
             return False
         self.schemas, self.channels = dict(summary.schemas), dict(summary.channels)
         statistics, indexes = summary.statistics, summary.chunk_indexes
         counts = statistics.channel_message_counts
+        index_bytes = sum(
+            index.message_index_length - MESSAGE_INDEX_HEAD_BYTES * len(index.message_index_offsets)
+            for index in indexes
+        )
         if (
             not counts.keys() <= summary.channels.keys()
             or statistics.message_count != sum(counts.values())
             or statistics.chunk_count != len(indexes)
-            or (statistics.message_count and not indexes)
+            or statistics.message_count * MESSAGE_INDEX_ENTRY_BYTES != index_bytes
             or any(not index.message_start_time <= index.message_end_time <= MAX_TIME_NS for index in indexes)
         ):
             return False

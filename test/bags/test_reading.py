@@ -16,6 +16,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import DataEnd, Footer
+from mcap.records import Message as McapMessage
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Ros1Writer
@@ -391,6 +396,33 @@ def test_a_damaged_chunk_that_alone_described_the_channels_is_named(tmp_path: Pa
     damage_first_chunk(path)
     with pytest.raises(BagError, match=r"chunk at byte .* is lost: .*messages of channel 1, which the file"):
         open_bag(path)
+
+
+def test_message_outside_the_chunks_of_an_indexed_file_is_read(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", MIXED[:-1])
+    last = MIXED[-1]
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    (channel,) = (channel for channel in summary.channels.values() if channel.topic == last.topic)
+    statistics = summary.statistics
+    statistics.message_count += 1
+    statistics.channel_message_counts[channel.id] += 1
+    statistics.message_end_time = last.log_time_ns
+    data = path.read_bytes()
+    chunks = data[: data.rindex(bytes([Opcode.DATA_END, 4, 0, 0, 0, 0, 0, 0, 0]))]
+    records = RecordBuilder()
+    McapMessage(channel.id, last.log_time_ns, last.data, last.log_time_ns, 0).write(records)
+    DataEnd(0).write(records)
+    footer = Footer(summary_crc=0, summary_offset_start=0, summary_start=len(chunks) + records.count)
+    definitions = (*summary.schemas.values(), *summary.channels.values())
+    for record in (*definitions, statistics, *summary.chunk_indexes, footer):
+        record.write(records)
+    path.write_bytes(chunks + records.end() + data[:8])  # type: ignore[no-untyped-call]
+    with open_bag(path) as bag:
+        assert read(bag) == MIXED
+        assert bag.losses == ()
 
 
 def test_chunks_whose_times_are_nonsense_are_read_all_the_same(tmp_path: Path) -> None:
