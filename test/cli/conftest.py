@@ -1,4 +1,4 @@
-"""The command line as a user has it: a process of its own."""
+"""Recordings, and the command line in this process or in one of its own."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ JOINTS = ("joint1", "joint2", "joint3", "joint4")
 
 
 def swing(count: int) -> Iterator[JointState]:
-    """Yield a swing of the shipped robot, slow and too fast by turns, `STEP_NS` apart."""
+    """Yield joint states of the shipped robot every `STEP_NS`, some below and some above the allowable speed."""
     t = np.arange(count) * STEP_NS / 1e9
     swell = 0.5 + 0.4 * np.sin(0.7 * t)
     q = np.stack(
@@ -57,25 +57,36 @@ def long_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def cli(tmp_path: Path, domain: dict[str, str]) -> Cli:
-    """Run `python -m scara_effmass` with arguments, in an empty folder."""
+def cli_process(tmp_path: Path, domain: dict[str, str]) -> Cli:
+    """Run `python -m scara_effmass` in a process of its own, in an empty folder."""
 
     def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", "scara_effmass", *map(str, arguments)],
-            cwd=tmp_path,
-            env=domain,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        command = [sys.executable, "-m", "scara_effmass", *map(str, arguments)]
+        return subprocess.run(command, cwd=tmp_path, env=domain, capture_output=True, text=True, check=False)
+
+    return run
+
+
+@pytest.fixture
+def cli(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Cli:
+    """Run a command in this process, in an empty folder."""
+
+    def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+        monkeypatch.chdir(tmp_path)
+        command = [str(argument) for argument in arguments]
+        try:
+            code = main(command)
+        except SystemExit as end:  # argparse
+            code = int(end.code or 0)
+        output, errors = capsys.readouterr()
+        return subprocess.CompletedProcess(command, code, output, errors)
 
     return run
 
 
 @pytest.fixture
 def refused(cli: Cli, tmp_path: Path) -> Callable[..., str]:
-    """Run what must be refused, with one line and exit code 2 and nothing left behind; return that line."""
+    """Run a command that must fail with exit code 2, leave no file, and print one line, which is returned."""
 
     def run(*arguments: str) -> str:
         done = cli(*arguments)
@@ -89,28 +100,14 @@ def refused(cli: Cli, tmp_path: Path) -> Callable[..., str]:
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Cli:
-    """Do the same as `cli` within this process, which is faster."""
-
-    def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-        monkeypatch.chdir(tmp_path)
-        words = [str(argument) for argument in arguments]
-        code = main(words)
-        output, errors = capsys.readouterr()
-        return subprocess.CompletedProcess(words, code, output, errors)
-
-    return run
-
-
-@pytest.fixture
-def domain(own_domain: int) -> dict[str, str]:  # noqa: ARG001 - it is in there
-    """The environment of `cli`, and of this process: a ROS domain of this test, on this machine."""
+def domain(own_domain: int) -> dict[str, str]:  # noqa: ARG001 - sets os.environ
+    """Environment with a ROS domain of this test, on this machine."""
     return dict(os.environ)
 
 
 @pytest.fixture
 def start(domain: dict[str, str]) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start `python -m scara_effmass` with arguments; what still runs at the end of the test is ended."""
+    """Start `python -m scara_effmass` with arguments; kill it at the end of the test if it still runs."""
     with ExitStack() as running:
 
         def run(*arguments: str | Path) -> subprocess.Popen[str]:

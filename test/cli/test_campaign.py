@@ -31,39 +31,39 @@ def stated(path: Path) -> RunInfo:
     return info
 
 
-def test_it_records_then_keeps_then_replaces(here: Cli, tmp_path: Path) -> None:
+def test_it_records_then_keeps_then_replaces(cli: Cli, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "campaign"
-    first = here("campaign", "-o", folder, *SMALL)
+    first = cli("campaign", "-o", folder, *SMALL)
     assert (first.returncode, first.stderr) == (0, "")
     assert "2 impacts in the simulated cell (MuJoCo); nothing was measured" in first.stdout
     assert "kept" not in first.stdout
     assert [bag.name for bag in find_bags(folder)] == ["300_0_500g_1", "300_0_500g_2"]
     assert stated(folder / "300_0_500g_1").simulated
 
-    again = here("campaign", "-o", folder, *SMALL, "--json")
+    again = cli("campaign", "-o", folder, *SMALL, "--json")
     result = json.loads(again.stdout)
     assert result["simulated"] is True
     assert (result["made"], result["kept"]) == (0, 2)
     assert [run["obstacle_mass_kg"] for run in result["runs"]] == [0.5, 0.5]
-    assert "kept            2 existing recordings" in here("campaign", "-o", folder, *SMALL).stdout
+    assert "kept            2 existing recordings" in cli("campaign", "-o", folder, *SMALL).stdout
 
-    other = here("campaign", "-o", folder, *SMALL, "--seed", "1")
+    other = cli("campaign", "-o", folder, *SMALL, "--seed", "1")
     assert other.returncode == 2
     assert other.stderr.count("\n") == 1
     assert "not of this run" in other.stderr
-    replaced = here("campaign", "-o", folder, *SMALL, "--seed", "1", "--force", "--json")
+    replaced = cli("campaign", "-o", folder, *SMALL, "--seed", "1", "--force", "--json")
     assert (json.loads(replaced.stdout)["made"], json.loads(replaced.stdout)["seed"]) == (2, 1)
 
 
-def test_the_tip_is_as_asked_for(here: Cli, tmp_path: Path) -> None:
+def test_the_tip_is_as_asked_for(cli: Cli, tmp_path: Path) -> None:
     tip = ("--stiffness", "500", "--damping", "20", "--friction", "0.2")
     one = (*SMALL[:-1], "1")
-    result = json.loads(here("campaign", "-o", tmp_path / "soft", *one, *tip, "--json").stdout)
+    result = json.loads(cli("campaign", "-o", tmp_path / "soft", *one, *tip, "--json").stdout)
     assert (result["stiffness"], result["exponent"], result["damping"], result["friction"]) == (5e5, 1.0, 20.0, 0.2)
     info = stated(tmp_path / "soft" / "300_0_500g_1")
     assert info.contact_stiffness == 5e5
     assert {"damping = 20.0", "friction = 0.2"} <= set(info.note.splitlines())
-    done = here("campaign", "-o", tmp_path / "hertz", *one, "--hertz")
+    done = cli("campaign", "-o", tmp_path / "hertz", *one, "--hertz")
     assert "Hertz contact 3400 N/mm^1.5" in done.stdout
     info = stated(tmp_path / "hertz" / "300_0_500g_1")
     assert info.contact_exponent == 1.5
@@ -87,10 +87,10 @@ def test_the_tip_is_as_asked_for(here: Cli, tmp_path: Path) -> None:
     ],
 )
 def test_bad_options_are_refused_before_anything_is_written(
-    here: Cli, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], named: str
+    cli: Cli, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], named: str
 ) -> None:
     try:
-        done = here("campaign", "-o", tmp_path / "out", *options)
+        done = cli("campaign", "-o", tmp_path / "out", *options)
         code, errors = done.returncode, done.stderr
     except SystemExit as exit_:  # what the parser itself refuses
         code, errors = exit_.code if isinstance(exit_.code, int) else 0, capsys.readouterr().err
@@ -100,14 +100,14 @@ def test_bad_options_are_refused_before_anything_is_written(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_that_cannot_be_made_is_an_error(here: Cli, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_an_error(cli: Cli, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    done = here("campaign", "-o", tmp_path / "file", *SMALL)
+    done = cli("campaign", "-o", tmp_path / "file", *SMALL)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
 
 
-def test_an_interruption_leaves_whole_bags_and_the_rest_is_made_later(here: Cli, tmp_path: Path, start: Start) -> None:
+def test_an_interruption_leaves_whole_bags_and_the_rest_is_made_later(cli: Cli, tmp_path: Path, start: Start) -> None:
     folder = tmp_path / "out"
     process = start("campaign", "-o", folder, *SMALL[:-1], "50")
     while process.poll() is None and not (folder / "300_0_500g_2").exists():
@@ -118,5 +118,5 @@ def test_an_interruption_leaves_whole_bags_and_the_rest_is_made_later(here: Cli,
     bags = sorted(folder.iterdir())
     assert 2 <= len(bags) < 50
     assert all(stated(bag).simulated for bag in bags)
-    done = here("campaign", "-o", folder, *SMALL[:-1], str(len(bags)), "--json")
+    done = cli("campaign", "-o", folder, *SMALL[:-1], str(len(bags)), "--json")
     assert json.loads(done.stdout)["kept"] == len(bags)

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 DRAWN = [f"figure_{number}" for number in (6, 7, 8, 9, 10, 11, 12, 14, 15, 17, 18, 19)]
 
 
-def test_everything_is_written_and_said(here: Cli, tmp_path: Path) -> None:
+def test_everything_is_written_and_said(cli: Cli, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "figures"
-    done = here("figures", "-o", folder, "--json")
+    done = cli("figures", "-o", folder, "--json")
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads(done.stdout)
     assert result["output"] == str(folder)
@@ -39,30 +39,30 @@ def test_everything_is_written_and_said(here: Cli, tmp_path: Path) -> None:
         assert height > 500
     assert json.loads((folder / "claims.json").read_text(encoding="utf-8"))["claims"] == result["claims"]
 
-    refused = here("figures", "-o", folder)
+    refused = cli("figures", "-o", folder)
     assert refused.returncode == 2
     assert refused.stderr.count("\n") == 1
     assert "--force" in refused.stderr
 
 
-def test_a_folder_without_impacts_is_refused(here: Cli, tmp_path: Path) -> None:
+def test_a_folder_without_impacts_is_refused(cli: Cli, tmp_path: Path) -> None:
     for campaign in (tmp_path / "nowhere", share("bags", "tour")):
-        done = here("figures", "-o", tmp_path / "out", "--campaign", campaign)
+        done = cli("figures", "-o", tmp_path / "out", "--campaign", campaign)
         assert done.returncode == 2
         assert done.stderr.count("\n") == 1
         assert str(campaign) in done.stderr
         assert not (tmp_path / "out").exists()
 
 
-def test_a_file_in_the_way_is_refused(here: Cli, tmp_path: Path) -> None:
+def test_a_file_in_the_way_is_refused(cli: Cli, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    done = here("figures", "-o", tmp_path / "file")
+    done = cli("figures", "-o", tmp_path / "file")
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "file" in done.stderr
 
 
-def test_the_folder_must_be_named(cli: Cli) -> None:
-    done = cli("figures")
+def test_the_folder_must_be_named(cli_process: Cli) -> None:
+    done = cli_process("figures")
     assert done.returncode == 2
     assert "-o" in done.stderr

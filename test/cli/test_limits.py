@@ -1,4 +1,4 @@
-"""`limits`: the standard's table and the speeds of `iso15066`, as printed."""
+"""`limits`: the printed table and speeds are those of `iso15066`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def result(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
     return table
 
 
-def test_the_whole_table_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_contains_the_whole_table(capsys: pytest.CaptureFixture[str]) -> None:
     table = result(capsys)
     assert (table["edition"], table["hash"]) == (EDITION, TABLE_HASH)
     assert [point["clause"] for point in table["body_points"]] == [point.clause for point in BODY_POINTS]
@@ -33,25 +33,25 @@ def test_the_whole_table_is_there(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("contact", ContactType)
-def test_speeds_are_those_of_the_limits(contact: ContactType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_speeds_match_the_limits(contact: ContactType, capsys: pytest.CaptureFixture[str]) -> None:
     speeds = result(capsys, "--mass", "0.97", "--mass", "2.77", "--contact", contact.value)["allowable_speeds"]
     limits = limits_for(MonitorSettings(contact=contact))
     assert len(speeds) == 2 * len(limits)
     for row in speeds:
         (limit,) = (limit for limit in limits if limit.region == row["region"])
-        ceiling = SpeedLimits([limit]).speed_limit(row["effective_mass_kg"])
-        assert row["allowable_speed_m_s"] == ceiling.allowable_speed
-        assert row["criterion"] == ceiling.criterion
+        speed_limit = SpeedLimits([limit]).speed_limit(row["effective_mass_kg"])
+        assert row["allowable_speed_m_s"] == speed_limit.allowable_speed
+        assert row["criterion"] == speed_limit.criterion
         assert row["clause"] == limit.clause
 
 
-def test_the_reference_speeds_of_a_hand_come_out(capsys: pytest.CaptureFixture[str]) -> None:
-    # ISO/TS 15066, worked by hand: 280 N / sqrt(mu * 75 N/mm), mu of 0.6 kg with 0.97 and 2.77 kg.
+def test_hand_has_the_reference_speeds(capsys: pytest.CaptureFixture[str]) -> None:
+    # ISO/TS 15066, by hand: 280 N / sqrt(mu * 75 N/mm), mu of 0.6 kg with 0.97 and 2.77 kg.
     speeds = result(capsys, "--mass", "0.97", "--mass", "2.77", "--region", "hand_fingers")["allowable_speeds"]
     assert [round(1e3 * row["allowable_speed_m_s"]) for row in speeds] == [1679, 1456]
 
 
-def test_the_text_holds_every_row_the_units_and_the_tightest(capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_contains_every_row_the_units_and_the_lowest_speed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["limits", "--mass", "2.77"]) == 0
     text = capsys.readouterr().out
     for point in BODY_POINTS:
@@ -63,11 +63,11 @@ def test_the_text_holds_every_row_the_units_and_the_tightest(capsys: pytest.Capt
     assert "…" not in text
 
 
-def test_an_own_limit_of_the_parameter_file_counts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_max_force_parameter_overrides_the_standard(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "cell.yaml"
     file.write_text("/**:\n  ros__parameters:\n    max_force: 100.0\n", encoding="utf-8")
     words = ("--mass", "2.77", "--region", "hand_fingers")
     (standard,) = result(capsys, *words)["allowable_speeds"]
-    (own,) = result(capsys, *words, "--params", str(file))["allowable_speeds"]
-    assert own["allowable_speed_m_s"] == pytest.approx(standard["allowable_speed_m_s"] * 100.0 / 280.0)
-    assert "own limit" in own["clause"]
+    (custom,) = result(capsys, *words, "--params", str(file))["allowable_speeds"]
+    assert custom["allowable_speed_m_s"] == pytest.approx(standard["allowable_speed_m_s"] * 100.0 / 280.0)
+    assert "own limit" in custom["clause"]

@@ -1,4 +1,4 @@
-"""`monitor`, `replay` and `demo`: real nodes, real DDS, in a domain of their own."""
+"""`monitor`, `replay` and `demo --bag`: real nodes over DDS, in a ROS domain of the test."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ import signal
 import socket
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
 from xml.etree import ElementTree as ET
 
 import pytest
 
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.cli import COMMANDS, main
+from scara_effmass.cli import main
 from scara_effmass.cli.options import node_arguments
 from scara_effmass.cli.processes import isolate_ros_domain
 from scara_effmass.share import share
@@ -33,39 +34,34 @@ PNG = b"\x89PNG\r\n\x1a\n"
 def test_options_of_a_node_become_ros_arguments(tmp_path: Path) -> None:
     file = tmp_path / "cell.yaml"
     file.write_text("/**:\n  ros__parameters:\n    timeout: 0.1\n", encoding="utf-8")
-    own = ["--ros-args", "-p", "timeout:=0.3"]
-    words = node_arguments(file, {"robot": "1e5", "effective_mass_model": "iso", "other": None}, own)
+    ros_arguments = ["--ros-args", "-p", "timeout:=0.3"]
+    words = node_arguments(file, {"robot": "1e5", "effective_mass_model": "iso", "other": None}, ros_arguments)
     options = ["-p", 'robot:="1e5"', "-p", 'effective_mass_model:="iso"', "--"]
-    assert words == ["--ros-args", "--params-file", str(file), *options, *own]
+    assert words == ["--ros-args", "--params-file", str(file), *options, *ros_arguments]
 
 
 @pytest.mark.parametrize("words", [["--", "-p", "timeout:=0.3"], ["--ros-args", "-p", "timeout:=0.3"]], ids=" ".join)
 def test_ros_arguments_reach_the_node(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[list[str]] = []
-
-    def node(words: list[str]) -> int:
-        seen.append(words)
-        return 7
-
-    monkeypatch.setattr("scara_effmass.nodes.monitor_node.main", node)
+    node_main = Mock(return_value=7)
+    monkeypatch.setattr("scara_effmass.nodes.monitor_node.main", node_main)
     assert main(["monitor", *words]) == 7
-    assert seen == [["--ros-args", "--", "--ros-args", "-p", "timeout:=0.3"]]
+    node_main.assert_called_once_with(["--ros-args", "--", "--ros-args", "-p", "timeout:=0.3"])
 
 
-def test_a_node_that_cannot_start_says_why_in_one_line(cli: Cli) -> None:
-    done = cli("monitor", "--", "-p", "no_such_parameter:=1")
+def test_unknown_node_parameter_gives_one_line(cli_process: Cli) -> None:
+    done = cli_process("monitor", "--", "-p", "no_such_parameter:=1")
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith("monitor: no parameter 'no_such_parameter'")
     assert "Traceback" not in done.stderr
 
 
 def is_up(monitor: subprocess.Popen[str]) -> bool:
-    """Return whether a monitor says that it watches the robot, once it does."""
+    """Wait for the monitor to start; return False if it ends instead."""
     assert monitor.stderr is not None
     return any("monitoring omron_i4_550l" in line for line in monitor.stderr)
 
 
-def test_the_monitor_ends_with_status_0_on_ctrl_c(start: Start) -> None:
+def test_monitor_exits_with_0_after_ctrl_c(start: Start) -> None:
     process = start("monitor")
     assert is_up(process)
     process.send_signal(signal.SIGINT)
@@ -74,11 +70,11 @@ def test_the_monitor_ends_with_status_0_on_ctrl_c(start: Start) -> None:
     assert "Traceback" not in rest
 
 
-def test_replay_feeds_the_monitor_and_says_what_it_sent(swing_bag: Path, cli: Cli, start: Start) -> None:
+def test_replay_reports_sent_and_answered_joint_states(swing_bag: Path, cli_process: Cli, start: Start) -> None:
     monitor = start("monitor", "--", "-p", "use_sim_time:=true")
     assert is_up(monitor)
-    done = cli("replay", swing_bag, "--rate", "0", "--start", "0.5", "--duration", "1", "--json")
-    printed = cli("replay", swing_bag, "--duration", "0.1", "--topics", "/joint_states")
+    done = cli_process("replay", swing_bag, "--rate", "0", "--start", "0.5", "--duration", "1", "--json")
+    printed = cli_process("replay", swing_bag, "--duration", "0.1", "--topics", "/joint_states")
     monitor.send_signal(signal.SIGINT)
     monitor.communicate()
     assert (done.returncode, done.stderr) == (0, "")
@@ -93,9 +89,8 @@ def demo_result(folder: Path) -> dict[str, Any]:
     return result
 
 
-def test_demo_runs_the_live_monitor_and_says_the_same_as_assess(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
-    # At rate 0 nothing depends on how busy the machine is: what is live equals what is computed offline.
-    done = cli("demo", "--bag", swing_bag, "--rate", "0", "--out", tmp_path / "out")
+def test_demo_at_rate_0_gives_the_result_of_assess(swing_bag: Path, cli: Cli, cli_process: Cli, tmp_path: Path) -> None:
+    done = cli_process("demo", "--bag", swing_bag, "--rate", "0", "--out", tmp_path / "out")
     assert (done.returncode, done.stderr) == (0, "")
     result = demo_result(tmp_path / "out")
     assert (result["sent"], result["received"], result["lost"]) == (1000, 1000, 0)
@@ -120,8 +115,8 @@ def test_demo_runs_the_live_monitor_and_says_the_same_as_assess(swing_bag: Path,
     assert again.stderr == f"{tmp_path / 'out' / 'recording'}: already exists; use --force to replace it\n"
 
 
-def test_demo_of_the_shipped_recording_calls_it_generated(cli: Cli, tmp_path: Path) -> None:
-    done = cli("demo", "--bag", share("bags", "tour"), "--duration", "1", "--json")
+def test_demo_marks_the_shipped_recording_as_generated(cli_process: Cli, tmp_path: Path) -> None:
+    done = cli_process("demo", "--bag", share("bags", "tour"), "--duration", "1", "--json")
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads(done.stdout)
     assert result == demo_result(tmp_path / "out" / "demo")
@@ -133,32 +128,30 @@ def test_demo_of_the_shipped_recording_calls_it_generated(cli: Cli, tmp_path: Pa
     assert result["recording"]["topics"]["/joint_states"]["recorded"] == 250
 
 
-def test_demo_counts_other_devices_apart_and_keeps_its_own_topic_name(
-    swing_bag: Path, cli: Cli, tmp_path: Path
-) -> None:
+def test_demo_counts_other_devices_and_uses_the_topic_option(swing_bag: Path, cli_process: Cli, tmp_path: Path) -> None:
     with open_bag(swing_bag) as bag, BagWriter(tmp_path / "cell.mcap") as cell:
         for number, message in enumerate(bag.messages(["/joint_states"])):
             data = message.data.replace(b"joint", b"wheel") if number % 10 == 9 else message.data
             cell.write("/cell/states", JOINT_STATE, message.log_time_ns, data)
     words = ("--bag", tmp_path / "cell.mcap", "--topic", "cell/states", "--rate", "0", "--duration", "0.5", "--json")
-    done = cli("demo", *words)
+    done = cli_process("demo", *words)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert (result["sent"], result["foreign"], result["received"], result["lost"]) == (250, 25, 225, 0)
     assert result["generated"] is False
 
 
-def test_demo_ends_what_it_started_when_it_is_interrupted(start: Start, tmp_path: Path) -> None:
+def test_interrupted_demo_ends_its_child_processes(start: Start, tmp_path: Path) -> None:
     process = start("demo", "--out", tmp_path, "--bag", share("bags", "tour"))
     assert process.stdout is not None
     line = next(line for line in process.stdout if " scaling " in line)
     assert "tool: " in line
-    started = children_of(process.pid)
-    assert len(started) == 4  # monitor, force, recorder, replay
+    child_pids = children_of(process.pid)
+    assert len(child_pids) == 4  # monitor, force, recorder, replay
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate()
     assert (process.returncode, errors) == (130, "")
-    assert not [pid for pid in started if Path(f"/proc/{pid}").exists()]
+    assert not [pid for pid in child_pids if Path(f"/proc/{pid}").exists()]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -167,20 +160,15 @@ def children_of(pid: int) -> list[int]:
     return [int(child) for task in tasks for child in (task / "children").read_text(encoding="utf-8").split()]
 
 
-def test_a_demo_goes_where_nobody_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_demo_uses_a_free_ros_domain(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
     isolate_ros_domain()
     first = os.environ["ROS_DOMAIN_ID"]
-    with socket.socket(type=socket.SOCK_DGRAM) as somebody:
-        somebody.bind(("", 7400 + 250 * int(first) + 10))
+    with socket.socket(type=socket.SOCK_DGRAM) as other_process:
+        other_process.bind(("", 7400 + 250 * int(first) + 10))
         isolate_ros_domain()
         second = os.environ["ROS_DOMAIN_ID"]
     assert first != second
     assert 1 <= int(second) <= 101
     assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-
-
-def test_no_command_is_declared_that_does_not_exist() -> None:
-    modules = {path.stem for path in (Path(__file__).parents[2] / "scara_effmass" / "cli").glob("*.py")}
-    assert set(COMMANDS) <= modules

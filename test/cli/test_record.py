@@ -113,13 +113,13 @@ def test_what_it_prints(tmp_path: Path) -> None:
     assert len(list(bag.glob("bag_*.mcap"))) > 1
 
 
-def test_killed_it_leaves_what_repair_completes(tmp_path: Path, here: Cli) -> None:
+def test_killed_it_leaves_what_repair_completes(tmp_path: Path, cli: Cli) -> None:
     bag = tmp_path / "bag"
     with recording(bag, "notes") as process:
         process.kill()
         process.wait()
     assert not (bag / "metadata.yaml").exists()
-    done = here("record", "--repair", bag)
+    done = cli("record", "--repair", bag)
     assert (done.returncode, done.stderr) == (0, "")
     assert (
         done.stdout == f"repaired        {bag / 'bag_0.mcap'}: 10 messages\nrepaired        {bag / 'metadata.yaml'}\n"
@@ -127,7 +127,7 @@ def test_killed_it_leaves_what_repair_completes(tmp_path: Path, here: Cli) -> No
     with open_bag(bag) as opened:
         assert len(list(opened.messages())) == 10
         assert opened.losses == ()
-    again = here("record", "--repair", bag, "--json")
+    again = cli("record", "--repair", bag, "--json")
     assert again.returncode == 0
     report = json.loads(again.stdout)
     assert report["intact"] is True
@@ -149,35 +149,39 @@ REFUSALS = {
 }
 
 
+@pytest.mark.usefixtures("own_domain")
 @pytest.mark.parametrize("name", REFUSALS)
-def test_a_refusal_is_one_line_and_exit_code_2(name: str, refused: Callable[..., str]) -> None:
+def test_invalid_input_gives_one_line_and_exit_code_2(
+    name: str, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("faulthandler.enable", lambda: None)  # rclpy calls it, but captured stderr has no descriptor
     arguments, expected = REFUSALS[name]
     assert expected in refused(*arguments)
 
 
-def test_a_recording_is_replaced_only_by_force(cli: Cli, swing_bag: Path, tmp_path: Path) -> None:
+def test_a_recording_is_replaced_only_by_force(cli_process: Cli, swing_bag: Path, tmp_path: Path) -> None:
     bag = tmp_path / "swing"
     bag.mkdir()
     for path in swing_bag.iterdir():
         (bag / path.name).write_bytes(path.read_bytes())
-    done = cli("record", "-o", bag, "--duration", "0.1")
+    done = cli_process("record", "-o", bag, "--duration", "0.1")
     assert done.returncode == 2
     assert f"{bag}: already exists" in done.stderr
     assert saved(bag) == 1000
-    done = cli("record", "-o", bag, "--duration", "0.1", "--force")
+    done = cli_process("record", "-o", bag, "--duration", "0.1", "--force")
     assert (done.returncode, done.stderr) == (0, "")
     assert re.match(r"in all          0 messages, 0 lost, 0\.0 MB in 1 file, \d+\.\d s: ", done.stdout)
     assert sorted(path.name for path in bag.iterdir()) == ["metadata.yaml", "swing_0.mcap"]
 
 
 def test_a_file_that_cannot_be_repaired_is_named_and_the_answer_is_no(
-    cli: Cli, swing_bag: Path, tmp_path: Path
+    cli_process: Cli, swing_bag: Path, tmp_path: Path
 ) -> None:
     bag = tmp_path / "swing"
     bag.mkdir()
     (bag / "swing_0.mcap").write_bytes((swing_bag / "swing_0.mcap").read_bytes())
     (bag / "swing_1.mcap").write_bytes(b"")
-    done = cli("record", "--repair", bag)
+    done = cli_process("record", "--repair", bag)
     assert done.returncode == 1
     assert done.stdout.splitlines()[:2] == [
         f"intact          {bag / 'swing_0.mcap'}: 1000 messages",

@@ -32,8 +32,8 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_json_has_every_model_the_lumped_first(cli: Cli, campaign: Path, tmp_path: Path) -> None:
-    done = cli("validate", campaign, "-o", "new/report", "--json")
+def test_json_has_every_model_the_lumped_first(cli_process: Cli, campaign: Path, tmp_path: Path) -> None:
+    done = cli_process("validate", campaign, "-o", "new/report", "--json")
     assert (done.returncode, done.stderr) == (0, "")  # and no progress bar in a pipe
     said = json.loads(done.stdout)
     assert {path.name for path in (tmp_path / "new" / "report").iterdir()} == FILES
@@ -48,50 +48,50 @@ def test_json_has_every_model_the_lumped_first(cli: Cli, campaign: Path, tmp_pat
     assert said == json.loads((tmp_path / "new" / "report" / "report.json").read_text(encoding="utf-8"))
 
 
-def test_the_summary_is_short(here: Cli, campaign: Path) -> None:
-    done = here("validate", campaign, "-o", "report")
+def test_the_summary_is_short(cli: Cli, campaign: Path) -> None:
+    done = cli("validate", campaign, "-o", "report")
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
     assert lines[0].split() == ["result", "accepted"]
     assert "4 in the series, 4 of them simulated" in lines[1]
     assert [line.split()[0] for line in lines[2:]] == ["lumped", "full", "iso", "comparison", "excluded", "written"]
-    refused = here("validate", campaign, "-o", "report")
+    refused = cli("validate", campaign, "-o", "report")
     assert refused.returncode == 2
     assert refused.stderr.count("\n") == 1
     assert "--force" in refused.stderr
-    assert here("validate", campaign, "-o", "report", "--force").returncode == 0
+    assert cli("validate", campaign, "-o", "report", "--force").returncode == 0
 
 
-def test_a_failed_criterion_exits_with_1_and_a_report(here: Cli, campaign: Path, tmp_path: Path) -> None:
-    done = here("validate", campaign, "-o", "report", "--model", "iso")
+def test_a_failed_criterion_exits_with_1_and_a_report(cli: Cli, campaign: Path, tmp_path: Path) -> None:
+    done = cli("validate", campaign, "-o", "report", "--model", "iso")
     assert (done.returncode, done.stderr) == (1, "")
     assert done.stdout.startswith("result          not accepted: correlation 0.")
     assert {path.name for path in (tmp_path / "report").iterdir()} == FILES
 
 
-def test_without_impacts_there_are_no_numbers(here: Cli, campaign: Path, tmp_path: Path) -> None:
-    done = here("validate", campaign, "-o", "report", "--obstacle-mass", "0")
+def test_without_impacts_there_are_no_numbers(cli: Cli, campaign: Path, tmp_path: Path) -> None:
+    done = cli("validate", campaign, "-o", "report", "--obstacle-mass", "0")
     assert done.returncode == 1
     assert "lumped          no impact to judge it by\n" in done.stdout
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert "+0.00" not in page
 
 
-def test_mass_and_stiffness_can_be_given(here: Cli, campaign: Path) -> None:
-    done = here("validate", campaign, "-o", "report", "--obstacle-mass", "2", "--stiffness", "1000", "--json")
+def test_mass_and_stiffness_can_be_given(cli: Cli, campaign: Path) -> None:
+    done = cli("validate", campaign, "-o", "report", "--obstacle-mass", "2", "--stiffness", "1000", "--json")
     said = json.loads(done.stdout)
     assert done.returncode == 1
     assert {impact["obstacle_mass"] for impact in said["impacts"]} == {2.0}
     assert {model["stiffness"] for model in said["models"]} == {1e6}
 
 
-def test_every_section_of_the_file_counts(here: Cli, campaign: Path, tmp_path: Path) -> None:
+def test_every_section_of_the_file_counts(cli: Cli, campaign: Path, tmp_path: Path) -> None:
     (tmp_path / "cell.yaml").write_text(
         "monitor: {ros__parameters: {timeout: 0.3}}\n"
         "validator: {ros__parameters: {criterion: {least_count: 5}}}\n"
         "/cell/daq: {ros__parameters: {source: bench, detection.threshold: 20.0}}\n"
     )
-    done = here("validate", campaign, "-o", "report", "--params", "cell.yaml", "--json")
+    done = cli("validate", campaign, "-o", "report", "--params", "cell.yaml", "--json")
     said = json.loads(done.stdout)
     assert done.returncode == 1
     assert said["reason"] == "4 impacts, at least 5 are required"
@@ -109,9 +109,9 @@ def test_every_section_of_the_file_counts(here: Cli, campaign: Path, tmp_path: P
         ("[", "not YAML"),
     ],
 )
-def test_a_bad_file_of_parameters(here: Cli, campaign: Path, tmp_path: Path, text: str, wrong: str) -> None:
+def test_a_bad_file_of_parameters(cli: Cli, campaign: Path, tmp_path: Path, text: str, wrong: str) -> None:
     (tmp_path / "bad.yaml").write_text(text)
-    done = here("validate", campaign, "-o", "report", "--params", "bad.yaml")
+    done = cli("validate", campaign, "-o", "report", "--params", "bad.yaml")
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "bad.yaml" in done.stderr
@@ -120,30 +120,30 @@ def test_a_bad_file_of_parameters(here: Cli, campaign: Path, tmp_path: Path, tex
 
 
 @pytest.mark.parametrize("missing", ["/joint_states", "/force"])
-def test_a_bag_with_half_of_it_is_named(here: Cli, campaign: Path, tmp_path: Path, missing: str) -> None:
+def test_a_bag_with_half_of_it_is_named(cli: Cli, campaign: Path, tmp_path: Path, missing: str) -> None:
     half = tmp_path / "half"
     with open_bag(campaign / "300_200_500g_1") as bag, BagWriter(half) as writer:
         for message in bag.messages():
             if message.topic != missing:
                 writer.write(*message)
-    done = here("validate", campaign, half, "-o", "report")
+    done = cli("validate", campaign, half, "-o", "report")
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert str(half) in done.stderr
     assert not (tmp_path / "report").exists()
 
 
-def test_a_recording_counts_once(here: Cli, campaign: Path, tmp_path: Path) -> None:
+def test_a_recording_counts_once(cli: Cli, campaign: Path, tmp_path: Path) -> None:
     again = campaign / ".." / campaign.name / "300_200_500g_1"
-    done = here("validate", campaign, again, "-o", "report")
+    done = cli("validate", campaign, again, "-o", "report")
     assert done.returncode == 2
     assert done.stderr == f"{again}: must be given only once\n"
     assert not (tmp_path / "report").exists()
 
 
 @pytest.mark.parametrize(("option", "value"), [("--obstacle-mass", "-1"), ("--stiffness", "nan")])
-def test_an_option_that_cannot_be(here: Cli, campaign: Path, option: str, value: str) -> None:
-    done = here("validate", campaign, "-o", "report", f"{option}={value}")
+def test_an_option_that_cannot_be(cli: Cli, campaign: Path, option: str, value: str) -> None:
+    done = cli("validate", campaign, "-o", "report", f"{option}={value}")
     assert done.returncode == 2
     assert f"options: {option.strip('-').replace('-', '_')} = {float(value)}" in done.stderr
     assert done.stderr.count("\n") == 1
