@@ -86,9 +86,9 @@ def test_settings_tighten_limits_or_raise(contact: ContactType, names: tuple[str
         if value and (value > loosest[key] if key.startswith("max") else value < loosest[key])
     }
     if loosening:
-        with pytest.raises(LimitError) as refused:
+        with pytest.raises(LimitError) as error:
             limits(contact=contact, body_regions=names, **own)
-        assert str(refused.value).split(" = ")[0] in loosening
+        assert str(error.value).split(" = ")[0] in loosening
         return
     for name, limit in limits(contact=contact, body_regions=names, **own).items():
         assert limit.force_n == min(standard[name].force_n, own["max_force"] or math.inf)
@@ -124,8 +124,8 @@ def test_settings_equal_to_the_standard_change_nothing() -> None:
     ],
 )
 def test_errors_name_key_value_region_and_bound(settings: dict[str, object], parts: list[str]) -> None:
-    with pytest.raises(LimitError) as refused:
+    with pytest.raises(LimitError) as error:
         limits(**settings)
-    message = str(refused.value)
+    message = str(error.value)
     assert [part for part in parts if part not in message] == []
     assert "\n" not in message

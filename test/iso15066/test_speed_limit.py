@@ -71,9 +71,9 @@ def test_reference_speeds(contact: str, region: str, light: float, heavy: float,
     """Worked figures for 0.97 and 2.77 kg at 1 cm2 [m/s]."""
     limits = speed_limits(contact=contact, body_regions=[region])
     for mass, expected in ((0.97, light), (2.77, heavy)):
-        ceiling = limits.speed_limit(mass)
-        assert ceiling.allowable_speed == pytest.approx(expected, abs=0.0005)
-        assert (ceiling.limit.region, ceiling.criterion) == (region, criterion)
+        speed_limit = limits.speed_limit(mass)
+        assert speed_limit.allowable_speed == pytest.approx(expected, abs=0.0005)
+        assert (speed_limit.limit.region, speed_limit.criterion) == (region, criterion)
 
 
 @given(st.lists(any_limit, min_size=1, max_size=8).map(tuple), masses, factors)
@@ -110,9 +110,9 @@ def test_higher_mass_or_stiffness_never_raises_the_speed(
     contact: ContactType, mass: float, other_mass: float, factor: float, other_factor: float
 ) -> None:
     limits = speed_limits(contact=contact)
-    gentle = limits.speed_limit(min(mass, other_mass), min(factor, other_factor)).allowable_speed
-    harsh = limits.speed_limit(max(mass, other_mass), max(factor, other_factor)).allowable_speed
-    assert harsh <= gentle * (1 + 1e-12)
+    light = limits.speed_limit(min(mass, other_mass), min(factor, other_factor)).allowable_speed
+    heavy = limits.speed_limit(max(mass, other_mass), max(factor, other_factor)).allowable_speed
+    assert heavy <= light * (1 + 1e-12)
 
 
 @given(masses, st.floats(0.01, 100.0), st.floats(0.01, 100.0))
@@ -137,8 +137,8 @@ def test_tighter_settings_never_raise_the_speed(mass: float, region: str, tighte
 
 @given(masses, regions)
 def test_more_regions_never_raise_the_speed(mass: float, region: str) -> None:
-    every = speed_limits().speed_limit(mass).allowable_speed
-    assert every <= speed_limits(body_regions=[region]).speed_limit(mass).allowable_speed * (1 + 1e-12)
+    all_regions = speed_limits().speed_limit(mass).allowable_speed
+    assert all_regions <= speed_limits(body_regions=[region]).speed_limit(mass).allowable_speed * (1 + 1e-12)
 
 
 @given(masses, regions)

@@ -64,9 +64,9 @@ def load_rows(tmp_path: Path) -> Callable[[object], Robot]:
 
 @pytest.fixture(scope="session")
 def along() -> Callable[..., EffectiveMasses]:
-    """Ask an arm for the masses along `n`, by moving its first contact point that way."""
+    """Return the function that gives the effective masses along `n`, with the first contact point moving that way."""
 
-    def ask(dynamics: RobotDynamics, q: ArrayLike, n: ArrayLike) -> EffectiveMasses:
+    def masses_along(dynamics: RobotDynamics, q: ArrayLike, n: ArrayLike) -> EffectiveMasses:
         q = np.asarray(q, dtype=float)
         frame = next(iter(dynamics.robot.contact_frames.values()))
         qd = np.linalg.pinv(dynamics.jacobian(q, frame)) @ np.asarray(n, dtype=float)
@@ -74,7 +74,7 @@ def along() -> Callable[..., EffectiveMasses]:
         assert np.allclose(masses.direction, np.asarray(n) / np.linalg.norm(n), atol=1e-6)
         return masses
 
-    return ask
+    return masses_along
 
 
 @pytest.fixture(scope="session")

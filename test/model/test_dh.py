@@ -117,9 +117,9 @@ def test_wrong_value_is_named(
     omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], key: str, value: object, named: str
 ) -> None:
     put(omron_rows, key, value)
-    with pytest.raises(RobotError, match=rf"robot\.yaml: {named}") as refusal:
+    with pytest.raises(RobotError, match=rf"robot\.yaml: {named}") as error:
         load_rows(omron_rows)
-    assert "\n" not in str(refusal.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -128,9 +128,9 @@ def test_wrong_value_is_named(
 def test_file_that_is_not_a_robot_raises(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "robot.yaml"
     path.write_bytes(content)
-    with pytest.raises(RobotError, match=r"robot\.yaml: ") as refusal:
+    with pytest.raises(RobotError, match=r"robot\.yaml: ") as error:
         load_robot(path)
-    assert "\n" not in str(refusal.value)
+    assert "\n" not in str(error.value)
 
 
 def test_missing_file_and_folder_raise(tmp_path: Path) -> None:

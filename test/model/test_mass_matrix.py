@@ -79,7 +79,7 @@ def tensor(inertia: float | list[float]) -> FloatArray:
 
 @pytest.fixture
 def spatial_rows(omron_rows: dict[str, Any]) -> dict[str, Any]:
-    """Return an arm with all that DH rows can hold: skew axes, offsets, full tensors, armature, a held tool."""
+    """Return a robot with everything that DH rows can state: skew axes, offsets, full tensors, armature, a payload."""
     rng = np.random.default_rng(10218)
     for row in omron_rows["joints"]:
         row["a"], row["alpha"], row["d"], row["theta"] = rng.uniform(-0.5, 0.5, 4).tolist()

@@ -249,9 +249,9 @@ def test_wrong_value_is_named(old: str, new: str, named: str | None) -> None:
     if named is None:
         assert parse(text).joint_names == ("j1", "j2", "j3", "j4")
         return
-    with pytest.raises(RobotError, match=rf"scara\.urdf: .*{named}") as refusal:
+    with pytest.raises(RobotError, match=rf"scara\.urdf: .*{named}") as error:
         parse(text)
-    assert "\n" not in str(refusal.value)
+    assert "\n" not in str(error.value)
 
 
 def test_unknown_contact_point_names_the_links() -> None:
@@ -336,7 +336,7 @@ def test_repeated_armature_raises() -> None:
 
 
 def test_link_before_a_locked_joint_is_the_tip() -> None:
-    """The fingers of a gripper end no arm: a camera on the first link must not take their place."""
+    """Locked finger joints end the chain before the gripper; a camera on the first link must not become the tip."""
     text = with_more(
         '<link name="camera"/>',
         joint("bracket", "upper", "camera", "fixed"),

@@ -59,7 +59,7 @@ def bare_scara(tmp_path_factory: pytest.TempPathFactory) -> RobotDynamics:
 
 @pytest.fixture(scope="session")
 def skew_scara(tmp_path_factory: pytest.TempPathFactory) -> RobotDynamics:
-    """An arm whose second axis is tilted out of the first link's plane of mass: it cannot be lumped."""
+    """The SCARA with its second axis tilted out of the first link's plane of mass: it cannot be lumped."""
 
     def tilt(file: dict[str, Any]) -> None:
         file["joints"][0]["alpha"] = 1.1

@@ -56,7 +56,7 @@ def assess_one(dynamics: RobotDynamics, q: Vector, qd: Vector, **settings: objec
 
 
 def parallel(mass: float, other: float) -> float:
-    """Return the reduced mass, said another way than in the code under test."""
+    """Return the reduced mass, as product over sum, unlike the code under test."""
     if math.isinf(mass) or math.isinf(other):
         return min(mass, other)
     return mass * other / (mass + other)
@@ -308,27 +308,27 @@ def test_scaling_brings_the_reference_speed_to_the_allowable_one(
     monitor = Monitor(scara, settings_of(reference_speed=reference))
     decision = monitor.assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
     assert decision is not None
-    wanted = reference or decision.contacts[0].speed
+    reference_speed = reference or decision.contacts[0].speed
     assert 0.0 <= decision.speed_scaling <= 1.0
-    assert decision.speed_scaling * wanted <= decision.allowable_speed * (1.0 + 1e-12)
+    assert decision.speed_scaling * reference_speed <= decision.allowable_speed * (1.0 + 1e-12)
     if decision.speed_scaling < 1.0:
-        assert decision.speed_scaling * wanted == pytest.approx(decision.allowable_speed)
+        assert decision.speed_scaling * reference_speed == pytest.approx(decision.allowable_speed)
 
 
 def test_changed_settings_apply_to_the_next_joint_state(scara: RobotDynamics) -> None:
     monitor = Monitor(scara, settings_of())
-    seen = []
+    effective_masses = []
     for i, model in enumerate(("lumped", "full", "iso")):
         monitor.apply(settings_of(effective_mass_model=model))
         now = NOW + i
         decision = monitor.assess(JointState(now, JOINTS, np.array([0.3, 1.2, 0.1, 0.0]), np.full(4, 0.1)), now)
         assert decision is not None
         contact = decision.contacts[0]
-        seen.append(contact.effective_mass)
+        effective_masses.append(contact.effective_mass)
         assert contact.effective_mass == {"lumped": contact.lumped_mass, "full": contact.full_mass}.get(
             model, contact.iso_mass
         )
-    assert len(set(seen)) == 3
+    assert len(set(effective_masses)) == 3
 
 
 def test_rejected_settings_change_nothing(scara: RobotDynamics) -> None:

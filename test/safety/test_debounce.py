@@ -16,10 +16,10 @@ verdicts = st.sampled_from(Verdict)
 steps = st.lists(st.tuples(st.integers(1, 60), verdicts), min_size=1, max_size=40)
 
 
-def hold(release_ns: int = RELEASE_NS) -> VerdictDebouncer:
-    made = VerdictDebouncer()
-    made.release_ns = release_ns
-    return made
+def make_debouncer(release_ns: int = RELEASE_NS) -> VerdictDebouncer:
+    debouncer = VerdictDebouncer()
+    debouncer.release_ns = release_ns
+    return debouncer
 
 
 def reason(verdict: Verdict, stamp_ns: int) -> str:
@@ -28,62 +28,65 @@ def reason(verdict: Verdict, stamp_ns: int) -> str:
 
 @given(steps, st.sampled_from([0, 1, RELEASE_NS, 10_000]))
 def test_worst_verdict_within_the_release_time_shows(sequence: list[tuple[int, Verdict]], release_ns: int) -> None:
-    debounced = hold(release_ns)
+    debouncer = make_debouncer(release_ns)
     history: list[tuple[int, Verdict]] = []
     for stamp_ns, verdict in zip(accumulate(gap for gap, _ in sequence), (v for _, v in sequence), strict=True):
         history.append((stamp_ns, verdict))
-        held = [seen for at, seen in history if stamp_ns - at < release_ns]
-        shown, why = debounced.update(verdict, reason(verdict, stamp_ns), stamp_ns)
-        assert shown is max([verdict, *held], key=severity)
-        assert bool(why) == (shown is not Verdict.OK)
+        held = [past for at, past in history if stamp_ns - at < release_ns]
+        debounced, debounced_reason = debouncer.update(verdict, reason(verdict, stamp_ns), stamp_ns)
+        assert debounced is max([verdict, *held], key=severity)
+        assert bool(debounced_reason) == (debounced is not Verdict.OK)
 
 
 @given(steps)
 def test_worse_verdict_shows_at_once_with_its_reason(sequence: list[tuple[int, Verdict]]) -> None:
-    debounced = hold()
-    shown, stamp_ns = Verdict.OK, 0
+    debouncer = make_debouncer()
+    debounced, stamp_ns = Verdict.OK, 0
     for gap, verdict in sequence:
         stamp_ns += gap
-        before, (shown, why) = shown, debounced.update(verdict, reason(verdict, stamp_ns), stamp_ns)
+        before, (debounced, debounced_reason) = (
+            debounced,
+            debouncer.update(verdict, reason(verdict, stamp_ns), stamp_ns),
+        )
         if severity(verdict) >= severity(before):
-            assert (shown, why) == (verdict, reason(verdict, stamp_ns))
+            assert (debounced, debounced_reason) == (verdict, reason(verdict, stamp_ns))
 
 
 def test_verdict_improves_exactly_after_the_release_time() -> None:
-    debounced = hold()
-    assert debounced.update(Verdict.VIOLATION, "too fast", 1000) == (Verdict.VIOLATION, "too fast")
-    assert debounced.update(Verdict.OK, "", 1000 + RELEASE_NS - 1) == (Verdict.VIOLATION, "held after: too fast")
-    assert debounced.update(Verdict.OK, "", 1000 + RELEASE_NS) == (Verdict.OK, "")
+    debouncer = make_debouncer()
+    assert debouncer.update(Verdict.VIOLATION, "too fast", 1000) == (Verdict.VIOLATION, "too fast")
+    assert debouncer.update(Verdict.OK, "", 1000 + RELEASE_NS - 1) == (Verdict.VIOLATION, "held after: too fast")
+    assert debouncer.update(Verdict.OK, "", 1000 + RELEASE_NS) == (Verdict.OK, "")
 
 
 def test_verdict_improves_step_by_step() -> None:
-    debounced = hold()
-    debounced.update(Verdict.VIOLATION, "too fast", 1000)
-    assert debounced.update(Verdict.WARN, "near", 1090)[0] is Verdict.VIOLATION
-    assert debounced.update(Verdict.OK, "", 1110) == (Verdict.WARN, "held after: near")
-    assert debounced.update(Verdict.OK, "", 1190)[0] is Verdict.OK
+    debouncer = make_debouncer()
+    debouncer.update(Verdict.VIOLATION, "too fast", 1000)
+    assert debouncer.update(Verdict.WARN, "near", 1090)[0] is Verdict.VIOLATION
+    assert debouncer.update(Verdict.OK, "", 1110) == (Verdict.WARN, "held after: near")
+    assert debouncer.update(Verdict.OK, "", 1190)[0] is Verdict.OK
 
 
 def test_stale_input_holds_unknown_from_the_next_joint_state() -> None:
-    debounced = hold()
-    debounced.update(Verdict.OK, "", 1000)
-    debounced.mark_stale("no names")
-    assert debounced.update(Verdict.OK, "", 5000) == (Verdict.UNKNOWN, "held after: no names")
-    assert debounced.update(Verdict.VIOLATION, "too fast", 5050) == (Verdict.UNKNOWN, "held after: no names")
-    assert debounced.update(Verdict.OK, "", 5100) == (Verdict.VIOLATION, "held after: too fast")
+    debouncer = make_debouncer()
+    debouncer.update(Verdict.OK, "", 1000)
+    debouncer.mark_stale("no names")
+    assert debouncer.update(Verdict.OK, "", 5000) == (Verdict.UNKNOWN, "held after: no names")
+    assert debouncer.update(Verdict.VIOLATION, "too fast", 5050) == (Verdict.UNKNOWN, "held after: no names")
+    assert debouncer.update(Verdict.OK, "", 5100) == (Verdict.VIOLATION, "held after: too fast")
 
 
 def test_zero_release_time_holds_nothing() -> None:
-    debounced = hold(0)
-    debounced.mark_stale("no names")
-    assert debounced.update(Verdict.OK, "", 5000) == (Verdict.OK, "")
-    debounced.update(Verdict.VIOLATION, "too fast", 5001)
-    assert debounced.update(Verdict.OK, "", 5002) == (Verdict.OK, "")
+    debouncer = make_debouncer(0)
+    debouncer.mark_stale("no names")
+    assert debouncer.update(Verdict.OK, "", 5000) == (Verdict.OK, "")
+    debouncer.update(Verdict.VIOLATION, "too fast", 5001)
+    assert debouncer.update(Verdict.OK, "", 5002) == (Verdict.OK, "")
 
 
 def test_clear_discards_held_verdicts() -> None:
-    debounced = hold()
-    debounced.update(Verdict.VIOLATION, "too fast", 1000)
-    debounced.mark_stale("no names")
-    debounced.clear()
-    assert debounced.update(Verdict.OK, "", 1001) == (Verdict.OK, "")
+    debouncer = make_debouncer()
+    debouncer.update(Verdict.VIOLATION, "too fast", 1000)
+    debouncer.mark_stale("no names")
+    debouncer.clear()
+    assert debouncer.update(Verdict.OK, "", 1001) == (Verdict.OK, "")

@@ -39,7 +39,7 @@ def state(
     return JointState(stamp_ns, tuple(names), np.array(position, float), np.array(velocity, float))
 
 
-def monitor(dynamics: RobotDynamics, **settings: object) -> Monitor:
+def make_monitor(dynamics: RobotDynamics, **settings: object) -> Monitor:
     return Monitor(dynamics, MonitorSettings.model_validate({"release_time": 0.0, **settings}))
 
 
@@ -94,7 +94,7 @@ BAD = {
 def test_invalid_joint_state_gives_unknown_and_the_next_valid_one_does_not(
     scara: RobotDynamics, bad: JointState, reason: str
 ) -> None:
-    feed = Feed(monitor(scara))
+    feed = Feed(make_monitor(scara))
     assert feed() == (Verdict.OK, "")
     verdict, why = feed(bad)
     assert verdict is Verdict.UNKNOWN
@@ -121,32 +121,32 @@ def test_invalid_joint_state_gives_unknown_and_the_next_valid_one_does_not(
 def test_invalid_stamp_gives_unknown_and_the_next_valid_one_does_not(
     scara: RobotDynamics, stamp_ns: int, reason: str
 ) -> None:
-    watched = monitor(scara)
+    monitor = make_monitor(scara)
     for stamp, now, expected in (
         (NOW, NOW, (Verdict.OK, "")),
         (stamp_ns, NOW + MS, (Verdict.UNKNOWN, reason)),
         (NOW + 2 * MS, NOW + 2 * MS, (Verdict.OK, "")),
     ):
-        decision = watched.assess(state(stamp), now)
+        decision = monitor.assess(state(stamp), now)
         assert decision is not None
         assert [(c.verdict, c.reason) for c in decision.contacts] == [expected]
 
 
 def test_age_exactly_at_the_limit_is_valid(scara: RobotDynamics) -> None:
     for age_ns in (-20 * MS, 0, 200 * MS):
-        decision = monitor(scara).assess(state(NOW - age_ns), NOW)
+        decision = make_monitor(scara).assess(state(NOW - age_ns), NOW)
         assert decision is not None
         assert decision.contacts[0].verdict is Verdict.OK
         assert decision.contacts[0].input_age == age_ns / 1e9
 
 
 def test_joint_states_of_other_devices_are_ignored_and_counted(scara: RobotDynamics) -> None:
-    watched = monitor(scara)
+    monitor = make_monitor(scara)
     gripper = state(names=("left_finger", "right_finger"), position=(0.0, 0.0), velocity=())
     for _ in range(3):
-        assert watched.assess(gripper, NOW) is None
-    assert (watched.ignored, watched.rejected, watched.first_cause) == (3, 0, None)
-    assert "(3 named none of the robot's joints)" in watched.watchdog_decision(10**9).contacts[0].reason
+        assert monitor.assess(gripper, NOW) is None
+    assert (monitor.ignored, monitor.rejected, monitor.first_cause) == (3, 0, None)
+    assert "(3 named none of the robot's joints)" in monitor.watchdog_decision(10**9).contacts[0].reason
 
 
 @given(
@@ -170,37 +170,37 @@ def test_joint_order_and_extra_joints_change_no_bit(
         [(*velocity, *others)[i] for i in order],
     )
     plain = state(NOW, JOINTS, position, velocity)
-    assert repr(monitor(scara).assess(mixed, NOW)) == repr(monitor(scara).assess(plain, NOW))
+    assert repr(make_monitor(scara).assess(mixed, NOW)) == repr(make_monitor(scara).assess(plain, NOW))
 
 
 class TestZeroVelocity:
-    """A velocity of exactly zero is believed only of a joint that is seen to stand still."""
+    """A velocity of exactly zero is valid only for a joint whose position does not change."""
 
     def test_zero_velocity_while_moving_gives_unknown(self, scara: RobotDynamics) -> None:
-        feed = Feed(monitor(scara))
-        seen = [feed(state(position=(0.3 + 0.002 * i, *Q[1:]), velocity=(0.0,) * 4), 4 * MS) for i in range(300)]
-        assert {verdict for verdict, _ in seen} == {Verdict.UNKNOWN}
-        assert any("joint1 moved" in reason for _, reason in seen)
+        feed = Feed(make_monitor(scara))
+        results = [feed(state(position=(0.3 + 0.002 * i, *Q[1:]), velocity=(0.0,) * 4), 4 * MS) for i in range(300)]
+        assert {verdict for verdict, _ in results} == {Verdict.UNKNOWN}
+        assert any("joint1 moved" in reason for _, reason in results)
 
     def test_motion_after_rest_at_zero_velocity_gives_unknown(self, scara: RobotDynamics) -> None:
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         for _ in range(200):
             verdict, _ = feed(state(velocity=(0.0,) * 4))
         assert verdict is Verdict.OK
-        seen = [feed(state(position=(0.3 + 0.001 * i, *Q[1:]), velocity=(0.0,) * 4)) for i in range(1, 60)]
-        moved = next(i for i, (verdict, _) in enumerate(seen) if verdict is Verdict.UNKNOWN)
-        assert moved <= 25  # milliseconds at 1 rad/s: still_speed times the window of half a second
-        assert seen[moved][1].startswith("joint1 moved")
-        assert {verdict for verdict, _ in seen[moved:]} == {Verdict.UNKNOWN}
+        results = [feed(state(position=(0.3 + 0.001 * i, *Q[1:]), velocity=(0.0,) * 4)) for i in range(1, 60)]
+        first_unknown = next(i for i, (verdict, _) in enumerate(results) if verdict is Verdict.UNKNOWN)
+        assert first_unknown <= 25  # milliseconds at 1 rad/s: still_speed times the window of half a second
+        assert results[first_unknown][1].startswith("joint1 moved")
+        assert {verdict for verdict, _ in results[first_unknown:]} == {Verdict.UNKNOWN}
 
     def test_rest_is_confirmed_within_a_tenth_of_a_second(self, scara: RobotDynamics) -> None:
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         verdicts = [feed(state(velocity=(0.0,) * 4))[0] for _ in range(110)]
         assert set(verdicts[:100]) == {Verdict.UNKNOWN}
         assert set(verdicts[100:]) == {Verdict.OK}
 
     def test_rest_is_confirmed_per_joint(self, scara: RobotDynamics) -> None:
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         verdict, reason = feed(state(velocity=(0.1, 0.0, 0.1, 0.1)))
         assert (verdict, reason) == (
             Verdict.UNKNOWN,
@@ -208,22 +208,22 @@ class TestZeroVelocity:
         )
 
     def test_joint_that_moved_may_stop(self, scara: RobotDynamics) -> None:
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         feed()
         assert feed(state(velocity=(0.0,) * 4)) == (Verdict.OK, "")
 
     @pytest.mark.parametrize("speed", [0.06, 0.3, 2.0])
     def test_slow_motion_at_zero_velocity_gives_unknown(self, scara: RobotDynamics, speed: float) -> None:
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         feed()
-        seen = set()
+        results = set()
         for i in range(1, 600):
             q = (0.3 + speed * i * 1e-3, 1.2, 0.1, -0.4)
-            seen.add(feed(state(position=q, velocity=(0.0, 0.1, 0.1, 0.1)))[0])
-        assert Verdict.UNKNOWN in seen
+            results.add(feed(state(position=q, velocity=(0.0, 0.1, 0.1, 0.1)))[0])
+        assert Verdict.UNKNOWN in results
 
     def test_encoder_drift_is_tolerated(self, scara: RobotDynamics) -> None:
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         feed()
         for i in range(3000):
             q = (0.3 + 1e-5 * i + 0.0005 * (-1) ** i, 1.2, 0.1, -0.4)
@@ -233,7 +233,7 @@ class TestZeroVelocity:
 class TestTravel:
     def test_position_jump_gives_unknown(self, scara: RobotDynamics) -> None:
         """Two senders at different poses on one topic, or an encoder that leaps: faster than any joint."""
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         feed()
         for i in range(1, 100):
             verdict, reason = feed(state(position=(0.3 + 1.2 * (i % 2), *Q[1:])))
@@ -242,12 +242,12 @@ class TestTravel:
         assert feed(state(position=(1.5, *Q[1:])))[0] is Verdict.OK
 
     def test_far_too_small_velocity_gives_unknown(self, scara: RobotDynamics) -> None:
-        feed = Feed(monitor(scara, release_time=0.2))
-        seen = [feed(state(position=(0.002 * i, *Q[1:]), velocity=(0.001, *QD[1:])))[0] for i in range(500)]
-        assert set(seen[30:]) == {Verdict.UNKNOWN}
+        feed = Feed(make_monitor(scara, release_time=0.2))
+        results = [feed(state(position=(0.002 * i, *Q[1:]), velocity=(0.001, *QD[1:])))[0] for i in range(500)]
+        assert set(results[30:]) == {Verdict.UNKNOWN}
 
     def test_rest_at_nonzero_velocity_is_valid_because_it_is_on_the_safe_side(self, scara: RobotDynamics) -> None:
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         assert {feed()[0] for _ in range(2000)} == {Verdict.OK}
 
     @given(
@@ -260,7 +260,7 @@ class TestTravel:
         self, scara: RobotDynamics, amplitude: float, rate: float, step_ms: int, noise: float
     ) -> None:
         """Sampled a little late, and with the steps of a coarse encoder."""
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         for i in range(100):
             t = i * step_ms / 1e3
             q = amplitude * math.sin(rate * t) + noise * (-1) ** i
@@ -271,34 +271,34 @@ class TestTravel:
 
 
 class TestDifferentiation:
-    """Where the velocity may be taken from positions, it is taken over header time."""
+    """A velocity differentiated from positions uses header time."""
 
-    def test_differentiated_velocity_equals_the_sent_one(self, scara: RobotDynamics) -> None:
+    def test_differentiated_velocity_equals_the_stated_one(self, scara: RobotDynamics) -> None:
         """Powers of two throughout, so that the difference quotient is exact."""
         step_ns = 15_625_000
         start = NOW - NOW % step_ns
-        sent, taken = monitor(scara), monitor(scara, differentiate_velocity=True)
+        with_velocity, differentiated = make_monitor(scara), make_monitor(scara, differentiate_velocity=True)
         qd = (0.5, -0.25, 0.125, 1.0)
         for i in range(4):
             q = tuple(x + v * i / 64.0 for x, v in zip((0.25, 1.25, 0.125, -0.5), qd, strict=True))
             now = start + i * step_ns
-            given_decision = sent.assess(state(now, position=q, velocity=qd), now)
-            decision = taken.assess(state(now, position=q, velocity=()), now)
+            expected = with_velocity.assess(state(now, position=q, velocity=qd), now)
+            decision = differentiated.assess(state(now, position=q, velocity=()), now)
             assert decision is not None
             if i:
-                assert repr(decision) == repr(given_decision)
+                assert repr(decision) == repr(expected)
             else:
                 assert decision.contacts[0].reason.startswith("the velocity is empty, and one joint state alone")
 
     def test_gap_cannot_be_differentiated(self, scara: RobotDynamics) -> None:
-        feed = Feed(monitor(scara, differentiate_velocity=True))
+        feed = Feed(make_monitor(scara, differentiate_velocity=True))
         feed(state(velocity=()))
         verdict, reason = feed(state(velocity=()), 201 * MS)
         assert verdict is Verdict.UNKNOWN
         assert "cannot be differentiated" in reason
 
     def test_nan_position_gives_no_velocity(self, scara: RobotDynamics) -> None:
-        feed = Feed(monitor(scara, differentiate_velocity=True))
+        feed = Feed(make_monitor(scara, differentiate_velocity=True))
         feed(state(velocity=()))
         assert feed(state(position=(NAN, *Q[1:]), velocity=())) == (
             Verdict.UNKNOWN,
@@ -308,12 +308,12 @@ class TestDifferentiation:
         assert feed(state(velocity=()))[1].startswith("the velocity of joint1 reads zero")
 
     def test_wrong_velocity_length_is_invalid_with_differentiation(self, scara: RobotDynamics) -> None:
-        feed = Feed(monitor(scara, differentiate_velocity=True))
+        feed = Feed(make_monitor(scara, differentiate_velocity=True))
         assert feed(state(velocity=QD[:2])) == (Verdict.UNKNOWN, "2 velocities for 4 names")
 
 
 def is_valid(joint_state: JointState, now_ns: int, last_ns: int) -> bool:
-    """Whether a joint state may lead to a verdict, said a second time and as plainly as possible."""
+    """Return whether a joint state may lead to a verdict: an independent, plain implementation."""
     names = list(joint_state.names)
     if "" in names or len(set(names)) < len(names) or not set(JOINTS) <= set(names):
         return False
@@ -351,11 +351,11 @@ def test_no_input_raises_or_gives_nan_or_a_wrong_verdict(
     states: list[JointState],
     differentiate: bool,  # noqa: FBT001
 ) -> None:
-    watched = monitor(scara, differentiate_velocity=differentiate)
+    monitor = make_monitor(scara, differentiate_velocity=differentiate)
     last_ns = 0
     for joint_state in states:
-        good = is_valid(joint_state, NOW, last_ns)
-        decision = watched.assess(joint_state, NOW)
+        valid = is_valid(joint_state, NOW, last_ns)
+        decision = monitor.assess(joint_state, NOW)
         if decision is None:
             assert not set(joint_state.names) & set(JOINTS)
             continue
@@ -371,8 +371,8 @@ def test_no_input_raises_or_gives_nan_or_a_wrong_verdict(
             assert contact.reason
             assert (contact.allowable_speed, decision.allowable_speed, decision.speed_scaling) == (0.0, 0.0, 0.0)
         elif not (differentiate and not len(joint_state.velocity)):
-            assert good
-        if good:
+            assert valid
+        if valid:
             last_ns = joint_state.stamp_ns
 
 
@@ -422,7 +422,7 @@ class TestBoundaries:
     def test_zero_velocity_is_confirmed_after_a_tenth_of_a_second(
         self, scara: RobotDynamics, duration_ms: int, expected: Verdict
     ) -> None:
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         feed(state(velocity=(0.0,) * 4))
         assert feed(state(velocity=(0.0,) * 4), duration_ms * MS)[0] is expected
 
@@ -431,7 +431,7 @@ class TestBoundaries:
         self, scara: RobotDynamics, travel: float, expected: Verdict
     ) -> None:
         """At 0.1 rad/s for 0.1 s the velocity explains 0.01 rad, and 1.5 times that plus 0.05 rad is valid."""
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         feed()
         assert feed(state(position=(Q[0] + 0.015 + travel - 1e-9, *Q[1:])), 100 * MS)[0] is expected
 
@@ -448,13 +448,13 @@ class TestBoundaries:
         self, scara: RobotDynamics, travel: float, elapsed_ms: int, expected: Verdict
     ) -> None:
         """0.005 rad in a short time, 0.05 rad/s in a longer one."""
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         feed()
         feed(state(velocity=(0.0,) * 4))
         moved = state(position=(Q[0] + travel, *Q[1:]), velocity=(0.0,) * 4)
         assert feed(moved, elapsed_ms * MS)[0] is expected
 
     def test_gap_restarts_the_travel_window(self, scara: RobotDynamics) -> None:
-        feed = Feed(monitor(scara))
+        feed = Feed(make_monitor(scara))
         feed()
         assert feed(state(position=(1.5, *Q[1:])), 201 * MS)[0] is Verdict.OK

@@ -22,13 +22,13 @@ SLOW, FAST = 0.05, 5.0
 """Speeds of joint 1 [rad/s] that are OK and a VIOLATION here."""
 
 
-def monitor(dynamics: RobotDynamics, **settings: object) -> Monitor:
+def make_monitor(dynamics: RobotDynamics, **settings: object) -> Monitor:
     return Monitor(dynamics, MonitorSettings.model_validate({"release_time": 0.0, **settings}))
 
 
-def send(watched: Monitor, at_ms: float, speed: float = SLOW, names: tuple[str, ...] = JOINTS) -> Decision:
+def send(monitor: Monitor, at_ms: float, speed: float = SLOW, names: tuple[str, ...] = JOINTS) -> Decision:
     now = NOW + round(at_ms * MS)
-    decision = watched.assess(
+    decision = monitor.assess(
         JointState(now, names, np.array([0.3, 1.2, 0.1, 0.0]), np.array([speed, 0.01, 0.001, 0.01])), now
     )
     assert decision is not None
@@ -44,156 +44,156 @@ def reason(decision: Decision) -> str:
 
 
 def test_release_time_counts_on_header_stamps(scara: RobotDynamics) -> None:
-    watched = monitor(scara, release_time=0.1)
-    assert verdict(send(watched, 0)) is Verdict.OK
-    assert verdict(send(watched, 10, FAST)) is Verdict.VIOLATION
-    held = send(watched, 109)
+    monitor = make_monitor(scara, release_time=0.1)
+    assert verdict(send(monitor, 0)) is Verdict.OK
+    assert verdict(send(monitor, 10, FAST)) is Verdict.VIOLATION
+    held = send(monitor, 109)
     assert verdict(held) is Verdict.VIOLATION
     assert reason(held).startswith("held after: ")
     assert held.contacts[0].margin > 0.0
-    assert verdict(send(watched, 110)) is Verdict.OK
+    assert verdict(send(monitor, 110)) is Verdict.OK
 
 
 def test_held_unknown_allows_nothing(scara: RobotDynamics) -> None:
-    watched = monitor(scara, release_time=0.1)
-    send(watched, 0)
-    send(watched, 10, names=("joint1",) * 4)
+    monitor = make_monitor(scara, release_time=0.1)
+    send(monitor, 0)
+    send(monitor, 10, names=("joint1",) * 4)
     for at in (20, 60, 119):
-        held = send(watched, at)
+        held = send(monitor, at)
         assert verdict(held) is Verdict.UNKNOWN
         assert reason(held) == "held after: joint joint1 is named twice"
         assert (held.allowable_speed, held.speed_scaling) == (0.0, 0.0)
         assert held.contacts[0].allowable_speed == 0.0
         assert held.contacts[0].margin == -held.contacts[0].speed
-    assert verdict(send(watched, 120)) is Verdict.OK
+    assert verdict(send(monitor, 120)) is Verdict.OK
 
 
 def test_gap_between_stamps_gives_held_unknown(scara: RobotDynamics) -> None:
-    watched = monitor(scara, release_time=0.1)
-    send(watched, 0)
-    after = send(watched, 201)
+    monitor = make_monitor(scara, release_time=0.1)
+    send(monitor, 0)
+    after = send(monitor, 201)
     assert (verdict(after), reason(after)) == (Verdict.UNKNOWN, "held after: no joint state for 0.201 s")
-    assert verdict(send(watched, 301)) is Verdict.OK
+    assert verdict(send(monitor, 301)) is Verdict.OK
 
 
 class TestFirstCause:
     def test_first_cause_stays_until_reset(self, scara: RobotDynamics) -> None:
-        watched = monitor(scara)
+        monitor = make_monitor(scara)
         causes = []
         for at, speed, names in ((0, SLOW, JOINTS), (1, FAST, JOINTS), (2, SLOW, ("joint1",) * 4)):
-            send(watched, at, speed, names)
-            causes.append(watched.first_cause)
+            send(monitor, at, speed, names)
+            causes.append(monitor.first_cause)
         before, cause, later = causes
         assert before is None
         assert cause is not None
         assert (cause.stamp_ns, cause.contact_point, cause.verdict) == (NOW + MS, "tool", Verdict.VIOLATION)
         assert "is above the" in cause.reason
         assert later is cause
-        watched.reset()
-        assert watched.first_cause is None
+        monitor.reset()
+        assert monitor.first_cause is None
 
     def test_first_joint_state_can_be_the_first_cause(self, scara: RobotDynamics) -> None:
-        watched = monitor(scara)
-        send(watched, 0, FAST)
-        assert watched.first_cause is not None
-        assert watched.first_cause.stamp_ns == NOW
+        monitor = make_monitor(scara)
+        send(monitor, 0, FAST)
+        assert monitor.first_cause is not None
+        assert monitor.first_cause.stamp_ns == NOW
 
     def test_unknown_before_the_first_valid_input_is_no_cause(self, scara: RobotDynamics) -> None:
-        watched = monitor(scara, latch=True)
-        watched.watchdog_decision(10**9)
-        send(watched, 0, names=("joint1",) * 4)
-        assert watched.first_cause is None
-        assert verdict(send(watched, 1)) is Verdict.OK
+        monitor = make_monitor(scara, latch=True)
+        monitor.watchdog_decision(10**9)
+        send(monitor, 0, names=("joint1",) * 4)
+        assert monitor.first_cause is None
+        assert verdict(send(monitor, 1)) is Verdict.OK
 
 
 class TestLatch:
     def test_holds_a_violation_until_reset(self, scara: RobotDynamics) -> None:
-        watched = monitor(scara, latch=True)
-        assert verdict(send(watched, 0)) is Verdict.OK
-        send(watched, 1, FAST)
+        monitor = make_monitor(scara, latch=True)
+        assert verdict(send(monitor, 0)) is Verdict.OK
+        send(monitor, 1, FAST)
         for at in (2, 1000, 100_000):
-            latched = send(watched, at)
+            latched = send(monitor, at)
             assert verdict(latched) is Verdict.VIOLATION
             assert reason(latched).startswith("latched until reset: tool: 2.")
             assert (latched.allowable_speed, latched.speed_scaling) == (0.0, 0.0)
-        watched.reset()
-        assert verdict(send(watched, 100_001)) is Verdict.OK
+        monitor.reset()
+        assert verdict(send(monitor, 100_001)) is Verdict.OK
 
     def test_holds_an_unknown_and_allows_nothing(self, scara: RobotDynamics) -> None:
-        watched = monitor(scara, latch=True)
-        send(watched, 0)
-        watched.watchdog_decision(10**9)
-        latched = send(watched, 1)
+        monitor = make_monitor(scara, latch=True)
+        send(monitor, 0)
+        monitor.watchdog_decision(10**9)
+        latched = send(monitor, 1)
         assert verdict(latched) is Verdict.UNKNOWN
         assert reason(latched) == "latched until reset: tool: no joint state for 1.00 s"
         assert latched.contacts[0].allowable_speed == 0.0
         assert latched.contacts[0].margin == -latched.contacts[0].speed
 
     def test_worse_verdict_than_the_latched_one_shows(self, scara: RobotDynamics) -> None:
-        watched = monitor(scara, latch=True)
-        send(watched, 0, FAST)
-        worse = send(watched, 1, names=("joint1",) * 4)
+        monitor = make_monitor(scara, latch=True)
+        send(monitor, 0, FAST)
+        worse = send(monitor, 1, names=("joint1",) * 4)
         assert (verdict(worse), reason(worse)) == (Verdict.UNKNOWN, "joint joint1 is named twice")
 
     def test_latch_switched_on_later_holds_the_first_cause(self, scara: RobotDynamics) -> None:
-        watched = monitor(scara)
-        send(watched, 0)
-        send(watched, 1, FAST)
-        assert verdict(send(watched, 2)) is Verdict.OK
-        watched.apply(MonitorSettings(release_time=0.0, latch=True))
-        assert verdict(send(watched, 3)) is Verdict.VIOLATION
+        monitor = make_monitor(scara)
+        send(monitor, 0)
+        send(monitor, 1, FAST)
+        assert verdict(send(monitor, 2)) is Verdict.OK
+        monitor.apply(MonitorSettings(release_time=0.0, latch=True))
+        assert verdict(send(monitor, 3)) is Verdict.VIOLATION
 
     def test_reset_clears_held_verdicts(self, scara: RobotDynamics) -> None:
-        watched = monitor(scara, latch=True, release_time=10.0)
-        send(watched, 0)
-        send(watched, 1, FAST)
-        watched.reset()
-        assert verdict(send(watched, 2)) is Verdict.OK
+        monitor = make_monitor(scara, latch=True, release_time=10.0)
+        send(monitor, 0)
+        send(monitor, 1, FAST)
+        monitor.reset()
+        assert verdict(send(monitor, 2)) is Verdict.OK
 
 
 class TestWatchdogDecision:
     def test_watchdog_decision_is_unknown_and_allows_nothing(self, scara: RobotDynamics) -> None:
-        watched = monitor(scara)
+        monitor = make_monitor(scara)
         for expected in ("no joint state yet", "no joint state for 0.25 s"):
-            silent = watched.watchdog_decision(250 * MS)
+            silent = monitor.watchdog_decision(250 * MS)
             (contact,) = silent.contacts
             assert (contact.verdict, contact.reason, contact.input_age) == (Verdict.UNKNOWN, expected, 0.25)
             assert (silent.allowable_speed, silent.speed_scaling) == (0.0, 0.0)
-            send(watched, 0)
+            send(monitor, 0)
         assert silent.contacts[0].stamp_ns == NOW
 
     def test_watchdog_decision_changes_no_later_verdict(self, scara: RobotDynamics) -> None:
-        undisturbed, watched = (monitor(scara, release_time=0.1) for _ in range(2))
+        undisturbed, monitor = (make_monitor(scara, release_time=0.1) for _ in range(2))
         for at in range(0, 2000, 150):
-            watched.watchdog_decision(10**9)
-            assert repr(send(watched, at)) == repr(send(undisturbed, at))
+            monitor.watchdog_decision(10**9)
+            assert repr(send(monitor, at)) == repr(send(undisturbed, at))
 
 
 def test_earlier_stamps_are_valid_after_the_clock_jumps_back(scara: RobotDynamics) -> None:
-    watched = monitor(scara, release_time=0.1)
-    send(watched, 5000, FAST)
-    assert reason(send(watched, 4990)).startswith("the header stamp goes back")
-    watched.clear_history()
-    assert verdict(send(watched, 0)) is Verdict.OK
+    monitor = make_monitor(scara, release_time=0.1)
+    send(monitor, 5000, FAST)
+    assert reason(send(monitor, 4990)).startswith("the header stamp goes back")
+    monitor.clear_history()
+    assert verdict(send(monitor, 0)) is Verdict.OK
 
 
 def test_monitor_recovers_from_system_time_set_back(scara: RobotDynamics) -> None:
     """System time has no jump callback: what was the future then must not block the stamps of now for ever."""
-    watched = monitor(scara)
-    send(watched, 3_600_000)
-    verdicts = [verdict(send(watched, at)) for at in range(10)]
+    monitor = make_monitor(scara)
+    send(monitor, 3_600_000)
+    verdicts = [verdict(send(monitor, at)) for at in range(10)]
     assert verdicts[-1] is Verdict.OK
 
 
 def test_verdicts_are_counted(scara: RobotDynamics) -> None:
-    watched = monitor(scara)
+    monitor = make_monitor(scara)
     for at, speed in enumerate((SLOW, FAST, SLOW, FAST, FAST)):
-        send(watched, at, speed)
-    send(watched, 9, names=("joint1",) * 4)
-    watched.watchdog_decision(10**9)
-    counted = {verdict.name: count for verdict, count in watched.verdicts.items()}
+        send(monitor, at, speed)
+    send(monitor, 9, names=("joint1",) * 4)
+    monitor.watchdog_decision(10**9)
+    counted = {verdict.name: count for verdict, count in monitor.verdicts.items()}
     assert counted == {"UNKNOWN": 2, "OK": 2, "WARN": 0, "VIOLATION": 3}
-    assert watched.rejected == 1
+    assert monitor.rejected == 1
 
 
 @pytest.mark.parametrize("text", ["no robot_description yet", "robot_description: not XML"])
