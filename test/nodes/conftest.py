@@ -188,7 +188,7 @@ class NodeHarness:
         self.send(joint_state(names=()))
 
         def all_refused() -> bool:
-            """Return whether the latest message of each topic answers the invalid joint state, the last one sent."""
+            """Return whether the latest message of each topic answers the invalid joint state that was sent last."""
             return not any([self.contact_states[-1].allowable_speed, *(values[-1] for values in self.scalars.values())])
 
         self.spin_until(all_refused)

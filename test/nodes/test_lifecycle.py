@@ -1,4 +1,4 @@
-"""How nodes are spun."""
+"""Spinning of nodes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rclpy.signals import SignalHandlerOptions
 from scara_effmass.nodes.lifecycle import spin_for
 
 
-def test_spinning_ends_though_there_is_always_more_to_do(own_domain: int) -> None:
+def test_spinning_ends_under_constant_load(own_domain: int) -> None:
     context = Context()
     rclpy.init(context=context, domain_id=own_domain, signal_handler_options=SignalHandlerOptions.NO)
     executor = EventsExecutor(context=context)

@@ -1,4 +1,4 @@
-"""The live monitor and its input: every bad joint state is UNKNOWN, and the next good one is OK again."""
+"""Invalid joint states give UNKNOWN in the live monitor, and the next valid one gives OK."""
 
 from __future__ import annotations
 
@@ -19,37 +19,18 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import JointState
+from test.nodes.conftest import JOINTS, QD, Q, joint_state, stamp_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from scara_effmass.values import ContactAssessment
     from test.nodes.conftest import NodeHarness
 
-JOINTS = ("joint1", "joint2", "joint3", "joint4")
-Q = (0.3, 1.2, 0.1, -0.4)
-QD = (0.1, -0.2, 0.05, 0.3)
 NAN, INF = float("nan"), float("inf")
 S = 1_000_000_000
 MS = 1_000_000
 
 
-def message(
-    stamp_ns: int | None = None,
-    names: Sequence[str] = JOINTS,
-    position: Sequence[float] = Q,
-    velocity: Sequence[float] = QD,
-) -> JointStateMessage:
-    made = JointStateMessage(name=list(names), position=list(position), velocity=list(velocity))
-    made.header.stamp.sec, made.header.stamp.nanosec = divmod(time.time_ns() if stamp_ns is None else stamp_ns, S)
-    return made
-
-
-def stamp_of(contact: ContactState) -> int:
-    return int(contact.header.stamp.sec * S + contact.header.stamp.nanosec)
-
-
-def assert_nothing_allowed(harness: NodeHarness, contact: ContactState, reason: str) -> None:
+def assert_unknown_at_zero_speed(harness: NodeHarness, contact: ContactState, reason: str) -> None:
     assert contact.verdict == ContactState.UNKNOWN
     assert contact.reason.startswith(reason), contact.reason
     assert contact.allowable_speed == 0.0
@@ -59,7 +40,7 @@ def assert_nothing_allowed(harness: NodeHarness, contact: ContactState, reason: 
     }
 
 
-BAD: dict[str, tuple[dict[str, Any], str]] = {
+INVALID: dict[str, tuple[dict[str, Any], str]] = {
     "missing joint": ({"names": JOINTS[1:], "position": Q[1:], "velocity": QD[1:]}, "joint joint1 is missing"),
     "duplicate names": ({"names": ("joint1", "joint2", "joint3", "joint3")}, "joint joint3 is named twice"),
     "no names": ({"names": ()}, "the joint state has no names"),
@@ -83,15 +64,15 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize(("fields", "reason"), BAD.values(), ids=BAD.keys())
-def test_bad_input_is_unknown_until_good_input_returns(
+@pytest.mark.parametrize(("fields", "reason"), INVALID.values(), ids=INVALID.keys())
+def test_invalid_joint_state_gives_unknown_until_the_next_valid_one(
     harness: NodeHarness, fields: dict[str, Any], reason: str
 ) -> None:
-    assert_nothing_allowed(harness, harness.response_to(message(**fields)), reason)
-    better = message()
-    answer = harness.response_to(better)
+    assert_unknown_at_zero_speed(harness, harness.response_to(joint_state(**fields)), reason)
+    valid = joint_state()
+    answer = harness.response_to(valid)
     assert (answer.verdict, answer.reason) == (ContactState.OK, "")
-    assert answer.header.stamp == better.header.stamp
+    assert answer.header.stamp == valid.header.stamp
     assert harness.scalars["allowable_speed"][-1] == answer.allowable_speed > 0.0
     assert harness.scalars["speed_scaling"][-1] == 1.0
 
@@ -106,19 +87,19 @@ def test_bad_input_is_unknown_until_good_input_returns(
     ],
     ids=["repeated", "backwards", "in the future", "old"],
 )
-def test_a_stamp_out_of_order_is_unknown(harness: NodeHarness, shift_ns: int, reason: str) -> None:
-    first = harness.response_to(message())
-    assert_nothing_allowed(harness, harness.response_to(message(stamp_of(first) + shift_ns)), reason)
-    assert harness.response_to(message()).verdict == ContactState.OK
+def test_invalid_stamp_gives_unknown(harness: NodeHarness, shift_ns: int, reason: str) -> None:
+    first = harness.response_to(joint_state())
+    assert_unknown_at_zero_speed(harness, harness.response_to(joint_state(stamp_ns(first) + shift_ns)), reason)
+    assert harness.response_to(joint_state()).verdict == ContactState.OK
 
 
-def test_velocity_of_zero_while_moving_is_unknown(harness: NodeHarness) -> None:
-    """As a sender does that never fills the velocity in: it stands, and then moves at 1 rad/s."""
+def test_zero_velocity_while_moving_gives_unknown(harness: NodeHarness) -> None:
+    """A driver that never sets the velocity: the robot stands still, then moves at 1 rad/s."""
     start = time.time_ns()
-    standing = [harness.response_to(message(start + i * MS // 100, velocity=(0.0,) * 4)) for i in range(3)]
+    standing = [harness.response_to(joint_state(start + i * MS // 100, velocity=(0.0,) * 4)) for i in range(3)]
     assert {answer.verdict for answer in standing} == {ContactState.OK}
     moving = [
-        harness.response_to(message(start + i * MS, position=(Q[0] + 1e-3 * i, *Q[1:]), velocity=(0.0,) * 4))
+        harness.response_to(joint_state(start + i * MS, position=(Q[0] + 1e-3 * i, *Q[1:]), velocity=(0.0,) * 4))
         for i in range(1, 15)
     ]
     assert moving[-1].verdict == ContactState.UNKNOWN
@@ -126,32 +107,32 @@ def test_velocity_of_zero_while_moving_is_unknown(harness: NodeHarness) -> None:
     harness.send_until_ok()
 
 
-def test_bytes_that_are_no_joint_state_are_unknown(harness: NodeHarness) -> None:
-    whole = serialize_message(message())
+def test_corrupt_message_gives_unknown(harness: NodeHarness) -> None:
+    whole = serialize_message(joint_state())
     broken = bytearray(whole)
-    broken[12:16] = struct.pack("<I", 1_000_000)  # a frame id of a million bytes
-    assert_nothing_allowed(harness, harness.response_to(bytes(broken)), "JointState: ")
-    assert harness.response_to(message()).verdict == ContactState.OK
+    broken[12:16] = struct.pack("<I", 1_000_000)  # frame_id of 1 000 000 bytes
+    assert_unknown_at_zero_speed(harness, harness.response_to(bytes(broken)), "JointState: ")
+    assert harness.response_to(joint_state()).verdict == ContactState.OK
 
 
-def test_silence_is_unknown_after_the_timeout(harness: NodeHarness) -> None:
+def test_missing_joint_states_give_unknown_after_the_timeout(harness: NodeHarness) -> None:
     assert harness.set_parameters(timeout=0.05) == ""
     try:
         last = harness.send_until_ok()
         silent = harness.watchdog_response()
-        assert_nothing_allowed(harness, silent, "no joint state for 0.")
-        assert stamp_of(silent) >= stamp_of(last)
+        assert_unknown_at_zero_speed(harness, silent, "no joint state for 0.")
+        assert stamp_ns(silent) >= stamp_ns(last)
         assert silent.input_age >= 0.05
     finally:
         assert harness.set_parameters(timeout=60.0) == ""
     harness.send_until_ok()
 
 
-def test_names_decide_and_never_the_order(harness: NodeHarness) -> None:
+def test_joints_are_matched_by_name_in_any_order(harness: NodeHarness) -> None:
     stamp = time.time_ns()
-    plain = harness.response_to(message(stamp))
+    plain = harness.response_to(joint_state(stamp))
     mixed = harness.response_to(
-        message(
+        joint_state(
             stamp + 1,
             ("gripper", "joint4", "joint2", "rail", "joint1", "joint3"),
             (NAN, Q[3], Q[1], 9e9, Q[0], Q[2]),
@@ -162,18 +143,18 @@ def test_names_decide_and_never_the_order(harness: NodeHarness) -> None:
     assert bits(mixed, without=("header", "input_age")) == bits(plain, without=("header", "input_age"))
 
 
-def test_another_device_on_the_topic_is_counted_and_left_alone(harness: NodeHarness) -> None:
-    last = harness.response_to(message())
+def test_joint_states_of_another_device_are_counted_and_ignored(harness: NodeHarness) -> None:
+    last = harness.response_to(joint_state())
     for _ in range(3):
-        harness.send(message(names=("left_finger", "right_finger"), position=(0.0, 0.0), velocity=()))
-    after = harness.response_to(message())
+        harness.send(joint_state(names=("left_finger", "right_finger"), position=(0.0, 0.0), velocity=()))
+    after = harness.response_to(joint_state())
     assert (last.verdict, after.verdict) == (ContactState.OK, ContactState.OK)
     assert [contact.verdict for contact in harness.contact_states] == [ContactState.OK]
     assert harness.diagnostic("input", "of other devices", lambda value: value == "3")
 
 
 @pytest.mark.parametrize("reliability", [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE])
-def test_second_publisher_of_either_reliability_is_heard_and_reported(
+def test_second_publisher_of_either_reliability_is_received_and_reported(
     harness: NodeHarness, reliability: ReliabilityPolicy
 ) -> None:
     second = harness.node.create_publisher(
@@ -182,7 +163,7 @@ def test_second_publisher_of_either_reliability_is_heard_and_reported(
     sent = []
 
     def send() -> None:
-        sent.append(message())
+        sent.append(joint_state())
         second.publish(sent[-1])
 
     try:
@@ -197,37 +178,37 @@ def test_second_publisher_of_either_reliability_is_heard_and_reported(
     harness.diagnostic("input", "publishers", lambda value: value == "1")
 
 
-def test_empty_velocity_may_be_allowed(harness: NodeHarness) -> None:
+def test_empty_velocity_is_differentiated_on_request(harness: NodeHarness) -> None:
     assert harness.set_parameters(differentiate_velocity=True) == ""
     try:
         stamp = time.time_ns()
-        harness.response_to(message(stamp, velocity=()))
+        harness.response_to(joint_state(stamp, velocity=()))
         step = 10 * MS
         moved = tuple(q + qd * step / S for q, qd in zip(Q, QD, strict=True))
-        answer = harness.response_to(message(stamp + step, position=moved, velocity=()))
+        answer = harness.response_to(joint_state(stamp + step, position=moved, velocity=()))
         assert answer.verdict == ContactState.OK
         assert answer.speed == pytest.approx(
-            harness.response_to(message(stamp + step + 1, position=moved)).speed, rel=1e-9
+            harness.response_to(joint_state(stamp + step + 1, position=moved)).speed, rel=1e-9
         )
     finally:
         assert harness.set_parameters(differentiate_velocity=False) == ""
 
 
-def test_a_subscriber_that_cannot_be_connected_is_named(harness: NodeHarness) -> None:
+def test_diagnostics_name_a_subscriber_with_incompatible_qos(harness: NodeHarness) -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    wanting = harness.node.create_subscription(ContactState, "contact_state", lambda _: None, latched)
-    found = harness.diagnostic("input", "incompatible QoS", bool)
-    harness.node.destroy_subscription(wanting)
-    assert found.endswith("a subscriber of contact_state cannot be connected: its DURABILITY does not fit")
+    subscriber = harness.node.create_subscription(ContactState, "contact_state", lambda _: None, latched)
+    line = harness.diagnostic("input", "incompatible QoS", bool)
+    harness.node.destroy_subscription(subscriber)
+    assert line.endswith("a subscriber of contact_state cannot be connected: its DURABILITY does not fit")
 
 
 def bits(contact: ContactState | ContactAssessment, without: tuple[str, ...] = ("input_age",)) -> dict[str, object]:
-    """Return every field, floats as the bytes they are."""
+    """Return every field, floats as bytes."""
     if isinstance(contact, ContactState):
         fields: dict[str, Any] = {name: getattr(contact, name) for name in contact.get_fields_and_field_types()}
         fields["direction"] = (contact.direction.x, contact.direction.y, contact.direction.z)
         if "header" not in without:
-            fields["stamp_ns"] = stamp_of(contact)
+            fields["stamp_ns"] = stamp_ns(contact)
         del fields["header"]
     else:
         fields = contact._asdict()
@@ -242,30 +223,30 @@ def bits(contact: ContactState | ContactAssessment, without: tuple[str, ...] = (
 
 
 def test_live_equals_offline_bit_for_bit(harness: NodeHarness) -> None:
-    """A random walk with every kind of bad joint state in between, through DDS and through the core alone."""
-    random = np.random.default_rng(20_250_411)
-    # Stamps 10 ms apart, whatever the time between the messages: they run ahead of the clock.
-    changed = {"release_time": 0.05, "reference_speed": 0.4, "timeout": 60.0, "future_tolerance": 10.0}
-    settings = MonitorSettings.model_validate(changed)
+    """Compare a random walk with every kind of invalid joint state, through DDS and through the core alone."""
+    rng = np.random.default_rng(20_250_411)
+    # Stamps are 10 ms apart, so they run ahead of the clock.
+    overrides = {"release_time": 0.05, "reference_speed": 0.4, "timeout": 60.0, "future_tolerance": 10.0}
+    settings = MonitorSettings.model_validate(overrides)
     offline = Monitor(RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), settings)), settings)
     q = np.array(Q)
-    bad = [fields for fields, _ in BAD.values() if "stamp_ns" not in fields]
+    invalid = [fields for fields, _ in INVALID.values() if "stamp_ns" not in fields]
     verdicts = set()
-    assert harness.set_parameters(**changed) == ""
+    assert harness.set_parameters(**overrides) == ""
     try:
-        begun = time.time_ns()
+        start_ns = time.time_ns()
         for i in range(500):
-            stamp = begun + (i - (i % 17 == 16)) * 10 * MS
-            velocity = random.normal(0.0, 0.8, 4) * (random.random() < 0.9)
+            stamp = start_ns + (i - (i % 17 == 16)) * 10 * MS
+            velocity = rng.normal(0.0, 0.8, 4) * (rng.random() < 0.9)
             q = np.clip(q + 0.02 * velocity, (-2.0, -2.4, 0.01, -3.0), (2.0, 2.4, 0.44, 3.0))
             fields = {"position": q.tolist(), "velocity": velocity.tolist()}
-            sent = message(stamp, **{**fields, **(bad[i // 11 % len(bad)] if i % 11 == 10 else {})})
+            sent = joint_state(stamp, **{**fields, **(invalid[i // 11 % len(invalid)] if i % 11 == 10 else {})})
             live = harness.response_to(sent)
             decision = offline.assess(
                 JointState(stamp, tuple(sent.name), np.array(sent.position), np.array(sent.velocity)), stamp
             )
             assert decision is not None
-            if i >= 10:  # what the shared node was sent before is forgotten by then
+            if i >= 10:  # earlier joint states of the shared node no longer matter
                 assert bits(live) == bits(decision.contacts[0])
                 assert harness.scalars["allowable_speed"] == [decision.allowable_speed]
                 assert harness.scalars["speed_scaling"] == [decision.speed_scaling]

@@ -1,4 +1,4 @@
-"""The live monitor as a node: lifecycle, parameters, time, robot_description, names, load, and how it ends."""
+"""Live monitor node: lifecycle, parameters, time, robot_description and a 1 kHz stream."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -25,6 +24,7 @@ from std_srvs.srv import Trigger
 
 from scara_effmass.settings import READ_ONLY, MonitorSettings
 from scara_effmass.share import share
+from test.nodes.conftest import joint_state, stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,21 +34,8 @@ if TYPE_CHECKING:
 
 MS = 1_000_000
 S = 1_000_000_000
-JOINTS = ("joint1", "joint2", "joint3", "joint4")
 FAST = (8.0, 0.1, 0.1, 0.1)
 READ_ONLY_NAMES = {name for name, field in MonitorSettings.model_fields.items() if field.json_schema_extra == READ_ONLY}
-
-
-def message(
-    stamp_ns: int | None = None, names: tuple[str, ...] = JOINTS, velocity: tuple[float, ...] = (0.1, -0.2, 0.05, 0.3)
-) -> JointState:
-    made = JointState(name=list(names), position=[0.3, 1.2, 0.1, -0.4][: len(names)], velocity=list(velocity))
-    made.header.stamp.sec, made.header.stamp.nanosec = divmod(time.time_ns() if stamp_ns is None else stamp_ns, S)
-    return made
-
-
-def stamp_of(contact: ContactState) -> int:
-    return int(contact.header.stamp.sec * S + contact.header.stamp.nanosec)
 
 
 def change(harness: NodeHarness, transition: int) -> bool:
@@ -61,27 +48,27 @@ def label(harness: NodeHarness) -> str:
 
 
 class TestLifecycle:
-    def test_goes_through_all_its_states(self, new_harness: Callable[..., NodeHarness]) -> None:
+    def test_node_passes_through_all_states(self, new_harness: Callable[..., NodeHarness]) -> None:
         harness = new_harness("--ros-args", "-p", "autostart:=false", "-p", "timeout:=60.0", "-p", "release_time:=0.0")
         harness.subscribe()
         assert label(harness) == "unconfigured"
         assert change(harness, Transition.TRANSITION_CONFIGURE)
         assert label(harness) == "inactive"
-        harness.send(message())
+        harness.send(joint_state())
         harness.spin_until(lambda: harness.node.count_subscribers("joint_states") == 1)
-        harness.send(message())
-        assert label(harness) == "inactive"  # by now it has come
+        harness.send(joint_state())
+        assert label(harness) == "inactive"  # the joint state has arrived by now
         assert change(harness, Transition.TRANSITION_ACTIVATE)
         assert harness.contact_states == []
         harness.send_until_ok()
 
-        # A shorter timeout counts at once, although the watchdog was set to look four times a minute.
+        # A shorter timeout applies at once, although the watchdog had a period of 15 s.
         assert harness.set_parameters(timeout=0.05) == ""
         harness.spin_until(lambda: harness.contact_states[-1].reason.startswith("no joint state for "), timeout_s=14.0)
 
         assert change(harness, Transition.TRANSITION_DEACTIVATE)
         harness.discard_received()
-        harness.send(message())
+        harness.send(joint_state())
         assert label(harness) == "inactive"
         assert harness.contact_states == []
         assert harness.set_parameters(timeout=60.0) == ""
@@ -95,13 +82,13 @@ class TestLifecycle:
         assert label(harness) == "finalized"
         assert harness.node.count_publishers("contact_state") == 0
 
-    def test_refuses_a_transition_at_the_wrong_time_and_goes_on(self, harness: NodeHarness) -> None:
-        for wrong in (Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_CONFIGURE, 99):
-            assert not change(harness, wrong)
+    def test_invalid_transition_is_refused_and_the_node_continues(self, harness: NodeHarness) -> None:
+        for transition in (Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_CONFIGURE, 99):
+            assert not change(harness, transition)
         assert label(harness) == "active"
         harness.send_until_ok()
 
-    def test_a_refused_configuration_can_be_tried_again(
+    def test_failed_configuration_can_be_repeated(
         self, new_harness: Callable[..., NodeHarness], tmp_path: Path
     ) -> None:
         robot = tmp_path / "robot.yaml"
@@ -117,7 +104,7 @@ class TestLifecycle:
 
 
 class TestParameters:
-    def test_all_are_described_and_bounded(self, shared_harness: NodeHarness) -> None:
+    def test_every_parameter_has_a_description_and_a_range(self, shared_harness: NodeHarness) -> None:
         fields = MonitorSettings.model_fields
         names = [*fields, "autostart"]
         descriptors = shared_harness.call_service(
@@ -133,15 +120,13 @@ class TestParameters:
             elif descriptor.type != ParameterType.PARAMETER_BOOL and descriptor.name != "robot":
                 assert descriptor.additional_constraints
 
-    def test_all_are_listed_with_their_values(self, shared_harness: NodeHarness) -> None:
-        listed = shared_harness.call_service(ListParameters, "list_parameters", ListParameters.Request()).result.names
-        assert set(MonitorSettings.model_fields) <= set(listed)
-        # `ros2 param dump` asks for all at once, and gets nothing if one of them has no value.
-        values = shared_harness.call_service(
-            GetParameters, "get_parameters", GetParameters.Request(names=listed)
-        ).values
-        assert len(values) == len(listed)
-        by_name = dict(zip(listed, values, strict=True))
+    def test_every_parameter_is_listed_with_its_value(self, shared_harness: NodeHarness) -> None:
+        names = shared_harness.call_service(ListParameters, "list_parameters", ListParameters.Request()).result.names
+        assert set(MonitorSettings.model_fields) <= set(names)
+        # `ros2 param dump` requests all at once and gets nothing if one has no value.
+        values = shared_harness.call_service(GetParameters, "get_parameters", GetParameters.Request(names=names)).values
+        assert len(values) == len(names)
+        by_name = dict(zip(names, values, strict=True))
         assert by_name["contact_points"].type == ParameterType.PARAMETER_STRING_ARRAY
         assert list(by_name["locked_joints"].string_array_value) == ["*gripper*", "*finger*"]
 
@@ -167,7 +152,7 @@ class TestParameters:
             ("nonsense", 1.0, "undeclared parameter"),
         ],
     )
-    def test_bad_ones_are_refused_with_the_reason(
+    def test_invalid_value_is_refused_with_the_reason(
         self,
         harness: NodeHarness,
         name: str,
@@ -175,44 +160,44 @@ class TestParameters:
         reason: str,
     ) -> None:
         assert reason in harness.set_parameters(**{name: value})
-        assert harness.response_to(message()).verdict == ContactState.OK
+        assert harness.response_to(joint_state()).verdict == ContactState.OK
 
-    def test_good_ones_hold_at_once(self, harness: NodeHarness) -> None:
-        default = harness.response_to(message())
+    def test_valid_value_applies_at_once(self, harness: NodeHarness) -> None:
+        default = harness.response_to(joint_state())
         assert default.effective_mass == default.lumped_mass
         try:
             assert (
                 harness.set_parameters(effective_mass_model="full", body_regions=["chest", "neck"], person_speed=0.1)
                 == ""
             )
-            changed = harness.response_to(message())
+            changed = harness.response_to(joint_state())
             assert changed.effective_mass == changed.full_mass
             assert changed.body_region in {"chest", "neck"}
         finally:
             assert harness.set_parameters(effective_mass_model="lumped", body_regions=[], person_speed=0.0) == ""
-        restored = harness.response_to(message())
+        restored = harness.response_to(joint_state())
         assert (restored.allowable_speed, restored.body_region) == (default.allowable_speed, default.body_region)
 
-    def test_reset_releases_the_latch_and_tells_what_it_was(self, harness: NodeHarness) -> None:
+    def test_reset_releases_the_latch_and_reports_the_cause(self, harness: NodeHarness) -> None:
         assert harness.call_service(Trigger, "reset", Trigger.Request()).success
         try:
             assert harness.set_parameters(latch=True) == ""
-            assert harness.response_to(message(velocity=FAST)).verdict == ContactState.VIOLATION
-            latched = harness.response_to(message())
+            assert harness.response_to(joint_state(velocity=FAST)).verdict == ContactState.VIOLATION
+            latched = harness.response_to(joint_state())
             assert latched.verdict == ContactState.VIOLATION
             assert latched.reason.startswith("latched until reset: tool: ")
             assert harness.scalars == {"allowable_speed": [0.0], "speed_scaling": [0.0]}
             response = harness.call_service(Trigger, "reset", Trigger.Request())
             assert response.success
             assert response.message.startswith("cleared: VIOLATION: ")
-            assert harness.response_to(message()).verdict == ContactState.OK
+            assert harness.response_to(joint_state()).verdict == ContactState.OK
         finally:
             assert harness.set_parameters(latch=False) == ""
 
-    def test_file_names_and_overrides_of_qos_are_taken(
+    def test_parameter_file_remapping_and_qos_overrides_apply(
         self, new_harness: Callable[..., NodeHarness], tmp_path: Path
     ) -> None:
-        """Everything at once, as a launch file does it: namespace, remapping, file, empty lists, QoS."""
+        """Combine them as a launch file does: namespace, remapping, file, empty lists, QoS."""
         params = tmp_path / "cell.yaml"
         params.write_text(
             "/**:\n  ros__parameters:\n"
@@ -227,26 +212,26 @@ class TestParameters:
         words = ("-r", "__ns:=/left", "-r", "__node:=watch", "-r", "joint_states:=/arm/joint_states")
         harness.start("--ros-args", "--params-file", str(params), *words)
         sender = harness.node.create_publisher(JointState, "/arm/joint_states", 10)
-        heard: list[ContactState] = []
+        received: list[ContactState] = []
         best_effort = QoSProfile(depth=10, reliability=2)
-        harness.node.create_subscription(ContactState, "contact_state", heard.append, best_effort)
-        (found,) = harness.spin_until(
-            lambda: [c for c in heard if c.verdict == ContactState.OK][:1], repeat=lambda: sender.publish(message())
+        harness.node.create_subscription(ContactState, "contact_state", received.append, best_effort)
+        (contact,) = harness.spin_until(
+            lambda: [c for c in received if c.verdict == ContactState.OK][:1],
+            repeat=lambda: sender.publish(joint_state()),
         )
-        assert (found.contact_point, found.body_region) == ("tool", "chest")
+        assert (contact.contact_point, contact.body_region) == ("tool", "chest")
 
         def endpoint(infos: Callable[[str], list[TopicEndpointInfo]], topic: str) -> TopicEndpointInfo:
-            """Return the node's own; that there is one, and whose it is, comes in ways of its own."""
-            (found,) = harness.spin_until(lambda: [info for info in infos(topic) if info.node_name == "watch"])
-            assert isinstance(found, TopicEndpointInfo)
-            return found
+            """Return the endpoint of the node; discovery reports an endpoint and its node name separately."""
+            (info,) = harness.spin_until(lambda: [i for i in infos(topic) if i.node_name == "watch"])
+            assert isinstance(info, TopicEndpointInfo)
+            return info
 
-        listening = endpoint(harness.node.get_subscriptions_info_by_topic, "/arm/joint_states")
-        assert listening.node_namespace == "/left"
-        assert listening.qos_profile.reliability.name == "RELIABLE"
-        publishing = harness.node.get_publishers_info_by_topic
+        subscription = endpoint(harness.node.get_subscriptions_info_by_topic, "/arm/joint_states")
+        assert subscription.node_namespace == "/left"
+        assert subscription.qos_profile.reliability.name == "RELIABLE"
         reliabilities = {
-            topic: endpoint(publishing, f"/left/{topic}").qos_profile.reliability.name
+            topic: endpoint(harness.node.get_publishers_info_by_topic, f"/left/{topic}").qos_profile.reliability.name
             for topic in ("contact_state", "allowable_speed", "speed_scaling")
         }
         assert reliabilities == {
@@ -257,7 +242,7 @@ class TestParameters:
 
 
 class TestTime:
-    def test_pauses_and_jumps_back_of_the_clock(self, new_harness: Callable[..., NodeHarness]) -> None:
+    def test_clock_pauses_and_jumps_back(self, new_harness: Callable[..., NodeHarness]) -> None:
         harness = new_harness("--ros-args", "-p", "use_sim_time:=true", "-p", "release_time:=0.0", "-p", "timeout:=0.3")
         harness.subscribe()
         clock = harness.node.create_publisher(Clock, "/clock", 10)
@@ -266,27 +251,27 @@ class TestTime:
         def tick() -> None:
             nonlocal now
             now += 10 * MS
-            sent = Clock()
-            sent.clock.sec, sent.clock.nanosec = divmod(now, S)
-            clock.publish(sent)
-            harness.send(message(now))
+            message = Clock()
+            message.clock.sec, message.clock.nanosec = divmod(now, S)
+            clock.publish(message)
+            harness.send(joint_state(now))
 
         def verdicts() -> list[int]:
             return [contact.verdict for contact in harness.contact_states]
 
         harness.spin_until(lambda: ContactState.OK in verdicts(), repeat=tick)
-        # The clock stands: nothing comes, and steady time finds out.
+        # The clock stands still and no joint state arrives: the watchdog runs in steady time.
         harness.spin_until(lambda: harness.contact_states[-1].reason.startswith("no joint state for"))
         assert harness.contact_states[-1].verdict == ContactState.UNKNOWN
-        # A joint state that comes while it stands is repeated.
+        # A joint state that arrives meanwhile repeats its stamp.
         harness.contact_states.clear()
         harness.spin_until(
             lambda: any("repeated" in c.reason for c in harness.contact_states),
-            repeat=lambda: harness.send(message(now)),
+            repeat=lambda: harness.send(joint_state(now)),
         )
         harness.contact_states.clear()
         harness.spin_until(lambda: ContactState.OK in verdicts(), repeat=tick)
-        # Back by 400 s, as when a bag is looped.
+        # The clock jumps back by 400 s, as for a looped bag.
         now -= 400 * S
         harness.spin_until(
             lambda: (
@@ -296,12 +281,12 @@ class TestTime:
             repeat=tick,
         )
 
-    def test_without_a_clock_every_stamp_is_in_the_future(self, new_harness: Callable[..., NodeHarness]) -> None:
+    def test_without_a_clock_every_stamp_lies_in_the_future(self, new_harness: Callable[..., NodeHarness]) -> None:
         harness = new_harness("--ros-args", "-p", "use_sim_time:=true")
         harness.subscribe()
         harness.spin_until(
             lambda: any("in the future" in c.reason for c in harness.contact_states),
-            repeat=lambda: harness.send(message()),
+            repeat=lambda: harness.send(joint_state()),
         )
         assert {contact.verdict for contact in harness.contact_states} == {ContactState.UNKNOWN}
 
@@ -323,7 +308,7 @@ TWO_LINKS = """<robot name="two_link">
 
 
 class TestRobotDescription:
-    def test_is_awaited_and_may_be_wrong_and_come_again(self, new_harness: Callable[..., NodeHarness]) -> None:
+    def test_robot_description_is_awaited_and_may_be_replaced(self, new_harness: Callable[..., NodeHarness]) -> None:
         harness = new_harness(
             "--ros-args",
             *("-p", "await_robot_description:=true"),
@@ -333,35 +318,35 @@ class TestRobotDescription:
         )
         harness.subscribe()
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        describing = harness.node.create_publisher(String, "robot_description", latched)
+        descriptions = harness.node.create_publisher(String, "robot_description", latched)
 
         def contact_of(reason: str) -> ContactState:
             def send() -> None:
-                harness.send(message(names=("shoulder", "elbow"), velocity=(0.1, -0.2)))
+                harness.send(joint_state(names=("shoulder", "elbow"), position=(0.3, 1.2), velocity=(0.1, -0.2)))
 
-            def found() -> ContactState | None:
+            def matching() -> ContactState | None:
                 return next(
                     (c for c in harness.contact_states if c.reason.startswith(reason) and (reason or not c.reason)),
                     None,
                 )
 
             harness.contact_states.clear()
-            contact: ContactState = harness.spin_until(found, repeat=send)
+            contact: ContactState = harness.spin_until(matching, repeat=send)
             return contact
 
         assert contact_of("no robot_description yet").verdict == ContactState.UNKNOWN
-        describing.publish(String(data="<robot>"))
+        descriptions.publish(String(data="<robot>"))
         assert contact_of("robot_description: ").verdict == ContactState.UNKNOWN
-        describing.publish(String(data=TWO_LINKS))
-        good = contact_of("")
-        assert (good.verdict, good.contact_point, good.header.frame_id) == (ContactState.OK, "hand", "base")
-        assert good.effective_mass == good.full_mass > 0.0
-        describing.publish(String(data=TWO_LINKS.replace('mass value="2.0"', 'mass value="heavy"')))
-        bad = contact_of("robot_description: ")
-        assert (bad.verdict, bad.contact_point, bad.allowable_speed) == (ContactState.UNKNOWN, "", 0.0)
-        describing.publish(String(data=TWO_LINKS))
+        descriptions.publish(String(data=TWO_LINKS))
+        valid = contact_of("")
+        assert (valid.verdict, valid.contact_point, valid.header.frame_id) == (ContactState.OK, "hand", "base")
+        assert valid.effective_mass == valid.full_mass > 0.0
+        descriptions.publish(String(data=TWO_LINKS.replace('mass value="2.0"', 'mass value="heavy"')))
+        invalid = contact_of("robot_description: ")
+        assert (invalid.verdict, invalid.contact_point, invalid.allowable_speed) == (ContactState.UNKNOWN, "", 0.0)
+        descriptions.publish(String(data=TWO_LINKS))
         assert contact_of("").verdict == ContactState.OK
-        # A publisher that keeps nothing cannot be heard by one who may come later.
+        # A volatile publisher does not match a transient-local subscription.
         harness.node.create_publisher(String, "robot_description", 1)
         assert "a publisher of robot_description cannot be connected: its DURABILITY" in harness.diagnostic(
             "input", "incompatible QoS", bool
@@ -383,62 +368,62 @@ def send():
     publisher.publish(message)
     return now
 os.set_blocking(0, False)
-leave = 0
-def may_send():  # how many; each byte is leave for one more
-    global leave
-    words = sys.stdin.buffer.raw.read()
-    if words == b"":
-        sys.exit("nobody is there any more")
-    leave += len(words or b"")
-    return leave
-while not may_send():
-    send()  # until whoever listens has heard an answer
+permits = 0
+def permitted():  # each byte read permits one more message
+    global permits
+    data = sys.stdin.buffer.raw.read()
+    if data == b"":
+        sys.exit("the test has ended")
+    permits += len(data or b"")
+    return permits
+while not permitted():
+    send()  # until the test has received a response
     time.sleep(0.1)
 due = time.monotonic()
 stamps = []
 for number in range(int(sys.argv[1])):
     due += 1e-3
     time.sleep(max(0.0, due - time.monotonic()))
-    while number >= may_send():
+    while number >= permitted():
         time.sleep(1e-3)
     stamps.append(send())
 with open(sys.argv[2], "w") as file:
     print(*stamps, "end", file=file)
 os.set_blocking(0, True)
-sys.stdin.buffer.raw.read()  # what is sent last would be lost if it went now
+sys.stdin.buffer.raw.read()  # exiting now would lose the last messages
 rclpy.shutdown()
 """
-AHEAD = 500
-"""So many may be under way, half of what may wait for the monitor: how slow it is then makes no difference."""
+MAX_PENDING = 500
+"""Maximum number of unanswered joint states, half of the monitor's queue, so that a slow monitor drops none."""
 
 
-def test_a_thousand_a_second_from_another_process_are_all_answered(
+def test_every_joint_state_of_a_1_khz_stream_is_answered(
     new_harness: Callable[..., NodeHarness], tmp_path: Path
 ) -> None:
     harness = new_harness("--ros-args", "-p", "timeout:=60.0")
     harness.node.create_subscription(
         ContactState, "contact_state", harness.contact_states.append, QoSProfile(depth=20_000)
     )
-    written = tmp_path / "stamps"
-    written.touch()
-    words = [sys.executable, "-c", SENDER, "5000", str(written)]
+    stamps = tmp_path / "stamps"
+    stamps.touch()
+    command = [sys.executable, "-c", SENDER, "5000", str(stamps)]
     environment = {**os.environ, "ROS_DOMAIN_ID": str(harness.domain)}
-    with subprocess.Popen(words, stdin=subprocess.PIPE, bufsize=0, env=environment) as sender:
-        leave = sender.stdin
-        assert leave is not None
+    with subprocess.Popen(command, stdin=subprocess.PIPE, bufsize=0, env=environment) as sender:
+        permits = sender.stdin
+        assert permits is not None
         harness.spin_until(lambda: any(contact.verdict == ContactState.OK for contact in harness.contact_states))
-        given = len(harness.contact_states) - AHEAD
+        answered = len(harness.contact_states) - MAX_PENDING
 
-        def let_send() -> None:
-            nonlocal given
-            leave.write(b"." * (len(harness.contact_states) - given))
-            given = len(harness.contact_states)
+        def permit() -> None:
+            nonlocal answered
+            permits.write(b"." * (len(harness.contact_states) - answered))
+            answered = len(harness.contact_states)
 
-        harness.spin_until(lambda: written.read_text().endswith("end\n"), repeat=let_send)
-        sent = [int(word) for word in written.read_text().split()[:-1]]
-        harness.spin_until(lambda: stamp_of(harness.contact_states[-1]) >= sent[-1])
-        leave.close()
+        harness.spin_until(lambda: stamps.read_text().endswith("end\n"), repeat=permit)
+        sent = [int(stamp) for stamp in stamps.read_text().split()[:-1]]
+        harness.spin_until(lambda: stamp_ns(harness.contact_states[-1]) >= sent[-1])
+        permits.close()
         assert sender.wait() == 0
     assert len(sent) == 5000
-    assert [stamp for stamp in map(stamp_of, harness.contact_states) if stamp >= sent[0]] == sent
+    assert [stamp for stamp in map(stamp_ns, harness.contact_states) if stamp >= sent[0]] == sent
     assert harness.contact_states[-1].verdict == ContactState.OK

@@ -1,30 +1,30 @@
-"""How the monitor starts and ends: one line and 2 for what it cannot use, 0 for every way of being told to stop."""
+"""Start and end of the monitor: one error line and exit code 2 for invalid input, 0 after a signal."""
 
 from __future__ import annotations
 
 import signal
 import subprocess
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from scara_effmass.nodes.monitor_node import MonitorNode
 from scara_effmass.share import share
+from test.nodes.conftest import MONITOR_NODE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from test.nodes.conftest import NodeHarness
 
-EXECUTABLE = Path(sys.executable).with_name("monitor_node")
 PARAMS = "/**:\n  ros__parameters:\n    {}\n"
 
 
 @pytest.fixture
 def paths(tmp_path: Path) -> dict[str, Path]:
-    """Files that are missing, hold a misspelt parameter, and are no parameters at all."""
+    """Return the paths of a missing file, one with a misspelt parameter, and one that is not valid YAML."""
     files = {name: tmp_path / f"{name}.yaml" for name in ("missing", "typo", "broken")}
     files["typo"].write_text(PARAMS.format("time_out: 1.0"), encoding="utf-8")
     files["broken"].write_text("/**: [1\n", encoding="utf-8")
@@ -42,7 +42,7 @@ def paths(tmp_path: Path) -> dict[str, Path]:
         ("timeout:=0.1", "'timeout:=0.1': unknown argument; ROS arguments must follow --ros-args"),
     ],
 )
-def test_what_it_cannot_use_is_one_line_and_2(
+def test_invalid_argument_gives_one_line_and_exit_code_2(
     new_harness: Callable[..., NodeHarness], paths: dict[str, Path], arguments: str, line: str
 ) -> None:
     process = new_harness(*arguments.format(**paths).split()).process
@@ -50,8 +50,8 @@ def test_what_it_cannot_use_is_one_line_and_2(
     output, errors = process.communicate()
     assert process.returncode == 2
     assert output == ""
-    (only,) = errors.splitlines()
-    assert only.startswith(line.format(**paths))
+    (error,) = errors.splitlines()
+    assert error.startswith(line.format(**paths))
 
 
 @pytest.mark.parametrize(
@@ -75,14 +75,14 @@ def test_what_it_cannot_use_is_one_line_and_2(
         ),
     ],
 )
-def test_a_parameter_it_cannot_use_is_named(
+def test_invalid_parameter_is_named(
     refusal_of: Callable[..., str], paths: dict[str, Path], argument: str, line: str
 ) -> None:
     paths["shipped"] = share("config", "omron_i4_550l.yaml")
     assert refusal_of(MonitorNode, argument.format(**paths)).startswith(line.format(**paths))
 
 
-def test_help_needs_no_ros(new_harness: Callable[..., NodeHarness]) -> None:
+def test_help_is_printed_without_ros(new_harness: Callable[..., NodeHarness]) -> None:
     process = new_harness("--help").process
     assert process is not None
     output, errors = process.communicate()
@@ -93,20 +93,20 @@ def test_help_needs_no_ros(new_harness: Callable[..., NodeHarness]) -> None:
 @pytest.mark.parametrize(
     ("command", "signals"),
     [
-        ([str(EXECUTABLE)], [signal.SIGINT, signal.SIGINT]),
-        ([str(EXECUTABLE)], [signal.SIGTERM]),
+        ([str(MONITOR_NODE)], [signal.SIGINT, signal.SIGINT]),
+        ([str(MONITOR_NODE)], [signal.SIGTERM]),
         ([sys.executable, "-m", "scara_effmass", "monitor"], [signal.SIGINT]),
         ([sys.executable, "-m", "scara_effmass", "monitor"], [signal.SIGTERM]),
     ],
     ids=["node, SIGINT twice", "node, SIGTERM", "command line, SIGINT", "command line, SIGTERM"],
 )
-def test_ends_with_0_when_told_to(
+def test_signal_ends_the_node_with_exit_code_0(
     new_harness: Callable[..., NodeHarness], command: list[str], signals: list[signal.Signals]
 ) -> None:
     harness = new_harness()
     process = harness.start(command=command)
     harness.subscribe()
-    harness.spin_until(lambda: harness.contact_states)  # the silence of the first fifth of a second
+    harness.spin_until(lambda: harness.contact_states)  # the watchdog's first message, after 0.2 s
     for number in signals:
         process.send_signal(number)
     output, errors = process.communicate()
@@ -115,8 +115,8 @@ def test_ends_with_0_when_told_to(
     assert "Exception ignored" not in output + errors
 
 
-def test_ends_with_0_while_it_starts(new_harness: Callable[..., NodeHarness]) -> None:
-    """Told between its first word and its last: the context goes away under whatever is being made."""
+def test_signal_during_start_ends_the_node_with_exit_code_0(new_harness: Callable[..., NodeHarness]) -> None:
+    """Send the signal between the first and the last log line of the start, while endpoints are created."""
     process = new_harness("--ros-args", "-p", "autostart:=true").process
     assert process is not None
     assert process.stderr is not None
@@ -128,6 +128,6 @@ def test_ends_with_0_while_it_starts(new_harness: Callable[..., NodeHarness]) ->
 
 
 @pytest.mark.live
-def test_module_is_importable_without_starting_ros() -> None:
+def test_import_does_not_start_ros() -> None:
     check = "import scara_effmass.nodes.monitor_node, rclpy; raise SystemExit(rclpy.ok())"
     assert subprocess.run([sys.executable, "-c", check], check=False).returncode == 0

@@ -1,4 +1,4 @@
-"""A recording through the live node over DDS, and the same recording offline: the same to the last bit."""
+"""Compare a bag replayed to the live monitor with its offline assessment, bit for bit."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ COMMAND = str(Path(sys.executable).with_name("scara-effmass"))
 JOINT_STATES = 1900
 
 
-def exact(contact: ContactState) -> str:
-    """Return all fields; Python writes floats so that they read back the same. The age depends on who is asked when."""
+def exact_text(contact: ContactState) -> str:
+    """Return all fields but the age as text; `repr` is exact for floats."""
     contact.input_age = 0.0
     return repr(contact)
 
 
-def answers_of(harness: NodeHarness) -> list[ContactState]:
-    """Return what was said of joint states, without what the watchdog says before the first."""
+def responses(harness: NodeHarness) -> list[ContactState]:
+    """Return the responses to joint states, without those of the watchdog."""
     return [contact for contact in harness.contact_states if not contact.watchdog]
 
 
@@ -39,17 +39,17 @@ def test_replay_and_assess_agree_on_every_joint_state(new_harness: Callable[[], 
     harness = new_harness()
     harness.start("--ros-args", "-p", "use_sim_time:=true")
     harness.subscribe()
-    harness.spin_until(lambda: harness.contact_states)  # the watchdog is heard: from here on nothing is missed
+    harness.spin_until(lambda: harness.contact_states)  # the subscription has matched
     environment = {**os.environ, "ROS_DOMAIN_ID": str(harness.domain)}
     with subprocess.Popen([COMMAND, "replay", recording, "--rate", "0"], env=environment) as replay:
         harness.spin_until(lambda: replay.poll() is not None)
     assert replay.returncode == 0
-    answered = harness.spin_until(lambda: answers if len(answers := answers_of(harness)) >= JOINT_STATES else None)
+    live = harness.spin_until(lambda: r if len(r := responses(harness)) >= JOINT_STATES else None)
 
     assessed = tmp_path / "assessed.mcap"
     subprocess.run([COMMAND, "assess", recording, "-o", str(assessed)], check=True, stdout=subprocess.DEVNULL)
     with open_bag(assessed) as bag:
         offline = [deserialize_message(message.data, ContactState) for message in bag.messages(["/contact_state"])]
-    assert len(answered) == len(offline) == JOINT_STATES
-    for ours, theirs in zip(answered, offline, strict=True):
-        assert exact(ours) == exact(theirs)
+    assert len(live) == len(offline) == JOINT_STATES
+    for live_contact, offline_contact in zip(live, offline, strict=True):
+        assert exact_text(live_contact) == exact_text(offline_contact)

@@ -1,4 +1,4 @@
-"""A recorded impact through the three live nodes gives, bit for bit, what `validate` gives offline."""
+"""Compare a recorded impact replayed to the three live nodes with `validate` offline, bit for bit."""
 
 from __future__ import annotations
 
@@ -24,40 +24,40 @@ if TYPE_CHECKING:
 
 BIN = Path(sys.executable).parent
 BAG = share("bags", "campaign", "300_0_2390g_1")
-SIMULATED = ["--ros-args", "-p", "use_sim_time:=true"]
-# At rate 0 time waits for the monitor alone.
-PATIENT = ["-p", "clock_tolerance:=60.0"]
-# Detection is on what is published: a second tare would move the force by a fraction of the noise.
+SIM_TIME = ["--ros-args", "-p", "use_sim_time:=true"]
+# At rate 0 the replay waits for the monitor only.
+CLOCK_TOLERANCE = ["-p", "clock_tolerance:=60.0"]
+# The recorded force is already tared; a second tare would shift it by a fraction of the noise.
 FORCE = ["-p", "source:=bag", "-p", f"bag.path:={BAG}", "-p", "tare.at_start:=false"]
 
 
-def test_live_is_what_it_is_offline(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> None:
+def test_live_validation_equals_offline_validation(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> None:
     harness = new_harness(name="validator")
-    heard: list[ImpactValidation] = []
+    validations: list[ImpactValidation] = []
     node = harness.node
-    node.create_subscription(ImpactValidation, "impact_validation", heard.append, 100)
+    node.create_subscription(ImpactValidation, "impact_validation", validations.append, 100)
     node.create_subscription(ForceBlock, "force", lambda _: None, 100)
     harness.subscribe()
     environment = {**os.environ, "ROS_DOMAIN_ID": str(harness.domain), "ROS_LOG_DIR": str(tmp_path)}
     commands = (
-        [str(BIN / "monitor_node"), *SIMULATED],
-        [str(BIN / "daq_node"), *SIMULATED, *FORCE],
-        [str(BIN / "validator_node"), *SIMULATED, *PATIENT],
+        [str(BIN / "monitor_node"), *SIM_TIME],
+        [str(BIN / "daq_node"), *SIM_TIME, *FORCE],
+        [str(BIN / "validator_node"), *SIM_TIME, *CLOCK_TOLERANCE],
     )
     with ExitStack() as running:
         for command in commands:
             process = running.enter_context(subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL))
             running.callback(process.terminate)
         for status, key in (("monitor: input", "lost"), ("daq: source", "state"), ("validator: series", "accepted")):
-            harness.diagnostic(status, key, bool)  # it is active
+            harness.diagnostic(status, key, bool)  # the node is active
         topics = ["/joint_states", "/run_info"]
-        words = [str(BIN / "scara-effmass"), "replay", str(BAG), "--rate", "0", "--topics", *topics]
-        replay = running.enter_context(subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL))
-        harness.spin_until(lambda: heard)
+        command = [str(BIN / "scara-effmass"), "replay", str(BAG), "--rate", "0", "--topics", *topics]
+        replay = running.enter_context(subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL))
+        harness.spin_until(lambda: validations)
         assert replay.wait() == 0
     dynamics = RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
     (expected,) = validate([BAG], dynamics, ValidationSettings()).result.impacts
-    (message,) = heard
+    (message,) = validations
     assert message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec == expected.stamp_ns
     names = (
         "measured_force",
