@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
+    from mcap.records import Statistics
     from mcap.summary import Summary
     from numpy.typing import NDArray
 
@@ -197,6 +198,8 @@ class McapFile:
         self.chunks: list[Record] = []
         """Chunks, and runs of message records outside chunks."""
         self.is_indexed = False
+        self.statistics: Statistics | None = None
+        """The statistics of a readable summary."""
         self._file = file
         self._losses = losses
         self._topic_of_channel = np.full(1 << 16, -1, np.int64)
@@ -264,7 +267,8 @@ class McapFile:
         if summary is None or summary.statistics is None:
             return False
         self.schemas, self.channels = dict(summary.schemas), dict(summary.channels)
-        statistics, indexes = summary.statistics, summary.chunk_indexes
+        self.statistics = statistics = summary.statistics
+        indexes = summary.chunk_indexes
         counts = statistics.channel_message_counts
         index_bytes = sum(
             index.message_index_length - MESSAGE_INDEX_HEAD_BYTES * len(index.message_index_offsets)

@@ -5,18 +5,17 @@ from __future__ import annotations
 import json
 import os
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import yaml
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from rosbags.typesys.msg import normalize_msgtype
 
 from scara_effmass.bags.batches import LossLog, Topic
 from scara_effmass.bags.files import METADATA, SPLIT_NAME, bag_files
 from scara_effmass.bags.mcap_copy import copy_records
-from scara_effmass.bags.mcap_file import DAMAGE, McapFile, read_summary, records
+from scara_effmass.bags.mcap_file import McapFile, records
 from scara_effmass.bags.mcap_writer import HASH_KEY, QOS_KEY
 from scara_effmass.bags.recording_report import LOSSES_RECORD, losses_custom_data
 from scara_effmass.bags.rosbag2 import BagFile, is_being_written, sync_folder, write_metadata
@@ -72,7 +71,8 @@ def repair(path: Path) -> RepairReport:
     try:
         if folder.is_dir():
             return _repair_folder(folder)
-        return RepairReport((_repair_file(folder),), (), metadata_rewritten=False)
+        repaired, _ = _repair_file(folder)
+        return RepairReport((repaired,), (), metadata_rewritten=False)
     except OutputError:
         raise
     except FileNotFoundError as error:
@@ -85,7 +85,7 @@ def _repair_folder(folder: Path) -> RepairReport:
     paths = [path for path in bag_files(folder) if path.suffix == ".mcap"]
     if not paths:
         raise BagError(f"{folder}: contains no .mcap file; only MCAP bags can be repaired")
-    repaired: list[FileRepair] = []
+    repaired: list[tuple[FileRepair, BagFile]] = []
     failed: list[str] = []
     for path in paths:
         try:
@@ -94,21 +94,25 @@ def _repair_folder(folder: Path) -> RepairReport:
             failed.append(str(error))
     if not repaired:
         raise BagError(failed[0])
-    return RepairReport(tuple(repaired), tuple(failed), metadata_rewritten=_update_metadata(folder, repaired))
+    files = tuple(file for file, _ in repaired)
+    rewritten = _update_metadata(folder, files, [content for _, content in repaired])
+    return RepairReport(files, tuple(failed), metadata_rewritten=rewritten)
 
 
-def _repair_file(path: Path) -> FileRepair:
+def _repair_file(path: Path) -> tuple[FileRepair, BagFile]:
+    """Return the result for a file and its content now. Raises BagError, OutputError or OSError."""
     if is_being_written(path):
         raise OutputError(f"{path}: is being recorded; stop the recorder first")
-    if _is_complete(path):
-        return FileRepair(path, intact=True, messages=_bag_file(path).count)
+    if (content := _complete_file(path)) is not None:
+        return FileRepair(path, intact=True, messages=content.count), content
     unfinished = path.with_name(f".{path.name}.repaired")
     try:
         with path.open("rb") as file, unfinished.open("wb") as output:
             result = copy_records(path, file, output)
             output.flush()
             os.fsync(output.fileno())
-        if not _is_complete(unfinished) or (messages := _bag_file(unfinished).count) != result.messages:
+        content = _complete_file(unfinished)
+        if content is None or content.count != result.messages:
             raise OutputError(f"{path}: the repaired copy cannot be read back; the file is unchanged")
         original = None
         if result.has_gaps:
@@ -121,52 +125,36 @@ def _repair_file(path: Path) -> FileRepair:
     finally:
         with suppress(OSError):
             unfinished.unlink()
-    return FileRepair(path, intact=False, messages=messages, lost=tuple(result.losses), kept_original=original)
+    repaired = FileRepair(path, intact=False, messages=content.count, lost=tuple(result.losses), kept_original=original)
+    return repaired, replace(content, name=path.name)
 
 
-def _is_complete(path: Path) -> bool:
-    """Whether a file is readable and all its chunks are indexed. Raises BagError if it is not MCAP."""
+def _complete_file(path: Path) -> BagFile | None:
+    """Return the content of a file if it is readable and its summary covers it. Raises BagError if it is not MCAP."""
     losses = LossLog()
     with path.open("rb") as file:
         mcap = McapFile(path, file, losses)
         for chunk in mcap.chunks:
             mcap.read(chunk)
         stored = {record.start for record in records(file, file.seek(0, 2)) if record.opcode == Opcode.CHUNK}
-        has_index = mcap.is_indexed or _has_summary(path)
-    return has_index and not any(losses) and stored == {c.start for c in mcap.chunks if c.opcode == Opcode.CHUNK}
-
-
-def _has_summary(path: Path) -> bool:
-    """Whether a file without chunks has a summary."""
-    with path.open("rb") as file, suppress(*DAMAGE, OSError):
-        summary = read_summary(file)
-        return summary is not None and summary.statistics is not None and not summary.statistics.chunk_count
-    return False
-
-
-def _bag_file(path: Path) -> BagFile:
-    """Return the description of a complete file, from its summary."""
-    with path.open("rb") as file:
-        summary = read_summary(file)
-    if summary is None or summary.statistics is None:
-        raise BagError(f"{path}: has no summary")
-    statistics = summary.statistics
-    topics = []
-    for channel in summary.channels.values():
-        schema = summary.schemas.get(channel.schema_id)
-        topics.append(
-            Topic(
-                name=channel.topic,
-                type=normalize_msgtype(schema.name) if schema else "",
-                count=statistics.channel_message_counts.get(channel.id, 0),
-                type_hash=channel.metadata.get(HASH_KEY, ""),
-                offered_qos=channel.metadata.get(QOS_KEY, ""),
-            )
+    indexed = {chunk.start for chunk in mcap.chunks if chunk.opcode == Opcode.CHUNK}
+    is_chunkless = mcap.statistics is not None and not mcap.statistics.chunk_count
+    if any(losses) or stored != indexed or not (mcap.is_indexed or is_chunkless):
+        return None
+    topics = [
+        Topic(
+            *mcap.topic_and_type(channel),
+            count=mcap.counts.get(channel.id, 0),
+            type_hash=channel.metadata.get(HASH_KEY, ""),
+            offered_qos=channel.metadata.get(QOS_KEY, ""),
         )
-    return BagFile(path.name, statistics.message_start_time, statistics.message_end_time, tuple(topics))
+        for channel in mcap.channels.values()
+    ]
+    start_ns = min((chunk.start_ns for chunk in mcap.chunks), default=0)
+    return BagFile(path.name, start_ns, max((chunk.end_ns for chunk in mcap.chunks), default=0), tuple(topics))
 
 
-def _update_metadata(folder: Path, files: Sequence[FileRepair]) -> bool:
+def _update_metadata(folder: Path, files: Sequence[FileRepair], contents: Sequence[BagFile]) -> bool:
     """Write metadata.yaml unless it is present and correct; return whether it was written."""
     information: dict[str, object] = {}
     with suppress(OSError, yaml.YAMLError, ValueError, TypeError, LookupError):
@@ -178,7 +166,7 @@ def _update_metadata(folder: Path, files: Sequence[FileRepair]) -> bool:
         return False
     stored = information.get("custom_data")
     custom_data = {**(stored if isinstance(stored, dict) else {}), **_recorded_losses(files)}
-    write_metadata(folder, [_bag_file(file.path) for file in files], custom_data)
+    write_metadata(folder, contents, custom_data)
     return True
 
 
