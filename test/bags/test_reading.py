@@ -1,4 +1,4 @@
-"""Bags of every format are read alike, damaged ones as far as possible."""
+"""Bags of every format give the same messages; damaged ones give what is readable, and name what is lost."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import tempfile
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,12 +31,13 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.files import find_bags, open_bag
+from scara_effmass.bags.messages import serialized
 from scara_effmass.errors import BagError
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from scara_effmass.bags.bag import Bag
 
@@ -43,17 +45,17 @@ JOINTS = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
-NOBODY = 65534
+NOBODY_UID = 65534
 
 
 class Message(NamedTuple):
     topic: str
-    kind: str
+    type: str
     log_time_ns: int
     data: bytes
 
 
-def joints(index: int, names: Sequence[str] = ("joint1", "joint2"), *, log_time_ns: int | None = None) -> Message:
+def joint_state(index: int, names: Sequence[str] = ("joint1", "joint2"), *, log_time_ns: int | None = None) -> Message:
     position = np.linspace(0.1 * index, 1.0, len(names))
     state = JointState(T0 + index * MS, tuple(names), position, np.full(len(names), -0.2 * index))
     time = state.stamp_ns + 7 if log_time_ns is None else log_time_ns
@@ -61,11 +63,14 @@ def joints(index: int, names: Sequence[str] = ("joint1", "joint2"), *, log_time_
 
 
 def text(index: int, value: str = "hello") -> Message:
-    kind = known_types().types[STRING]
-    return Message("/notes", STRING, T0 + index * MS + 8, bytes(known_types().serialize_cdr(kind(value), STRING)))
+    return Message("/notes", STRING, T0 + index * MS + 8, serialized(STRING, {"data": value}))
 
 
-MIXED = [message for i in range(400) for message in ((joints(i), text(i, "x" * (i % 5))) if i % 3 else (joints(i),))]
+MIXED = [
+    message
+    for i in range(400)
+    for message in ((joint_state(i), text(i, "x" * (i % 5))) if i % 3 else (joint_state(i),))
+]
 
 
 def write_mcap(
@@ -77,8 +82,9 @@ def write_mcap(
     chunked: bool = True,
     chunk_size: int = 4000,
     profile: str = "ros2",
+    definitions: Mapping[str, str] = MappingProxyType({}),
 ) -> Path:
-    """Write an MCAP file with the library of the format's own project."""
+    """Write an MCAP file with the `mcap` library."""
     with path.open("wb") as file:
         writer = Writer(
             file,
@@ -94,11 +100,13 @@ def write_mcap(
         writer.start(profile)
         channels: dict[tuple[str, str], int] = {}
         for message in messages:
-            if (message.topic, message.kind) not in channels:
-                definition, _ = known_types().generate_msgdef(message.kind, ros_version=2)
-                schema = writer.register_schema(message.kind, "ros2msg", definition.encode())
-                channels[message.topic, message.kind] = writer.register_channel(message.topic, "cdr", schema)
-            channel = channels[message.topic, message.kind]
+            if (message.topic, message.type) not in channels:
+                definition = (
+                    definitions.get(message.type) or known_types().generate_msgdef(message.type, ros_version=2)[0]
+                )
+                schema = writer.register_schema(message.type, "ros2msg", definition.encode())
+                channels[message.topic, message.type] = writer.register_channel(message.topic, "cdr", schema)
+            channel = channels[message.topic, message.type]
             writer.add_message(channel, message.log_time_ns, message.data, message.log_time_ns)
         writer.finish()  # type: ignore[no-untyped-call]
     return path
@@ -113,7 +121,7 @@ def write_rosbag2(
         connections = {}
         for message in messages:
             if message.topic not in connections:
-                connections[message.topic] = writer.add_connection(message.topic, message.kind, typestore=known_types())
+                connections[message.topic] = writer.add_connection(message.topic, message.type, typestore=known_types())
             writer.write(connections[message.topic], message.log_time_ns, message.data)
     return folder
 
@@ -125,15 +133,15 @@ def write_ros1(path: Path, messages: Iterable[Message]) -> Path:
         connections = {}
         for message in messages:
             if message.topic not in connections:
-                connections[message.topic] = writer.add_connection(message.topic, message.kind, typestore=types)
-            raw = ros2.cdr_to_ros1(message.data, message.kind)
+                connections[message.topic] = writer.add_connection(message.topic, message.type, typestore=types)
+            raw = ros2.cdr_to_ros1(message.data, message.type)
             writer.write(connections[message.topic], message.log_time_ns, bytes(raw))
     return path
 
 
 def single_db3(folder: Path, messages: Iterable[Message]) -> Path:
-    (made,) = write_rosbag2(folder / "made", messages, StoragePlugin.SQLITE3).glob("*.db3")
-    return Path(shutil.move(made, folder / "single.db3"))
+    (path,) = write_rosbag2(folder / "bag", messages, StoragePlugin.SQLITE3).glob("*.db3")
+    return Path(shutil.move(path, folder / "single.db3"))
 
 
 FORMATS: dict[str, Callable[[Path, Iterable[Message]], Path]] = {
@@ -142,8 +150,8 @@ FORMATS: dict[str, Callable[[Path, Iterable[Message]], Path]] = {
     "mcap uncompressed": lambda folder, m: write_mcap(folder / "a.mcap", m, compression=CompressionType.NONE),
     "mcap without index": lambda folder, m: write_mcap(folder / "a.mcap", m, indexed=False),
     "mcap without chunks": lambda folder, m: write_mcap(folder / "a.mcap", m, chunked=False),
-    "mcap without either": lambda folder, m: write_mcap(folder / "a.mcap", m, chunked=False, indexed=False),
-    "mcap of no profile": lambda folder, m: write_mcap(folder / "a.mcap", m, profile=""),
+    "mcap without index and chunks": lambda folder, m: write_mcap(folder / "a.mcap", m, chunked=False, indexed=False),
+    "mcap without profile": lambda folder, m: write_mcap(folder / "a.mcap", m, profile=""),
     "rosbag2 mcap": lambda folder, m: write_rosbag2(folder / "bag", m, StoragePlugin.MCAP),
     "rosbag2 mcap zstd": lambda folder, m: write_rosbag2(folder / "b", m, StoragePlugin.MCAP, CompressionMode.STORAGE),
     "rosbag2 sqlite": lambda folder, m: write_rosbag2(folder / "bag.db3", m, StoragePlugin.SQLITE3),
@@ -154,9 +162,9 @@ FORMATS: dict[str, Callable[[Path, Iterable[Message]], Path]] = {
 }
 
 
-@pytest.fixture(params=FORMATS)
-def mixed(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    return FORMATS[request.param](tmp_path, MIXED)
+@pytest.fixture(scope="module", params=FORMATS)
+def mixed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return FORMATS[request.param](tmp_path_factory.mktemp("bags"), MIXED)
 
 
 def read(bag: Bag) -> list[Message]:
@@ -164,26 +172,24 @@ def read(bag: Bag) -> list[Message]:
 
 
 def assert_states(bag: Bag, expected: Iterable[Message], topic: str | None = None) -> None:
-    """Blocks, one by one, are what the live decoder makes of the same bytes, to the last bit."""
+    """Check that the states in the blocks are bit-identical to those of the live decoder."""
     decoder = JointStateDecoder()
-    right = [(message.log_time_ns, decoder.decode(message.data)) for message in expected]
-    got = [
-        (time, state)
-        for block in bag.joint_state_blocks(topic)
-        for time, state in zip(block.log_time_ns.tolist(), block.states(), strict=True)
-    ]
-    assert len(got) == len(right)
-    for (time, state), (right_time, right_state) in zip(got, right, strict=True):
-        assert time == right_time
-        assert (state.stamp_ns, state.names) == (right_state.stamp_ns, right_state.names)
-        for array, right_array in zip(state[2:], right_state[2:], strict=True):
-            assert array.tobytes() == right_array.tobytes()
+    blocks = list(bag.joint_state_blocks(topic))
+    log_times = [time for block in blocks for time in block.log_time_ns.tolist()]
+    states = [state for block in blocks for state in block.states()]
+    expected = list(expected)
+    assert log_times == [message.log_time_ns for message in expected]
+    for state, message in zip(states, expected, strict=True):
+        decoded = decoder.decode(message.data)
+        assert (state.stamp_ns, state.names) == (decoded.stamp_ns, decoded.names)
+        for array, decoded_array in zip(state[2:], decoded[2:], strict=True):
+            assert array.tobytes() == decoded_array.tobytes()
             assert array.flags.aligned
             assert not array.flags.writeable
 
 
-def salvaged(path: Path) -> tuple[list[Message], str]:
-    """Return what can be read, and all that is warnings about the rest, which is one line each."""
+def readable(path: Path) -> tuple[list[Message], str]:
+    """Return the readable messages and the warnings about the rest, which must be one line each."""
     try:
         with open_bag(path) as bag:
             messages = read(bag)
@@ -199,12 +205,12 @@ def salvaged(path: Path) -> tuple[list[Message], str]:
 
 
 class TestEveryFormat:
-    def test_gives_all_messages_in_order(self, mixed: Path) -> None:
+    def test_all_messages_are_read_in_order(self, mixed: Path) -> None:
         with open_bag(mixed) as bag:
             assert read(bag) == MIXED
             assert bag.losses == ()
 
-    def test_gives_the_topics_and_times(self, mixed: Path) -> None:
+    def test_topics_and_times(self, mixed: Path) -> None:
         with open_bag(mixed) as bag:
             assert [(topic.name, topic.type, topic.count) for topic in bag.topics] == [
                 ("/joint_states", JOINTS, 400),
@@ -214,30 +220,30 @@ class TestEveryFormat:
             assert (bag.start_ns, bag.end_ns) == (MIXED[0].log_time_ns, MIXED[-1].log_time_ns)
             assert bag.duration_ns == 399 * MS
 
-    def test_gives_a_selection(self, mixed: Path) -> None:
+    def test_selection_by_topic_and_time(self, mixed: Path) -> None:
         start, stop = T0 + 100 * MS + 7, T0 + 300 * MS + 7
-        right = [m for m in MIXED if start <= m.log_time_ns < stop]
+        expected = [m for m in MIXED if start <= m.log_time_ns < stop]
         with open_bag(mixed) as bag:
-            assert [Message(*m) for m in bag.messages(start_ns=start, stop_ns=stop)] == right
-            notes = [m for m in right if m.topic == "/notes"]
+            assert [Message(*m) for m in bag.messages(start_ns=start, stop_ns=stop)] == expected
+            notes = [m for m in expected if m.topic == "/notes"]
             assert [Message(*m) for m in bag.messages(["/notes"], start, stop)] == notes
             assert sum(map(len, bag.joint_state_blocks(None, start, stop))) == 200
 
-    def test_gives_nothing_of_a_span_without_messages(self, mixed: Path) -> None:
+    def test_time_range_without_messages_is_empty(self, mixed: Path) -> None:
         with open_bag(mixed) as bag:
             assert list(bag.messages(None, None, bag.start_ns)) == []
             assert list(bag.messages(None, bag.end_ns + 1, None)) == []
 
-    def test_gives_joint_states_as_the_live_decoder_does(self, mixed: Path) -> None:
+    def test_joint_states_equal_those_of_the_live_decoder(self, mixed: Path) -> None:
         with open_bag(mixed) as bag:
-            assert_states(bag, (message for message in MIXED if message.kind == JOINTS))
+            assert_states(bag, (message for message in MIXED if message.type == JOINTS))
 
-    def test_gives_decoded_messages(self, mixed: Path) -> None:
+    def test_messages_are_decoded(self, mixed: Path) -> None:
         with open_bag(mixed) as bag:
             message = next(bag.messages(["/notes"]))
             assert bag.deserialize(message).data == "x"
 
-    def test_names_the_topics_of_joint_states_when_asked_for_another(self, mixed: Path) -> None:
+    def test_unknown_topic_is_refused(self, mixed: Path) -> None:
         with open_bag(mixed) as bag:
             with pytest.raises(BagError, match="topic of joint states = /notes: must be one of /joint_states"):
                 bag.joint_state_blocks("/notes")
@@ -245,8 +251,8 @@ class TestEveryFormat:
                 bag.messages(["/nope"])
 
 
-def test_of_several_topics_one_must_be_named(tmp_path: Path) -> None:
-    messages = [joints(0), joints(1)._replace(topic="/gripper/joint_states")]
+def test_several_topics_of_joint_states_require_a_topic(tmp_path: Path) -> None:
+    messages = [joint_state(0), joint_state(1)._replace(topic="/gripper/joint_states")]
     with open_bag(write_mcap(tmp_path / "a.mcap", messages)) as bag:
         with pytest.raises(
             BagError, match="topic of joint states = None: must be one of /gripper/joint_states, /joint_states"
@@ -255,7 +261,7 @@ def test_of_several_topics_one_must_be_named(tmp_path: Path) -> None:
         assert_states(bag, messages[1:], "/gripper/joint_states")
 
 
-def test_a_recording_without_joint_states_says_so(tmp_path: Path) -> None:
+def test_bag_without_joint_states_is_refused(tmp_path: Path) -> None:
     with (
         open_bag(write_mcap(tmp_path / "a.mcap", [text(0)])) as bag,
         pytest.raises(BagError, match="contains no joint states"),
@@ -277,74 +283,67 @@ def test_a_recording_without_joint_states_says_so(tmp_path: Path) -> None:
     chunk_size=st.sampled_from([1, 300, 1 << 20]),
     chunked=st.booleans(),
 )
-def test_out_of_order_and_mixed_publishers_come_out_in_order(
+def test_out_of_order_messages_are_sorted_by_log_time(
     tmp_path: Path, steps: list[tuple[int, tuple[str, ...], bool]], chunk_size: int, *, chunked: bool
 ) -> None:
-    """Log times out of order, within and across chunks; two robots on one topic; other topics between."""
+    """Times are out of order within and across chunks; joint names change; another topic is in between."""
     messages: list[Message] = []
     for index, (time, names, other) in enumerate(steps):
-        messages.append(joints(index, names, log_time_ns=T0 + time))
+        messages.append(joint_state(index, names, log_time_ns=T0 + time))
         messages += [text(0)._replace(log_time_ns=T0 + time)] if other else []
     path = write_mcap(tmp_path / "a.mcap", messages, chunk_size=chunk_size, chunked=chunked)
     with open_bag(path) as bag:
-        right = sorted((m for m in messages if m.kind == JOINTS), key=lambda message: message.log_time_ns)
-        got = [Message(*message) for message in bag.messages(["/joint_states"])]
-        assert [m.log_time_ns for m in got] == [m.log_time_ns for m in right]
-        assert sorted(got) == sorted(right)
-        assert_states(bag, got)
+        actual = [Message(*message) for message in bag.messages(["/joint_states"])]
+        assert [m.log_time_ns for m in actual] == sorted(m.log_time_ns for m in actual)
+        assert sorted(actual) == sorted(m for m in messages if m.type == JOINTS)
+        assert_states(bag, actual)
         assert bag.losses == ()
 
 
-def test_arbitrary_padding_does_not_break_up_the_blocks(tmp_path: Path) -> None:
-    """ROS leaves whatever was in memory in the gaps between fields."""
-    gaps = 26, 27, 43, 55, 80, 81, 82, 83
+def test_arbitrary_padding_does_not_split_blocks(tmp_path: Path) -> None:
+    """ROS does not clear the padding between fields."""
+    padding = 26, 27, 43, 55, 80, 81, 82, 83
     messages = []
     for index in range(1000):
-        message = joints(index, ("elbow1", "elbow2"))
+        message = joint_state(index, ("elbow1", "elbow2"))
         data = bytearray(message.data)
-        for gap in gaps:
-            assert data[gap] == 0
-            data[gap] = index % 256
+        for offset in padding:
+            assert data[offset] == 0
+            data[offset] = index % 256
         messages.append(message._replace(data=bytes(data)))
     with open_bag(write_mcap(tmp_path / "a.mcap", messages, chunk_size=1 << 20)) as bag:
         assert_states(bag, messages)
         assert len(list(bag.joint_state_blocks())) < 10
 
 
-def test_invalid_joint_states_are_skipped_and_counted(tmp_path: Path) -> None:
-    messages = [joints(i) for i in range(100)]
-    bad = [m._replace(data=m.data[:30]) if i in {5, 50} else m for i, m in enumerate(messages)]
-    with open_bag(write_mcap(tmp_path / "a.mcap", bad)) as bag:
-        assert_states(bag, [m for i, m in enumerate(messages) if i not in {5, 50}])
-        (line,) = bag.losses
-        assert "/joint_states: left out: JointState: " in line
-        assert line.endswith("(2 times)")
-
-
-@pytest.mark.parametrize("where", [{0}, {5, 6}, {99}, {0, 50, 99}, set(range(100))])
-def test_invalid_joint_states_are_reported_in_order(tmp_path: Path, where: set[int]) -> None:
-    messages = [joints(i) for i in range(100)]
-    bad = [m._replace(data=m.data[:30]) if i in where else m for i, m in enumerate(messages)]
-    told: list[tuple[int, bool]] = []
-    with open_bag(write_mcap(tmp_path / "a.mcap", bad)) as bag:
+@pytest.mark.parametrize("invalid", [{0}, {5, 6}, {99}, {0, 50, 99}, set(range(100))])
+def test_invalid_joint_states_are_skipped_counted_and_reported_in_order(tmp_path: Path, invalid: set[int]) -> None:
+    valid = [joint_state(i) for i in range(100)]
+    messages = [m._replace(data=m.data[:30]) if i in invalid else m for i, m in enumerate(valid)]
+    results: list[tuple[int, bool]] = []
+    with open_bag(write_mcap(tmp_path / "a.mcap", messages)) as bag:
         for block in bag.joint_state_blocks():
-            told += [(log_time_ns, False) for log_time_ns, _ in block.decode_failures]
-            told += [(log_time_ns, True) for log_time_ns in block.log_time_ns.tolist()]
-    assert told == [(m.log_time_ns, i not in where) for i, m in enumerate(messages)]
+            results += [(log_time_ns, False) for log_time_ns, _ in block.decode_failures]
+            results += [(log_time_ns, True) for log_time_ns in block.log_time_ns.tolist()]
+        assert_states(bag, [m for i, m in enumerate(valid) if i not in invalid])
+        (line,) = bag.losses
+    assert results == [(m.log_time_ns, i not in invalid) for i, m in enumerate(valid)]
+    assert "/joint_states: left out: JointState: " in line
+    assert line.endswith(f"({len(invalid)} times)") == (len(invalid) > 1)
 
 
-class TestCutOff:
-    """An MCAP file cut at any byte gives all messages before the cut, and says that it was cut."""
-
+class TestTruncatedMcap:
     @pytest.mark.parametrize("compression", list(CompressionType))
     @pytest.mark.parametrize("chunked", [True, False])
-    def test_anywhere(self, tmp_path: Path, compression: CompressionType, *, chunked: bool) -> None:
+    def test_any_cut_gives_the_messages_before_it(
+        self, tmp_path: Path, compression: CompressionType, *, chunked: bool
+    ) -> None:
         whole = write_mcap(tmp_path / "whole.mcap", MIXED, compression=compression, chunked=chunked).read_bytes()
         path = tmp_path / "cut.mcap"
         kept = []
         for size in range(len(whole) - 1, 0, -(len(whole) // 40)):
             path.write_bytes(whole[:size])
-            messages, warnings = salvaged(path)
+            messages, warnings = readable(path)
             assert messages == MIXED[: len(messages)]
             assert warnings
             assert messages or size < 5000
@@ -353,7 +352,7 @@ class TestCutOff:
         assert kept[0] == len(MIXED)
         assert len(set(kept)) > 8
 
-    def test_inside_a_chunk_gives_the_messages_before_the_cut(self, tmp_path: Path) -> None:
+    def test_cut_inside_a_chunk_gives_the_messages_before_it(self, tmp_path: Path) -> None:
         path = write_mcap(tmp_path / "a.mcap", MIXED, compression=CompressionType.NONE, chunk_size=1 << 20)
         whole = path.read_bytes()
         path.write_bytes(whole[: whole.find(MIXED[300].data) + 10])
@@ -365,7 +364,7 @@ class TestCutOff:
 
 
 def first_chunk(data: bytes) -> int:
-    """Return where the content of the first chunk record begins."""
+    """Return the offset of the content of the first chunk."""
     at = 8
     while data[at] != 0x06:
         at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
@@ -379,19 +378,19 @@ def damage_first_chunk(path: Path) -> None:
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
-def test_a_damaged_chunk_is_named_and_the_others_are_read(tmp_path: Path, compression: CompressionType) -> None:
+def test_damaged_chunk_is_reported_and_the_others_are_read(tmp_path: Path, compression: CompressionType) -> None:
     path = write_mcap(tmp_path / "a.mcap", MIXED, compression=compression)
     damage_first_chunk(path)
     with open_bag(path) as bag:
-        got = read(bag)
-        assert read(bag) == got == MIXED[-len(got) :]
-        assert 500 < len(got) < len(MIXED)
+        messages = read(bag)
+        assert read(bag) == messages == MIXED[-len(messages) :]
+        assert 500 < len(messages) < len(MIXED)
         (line,) = bag.losses
         assert "chunk at byte" in line
         assert "is lost: its" in line
 
 
-def test_a_damaged_chunk_that_alone_described_the_channels_is_named(tmp_path: Path) -> None:
+def test_channels_defined_in_a_damaged_chunk_are_reported(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", MIXED, indexed=False)
     damage_first_chunk(path)
     with pytest.raises(BagError, match=r"chunk at byte .* is lost: .*messages of channel 1, which the file"):
@@ -425,7 +424,7 @@ def test_message_outside_the_chunks_of_an_indexed_file_is_read(tmp_path: Path) -
         assert bag.losses == ()
 
 
-def test_chunks_whose_times_are_nonsense_are_read_all_the_same(tmp_path: Path) -> None:
+def test_chunk_with_invalid_times_is_read(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", MIXED)
     data = bytearray(path.read_bytes())
     at = first_chunk(bytes(data))
@@ -441,12 +440,12 @@ def test_zeros_after_a_cut_are_reported(tmp_path: Path) -> None:
     data = path.read_bytes()
     cut = data.find(MIXED[100].data) - 31
     path.write_bytes(data[:cut] + bytes(len(data) - cut))
-    messages, warnings = salvaged(path)
+    messages, warnings = readable(path)
     assert messages == MIXED[:100]
     assert f"byte {cut + 9} on is not MCAP" in warnings
 
 
-def test_a_chunk_of_an_absurd_size_is_refused_without_reserving_it(tmp_path: Path) -> None:
+def test_chunk_of_excessive_size_is_refused(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", MIXED)
     data = bytearray(path.read_bytes())
     at = first_chunk(bytes(data))
@@ -462,13 +461,15 @@ def test_a_chunk_of_an_absurd_size_is_refused_without_reserving_it(tmp_path: Pat
     damage=st.lists(st.tuples(st.integers(0, 1 << 30), st.integers(0, 255)), min_size=1, max_size=6),
     chunked=st.booleans(),
 )
-def test_any_damage_gives_messages_or_one_line(tmp_path: Path, damage: list[tuple[int, int]], *, chunked: bool) -> None:
+def test_any_damage_gives_messages_or_a_warning(
+    tmp_path: Path, damage: list[tuple[int, int]], *, chunked: bool
+) -> None:
     path = write_mcap(tmp_path / "a.mcap", MIXED[:60], chunked=chunked, chunk_size=1000)
     data = bytearray(path.read_bytes())
     for at, value in damage:
         data[at % len(data)] = value
     path.write_bytes(data)
-    messages, warnings = salvaged(path)
+    messages, warnings = readable(path)
     assert messages or warnings
 
 
@@ -481,12 +482,12 @@ def test_unknown_compression_is_refused(tmp_path: Path) -> None:
 
 @pytest.fixture
 def not_root() -> Iterator[Path]:
-    """A folder of somebody who is not root, being that somebody: root may read everything."""
+    """Return a folder of an unprivileged user, as whom the test runs: root may read everything."""
     was_root = os.geteuid() == 0
     with tempfile.TemporaryDirectory() as folder:
         if was_root:
-            os.chown(folder, NOBODY, NOBODY)
-            os.seteuid(NOBODY)
+            os.chown(folder, NOBODY_UID, NOBODY_UID)
+            os.seteuid(NOBODY_UID)
         try:
             yield Path(folder)
         finally:
@@ -494,64 +495,64 @@ def not_root() -> Iterator[Path]:
                 os.seteuid(0)
 
 
-class TestNoRecording:
+class TestUnreadableInput:
     @pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag"])
     @pytest.mark.parametrize(("content", "reason"), [(b"", "is empty"), (b"not a bag at all", "is not a bag")])
-    def test_wrong_content_is_named(self, tmp_path: Path, name: str, content: bytes, reason: str) -> None:
+    def test_other_content_is_refused(self, tmp_path: Path, name: str, content: bytes, reason: str) -> None:
         path = tmp_path / name
         path.write_bytes(content)
         with pytest.raises(BagError, match=rf"{name}: {reason}"):
             open_bag(path)
 
-    def test_nothing_there(self, tmp_path: Path) -> None:
+    def test_missing_path_and_empty_folder_are_refused(self, tmp_path: Path) -> None:
         with pytest.raises(BagError, match="nope: does not exist"):
             open_bag(tmp_path / "nope")
         with pytest.raises(BagError, match="contains no bag; expected"):
             open_bag(tmp_path)
 
     @pytest.mark.parametrize("name", [name for name in FORMATS if "by file" not in name])
-    def test_no_messages(self, tmp_path: Path, name: str) -> None:
+    def test_bag_without_messages_is_refused(self, tmp_path: Path, name: str) -> None:
         with pytest.raises(BagError, match="contains no messages"):
             open_bag(FORMATS[name](tmp_path, []))
 
     @pytest.mark.parametrize("closed", ["bag/a.mcap", "bag"])
-    def test_no_permission(self, not_root: Path, closed: str) -> None:
+    def test_missing_permission_is_reported(self, not_root: Path, closed: str) -> None:
         (not_root / "bag").mkdir()
         path = write_mcap(not_root / "bag" / "a.mcap", MIXED)
         (not_root / closed).chmod(0)
         try:
-            for given_path in (path, path.parent):
+            for bag_path in (path, path.parent):
                 with pytest.raises(BagError, match=r"/bag.*: cannot be read: Permission denied"):
-                    open_bag(given_path)
+                    open_bag(bag_path)
         finally:
             (not_root / closed).chmod(0o700)
 
     @pytest.mark.parametrize("size", [20, 100, 3000, 9000])
     @pytest.mark.parametrize("name", ["db3", "ros1"])
-    def test_sqlite_and_ros1_cut_off_are_refused_or_reported(self, tmp_path: Path, name: str, size: int) -> None:
+    def test_truncated_sqlite_and_ros1_are_refused(self, tmp_path: Path, name: str, size: int) -> None:
         path = FORMATS[name](tmp_path, MIXED)
         with path.open("r+b") as file:
             file.truncate(size)
-        messages, warnings = salvaged(path)
+        messages, warnings = readable(path)
         assert messages == []
         assert "cannot be read" in warnings
 
-    def test_sqlite_damaged_inside_is_refused(self, tmp_path: Path) -> None:
+    def test_damaged_sqlite_is_refused(self, tmp_path: Path) -> None:
         path = single_db3(tmp_path, MIXED)
         data = bytearray(path.read_bytes())
         middle = data.find(MIXED[200].data)
         data[middle - 3000 : middle + 3000] = bytes(6000)
         path.write_bytes(data)
-        messages, warnings = salvaged(path)
+        messages, warnings = readable(path)
         assert messages == []
         assert warnings.startswith(f"{path}: cannot be read: ")
 
-    def test_ros1_damaged_inside_is_read_up_to_there(self, tmp_path: Path) -> None:
+    def test_damaged_ros1_is_read_up_to_the_damage(self, tmp_path: Path) -> None:
         path = write_ros1(tmp_path / "a.bag", MIXED)
         data = path.read_bytes()
         half = data.find(b"op=", data.find(b"joint1", len(data) // 3))
         path.write_bytes(data[:half] + b"xx" + data[half + 2 :])
-        messages, warnings = salvaged(path)
+        messages, warnings = readable(path)
         assert messages == MIXED[: len(messages)]
         assert 0 < len(messages) < len(MIXED)
         assert "damaged, the rest is lost: Could not read uint8 field 'op'" in warnings
@@ -562,7 +563,7 @@ class TestFolder:
     def folder(self, tmp_path: Path) -> Path:
         return write_rosbag2(tmp_path / "walk", MIXED, StoragePlugin.MCAP)
 
-    def test_without_metadata_is_read_and_said(self, folder: Path) -> None:
+    def test_missing_metadata_is_reported(self, folder: Path) -> None:
         (folder / "walk.mcap").rename(folder / "walk_0.mcap")
         (folder / "metadata.yaml").unlink()
         with open_bag(folder) as bag:
@@ -570,42 +571,42 @@ class TestFolder:
             assert bag.losses == (f"{folder}/metadata.yaml: does not exist; read without it",)
 
     @pytest.mark.parametrize("content", ["", "[", "a: 1", "rosbag2_bagfile_information: 3", "\x00"])
-    def test_with_wrong_metadata_is_read_and_said(self, folder: Path, content: str) -> None:
+    def test_invalid_metadata_is_reported(self, folder: Path, content: str) -> None:
         (folder / "metadata.yaml").write_text(content)
         with open_bag(folder) as bag:
             assert read(bag) == MIXED
             assert "does not describe a bag" in bag.losses[0]
 
-    def test_whose_metadata_name_another_file_is_read_and_said(self, folder: Path) -> None:
+    def test_missing_file_in_metadata_is_reported(self, folder: Path) -> None:
         (folder / "walk.mcap").rename(folder / "renamed.mcap")
         with open_bag(folder) as bag:
             assert read(bag) == MIXED
             assert bag.losses == (f"{folder}/metadata.yaml: names walk.mcap, which does not exist",)
 
-    def test_without_any_file_is_refused(self, folder: Path) -> None:
+    def test_folder_without_files_is_refused(self, folder: Path) -> None:
         (folder / "walk.mcap").unlink()
         with pytest.raises(BagError, match=r"contains no .mcap or .db3 file; .*names walk.mcap, which does not exist"):
             open_bag(folder)
 
-    def test_whose_files_hold_less_than_promised_says_so(self, folder: Path) -> None:
+    def test_missing_messages_are_reported(self, folder: Path) -> None:
         write_mcap(folder / "walk.mcap", MIXED[:10])
         with open_bag(folder) as bag:
             assert bag.losses == (f"{folder}/metadata.yaml: lists 666 messages, the files contain 10",)
 
-    def test_with_an_unnamed_file_says_so(self, folder: Path) -> None:
+    def test_file_not_in_metadata_is_reported(self, folder: Path) -> None:
         write_mcap(folder / "other.mcap", MIXED[:10])
         with open_bag(folder) as bag:
             assert read(bag) == MIXED
             assert bag.losses == (f"{folder}/metadata.yaml: does not name other.mcap; not read",)
 
-    def test_of_a_recorder_that_left_a_journal_says_so(self, tmp_path: Path) -> None:
+    def test_sqlite_journal_is_reported(self, tmp_path: Path) -> None:
         folder = write_rosbag2(tmp_path / "walk", MIXED, StoragePlugin.SQLITE3)
         (folder / "walk.db3-wal").write_bytes(b"rest")
         with open_bag(folder) as bag:
             assert "walk.db3-wal: the recorder did not finish" in bag.losses[0]
 
     @pytest.mark.parametrize("suffix", ["mcap", "db3"])
-    def test_of_a_split_recording_is_read_in_order(self, tmp_path: Path, suffix: str) -> None:
+    def test_split_bag_without_metadata_is_read_in_order(self, tmp_path: Path, suffix: str) -> None:
         folder = tmp_path / "split"
         folder.mkdir()
         cuts = [*range(0, len(MIXED), 60), len(MIXED)]
@@ -621,9 +622,9 @@ class TestFolder:
         assert find_bags(folder) == [folder]
         with open_bag(folder) as bag:
             assert read(bag) == MIXED
-            assert_states(bag, (message for message in MIXED if message.kind == JOINTS))
+            assert_states(bag, (message for message in MIXED if message.type == JOINTS))
 
-    def test_of_several_recordings_gives_each(self, tmp_path: Path) -> None:
+    def test_folder_of_bags_gives_each_bag(self, tmp_path: Path) -> None:
         several = tmp_path / "several"
         several.mkdir()
         (several / "notes.txt").write_text("x")
@@ -640,7 +641,7 @@ class TestFolder:
 
 
 class TestDefinitions:
-    def test_a_type_that_only_the_recording_knows_is_read(self, tmp_path: Path) -> None:
+    def test_type_defined_only_in_the_bag_is_decoded(self, tmp_path: Path) -> None:
         types = get_typestore(Stores.ROS2_JAZZY)
         types.register(get_types_from_msg("float64 weight\nstring by\n", "lab_msgs/msg/Weighing"))
         data = bytes(types.serialize_cdr(types.types["lab_msgs/msg/Weighing"](2.5, "me"), "lab_msgs/msg/Weighing"))
@@ -653,29 +654,20 @@ class TestDefinitions:
             assert bag.deserialize(message).weight == 2.5
 
     def test_invalid_definition_leaves_other_topics_readable(self, tmp_path: Path) -> None:
-        path = tmp_path / "a.mcap"
-        with path.open("wb") as file:
-            writer = Writer(file)
-            writer.start("ros2")
-            for topic, kind, definition in (
-                ("/odd", "lab_msgs/msg/Odd", b"this is ( no definition"),
-                ("/joint_states", JOINTS, known_types().generate_msgdef(JOINTS, ros_version=2)[0].encode()),
-            ):
-                channel = writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", definition))
-                writer.add_message(channel, T0, joints(0).data, T0)
-            writer.finish()  # type: ignore[no-untyped-call]
-        with open_bag(path) as bag:
-            assert_states(bag, [joints(0, log_time_ns=T0)])
+        messages = [joint_state(0), joint_state(0)._replace(topic="/odd", type="lab_msgs/msg/Odd")]
+        definitions = {"lab_msgs/msg/Odd": "this is ( no definition"}
+        with open_bag(write_mcap(tmp_path / "a.mcap", messages, definitions=definitions)) as bag:
+            assert_states(bag, messages[:1])
             odd = next(bag.messages(["/odd"]))
-            assert odd.data == joints(0).data
+            assert odd.data == joint_state(0).data
 
-    def test_a_joint_state_that_is_not_that_of_ros_is_refused(self, tmp_path: Path) -> None:
+    def test_other_joint_state_definition_is_refused(self, tmp_path: Path) -> None:
         types = get_typestore(Stores.EMPTY)
         types.register(get_types_from_msg("string[] name\nfloat32[] position\n", JOINTS))
         types.register(get_types_from_msg("string frame_id\n", "std_msgs/msg/Header"))
         folder = tmp_path / "bag"
         with Ros2Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            writer.write(writer.add_connection("/joint_states", JOINTS, typestore=types), T0, joints(0).data)
+            writer.write(writer.add_connection("/joint_states", JOINTS, typestore=types), T0, joint_state(0).data)
         with (
             open_bag(folder) as bag,
             pytest.raises(BagError, match="definition of sensor_msgs/msg/JointState: must be that of ROS"),
@@ -683,36 +675,30 @@ class TestDefinitions:
             bag.joint_state_blocks()
 
     @pytest.mark.parametrize("joint_states_first", [True, False])
-    def test_a_stamp_that_is_not_that_of_ros_is_refused(self, tmp_path: Path, *, joint_states_first: bool) -> None:
-        """Also where another topic's definition contradicts it."""
-        right, _ = known_types().generate_msgdef(JOINTS, ros_version=2)
-        wrong = right.replace("int32 sec", "int64 sec")
-        assert wrong != right
-        kinds = [(JOINTS, wrong), ("std_msgs/msg/Header", known_types().generate_msgdef("std_msgs/msg/Header")[0])]
-        path = tmp_path / "a.mcap"
-        with path.open("wb") as file:
-            writer = Writer(file)
-            writer.start("ros2")
-            for kind, definition in kinds if joint_states_first else reversed(kinds):
-                schema = writer.register_schema(kind, "ros2msg", definition.encode())
-                writer.add_message(writer.register_channel(f"/{kind}", "cdr", schema), T0, joints(0).data, T0)
-            writer.finish()  # type: ignore[no-untyped-call]
+    def test_other_time_definition_is_refused(self, tmp_path: Path, *, joint_states_first: bool) -> None:
+        """The definition of another topic does not hide it."""
+        ros_definition, _ = known_types().generate_msgdef(JOINTS, ros_version=2)
+        definition = ros_definition.replace("int32 sec", "int64 sec")
+        assert definition != ros_definition
+        messages = [joint_state(0), joint_state(0)._replace(topic="/header", type="std_msgs/msg/Header")]
+        ordered = messages if joint_states_first else messages[::-1]
+        path = write_mcap(tmp_path / "a.mcap", ordered, definitions={JOINTS: definition})
         with (
             open_bag(path) as bag,
             pytest.raises(BagError, match="definition of builtin_interfaces/msg/Time: must be that of ROS"),
         ):
             bag.joint_state_blocks()
 
-    def test_an_old_sqlite_recording_without_definitions_is_read(self, tmp_path: Path) -> None:
+    def test_old_sqlite_bag_without_definitions_is_read(self, tmp_path: Path) -> None:
         path = single_db3(tmp_path, MIXED)
         with sqlite3.connect(path) as database:
             database.execute("DROP TABLE message_definitions")
             database.execute("DROP TABLE schema")
         database.close()
         with open_bag(path) as bag:
-            assert_states(bag, (message for message in MIXED if message.kind == JOINTS))
+            assert_states(bag, (message for message in MIXED if message.type == JOINTS))
 
-    def test_another_encoding_is_said(self, tmp_path: Path) -> None:
+    def test_other_encoding_is_reported(self, tmp_path: Path) -> None:
         path = tmp_path / "a.mcap"
         with path.open("wb") as file:
             writer = Writer(file)
@@ -727,7 +713,7 @@ class TestDefinitions:
             assert [message.topic for message in bag.messages()] == ["/a"]
 
 
-def test_rosbags_reads_the_same(tmp_path: Path) -> None:
+def test_messages_equal_those_of_rosbags(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", MIXED)
     with AnyReader([path]) as reader, open_bag(path) as bag:
         assert [(c.topic, c.msgtype, time, raw) for c, time, raw in reader.messages()] == read(bag)
