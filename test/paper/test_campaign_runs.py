@@ -1,4 +1,4 @@
-"""A campaign's recordings give the impacts that truly happened, and the motion up to them."""
+"""Impacts and motions read from campaign recordings agree with the ground truth."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from scara_effmass.values import RunInfo
 
 JOINTS = ("joint1", "joint2")
-ONE = "300_0_500g_1"
+RUN = "300_0_500g_1"
 
 
 @pytest.fixture(scope="module")
@@ -34,15 +34,15 @@ def shipped(scara: Scara) -> list[CampaignRun]:
     return campaign_runs(share("bags", "campaign"), scara, JOINTS, DetectionSettings())
 
 
-def stated(path: Path) -> RunInfo:
+def run_info_of(path: Path) -> RunInfo:
     with open_bag(path) as bag:
         ((_, info),) = run_infos(bag)
     return info
 
 
-def copied(path: Path, changes: dict[str, Any], blocks: int = 1000) -> Path:
-    """Write the shipped run ONE to `path`, with `changes` of its run information, and that many force blocks."""
-    source = share("bags", "campaign", ONE)
+def copy_run(path: Path, changes: dict[str, Any], blocks: int = 1000) -> Path:
+    """Copy the shipped run to `path` with `changes` in its run information and its first `blocks` force blocks."""
+    source = share("bags", "campaign", RUN)
     with open_bag(source) as bag, BagWriter(path) as copy:
         for message in bag.messages():
             data = message.data
@@ -56,11 +56,11 @@ def copied(path: Path, changes: dict[str, Any], blocks: int = 1000) -> Path:
     return path
 
 
-def test_the_impacts_are_the_true_ones(shipped: list[CampaignRun]) -> None:
+def test_impacts_agree_with_the_ground_truth(shipped: list[CampaignRun]) -> None:
     bags = find_bags(share("bags", "campaign"))
     assert len(shipped) == len(bags) == 12
     for bag, (impact, motion) in zip(bags, shipped, strict=True):
-        info = stated(bag)
+        info = run_info_of(bag)
         assert impact.point == info.impact_position[:2]
         assert impact.obstacle_mass_kg == info.obstacle_mass
         assert impact.simulated
@@ -70,7 +70,7 @@ def test_the_impacts_are_the_true_ones(shipped: list[CampaignRun]) -> None:
         assert motion.source == f"simulated run {bag.name}"
 
 
-def test_the_force_begins_before_the_onset_and_rises_from_there(shipped: list[CampaignRun]) -> None:
+def test_force_starts_before_the_onset(shipped: list[CampaignRun]) -> None:
     for impact, _ in shipped:
         assert -BEFORE_ONSET_S <= impact.time_s[0] < 0.0
         assert AFTER_ONSET_S - 1e-4 < impact.time_s[-1] <= AFTER_ONSET_S
@@ -79,7 +79,7 @@ def test_the_force_begins_before_the_onset_and_rises_from_there(shipped: list[Ca
 
 
 @pytest.mark.parametrize(
-    ("changes", "named"),
+    ("changes", "message"),
     [
         ({"plate_normal": (0.0, 0.0, 0.0)}, "must state obstacle_mass"),
         ({"obstacle_mass": 0.0}, "obstacle_mass"),
@@ -87,17 +87,17 @@ def test_the_force_begins_before_the_onset_and_rises_from_there(shipped: list[Ca
         ({"impact_position": (math.nan, 0.0, 0.0)}, "impact_position"),
     ],
 )
-def test_a_recording_without_point_or_mass_is_refused(
-    scara: Scara, tmp_path: Path, changes: dict[str, Any], named: str
+def test_recording_without_point_or_mass_raises(
+    scara: Scara, tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
-    path = copied(tmp_path / "run", changes)
-    with pytest.raises(BagError, match=named) as caught:
+    path = copy_run(tmp_path / "run", changes)
+    with pytest.raises(BagError, match=message) as raised:
         campaign_runs(tmp_path, scara, JOINTS, DetectionSettings())
-    assert str(path) in str(caught.value)
+    assert str(path) in str(raised.value)
 
 
-@pytest.mark.parametrize(("blocks", "named"), [(0, "ForceBlock"), (4, "0 impacts")])
-def test_a_recording_without_an_impact_is_refused(scara: Scara, tmp_path: Path, blocks: int, named: str) -> None:
-    copied(tmp_path / "run", {}, blocks)
-    with pytest.raises(BagError, match=named):
+@pytest.mark.parametrize(("blocks", "message"), [(0, "ForceBlock"), (4, "0 impacts")])
+def test_recording_without_an_impact_raises(scara: Scara, tmp_path: Path, blocks: int, message: str) -> None:
+    copy_run(tmp_path / "run", {}, blocks)
+    with pytest.raises(BagError, match=message):
         campaign_runs(tmp_path, scara, JOINTS, DetectionSettings())

@@ -1,4 +1,4 @@
-"""The distribution of Fig. 8, against numbers found by other means."""
+"""The distribution of Fig. 8 agrees with independent numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from scara_effmass.paper.scara import Scara
 
 
-def test_the_whole_workspace_along_x_and_y(scara: Scara) -> None:
+def test_distribution_over_the_workspace_has_the_known_values(scara: Scara) -> None:
     along_x, along_y = workspace_distribution(scara), workspace_distribution(scara, np.pi / 2.0)
     assert along_x.below(2.77) == pytest.approx(0.709, abs=1e-3)
     assert along_x.mean == pytest.approx(2.359, abs=2e-3)
@@ -22,14 +22,14 @@ def test_the_whole_workspace_along_x_and_y(scara: Scara) -> None:
     assert along_y.median == pytest.approx(1.427, abs=1e-3)
 
 
-def test_2500_positions_stand_for_it(scara: Scara) -> None:
+def test_2500_positions_approximate_the_workspace(scara: Scara) -> None:
     sampled, whole = sampled_distribution(scara), workspace_distribution(scara)
     assert sampled.mass.size == 2500
     assert sampled.below(2.77) == pytest.approx(whole.below(2.77), abs=5e-3)
     assert sampled.median == pytest.approx(whole.median, abs=0.02)
 
 
-def test_density_and_peaks() -> None:
+def test_density_is_normalised_and_its_peaks_are_returned() -> None:
     rng = np.random.default_rng(8)
     mass = np.concatenate((rng.normal(1.5, 0.1, 4000), rng.normal(4.0, 0.1, 6000)))
     distribution = MassDistribution(mass, np.full(mass.size, 1.0 / mass.size))
@@ -40,5 +40,5 @@ def test_density_and_peaks() -> None:
     assert distribution.median == pytest.approx(float(np.median(mass)), abs=1e-3)
 
 
-def test_the_papers_two_peaks(scara: Scara) -> None:
+def test_workspace_distribution_has_the_papers_two_peaks(scara: Scara) -> None:
     np.testing.assert_allclose(density_peaks(workspace_distribution(scara)), [1.0, 3.35], atol=0.1)

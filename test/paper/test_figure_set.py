@@ -1,4 +1,4 @@
-"""Figures, page and claims appear together, the same every time, and the page loads nothing."""
+"""Figures, page and claims are written together and reproducibly; the page is self-contained."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FEW = [spec for spec in FIGURE_SPECS if spec.number in {18, 19}]
 FILES = {"figure_19.png", "figure_19.svg", "index.html", "claims.json"}
 
 
-def made(
+def write_set(
     inputs: FigureInputs, folder: Path, *, overwrite: bool = False, specs: Sequence[FigureSpec] = FEW
 ) -> dict[str, bytes]:
     make_figure_set(inputs, folder, overwrite=overwrite, advance=lambda: None, specs=specs)
@@ -32,7 +32,7 @@ def made(
 
 
 class Page(HTMLParser):
-    """What a page holds: tags still open, addresses it names, pictures, rows of its table."""
+    """Open tags, addresses, pictures and table rows of a page."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -42,11 +42,11 @@ class Page(HTMLParser):
         self.rows = 0
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        named = dict(attrs)
+        attributes = dict(attrs)
         self.addresses += [value or "" for name, value in attrs if name in {"src", "href", "srcset", "data", "action"}]
         self.rows += tag == "tr"
         if tag == "img":
-            self.pictures.append(named)
+            self.pictures.append(attributes)
         if tag not in {"meta", "img"}:
             self.open.append(tag)
 
@@ -54,15 +54,15 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_all_files_are_the_same_every_time(inputs: FigureInputs, tmp_path: Path) -> None:
+def test_repeated_figure_set_gives_the_same_files(inputs: FigureInputs, tmp_path: Path) -> None:
     specs = [FIGURE_SPECS[0], *FEW]
-    first, second = (made(inputs, tmp_path / folder, specs=specs) for folder in ("one", "two"))
+    first, second = (write_set(inputs, tmp_path / folder, specs=specs) for folder in ("one", "two"))
     assert set(first) == FILES | {"figure_6.png", "figure_6.svg"}
     assert first == second
 
 
-def test_the_page_is_whole_and_loads_nothing(inputs: FigureInputs, tmp_path: Path) -> None:
-    files = made(inputs, tmp_path)
+def test_page_is_complete_and_self_contained(inputs: FigureInputs, tmp_path: Path) -> None:
+    files = write_set(inputs, tmp_path)
     text = files["index.html"].decode()
     page = Page()
     page.feed(text)
@@ -84,16 +84,16 @@ def test_the_page_is_whole_and_loads_nothing(inputs: FigureInputs, tmp_path: Pat
     assert max(result["closed_form_check"][f"{model}_relative_difference"] for model in ("lumped", "full")) < 1e-9
 
 
-def test_nothing_is_replaced_unasked(inputs: FigureInputs, tmp_path: Path) -> None:
+def test_existing_file_is_replaced_only_with_overwrite(inputs: FigureInputs, tmp_path: Path) -> None:
     (tmp_path / "claims.json").write_text("mine")
     with pytest.raises(OutputError, match=r"claims\.json: already exists"):
-        made(inputs, tmp_path)
+        write_set(inputs, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["claims.json"]
     assert (tmp_path / "claims.json").read_text() == "mine"
-    assert made(inputs, tmp_path, overwrite=True)["claims.json"] != b"mine"
+    assert write_set(inputs, tmp_path, overwrite=True)["claims.json"] != b"mine"
 
 
-def test_nothing_is_left_when_drawing_fails(inputs: FigureInputs, tmp_path: Path) -> None:
+def test_failed_drawing_leaves_no_files(inputs: FigureInputs, tmp_path: Path) -> None:
     def fail(_: FigureInputs) -> Figure:
         raise KeyboardInterrupt
 

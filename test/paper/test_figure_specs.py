@@ -1,4 +1,4 @@
-"""Every figure can be read: titles, units, nothing cut off; and its red line is where it should be."""
+"""Every figure has titles and units, nothing is cut off, and the red line is at the standard's value."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 BY_NUMBER = {spec.number: spec for spec in FIGURE_SPECS}
 
 
-def drawn(spec: FigureSpec, inputs: FigureInputs) -> Figure:
+def draw(spec: FigureSpec, inputs: FigureInputs) -> Figure:
     with mpl.rc_context(STYLE):
         figure = spec.draw(inputs)
         figure.draw_without_rendering()
@@ -37,31 +37,33 @@ def drawn(spec: FigureSpec, inputs: FigureInputs) -> Figure:
 
 def red_line(axes: Axes) -> FloatArray:
     """Return the points (n, 2) of the red contour on `axes`."""
-    lines = [each for each in axes.collections if isinstance(each, QuadContourSet) and not each.filled]
-    (contour,) = (each for each in lines if to_hex(np.asarray(each.get_edgecolor())[0].tolist()) == ISO_RED.lower())
-    return np.concatenate([path.vertices for path in contour.get_paths()])
+    contours = [item for item in axes.collections if isinstance(item, QuadContourSet) and not item.filled]
+    (line,) = (item for item in contours if to_hex(np.asarray(item.get_edgecolor())[0].tolist()) == ISO_RED.lower())
+    return np.concatenate([path.vertices for path in line.get_paths()])
 
 
-def test_the_papers_figures_are_all_there() -> None:
+def test_specs_cover_the_papers_figures() -> None:
     assert [spec.number for spec in FIGURE_SPECS] == [6, 7, 8, 9, 10, 11, 12, 14, 15, 17, 18, 19]
     assert all(spec.caption.endswith(".") for spec in FIGURE_SPECS)
 
 
 @pytest.mark.parametrize("spec", FIGURE_SPECS, ids=lambda spec: spec.name)
-def test_it_can_be_read(spec: FigureSpec, inputs: FigureInputs, runs: tuple[RecordedImpact, ...]) -> None:
-    figure = drawn(spec, replace(inputs, runs=runs))
+def test_figure_is_labelled_and_not_cut_off(
+    spec: FigureSpec, inputs: FigureInputs, runs: tuple[RecordedImpact, ...]
+) -> None:
+    figure = draw(spec, replace(inputs, runs=runs))
     assert figure.get_suptitle().startswith(f"Fig. {spec.number} ")
     for axes in figure.axes:
         labels = [axes.get_ylabel()] if axes.get_label() == "<colorbar>" else [axes.get_xlabel(), axes.get_ylabel()]
         for label in labels:
             assert label.endswith("]") or label.startswith("tool at the impact"), label
-    box = figure.get_tightbbox()  # of all that is drawn [inch]
+    box = figure.get_tightbbox()  # bounding box of everything [inch]
     width, height = figure.get_size_inches()
     assert min(box.x0, box.y0, width - box.x1, height - box.y1) > -0.02, "something is cut off"
 
 
-def test_the_red_line_of_figure_6_is_where_the_mass_is_the_standards(inputs: FigureInputs) -> None:
-    workspace, angles, _ = drawn(BY_NUMBER[6], inputs).axes
+def test_red_line_of_figure_6_is_at_the_iso_mass(inputs: FigureInputs) -> None:
+    workspace, angles, _ = draw(BY_NUMBER[6], inputs).axes
     scara = inputs.scara
     q1, q2 = np.radians(red_line(angles)).T
     np.testing.assert_allclose(scara.lumped(q1, q2), scara.iso_mass, rtol=0.06)
@@ -70,19 +72,19 @@ def test_the_red_line_of_figure_6_is_where_the_mass_is_the_standards(inputs: Fig
 
 
 @pytest.mark.parametrize(("panel", "phi"), [(0, np.pi / 2.0), (1, np.arctan2(0.8, 0.6))])
-def test_the_red_line_of_figure_12_is_where_mu_is_the_standards(inputs: FigureInputs, panel: int, phi: float) -> None:
-    axes = drawn(BY_NUMBER[12], inputs).axes[panel]
+def test_red_line_of_figure_12_is_at_the_iso_reduced_mass(inputs: FigureInputs, panel: int, phi: float) -> None:
+    axes = draw(BY_NUMBER[12], inputs).axes[panel]
     assert_on_mu_iso(inputs.scara, red_line(axes), ElbowConfig.RIGHT, phi)
 
 
-def test_figure_14_is_the_left_arm(inputs: FigureInputs) -> None:
-    workspace, angles, _ = drawn(BY_NUMBER[14], inputs).axes
+def test_figure_14_shows_the_left_arm(inputs: FigureInputs) -> None:
+    workspace, angles, _ = draw(BY_NUMBER[14], inputs).axes
     assert angles.get_ylim() == pytest.approx((-148.0, 0.0), abs=0.01)
     assert_on_mu_iso(inputs.scara, red_line(workspace), ElbowConfig.LEFT, 0.0)
 
 
-def test_figure_15_takes_the_smaller_one(inputs: FigureInputs) -> None:
-    axes = drawn(BY_NUMBER[15], inputs).axes[0]
+def test_figure_15_shows_the_smaller_reduced_mass(inputs: FigureInputs) -> None:
+    axes = draw(BY_NUMBER[15], inputs).axes[0]
     scara = inputs.scara
     iso = reduced_mass(scara.iso_mass, 2.39)
     points = red_line(axes)
@@ -101,40 +103,44 @@ def assert_on_mu_iso(scara: Scara, points: FloatArray, elbow_config: ElbowConfig
 
 
 def test_figure_17_shows_the_contact_at_300_mm(inputs: FigureInputs) -> None:
-    position, velocity = drawn(BY_NUMBER[17], inputs).axes
-    at = float(np.asarray(position.get_lines()[1].get_xdata())[0])
+    position, velocity = draw(BY_NUMBER[17], inputs).axes
+    contact_s = float(np.asarray(position.get_lines()[1].get_xdata())[0])
     for axes, expected in ((position, 300.0), (velocity, 250.0)):
         line = axes.get_lines()[0]
-        assert np.interp(at, np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) == pytest.approx(expected)
-    assert "generated" in drawn(BY_NUMBER[17], inputs).get_suptitle()
+        assert np.interp(contact_s, np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) == pytest.approx(
+            expected
+        )
+    assert "generated" in draw(BY_NUMBER[17], inputs).get_suptitle()
 
 
-def test_forces_are_called_simulated_where_they_are(inputs: FigureInputs, runs: tuple[RecordedImpact, ...]) -> None:
+def test_titles_state_simulated_or_measured(inputs: FigureInputs, runs: tuple[RecordedImpact, ...]) -> None:
     for kind, flag in (("simulated", True), ("measured", False)):
         with_runs = replace(inputs, runs=tuple(replace(run, simulated=flag) for run in runs))
-        assert kind in drawn(BY_NUMBER[18], with_runs).get_suptitle()
-        assert kind in drawn(BY_NUMBER[19], with_runs).axes[0].get_title("left")
+        assert kind in draw(BY_NUMBER[18], with_runs).get_suptitle()
+        assert kind in draw(BY_NUMBER[19], with_runs).axes[0].get_title("left")
 
 
-def test_figure_18_has_every_repetition_of_one_obstacle(inputs: FigureInputs, runs: tuple[RecordedImpact, ...]) -> None:
-    (axes,) = drawn(BY_NUMBER[18], replace(inputs, runs=runs)).axes
+def test_figure_18_shows_every_repetition_of_one_obstacle(
+    inputs: FigureInputs, runs: tuple[RecordedImpact, ...]
+) -> None:
+    (axes,) = draw(BY_NUMBER[18], replace(inputs, runs=runs)).axes
     assert len(axes.get_lines()) == 9
     peaks = sorted(float(np.max(line.get_ydata())) for line in axes.get_lines())
     expected = sorted(float(run.force_n.max()) for run in runs if run.obstacle_mass_kg == 2.39)
     assert peaks == pytest.approx(expected)
 
 
-def test_figure_19_has_mean_forces_and_roots(inputs: FigureInputs, runs: tuple[RecordedImpact, ...]) -> None:
-    forces, roots = drawn(BY_NUMBER[19], replace(inputs, runs=runs)).axes
+def test_figure_19_shows_mean_forces_and_roots(inputs: FigureInputs, runs: tuple[RecordedImpact, ...]) -> None:
+    forces, roots = draw(BY_NUMBER[19], replace(inputs, runs=runs)).axes
     for measured, predicted in zip(forces.get_lines(), roots.get_lines(), strict=True):
         ratio = np.divide(measured.get_ydata(), predicted.get_ydata())
-        np.testing.assert_allclose(ratio, 250.0)  # v sqrt(k) of the made-up impacts
+        np.testing.assert_allclose(ratio, 250.0)  # v sqrt(k) of the synthetic impacts
     assert [line.get_label() for line in roots.get_lines()] == ["7.35", "3.72", "2.39", "0.50"]
 
 
-def test_nothing_is_invented_without_impacts(inputs: FigureInputs) -> None:
+def test_without_impacts_no_force_is_drawn(inputs: FigureInputs) -> None:
     assert BY_NUMBER[18].missing(inputs)
     assert BY_NUMBER[19].part_missing(inputs)
-    (only,) = drawn(BY_NUMBER[19], inputs).axes
+    (only,) = draw(BY_NUMBER[19], inputs).axes
     assert "sqrt" in only.get_ylabel()
     assert not [spec for spec in FIGURE_SPECS if spec.number != 18 and spec.missing(inputs)]

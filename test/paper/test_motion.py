@@ -1,4 +1,4 @@
-"""The tool's motion out of joint states."""
+"""The tool's motion from joint states."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ START_NS = 1_767_225_600_000_000_000
 JOINTS = ("joint1", "joint2")
 
 
-def recorded(path: Path, names: tuple[str, ...], *, velocities: bool = True) -> Path:
-    """Record a swing of 1 s at 1 kHz, the joints in the order of `names`."""
+def record(path: Path, names: tuple[str, ...], *, velocities: bool = True) -> Path:
+    """Record a swing of 1 s at 1 kHz with the joints `names`."""
     with BagWriter(path) as bag:
         bag.write_joint_states("/joint_states", [state(number, names, velocities) for number in range(1001)])
     return path
@@ -37,16 +37,16 @@ def state(number: int, names: tuple[str, ...], velocities: bool) -> JointState: 
     return JointState(START_NS + number * 10**6, names, np.array([angles[name] for name in names]), qd)
 
 
-def test_the_shipped_recording(motion: ToolMotion) -> None:
+def test_shipped_recording_passes_the_impact_point(motion: ToolMotion) -> None:
     assert motion.contact_x_m == pytest.approx(0.3, abs=1e-9)
     assert motion.contact_speed_m_s == pytest.approx(0.25, rel=1e-9)
     assert motion.path_share == pytest.approx(0.5, rel=1e-9)
     assert "nothing is hit" in motion.contact_label
 
 
-def test_velocity_is_the_derivative_of_position_whatever_the_order(scara: Scara, tmp_path: Path) -> None:
-    path = recorded(tmp_path / "a", ("gripper", "joint2", "joint1"))
-    motion = tool_motion(path, scara, JOINTS, "made up", contact_ns=START_NS + 400_000_000)
+def test_velocity_is_the_derivative_of_position_for_any_joint_order(scara: Scara, tmp_path: Path) -> None:
+    path = record(tmp_path / "a", ("gripper", "joint2", "joint1"))
+    motion = tool_motion(path, scara, JOINTS, "synthetic", contact_ns=START_NS + 400_000_000)
     np.testing.assert_allclose(motion.speed_m_s[1:-1], np.gradient(motion.x_m, motion.time_s)[1:-1], atol=1e-5)
     assert motion.contact_s == pytest.approx(0.4)
     assert motion.contact_label == "instant of impact"
@@ -61,7 +61,7 @@ def test_velocity_is_the_derivative_of_position_whatever_the_order(scara: Scara,
         (JOINTS, True, {"contact_ns": START_NS - 1}, "must be within the recording"),
     ],
 )
-def test_what_cannot_be_used_is_refused_in_one_line(
+def test_unusable_recording_raises_in_one_line(
     scara: Scara,
     tmp_path: Path,
     names: tuple[str, ...],
@@ -69,7 +69,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(
     contact: dict[str, float],
     problem: str,
 ) -> None:
-    path = recorded(tmp_path / "a", names, velocities=velocities)
-    with pytest.raises(BagError, match=problem) as refusal:
-        tool_motion(path, scara, JOINTS, "made up", **contact)  # type: ignore[arg-type]
-    assert "\n" not in str(refusal.value)
+    path = record(tmp_path / "a", names, velocities=velocities)
+    with pytest.raises(BagError, match=problem) as raised:
+        tool_motion(path, scara, JOINTS, "synthetic", **contact)  # type: ignore[arg-type]
+    assert "\n" not in str(raised.value)

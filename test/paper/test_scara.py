@@ -1,4 +1,4 @@
-"""The closed forms have the parameters of the file, and agree with the mass matrices."""
+"""The closed forms have the parameters of the robot file and agree with the mass matrices."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from scara_effmass.paper.scara import Scara
 
 
-def test_parameters_are_those_of_the_file(scara: Scara) -> None:
+def test_parameters_equal_those_of_the_file(scara: Scara) -> None:
     rows = yaml.safe_load(share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8"))
     assert (scara.inertia.l1, scara.inertia.l2) == pytest.approx([joint["a"] for joint in rows["joints"][:2]])
     links = rows["links"]
@@ -44,7 +44,7 @@ def test_closed_forms_agree_with_the_mass_matrices(dynamics: RobotDynamics, scar
     assert max(check.lumped, check.full) < 1e-9
 
 
-def test_a_wrong_parameter_is_noticed(dynamics: RobotDynamics, scara: Scara) -> None:
+def test_wrong_parameter_gives_a_difference(dynamics: RobotDynamics, scara: Scara) -> None:
     poses = equal_area_poses(scara, count=8)
     heavier = replace(scara, m2=1.01 * scara.m2, inertia=replace(scara.inertia, i2=1.01 * scara.inertia.i2))
     check = compare_models(dynamics, heavier, *poses)
@@ -58,13 +58,13 @@ def test_matrix_masses_do_not_depend_on_the_quill(dynamics: RobotDynamics, scara
     np.testing.assert_allclose(low, high, rtol=1e-12)
 
 
-def test_tool_is_where_the_benchs_inverse_kinematics_puts_it(scara: Scara) -> None:
+def test_tool_position_agrees_with_inverse_kinematics(scara: Scara) -> None:
     xy = np.array([[0.3, 0.2], [0.1, -0.4], [-0.3, 0.3]])
     q = inverse_kinematics(xy, ElbowConfig.RIGHT)
     np.testing.assert_allclose(np.stack(scara.tool(q[:, 0], q[:, 1]), axis=1), xy, atol=1e-12)
 
 
-def test_another_robot_is_refused(tmp_path: Path) -> None:
+def test_robot_that_is_no_scara_raises(tmp_path: Path) -> None:
     rows = yaml.safe_load(share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8"))
     rows["joints"][2]["a"] = 0.05
     path = tmp_path / "robot.yaml"

@@ -30,7 +30,7 @@ def checksums(folder: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("campaign")
     steps = list(run_campaign(folder, SMALL))
     assert [(step.number, step.total, step.kept) for step in steps] == [(1, 2, False), (2, 2, False)]
@@ -43,16 +43,16 @@ def run() -> ImpactRun:
     return run_impact(SMALL.runs[1].setup)
 
 
-def test_the_paper_s_experiment_is_complete() -> None:
+def test_default_campaign_is_the_papers_experiment() -> None:
     runs = Campaign().runs
     assert len(runs) == len({run.name for run in runs}) == 36
-    which = {(run.setup.configuration.name, run.setup.obstacle_mass, run.repetition) for run in runs}
-    assert which == set(product((c.name for c in CONFIGURATIONS), OBSTACLE_MASSES, (1, 2, 3)))
+    cases = {(run.setup.configuration.name, run.setup.obstacle_mass, run.repetition) for run in runs}
+    assert cases == set(product((c.name for c in CONFIGURATIONS), OBSTACLE_MASSES, (1, 2, 3)))
     assert len({run.setup.seed for run in runs}) == 36
     assert np.all(np.diff([run.setup.start_ns for run in runs]) == RUN_SPACING_NS)
 
 
-def test_runs_differ_a_little() -> None:
+def test_runs_vary_within_the_stated_spreads() -> None:
     setups = [run.setup for run in Campaign().runs]
     speeds = [setup.speed for setup in setups]
     assert 0.245 < min(speeds) < 0.247
@@ -62,8 +62,8 @@ def test_runs_differ_a_little() -> None:
     assert max(abs(setup.sensor.clock_error) for setup in setups) < 50e-6
 
 
-def test_a_bag_holds_what_the_run_gave(made: Path, run: ImpactRun) -> None:
-    with open_bag(made / "300_200_7350g_1") as bag:
+def test_bag_contains_the_states_and_force_of_the_run(recorded: Path, run: ImpactRun) -> None:
+    with open_bag(recorded / "300_200_7350g_1") as bag:
         assert bag.losses == ()
         assert bag.joint_state_topics == ("/joint_states",)
         states = [state for block in bag.joint_state_blocks() for state in block.states()]
@@ -71,20 +71,18 @@ def test_a_bag_holds_what_the_run_gave(made: Path, run: ImpactRun) -> None:
         order = [message.log_time_ns for message in bag.messages()]
     assert order == sorted(order)
     assert len(states) == len(run.joint_states)
-    for one, other in zip(states, run.joint_states, strict=True):
-        assert (one.stamp_ns, one.names) == (other.stamp_ns, other.names)
-        assert np.array_equal(one.position, other.position)
-        assert np.array_equal(one.velocity, other.velocity)
-    empty, none = np.empty(0), np.empty(0, np.uint32)
-    for block, whole in zip(blocks, run.force_blocks, strict=True):
-        assert np.array_equal(block.force, whole.force)
-        assert block._replace(force=empty, saturated_samples=none) == whole._replace(
-            force=empty, saturated_samples=none
-        )
+    for state, expected in zip(states, run.joint_states, strict=True):
+        assert (state.stamp_ns, state.names) == (expected.stamp_ns, expected.names)
+        assert np.array_equal(state.position, expected.position)
+        assert np.array_equal(state.velocity, expected.velocity)
+    for block, expected_block in zip(blocks, run.force_blocks, strict=True):
+        assert np.array_equal(block.force, expected_block.force)
+        arrays = {"force": None, "saturated_samples": None}
+        assert block._asdict() | arrays == expected_block._asdict() | arrays
 
 
-def test_bag_states_run_information_and_ground_truth(made: Path, run: ImpactRun) -> None:
-    with open_bag(made / "300_200_7350g_1") as bag:
+def test_bag_contains_run_information_and_ground_truth(recorded: Path, run: ImpactRun) -> None:
+    with open_bag(recorded / "300_200_7350g_1") as bag:
         ((_, info),) = run_infos(bag)
     assert info == SMALL.runs[1].info(run.truth)
     assert info.simulated
@@ -95,43 +93,43 @@ def test_bag_states_run_information_and_ground_truth(made: Path, run: ImpactRun)
     assert {"repetition = 1", "damping = 0.0"} <= set(info.note.splitlines())
 
 
-def test_a_force_block_is_logged_after_its_last_sample_was_taken(made: Path) -> None:
-    with open_bag(made / "300_200_500g_1") as bag:
+def test_force_block_is_logged_after_its_last_sample(recorded: Path) -> None:
+    with open_bag(recorded / "300_200_500g_1") as bag:
         logged = [message.log_time_ns for message in bag.messages([FORCE_TOPIC])]
         blocks = list(bag.force_blocks(FORCE_TOPIC))
-    late = [log - block.stamp_ns for log, block in zip(logged, blocks, strict=True)]
-    assert min(late) > 0.1e9
-    assert max(late) < 0.106e9
+    delays_ns = [log - block.stamp_ns for log, block in zip(logged, blocks, strict=True)]
+    assert min(delays_ns) > 0.1e9
+    assert max(delays_ns) < 0.106e9
 
 
-def test_making_it_twice_gives_the_same_bytes(made: Path, tmp_path: Path) -> None:
+def test_repeated_campaign_gives_the_same_bytes(recorded: Path, tmp_path: Path) -> None:
     list(run_campaign(tmp_path, SMALL))
-    assert checksums(tmp_path) == checksums(made)
+    assert checksums(tmp_path) == checksums(recorded)
 
 
-def test_a_campaign_can_be_gone_on_with(made: Path, tmp_path: Path) -> None:
+def test_interrupted_campaign_can_be_resumed(recorded: Path, tmp_path: Path) -> None:
     first = SMALL.runs[0]
     record(tmp_path / first.name, first)
     before = (tmp_path / first.name / "metadata.yaml").stat().st_mtime_ns
     assert [step.kept for step in run_campaign(tmp_path, SMALL)] == [True, False]
     assert (tmp_path / first.name / "metadata.yaml").stat().st_mtime_ns == before
-    assert checksums(tmp_path) == checksums(made)
+    assert checksums(tmp_path) == checksums(recorded)
     assert [step.kept for step in run_campaign(tmp_path, SMALL)] == [True, True]
 
 
-def test_what_is_of_another_campaign_stays_unless_it_may_be_replaced(tmp_path: Path) -> None:
-    one = replace(SMALL, obstacle_masses=(0.5,))
-    list(run_campaign(tmp_path, one))
+def test_bag_of_another_campaign_is_replaced_only_with_overwrite(tmp_path: Path) -> None:
+    light = replace(SMALL, obstacle_masses=(0.5,))
+    list(run_campaign(tmp_path, light))
     before = checksums(tmp_path)
     with pytest.raises(OutputError, match="not of this run"):
-        list(run_campaign(tmp_path, replace(one, seed=1)))
+        list(run_campaign(tmp_path, replace(light, seed=1)))
     assert checksums(tmp_path) == before
-    assert [step.kept for step in run_campaign(tmp_path, replace(one, seed=1), overwrite=True)] == [False]
+    assert [step.kept for step in run_campaign(tmp_path, replace(light, seed=1), overwrite=True)] == [False]
     assert checksums(tmp_path) != before
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no recording"])
-def test_what_is_no_recording_stays(tmp_path: Path, content: bytes | None) -> None:
+def test_existing_path_that_is_no_recording_is_kept(tmp_path: Path, content: bytes | None) -> None:
     path = tmp_path / SMALL.runs[0].name
     if content is None:
         path.mkdir()

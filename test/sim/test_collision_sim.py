@@ -88,7 +88,7 @@ def test_general_dh_rows_and_inertia_tensors_match_the_model(robot: Path, tmp_pa
 
 @pytest.mark.parametrize("mass", MASSES)
 @pytest.mark.parametrize("point", POINTS)
-def test_a_free_impact_has_the_theoretical_peak_and_duration(
+def test_free_impact_has_the_theoretical_peak_and_duration(
     free_impact: type[FreeImpact], point: tuple[float, float], mass: float
 ) -> None:
     impact = free_impact(point, mass, SpringContact()).run()
@@ -101,7 +101,7 @@ def test_a_free_impact_has_the_theoretical_peak_and_duration(
 @pytest.mark.parametrize(
     "contact", [SpringContact(), SpringContact(1.1e8, HERTZ), SpringContact(damping=150.0, friction=0.3)]
 )
-def test_a_finer_step_leaves_the_peak_unchanged(free_impact: type[FreeImpact], contact: SpringContact) -> None:
+def test_finer_step_leaves_the_peak_unchanged(free_impact: type[FreeImpact], contact: SpringContact) -> None:
     usual, half, tenth = (
         free_impact((0.3, 0.2), 0.5, contact, step_ns=step).run().peak
         for step in (FINE_STEP_NS, FINE_STEP_NS // 2, FINE_STEP_NS // 10)
@@ -111,7 +111,7 @@ def test_a_finer_step_leaves_the_peak_unchanged(free_impact: type[FreeImpact], c
 
 
 @pytest.mark.parametrize(("contact", "exponent"), [(SpringContact(), 0.5), (SpringContact(1.1e8, HERTZ), 0.6)])
-def test_the_peak_grows_with_the_theoretical_power_of_mu(
+def test_peak_grows_with_the_theoretical_power_of_mu(
     free_impact: type[FreeImpact], contact: SpringContact, exponent: float
 ) -> None:
     impacts = [free_impact(point, mass, contact).run() for point in POINTS for mass in MASSES]
@@ -139,7 +139,7 @@ def test_damping_lowers_the_peak_by_the_theoretical_factor(free_impact: type[Fre
 
 
 @pytest.mark.parametrize(("restitution", "change"), [(0.95, -0.03), (0.5, -0.19)])
-def test_the_theoretical_factor_matches_known_values(restitution: float, change: float) -> None:
+def test_theoretical_factor_matches_known_values(restitution: float, change: float) -> None:
     zeta = -math.log(restitution) / math.hypot(math.pi, math.log(restitution))
     assert damped_peak(zeta) - 1.0 == pytest.approx(change, abs=0.01)
 
@@ -163,7 +163,7 @@ def test_energy_is_conserved_in_every_step(free_impact: type[FreeImpact], robot:
     assert min(sample.depth for sample in impact.samples) < 0.0
 
 
-def test_the_energy_changes_by_the_work_of_motors_damping_and_friction(free_impact: type[FreeImpact]) -> None:
+def test_energy_changes_by_the_work_of_motors_damping_and_friction(free_impact: type[FreeImpact]) -> None:
     damping, torque = 200.0, np.array([3.0, -2.0, 5.0, 0.1])
     contact = SpringContact(damping=damping)
     impact = free_impact((0.3, 0.2), 2.39, contact, guide_friction=4.0)
@@ -182,20 +182,20 @@ def test_the_energy_changes_by_the_work_of_motors_damping_and_friction(free_impa
 
 
 @pytest.mark.parametrize("mass", MASSES)
-def test_the_impulse_is_the_momentum_of_the_cart(free_impact: type[FreeImpact], mass: float) -> None:
+def test_impulse_is_the_momentum_of_the_cart(free_impact: type[FreeImpact], mass: float) -> None:
     impact = free_impact((0.3, 0.2), mass, SpringContact(damping=100.0)).run()
     impulse = sum(sample.force for sample in impact.samples) * FINE_STEP_NS / 1e9
     assert impulse == pytest.approx(mass * impact.sim.cart_speed, rel=1e-9)
 
 
-def test_the_force_cell_does_not_measure_the_force_on_its_tip_mass(free_impact: type[FreeImpact]) -> None:
+def test_force_cell_does_not_measure_the_force_on_its_tip_mass(free_impact: type[FreeImpact]) -> None:
     impact = free_impact((0.3, 0.2), 0.5, SpringContact(), tip_mass=0.02).run()
     sample = max(impact.samples, key=lambda sample: sample.force)
     assert sample.measured == pytest.approx(sample.force * (1.0 - 0.02 / 0.5))
 
 
 @pytest.mark.parametrize("surface", [(math.cos(0.5), math.sin(0.5), 0.0), (0.8, 0.0, 0.6), (0.8, -0.36, 0.48)])
-def test_an_inclined_plate_is_hit_along_its_normal(
+def test_inclined_plate_is_hit_along_its_normal(
     free_impact: type[FreeImpact], surface: tuple[float, float, float]
 ) -> None:
     impact = free_impact((0.3, 0.0), 2.39, SpringContact(), surface=surface).run()
@@ -251,13 +251,13 @@ def test_inverse_dynamics_torques_reproduce_the_motion(robot: Path) -> None:
         ({"surface": (0.0, 0.0, math.nan)}, "surface = "),
     ],
 )
-def test_an_impossible_cart_is_refused(change: dict[str, Any], message: str) -> None:
+def test_impossible_cart_is_refused(change: dict[str, Any], message: str) -> None:
     cart = Cart((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0)
     with pytest.raises(SettingsError, match=message):
         replace(cart, **change)
 
 
-def test_a_cart_in_the_robots_place_is_refused(robot: Path) -> None:
+def test_cart_in_the_robots_place_is_refused(robot: Path) -> None:
     sim = CollisionSim(robot, Cart((0.25, 0.2, -0.236), (1.0, 0.0, 0.0), 1.0), SpringContact())
     sim.set_state(np.array(joint_positions_at((0.3, 0.2), ElbowConfig.RIGHT, 0.236)), NO_TORQUE)
     with pytest.raises(ValueError, match=r"tool 50\.0 mm behind the tip: must be in front of it"):
@@ -280,7 +280,7 @@ def test_a_cart_in_the_robots_place_is_refused(robot: Path) -> None:
         ),
     ],
 )
-def test_an_invalid_robot_file_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+def test_invalid_robot_file_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text(text)
     with pytest.raises(RobotError, match=message) as caught:
@@ -289,6 +289,6 @@ def test_an_invalid_robot_file_is_refused_in_one_line(tmp_path: Path, text: str,
     assert str(path) in str(caught.value)
 
 
-def test_a_missing_robot_file_is_refused(tmp_path: Path) -> None:
+def test_missing_robot_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match="cannot be read"):
         sim_of(tmp_path / "none.yaml")

@@ -36,7 +36,7 @@ def run() -> ImpactRun:
     return run_impact(SETUP)
 
 
-def recorded(run: ImpactRun) -> tuple[FloatArray, FloatArray]:
+def recorded_force(run: ImpactRun) -> tuple[FloatArray, FloatArray]:
     """Return the times since the start [s] and the samples [N] of a run."""
     times = [
         (block.stamp_ns - run.setup.start_ns) / 1e9 + np.arange(len(block.force)) / block.sample_rate
@@ -45,38 +45,40 @@ def recorded(run: ImpactRun) -> tuple[FloatArray, FloatArray]:
     return np.concatenate(times), np.concatenate([block.force for block in run.force_blocks])
 
 
-def test_the_impact_is_in_the_middle_of_the_path_at_the_speed_of_the_paper(run: ImpactRun) -> None:
+def test_impact_is_at_mid_path_at_the_papers_speed(run: ImpactRun) -> None:
     impact = run.truth.impact
     # rest, half of 0.2 m / 0.25 m/s + 0.1 s of ramp
     assert (impact.onset_ns - EPOCH_NS) / 1e9 == pytest.approx(0.3 + 0.45, abs=1e-4)
     assert impact.speed == pytest.approx(0.25, rel=1e-3)
 
 
-def test_the_masses_are_those_of_the_model(run: ImpactRun, robot: Path) -> None:
+def test_masses_agree_with_the_model(run: ImpactRun, robot: Path) -> None:
     settings = MonitorSettings()
-    number, rest_ns = divmod(run.truth.impact.onset_ns - EPOCH_NS, 1_000_000)
-    before = run.joint_states[number]
+    index, rest_ns = divmod(run.truth.impact.onset_ns - EPOCH_NS, 1_000_000)
+    before = run.joint_states[index]
     at_onset = before.position + before.velocity * rest_ns / 1e9
     rates = joint_rates(at_onset[:2], np.array([0.25, 0.0]))
     along_x = np.array([*rates, 0.0, rates.sum()])
-    (ours,) = RobotDynamics(load_robot(robot, settings)).effective_masses(at_onset, along_x, 0.01)
-    assert run.truth.effective_mass == pytest.approx(ours.full, rel=2e-5)
-    assert run.truth.reduced_mass == pytest.approx(1.0 / (1.0 / ours.full + 1.0 / 2.39), rel=2e-5)
+    (masses,) = RobotDynamics(load_robot(robot, settings)).effective_masses(at_onset, along_x, 0.01)
+    assert run.truth.effective_mass == pytest.approx(masses.full, rel=2e-5)
+    assert run.truth.reduced_mass == pytest.approx(1.0 / (1.0 / masses.full + 1.0 / 2.39), rel=2e-5)
 
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda c: c.name)
 @pytest.mark.parametrize("mass", [0.5, 7.35])
-def test_the_controller_hardly_bends_the_law(configuration: Configuration, mass: float) -> None:
+def test_controller_changes_the_peak_force_by_less_than_half_a_percent(
+    configuration: Configuration, mass: float
+) -> None:
     truth = run_impact(replace(SETUP, configuration=configuration, obstacle_mass=mass)).truth
     peak = truth.impact.peak_force
     assert peak == pytest.approx(SpringContact().peak_force(truth.impact.speed, truth.reduced_mass), rel=5e-3)
     assert 160.0 < peak < 860.0
     assert 1e-3 < truth.impact.duration < 4e-3
-    # What comes after is weaker, so the impact is the largest force there is.
+    # Later contacts are weaker: the first one has the peak force.
     assert all(contact.peak_force < 0.9 * peak for contact in truth.contacts[1:])
 
 
-def test_a_stiff_controller_makes_the_robot_heavier() -> None:
+def test_stiffer_controller_increases_the_peak_force() -> None:
     heavy = replace(SETUP, configuration=CONFIGURATIONS[2], obstacle_mass=7.35)
     truths = [run_impact(replace(heavy, servo=ServoGains(bandwidth=hz))).truth for hz in (1.0, 5.0, 30.0, 60.0)]
     excess = [t.impact.peak_force / SpringContact().peak_force(t.impact.speed, t.reduced_mass) - 1.0 for t in truths]
@@ -85,8 +87,8 @@ def test_a_stiff_controller_makes_the_robot_heavier() -> None:
     assert excess[-1] > 0.01
 
 
-def test_the_recorded_force_is_the_true_one_at_its_time(run: ImpactRun) -> None:
-    times, force = recorded(run)
+def test_recorded_force_agrees_with_the_true_force(run: ImpactRun) -> None:
+    times, force = recorded_force(run)
     impact = run.truth.impact
     assert force.max() == pytest.approx(impact.peak_force, rel=6e-3)
     onset = (impact.onset_ns - EPOCH_NS) / 1e9
@@ -97,7 +99,7 @@ def test_the_recorded_force_is_the_true_one_at_its_time(run: ImpactRun) -> None:
     assert np.abs(force[times < onset - 5e-3]).max() < 6 * SETUP.sensor.noise
 
 
-def test_blocks_follow_each_other_and_cover_the_run(run: ImpactRun) -> None:
+def test_force_blocks_are_consecutive_and_cover_the_run(run: ImpactRun) -> None:
     blocks = run.force_blocks
     assert {len(block.force) for block in blocks} == {1280}
     assert np.all(np.diff([block.first_sample for block in blocks]) == 1280)
@@ -117,20 +119,19 @@ def test_blocks_follow_each_other_and_cover_the_run(run: ImpactRun) -> None:
         assert block.filter_delay == pytest.approx(38 / 12_800.0, rel=1e-4)
 
 
-def test_stamps_stay_within_the_stated_residual() -> None:
+def test_stamp_errors_stay_within_the_clock_residual() -> None:
     for seed in range(5):
         sensor = ForceSensor(clock_error=50e-6, noise=0.0, seed=seed)
         run = run_impact(replace(SETUP, sensor=sensor, seed=seed))
-        times, force = recorded(run)
-        at = int(force.argmax())
-        top = (
-            times[at] + (force[at + 1] - force[at - 1]) / 2.0 / (2 * force[at] - force[at - 1] - force[at + 1]) / 12_800
-        )
+        times, force = recorded_force(run)
+        index = int(force.argmax())
+        before, top, after = force[index - 1 : index + 2]
+        peak_time = times[index] + (after - before) / 2.0 / (2.0 * top - before - after) / 12_800
         middle = (run.truth.impact.onset_ns - EPOCH_NS) / 1e9 + run.truth.impact.duration / 2.0
-        assert -20e-6 < top - middle < run.force_blocks[0].clock_residual + 20e-6
+        assert -20e-6 < peak_time - middle < run.force_blocks[0].clock_residual + 20e-6
 
 
-def test_a_force_beyond_the_range_is_marked() -> None:
+def test_force_beyond_the_range_is_marked_saturated() -> None:
     run = run_impact(replace(SETUP, configuration=CONFIGURATIONS[2], obstacle_mass=7.35, contact=SpringContact(6e7)))
     clipped = [block for block in run.force_blocks if block.saturated_samples.size]
     assert len(clipped) == 1
@@ -138,28 +139,28 @@ def test_a_force_beyond_the_range_is_marked() -> None:
     assert np.all(block.force[block.saturated_samples] > 2200.0)
 
 
-def test_joint_states_are_whole_counts_at_a_kilohertz(run: ImpactRun) -> None:
+def test_joint_states_are_whole_counts_at_1_khz(run: ImpactRun) -> None:
     stamps = [state.stamp_ns for state in run.joint_states]
     assert stamps == [EPOCH_NS + i * 1_000_000 for i in range(len(stamps))]
     q = np.array([state.position for state in run.joint_states])
     qd = np.array([state.velocity for state in run.joint_states])
     for values, step in ((q, POSITION_STEP), (qd, VELOCITY_STEP)):
         assert np.abs(values / step - np.rint(values / step)).max() < 1e-6
-    # Velocities are those of the positions, but for the filter and the counts.
+    # Velocities are the derivatives of the positions, except for filter and counts.
     assert np.abs(np.diff(q, axis=0) * 1000.0 - qd[1:])[:700, :2].max() < 0.03
     assert run.joint_states[0].names == ("joint1", "joint2", "joint3", "joint4")
 
 
-def test_the_same_setup_gives_the_same_run_and_another_seed_another_noise(run: ImpactRun) -> None:
-    again = run_impact(SETUP)
-    assert again.truth == run.truth
-    assert np.array_equal(recorded(again)[1], recorded(run)[1])
+def test_seed_determines_the_noise_only(run: ImpactRun) -> None:
+    repeated = run_impact(SETUP)
+    assert repeated.truth == run.truth
+    assert np.array_equal(recorded_force(repeated)[1], recorded_force(run)[1])
     other = run_impact(replace(SETUP, seed=1, sensor=ForceSensor(seed=1)))
     assert other.truth == run.truth
-    assert not np.array_equal(recorded(other)[1][:1000], recorded(run)[1][:1000])
+    assert not np.array_equal(recorded_force(other)[1][:1000], recorded_force(run)[1][:1000])
 
 
-def test_a_path_in_another_direction_is_the_same_experiment_turned() -> None:
+def test_rotated_path_gives_the_same_impact() -> None:
     point, heading = (0.3, -0.2), math.radians(40.0)
     c, s = math.cos(heading), math.sin(heading)
     turned = (c * point[0] - s * point[1], s * point[0] + c * point[1])
@@ -169,18 +170,18 @@ def test_a_path_in_another_direction_is_the_same_experiment_turned() -> None:
     assert other.truth.impact.peak_force == pytest.approx(straight.truth.impact.peak_force, rel=1e-4)
 
 
-def test_a_cart_that_is_not_hit_is_an_error() -> None:
+def test_cart_out_of_the_path_raises() -> None:
     with pytest.raises(SettingsError, match="not hit"):
         run_impact(replace(SETUP, offset=0.2))
 
 
 @pytest.mark.parametrize("speed", [0.0, -0.25, 0.71, math.nan])
-def test_a_speed_that_the_path_is_too_short_for_is_refused(speed: float) -> None:
+def test_invalid_speed_raises(speed: float) -> None:
     with pytest.raises(SettingsError, match="speed = "):
         replace(SETUP, speed=speed)
 
 
-def test_a_contact_that_the_steps_cannot_follow_is_refused() -> None:
+def test_contact_too_short_or_too_damped_raises() -> None:
     with pytest.raises(SettingsError, match=r"the contact lasts 0\.18 ms"):
         build_sim(replace(SETUP, contact=SpringContact(2e8)))
     with pytest.raises(SettingsError, match=r"damping = 1e\+06: must be <= 6803"):
@@ -191,20 +192,20 @@ def test_a_contact_that_the_steps_cannot_follow_is_refused() -> None:
     ("name", "value"),
     [("bandwidth", 0.0), ("bandwidth", 500.0), ("damping_ratio", 0.1), ("velocity_time_constant", math.nan)],
 )
-def test_a_controller_that_would_not_be_stable_is_refused(name: str, value: float) -> None:
+def test_unstable_gains_raise(name: str, value: float) -> None:
     with pytest.raises(SettingsError, match=f"{name} = "):
         ServoGains(**{name: value})
 
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda c: c.name)
 @pytest.mark.parametrize("servo", [ServoGains(60.0, 0.3), ServoGains(60.0, 1.0, 2e-3), ServoGains(0.5, 0.3)], ids=str)
-def test_the_controllers_that_are_allowed_are_stable(configuration: Configuration, servo: ServoGains) -> None:
+def test_allowed_gains_are_stable(configuration: Configuration, servo: ServoGains) -> None:
     run = run_impact(replace(SETUP, configuration=configuration, servo=servo))
     late = np.array([state.velocity for state in run.joint_states[-50:]])
     assert np.abs(late).max() < (0.02 if servo.bandwidth > 1.0 else 1.0)
 
 
-def test_another_robot_is_refused(robot: Path, tmp_path: Path) -> None:
+def test_other_robot_raises(robot: Path, tmp_path: Path) -> None:
     document = yaml.safe_load(robot.read_text())
     document["joints"][0]["a"] = 0.3
     path = tmp_path / "longer.yaml"

@@ -18,7 +18,7 @@ def samples(forces: list[float]) -> list[ContactSample]:
 
 
 @pytest.mark.parametrize("gap", [0.3e-6, 1.1e-6, 2.4e-6])
-def test_a_contact_begins_where_the_gap_closes(free_impact: type[FreeImpact], gap: float) -> None:
+def test_contact_begins_where_the_gap_closes(free_impact: type[FreeImpact], gap: float) -> None:
     impact = free_impact((0.3, 0.2), 2.39, SpringContact(), gap=gap).run()
     (contact,) = find_contacts(impact.samples)
     assert contact.onset_ns == pytest.approx(gap / 0.25 * 1e9, abs=50.0)
@@ -28,7 +28,7 @@ def test_a_contact_begins_where_the_gap_closes(free_impact: type[FreeImpact], ga
     assert contact.impulse == pytest.approx(2.39 * impact.sim.cart_speed, rel=1e-9)
 
 
-def test_contacts_are_told_apart_and_those_cut_off_left_out() -> None:
+def test_separate_contacts_are_returned_without_incomplete_ones() -> None:
     contacts = find_contacts(samples([5.0, 0.0, 1.0, 3.0, 0.0, 0.0, 2.0, 0.0, 7.0]))
     assert [contact.peak_force for contact in contacts] == [3.0, 2.0]
     assert [contact.impulse for contact in contacts] == pytest.approx(
@@ -37,6 +37,6 @@ def test_contacts_are_told_apart_and_those_cut_off_left_out() -> None:
     assert [contact.onset_ns for contact in contacts] == [15_000, 55_000]
 
 
-def test_without_contact_there_is_none() -> None:
+def test_no_contact_gives_an_empty_result() -> None:
     assert find_contacts([]) == ()
     assert find_contacts(samples([0.0, 0.0])) == ()

@@ -41,8 +41,8 @@ trapezoids = st.builds(TrapezoidalScaling, st.floats(0.1, 0.5), st.floats(0.05, 
 time_scalings = st.one_of(st.builds(QuinticScaling, durations), trapezoids)
 
 
-def tool(q: FloatArray) -> FloatArray:
-    """Where the contact point is in the plane, by the model of the robot, which knows nothing of this room."""
+def tool_position(q: FloatArray) -> FloatArray:
+    """Return x, y [m] of the contact point by Pinocchio, independent of `sim`."""
     data = ROBOT.model.createData()
     frame = ROBOT.contact_frames["tool"]
     pin.framesForwardKinematics(ROBOT.model, data, q)
@@ -50,22 +50,22 @@ def tool(q: FloatArray) -> FloatArray:
 
 
 @given(radii, angles, elbow_configs)
-def test_the_inverse_is_one_of_the_forward_kinematics(radius: float, angle: float, elbow_config: ElbowConfig) -> None:
+def test_inverse_kinematics_inverts_forward_kinematics(radius: float, angle: float, elbow_config: ElbowConfig) -> None:
     xy = radius * np.array([math.cos(angle), math.sin(angle)])
     q = inverse_kinematics(xy, elbow_config)
-    assert tool(np.array([*q, 0.1, 0.2])) == pytest.approx(xy, abs=1e-9)
+    assert tool_position(np.array([*q, 0.1, 0.2])) == pytest.approx(xy, abs=1e-9)
     assert np.sign(q[1]) == elbow_config.value
     assert -math.pi < q[0] <= math.pi
 
 
-def test_the_papers_pose() -> None:
+def test_inverse_kinematics_gives_the_papers_pose() -> None:
     assert np.degrees(inverse_kinematics(np.array([0.3, 0.2]), ElbowConfig.RIGHT)) == pytest.approx(
         [-15.35, 98.08], abs=0.005
     )
 
 
 @given(st.floats(-2.0, 2.0), st.floats(0.05, 2.5), elbow_configs, st.floats(-1, 1), st.floats(-1, 1))
-def test_the_inverse_velocity_moves_the_tool_as_asked(
+def test_joint_rates_give_the_requested_tool_velocity(
     q1: float, bend: float, elbow_config: ElbowConfig, vx: float, vy: float
 ) -> None:
     q = np.array([q1, elbow_config.value * bend])
@@ -78,31 +78,31 @@ def test_the_inverse_velocity_moves_the_tool_as_asked(
 
 
 @pytest.mark.parametrize("xy", [(0.551, 0.0), (0.4, 0.4)])
-def test_what_is_out_of_reach_is_refused(xy: tuple[float, float]) -> None:
+def test_position_out_of_reach_raises(xy: tuple[float, float]) -> None:
     with pytest.raises(RobotError, match=r"must be in reach, 0\.0000 to 0\.5500 m"):
         inverse_kinematics(np.array(xy), ElbowConfig.RIGHT)
 
 
-def test_the_lengths_are_those_of_the_shipped_robot() -> None:
-    assert tool(np.zeros(4)) == pytest.approx([L1 + L2, 0.0])
-    assert tool(np.array([0.0, math.pi / 2, 0.0, 0.0])) == pytest.approx([L1, L2])
+def test_link_lengths_are_those_of_the_shipped_robot() -> None:
+    assert tool_position(np.zeros(4)) == pytest.approx([L1 + L2, 0.0])
+    assert tool_position(np.array([0.0, math.pi / 2, 0.0, 0.0])) == pytest.approx([L1, L2])
 
 
 @settings(deadline=None)
 @given(time_scalings)
-def test_a_time_law_goes_from_0_to_1_and_from_rest_to_rest(time_scaling: TimeScaling) -> None:
+def test_time_scaling_goes_from_0_to_1_and_from_rest_to_rest(time_scaling: TimeScaling) -> None:
     t = np.linspace(0.0, time_scaling.duration, 2001)
     s, rate = time_scaling.at(t)
     assert s[[0, -1]] == pytest.approx([0.0, 1.0], abs=1e-12)
     assert rate[[0, -1]] == pytest.approx([0.0, 0.0], abs=1e-9)
     assert np.all(np.diff(s) >= -1e-12)
-    # Between two samples the path grows by a rate that lies between theirs.
+    # The mean rate between two samples lies between their rates.
     half, mean = np.abs(np.diff(rate)) / 2.0, (rate[1:] + rate[:-1]) / 2.0
     assert np.all(np.abs(np.diff(s) / t[1] - mean) <= half + 1e-5 / time_scaling.duration)
 
 
 @given(trapezoids)
-def test_a_trapezoid_keeps_its_speed_and_its_acceleration(time_scaling: TrapezoidalScaling) -> None:
+def test_trapezoid_stays_within_its_speed_and_acceleration(time_scaling: TrapezoidalScaling) -> None:
     t = np.linspace(0.0, time_scaling.duration, 1001)
     _, rate = time_scaling.at(t)
     speed = rate * time_scaling.length
@@ -126,15 +126,15 @@ def test_velocities_are_the_derivatives_of_positions(move: Move) -> None:
     assert (move.at(t + step)[0] - move.at(t - step)[0]) / (2.0 * step) == pytest.approx(qd, abs=1e-6)
 
 
-def test_a_line_is_straight_and_keeps_the_tools_orientation() -> None:
+def test_linear_move_is_straight_with_constant_orientation() -> None:
     q, _ = MOVES[1].at(np.linspace(0.0, 1.0, 21))
     for row in q:
-        x, y = tool(row)
+        x, y = tool_position(row)
         assert (x - 0.2) * -0.4 - (y - 0.3) * 0.2 == pytest.approx(0.0, abs=1e-12)
     assert q[:, 0] + q[:, 1] - q[:, 3] == pytest.approx(np.zeros(21), abs=1e-12)
 
 
-def test_sampling_runs_through_the_moves() -> None:
+def test_samples_cover_consecutive_moves() -> None:
     start, end = (
         joint_positions_at((0.3, 0.2), ElbowConfig.RIGHT, 0.1),
         joint_positions_at((0.2, 0.3), ElbowConfig.RIGHT, 0.1),
@@ -148,20 +148,20 @@ def test_sampling_runs_through_the_moves() -> None:
     assert qd[[0, 50]] == pytest.approx(np.zeros((2, 4)))
 
 
-def test_each_move_of_the_tour_starts_where_the_last_one_ended() -> None:
+def test_moves_of_the_tour_are_continuous() -> None:
     for before, after in pairwise(tour_moves()):
         end, _ = before.at(np.array([before.time_scaling.duration]))
         start, _ = after.at(np.array([0.0]))
         assert end == pytest.approx(start, abs=1e-9)
 
 
-def test_the_straight_line_is_the_papers() -> None:
+def test_straight_recording_is_the_papers_path() -> None:
     q, qd = straight()
     middle = len(q) // 2
-    assert tool(q[middle]) == pytest.approx([0.3, 0.2], abs=1e-4)
+    assert tool_position(q[middle]) == pytest.approx([0.3, 0.2], abs=1e-4)
     assert q[:, 1].min() > 0.0
     assert set(q[:, 2].tolist()) == {0.236}
-    path = np.array([tool(row) for row in q])
+    path = np.array([tool_position(row) for row in q])
     assert path[:, 1] == pytest.approx(np.full(len(q), 0.2), abs=1e-12)
     speed = np.diff(path[:, 0]) * 1000.0
     assert speed[middle - 300 : middle + 300] == pytest.approx(np.full(600, 0.25), abs=1e-9)
@@ -169,7 +169,7 @@ def test_the_straight_line_is_the_papers() -> None:
 
 
 @pytest.mark.parametrize("recording", RECORDINGS, ids=lambda recording: recording.name)
-def test_a_recording_respects_the_limits_of_the_shipped_robot(recording: ReferenceRecording) -> None:
+def test_recording_stays_within_the_joint_limits(recording: ReferenceRecording) -> None:
     q, qd = recording.motion()
     assert np.all(q >= ROBOT.model.lowerPositionLimit)
     assert np.all(q <= ROBOT.model.upperPositionLimit)
@@ -177,16 +177,16 @@ def test_a_recording_respects_the_limits_of_the_shipped_robot(recording: Referen
 
 
 @pytest.mark.parametrize("recording", RECORDINGS, ids=lambda recording: recording.name)
-def test_a_recording_is_continuous(recording: ReferenceRecording) -> None:
+def test_recording_is_continuous(recording: ReferenceRecording) -> None:
     q, qd = recording.motion()
     step = 1.0 / recording.frequency
     assert np.abs(np.diff(q, axis=0) - (qd[1:] + qd[:-1]) / 2.0 * step).max() < 5e-5
     assert np.abs(np.diff(qd, axis=0)).max() / step < 80.0
 
 
-def test_measuring_adds_no_more_than_a_count_and_a_half() -> None:
+def test_quantization_error_is_at_most_one_and_a_half_counts() -> None:
     q, qd = np.full((1000, 4), 0.5), np.zeros((1000, 4))
-    counted_q, counted_qd = quantize(q, qd, random.Random(1))  # noqa: S311
-    assert np.abs(counted_q - q).max() <= 1.5 * 2.0 * math.pi / 2**20
-    assert np.abs(counted_qd - qd).max() <= 1.5e-4
-    assert len(np.unique(counted_q[:, 0])) > 1
+    quantized_q, quantized_qd = quantize(q, qd, random.Random(1))  # noqa: S311
+    assert np.abs(quantized_q - q).max() <= 1.5 * 2.0 * math.pi / 2**20
+    assert np.abs(quantized_qd - qd).max() <= 1.5e-4
+    assert len(np.unique(quantized_q[:, 0])) > 1

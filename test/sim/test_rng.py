@@ -12,12 +12,12 @@ WHOLE = normal((7, 3), 0, 20_000)
 
 
 @given(st.integers(0, 19_999), st.integers(0, 9_000))
-def test_any_part_of_the_sequence_is_the_same_as_in_the_whole(first: int, count: int) -> None:
+def test_any_part_of_a_stream_equals_that_of_the_whole(first: int, count: int) -> None:
     part = normal((7, 3), first, min(count, 20_000 - first))
     assert np.array_equal(part, WHOLE[first : first + count])
 
 
-def test_it_is_normal_and_without_memory() -> None:
+def test_numbers_are_normal_and_uncorrelated() -> None:
     numbers = normal((1,), 0, 200_000)
     deciles = np.quantile(numbers, np.arange(1, 10) / 10)
     assert np.abs(deciles - [NormalDist().inv_cdf(p / 10) for p in range(1, 10)]).max() < 0.01
@@ -25,7 +25,7 @@ def test_it_is_normal_and_without_memory() -> None:
         assert abs(float(np.corrcoef(numbers[:-lag], numbers[lag:])[0, 1])) < 0.01
 
 
-def test_keys_tell_sequences_apart() -> None:
+def test_different_keys_give_independent_streams() -> None:
     assert np.array_equal(uniform((1, 2), 9), uniform((1, 2), 9))
     assert not np.array_equal(uniform((1, 2), 9), uniform((2, 2), 9))
     assert abs(float(np.corrcoef(normal((8, 3), 0, 20_000), WHOLE)[0, 1])) < 0.03
@@ -34,6 +34,6 @@ def test_keys_tell_sequences_apart() -> None:
     assert 0.999 < numbers.max() < 1.0
 
 
-def test_the_numbers_are_what_they_have_always_been() -> None:
+def test_numbers_never_change() -> None:
     # To be renewed with the REVISION of the campaign, whose noise they are.
     assert np.round(WHOLE[:4], 12).tolist() == [1.597020686078, -1.707222194274, 0.529102105538, -0.912417739428]

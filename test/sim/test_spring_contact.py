@@ -16,7 +16,7 @@ speeds = st.floats(0.01, 2.0)
 
 
 @given(stiffnesses, exponents, st.floats(0.0, 1e4), st.floats(-1e-2, 1e-3), st.floats(-1.0, 1.0))
-def test_the_force_is_never_tensile_and_zero_without_contact(
+def test_force_is_never_tensile_and_zero_without_contact(
     k: float, n: float, c: float, depth: float, rate: float
 ) -> None:
     force = SpringContact(k, n, c).force(depth, rate)
@@ -25,18 +25,18 @@ def test_the_force_is_never_tensile_and_zero_without_contact(
 
 
 @given(stiffnesses, exponents, st.floats(1e-6, 1e-3))
-def test_the_force_follows_the_power_law(k: float, n: float, depth: float) -> None:
+def test_force_follows_the_power_law(k: float, n: float, depth: float) -> None:
     assert SpringContact(k, n).force(depth, 0.0) == pytest.approx(k * depth**n)
 
 
 @given(stiffnesses, speeds, masses)
-def test_a_linear_impact_peaks_at_v_sqrt_mu_k_and_lasts_half_a_period(k: float, v: float, mu: float) -> None:
+def test_linear_impact_peaks_at_v_sqrt_mu_k_and_lasts_half_a_period(k: float, v: float, mu: float) -> None:
     assert SpringContact(k).peak_force(v, mu) == pytest.approx(v * math.sqrt(mu * k))
     assert SpringContact(k).duration(v, mu) == pytest.approx(math.pi * math.sqrt(mu / k))
 
 
 @given(stiffnesses, speeds, masses)
-def test_a_hertz_impact_has_the_textbook_peak_and_duration(k: float, v: float, mu: float) -> None:
+def test_hertz_impact_has_the_textbook_peak_and_duration(k: float, v: float, mu: float) -> None:
     # Johnson, Contact Mechanics, 11.2: F = k^(2/5) (5/4 mu v^2)^(3/5), t = 2.94 depth / v
     assert SpringContact(k, HERTZ).peak_force(v, mu) == pytest.approx(k**0.4 * (1.25 * mu * v * v) ** 0.6)
     depth = (1.25 * mu * v * v / k) ** 0.4
@@ -51,6 +51,6 @@ def test_a_hertz_impact_has_the_textbook_peak_and_duration(k: float, v: float, m
         *((name, v) for name in SpringContact.__slots__ for v in (-1.0, math.nan, math.inf)),
     ],
 )
-def test_an_impossible_tip_is_refused(name: str, value: float) -> None:
+def test_invalid_contact_raises(name: str, value: float) -> None:
     with pytest.raises(SettingsError, match=f"{name} = "):
         SpringContact(**{name: value})

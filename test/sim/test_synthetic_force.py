@@ -86,7 +86,7 @@ def test_without_noise_and_pulses_the_force_is_zero() -> None:
     assert not signal(noise=0.0, period=None).samples(12, 1000).any()
 
 
-def test_the_noise_is_normal_and_white() -> None:
+def test_noise_is_normal_and_white() -> None:
     (noise,) = signal(noise=2.0, period=None).samples(0, NOISE_SAMPLES) / 2.0
     # Bounds are five standard errors of two million numbers.
     error = 5.0 / math.sqrt(NOISE_SAMPLES)
@@ -99,7 +99,7 @@ def test_the_noise_is_normal_and_white() -> None:
         assert abs(np.mean(noise[lag:] * noise[:-lag])) < error
 
 
-def test_the_noise_is_periodic_and_shared_by_the_channels() -> None:
+def test_noise_is_periodic_and_shared_by_the_channels() -> None:
     quiet = signal(channels=2, period=None)
     start = quiet.samples(0, 1000)
     assert np.array_equal(quiet.samples(NOISE_SAMPLES, 1000), start)
@@ -116,7 +116,7 @@ pulses = st.builds(
 
 
 @given(pulses)
-def test_a_pulse_is_sampled_at_its_onset(pulse: Pulse) -> None:
+def test_pulse_is_sampled_at_its_onset(pulse: Pulse) -> None:
     first, force = pulse.sample(RATE)
     times = np.arange(first, first + len(force)) / RATE - pulse.onset_s
     assert -1e-12 <= times[0] < 1.0 / RATE
@@ -125,7 +125,7 @@ def test_a_pulse_is_sampled_at_its_onset(pulse: Pulse) -> None:
 
 
 @given(pulses)
-def test_the_impulse_is_the_integral(pulse: Pulse) -> None:
+def test_impulse_is_the_integral(pulse: Pulse) -> None:
     _, force = pulse._replace(onset_s=0.0).sample(1e6)
     assert pulse.impulse == pytest.approx(float(force.sum()) * 1e-6, rel=1e-4)
 
@@ -175,7 +175,7 @@ def test_random_pulses_never_overlap(period: float, rate: float, seed: int) -> N
 
 
 @given(st.integers(0, 10**9), st.integers(1, 200_000), st.integers(0, 2))
-def test_a_schedule_gives_the_pulses_that_reach_into_the_block(first: int, count: int, channel: int) -> None:
+def test_schedule_gives_the_pulses_that_reach_into_the_block(first: int, count: int, channel: int) -> None:
     schedule = RandomPulses(3, RATE, 0.5)
     around = schedule(channel, max(0, first - 100_000), first + count + 100_000)
     expected = [p for p in around if p.onset_s * RATE < first + count and (p.onset_s + p.duration) * RATE >= first]
@@ -205,7 +205,7 @@ def test_eight_channels_need_no_more_memory_than_one_noise() -> None:
     assert peak < 20_000_000
 
 
-def test_a_period_too_short_is_refused() -> None:
+def test_period_too_short_is_refused() -> None:
     with pytest.raises(ValueError, match=r"period = 0\.05: must be >= 0\.1 s"):
         RandomPulses(0, RATE, 0.05)
 
@@ -234,7 +234,7 @@ def test_recorded_force_is_noise_plus_the_chosen_pulses() -> None:
     assert noise.std() == pytest.approx(NOISE, rel=0.03)
 
 
-def test_the_pulses_of_the_tour_do_not_overlap_and_leave_time_for_a_tare() -> None:
+def test_pulses_of_the_tour_do_not_overlap_and_leave_time_for_a_tare() -> None:
     ends = [0.6, *(pulse.onset_s + pulse.duration for pulse in TOUR_PULSES)]
     assert all(pulse.onset_s > end for pulse, end in zip(TOUR_PULSES, ends, strict=False))
     assert [pulse.rebound for pulse in TOUR_PULSES].count(1) == 1
