@@ -1,4 +1,4 @@
-"""Assess every joint state of a recording with the live core; its log times stand for the node's clock."""
+"""Assess every joint state of a recording; its log time replaces the clock of the live node."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from scara_effmass.values import Decision, JointState
 
 
-class Cycle(NamedTuple):
+class AssessedState(NamedTuple):
     """One recorded joint state and its decision.
 
-    `state` is None where the message cannot be decoded, `decision` where it names none of the robot's joints.
+    `state` is None for an undecodable message, `decision` for a joint state without a joint of the robot.
     """
 
     log_time_ns: int
@@ -29,7 +29,7 @@ class Cycle(NamedTuple):
 def joint_state_topic(bag: Bag, requested: str | None) -> str:
     """Return the topic to assess: the requested one, else `joint_states`, else the only one with joint states.
 
-    Raises BagError, which lists the candidates, when that leaves none or several.
+    Raises BagError, which lists the candidates, if no topic or several topics match.
     """
     topics = bag.joint_state_topics
     if requested is not None:
@@ -38,7 +38,7 @@ def joint_state_topic(bag: Bag, requested: str | None) -> str:
         names = ["/joint_states"]
     else:
         names = list(topics)
-    # A leading slash is easily forgotten, and ROS 1 recorders left it out.
+    # ROS 1 recorders omit the leading slash, and so do users.
     matches = [topic for topic in topics if topic.lstrip("/") in {name.lstrip("/") for name in names}]
     if len(matches) == 1:
         return matches[0]
@@ -48,26 +48,26 @@ def joint_state_topic(bag: Bag, requested: str | None) -> str:
     raise BagError(f"{bag.path}: {problem}; --topic must be one of {', '.join(topics)}")
 
 
-def assess_joint_states(bag: Bag, topic: str, monitor: Monitor) -> Iterator[Cycle]:
+def assess_joint_states(bag: Bag, topic: str, monitor: Monitor) -> Iterator[AssessedState]:
     """Yield the decision of `monitor` for each joint state on `topic`, decoded as the live node decodes it.
 
-    A message that cannot be decoded gives UNKNOWN, as it does live, and later verdicts are held for a while.
-    Raises BagError, at the end also where all joint states come from other devices.
+    An undecodable message gives UNKNOWN and debounces the following verdicts, as in the live node.
+    Raises BagError, at the end also if no joint state names a joint of the robot.
     """
     count = 0
     for block in bag.joint_state_blocks(topic):
         for log_time_ns, reason in block.decode_failures:
             count += 1
-            yield Cycle(log_time_ns, None, monitor.reject(reason))
+            yield AssessedState(log_time_ns, None, monitor.reject(reason))
         for log_time_ns, state in zip(block.log_time_ns.tolist(), block.states(), strict=True):
             count += 1
-            yield Cycle(log_time_ns, state, monitor.assess(state, log_time_ns))
+            yield AssessedState(log_time_ns, state, monitor.assess(state, log_time_ns))
     if monitor.ignored == count > 0:
         names = ", ".join(monitor.dynamics.robot.joint_names)
         raise BagError(f"{bag.path}: {topic}: none of its joint states names a joint of the robot ({names})")
 
 
 def generated_description(bag: Bag) -> str:
-    """Return how the motion in `bag` was generated, empty if it was measured or the bag does not state it."""
+    """Return the description of a generated motion; empty if `bag` has no run information or was measured."""
     info = first_run_info(bag)
     return info.note.partition("\n")[0] if info is not None and info.simulated else ""

@@ -1,4 +1,4 @@
-"""An independent check of the lumped masses of a SCARA: every row against Eqs. 28 and 30."""
+"""Check the lumped masses of a SCARA against the closed forms, Eqs. 28 and 30 of the paper."""
 
 from __future__ import annotations
 
@@ -15,74 +15,74 @@ if TYPE_CHECKING:
     from scara_effmass.model.robot import Robot
     from scara_effmass.values import ContactAssessment, FloatArray, JointState
 
-AT_ONCE = 20_000
-UPRIGHT = 1e-9
-"""How far the cosine between a joint axis and the base z axis may be from 1."""
+BATCH_SIZE = 20_000
+AXIS_TOLERANCE = 1e-9
+"""Maximum of 1 - |cosine| between a joint axis and the base z axis."""
 
 
 class ClosedFormCheck:
-    """Compares published lumped masses with the closed forms, which share neither matrix nor Pinocchio with them.
+    """Compares published lumped masses with the closed forms, which use neither the mass matrix nor Pinocchio.
 
-    The quill moves along z alone, with the mass m_z of everything it carries; along n = (sqrt(1 - n_z^2), phi, n_z)
-    1/m_n = (1 - n_z^2) / m(Eq. 28) + n_z^2 / m_z, and the worst direction has the larger of Eq. 30 and m_z.
+    The quill moves along z only, with the mass m_z of the links that it carries. Along n = (n_x, n_y, n_z)
+    1/m_n = (n_x^2 + n_y^2) / m(Eq. 28) + n_z^2 / m_z; the worst-direction mass is the larger of Eq. 30 and m_z.
     """
 
     def __init__(self, dynamics: RobotDynamics, mass_cap: float) -> None:
-        """Compare masses up to `mass_cap` [kg] only. Raises RobotError if the robot is not a SCARA."""
+        """Prepare the check; `mass_cap` [kg] limits masses as in the monitor. Raises RobotError for other robots."""
         if dynamics.lumped is None:
             raise RobotError(f"{dynamics.robot.origin}: no lumped mass ({dynamics.lumped_reason})")
         self._m2, self._m3 = dynamics.lumped.planar_masses(dynamics.robot)
         self._mz = sum(link.mass for link in dynamics.lumped.links[2:])
-        self._zero, self._sign = _planar_angles(dynamics.robot)
-        self._joints = dynamics.robot.joint_names[:2]
+        self._zero_angles, self._axis_signs = _planar_angles(dynamics.robot)
+        self._joint_names = dynamics.robot.joint_names[:2]
         self._cap = mass_cap
         self._names: tuple[str, ...] = ()
         self._rows: list[tuple[float, float, float, float, float, float]] = []
         self._checked = 0
-        self._worst = 0.0
+        self._max_difference = 0.0
 
     def add(self, state: JointState, contacts: tuple[ContactAssessment, ...]) -> None:
-        """Take in the contact points of one joint state, as far as they have a lumped mass."""
+        """Add the contact points of one joint state that have a lumped mass."""
         if state.names != self._names:
             self._names = state.names
-            self._indices = [state.names.index(joint) if joint in state.names else -1 for joint in self._joints]
+            self._indices = [state.names.index(joint) if joint in state.names else -1 for joint in self._joint_names]
         for contact in contacts:
             if not math.isnan(contact.lumped_mass):
                 first, second = self._indices
                 q1, q2 = state.position[first], state.position[second]
                 self._rows.append((q1, q2, *contact.direction, contact.lumped_mass))
-        if len(self._rows) >= AT_ONCE:
+        if len(self._rows) >= BATCH_SIZE:
             self._compare()
 
     def result(self) -> tuple[int, float]:
-        """Return how many rows were checked, and the largest relative difference."""
+        """Return the number of masses checked and the maximum relative difference."""
         self._compare()
-        return self._checked, self._worst
+        return self._checked, self._max_difference
 
     def _compare(self) -> None:
         if not self._rows:
             return
         q1, q2, nx, ny, nz, mass = np.array(self._rows).T
-        q1, q2 = self._zero[0] + self._sign[0] * q1, self._zero[1] + self._sign[1] * q2
+        q1, q2 = self._zero_angles[0] + self._axis_signs[0] * q1, self._zero_angles[1] + self._axis_signs[1] * q2
         with np.errstate(divide="ignore", invalid="ignore"):
             planar = scara_lumped_mass(q1, q2, np.arctan2(ny, nx), self._m2, self._m3)
-            along = 1.0 / ((nx**2 + ny**2) / planar + nz**2 / self._mz)
+            directional = 1.0 / ((nx**2 + ny**2) / planar + nz**2 / self._mz)
             worst = np.maximum(scara_max_lumped_mass(q2, self._m2, self._m3), self._mz)
-        directed = nx**2 + ny**2 + nz**2 > 0.0
-        right = np.minimum(np.where(directed, along, worst), self._cap)
-        self._worst = max(self._worst, float(np.max(np.abs(mass - right) / right)))
+        has_direction = nx**2 + ny**2 + nz**2 > 0.0
+        expected = np.minimum(np.where(has_direction, directional, worst), self._cap)
+        self._max_difference = max(self._max_difference, float(np.max(np.abs(mass - expected) / expected)))
         self._checked += len(self._rows)
         self._rows.clear()
 
 
 def _planar_angles(robot: Robot) -> tuple[FloatArray, FloatArray]:
-    """Return what q1 and q2 of the closed forms are where the joints read 0, and the joints' signs about base z."""
+    """Return q1 and q2 of the closed forms at joint position 0, and the signs of the joint axes along base z."""
     poses = [robot.model.jointPlacements[1]]
     for joint in (2, 3, 4):
         poses.append(poses[-1] * robot.model.jointPlacements[joint])
     axes = [float((pose.rotation @ robot.axis_in_joint_frame(i))[2]) for i, pose in enumerate(poses[:2], start=1)]
-    if any(abs(abs(axis) - 1.0) > UPRIGHT for axis in axes):
-        raise RobotError(f"{robot.origin}: the axes of {robot.name} are not along z of its base frame")
+    if any(abs(abs(axis) - 1.0) > AXIS_TOLERANCE for axis in axes):
+        raise RobotError(f"{robot.origin}: the first two joint axes of {robot.name} must be along z of its base frame")
     shoulder, elbow, _, tool = (pose.translation for pose in poses)
     link1, link2 = elbow - shoulder, tool - elbow
     angle1, angle2 = math.atan2(link1[1], link1[0]), math.atan2(link2[1], link2[0])

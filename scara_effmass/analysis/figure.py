@@ -1,4 +1,4 @@
-"""The picture of a run: speed under its limit, the verdict, and the effective masses, over time."""
+"""Draw a run: verdict, speed and its limit, effective masses, and force over time."""
 
 from __future__ import annotations
 
@@ -24,22 +24,21 @@ if TYPE_CHECKING:
     from scara_effmass.values import FloatArray
 
 COLUMNS = 1500
-"""Pixels across the data, about; finer than that nothing can be seen."""
+"""Approximate width of the data [pixel]; lines are decimated to it."""
 SUBTITLE_IN = 0.44
-"""How far below the upper edge it stands [inch]: in the second line of the title, which is empty."""
+"""Distance of the subtitle from the upper edge [inch]."""
 FORMATS = (".png", ".svg")
 DPI = 140
-LARGEST_LINEAR_RATIO = 12.0
-"""Masses further apart than this are drawn on a logarithmic axis."""
+MAX_LINEAR_RATIO = 12.0
+"""Maximum ratio of the masses on a linear axis; beyond it the axis is logarithmic."""
 
-_LOOKS: dict[Verdict, dict[str, Any]] = {
-    # Okabe and Ito's palette, which the usual kinds of colour blindness can tell apart.
+_VERDICT_STYLES: dict[Verdict, dict[str, Any]] = {
+    # Palette of Okabe and Ito, for colour-blind readers.
     Verdict.OK: {"facecolor": "#009E73", "linewidth": 0.0},
     Verdict.WARN: {"facecolor": "#F0E442", "linewidth": 0.0},
     Verdict.VIOLATION: {"facecolor": "#D55E00", "linewidth": 0.0},
     Verdict.UNKNOWN: {"facecolor": "#DDDDDD", "hatch": "////", "edgecolor": "#777777", "linewidth": 0.0},
 }
-_ORDER = (Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN)
 _STYLE: dict[Any, Any] = {
     "font.size": 10.0,
     "axes.grid": True,
@@ -58,9 +57,9 @@ def draw_run(
     timeout: float,
     forces: RecordedForce | None = None,
 ) -> Figure:
-    """Return the figure of one contact point's series; the verdict used the mass of `mass_model`.
+    """Return the figure of one contact point; `mass_model` is the mass model that decided the verdict.
 
-    `timeout` [s] is the silence after which nothing is known; `forces` are drawn below, where there are any.
+    A silence longer than `timeout` [s] is UNKNOWN. `forces` are drawn in a panel below.
     """
     with mpl.rc_context(_STYLE):
         heights = (0.25, 2.2, 1.6, 1.3) if forces else (0.25, 2.2, 1.6)
@@ -79,9 +78,8 @@ def draw_run(
         for axes in (speeds, masses):
             for start, stop, verdict in verdict_spans(series, timeout):
                 if verdict is Verdict.UNKNOWN:
-                    axes.axvspan(
-                        start, stop, facecolor="none", edgecolor="#BBBBBB", hatch="////", linewidth=0.0, zorder=0
-                    )
+                    style = {"facecolor": "none", "edgecolor": "#BBBBBB", "hatch": "////", "linewidth": 0.0}
+                    axes.axvspan(start, stop, zorder=0, **style)
         figure.suptitle(f"{title}\n", fontsize=13.0, fontweight="bold", x=0.01, ha="left")
         below_title = 1.0 - SUBTITLE_IN / figure.get_figheight()
         figure.text(0.01, below_title, subtitle, fontsize=9.5, color="#444444", va="center")
@@ -90,9 +88,9 @@ def draw_run(
 
 
 def write(figure: Figure, png: Path, svg: Path) -> None:
-    """Write `figure` in both formats, alike every time, under the style it was drawn in.
+    """Write `figure` as PNG and SVG, byte for byte the same every time.
 
-    It is laid out once and drawn once for each; `savefig` would draw it twice for each.
+    The layout is computed once; `savefig` would compute it twice per format.
     """
     figure.set_dpi(DPI)
     FigureCanvasAgg(figure).print_png(png)  # type: ignore[no-untyped-call]
@@ -102,18 +100,18 @@ def write(figure: Figure, png: Path, svg: Path) -> None:
 
 def _draw_verdicts(axes: Axes, series: TimeSeries, timeout: float) -> None:
     spans = verdict_spans(series, timeout)
-    shortest = float(series.time[-1]) / COLUMNS
-    for verdict in _ORDER:
-        # A verdict of a single cycle is thinner than a pixel and would not be seen.
-        bars = [(start, max(stop - start, shortest)) for start, stop, each in spans if each is verdict]
-        look = _LOOKS[verdict]
-        axes.broken_barh(bars, (0.0, 1.0), **look)
+    min_width = float(series.time[-1]) / COLUMNS
+    patches = []
+    for verdict, style in _VERDICT_STYLES.items():
+        # The minimum width keeps the verdict of a single cycle visible.
+        bars = [(start, max(stop - start, min_width)) for start, stop, other in spans if other is verdict]
+        axes.broken_barh(bars, (0.0, 1.0), **style)
+        if bars:
+            patches.append(Patch(label=verdict.name, **style))
     axes.set_ylim(0.0, 1.0)
     axes.set_yticks([])
     axes.grid(visible=False)
     axes.set_ylabel("verdict", rotation=0, ha="right", va="center")
-    seen = [verdict for verdict in _ORDER if any(each is verdict for _, _, each in spans)]
-    patches = [Patch(label=verdict.name, **_LOOKS[verdict]) for verdict in seen]
     axes.legend(handles=patches, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, ncols=2)
 
 
@@ -135,29 +133,16 @@ def _draw_masses(axes: Axes, series: TimeSeries, mass_model: str) -> None:
         ("iso", series.iso_mass, "ISO, M/2 + m_L", "#CC79A7", "-."),
     ):
         if np.isfinite(values).any():
-            decides = model == mass_model
-            _line(
-                axes,
-                series,
-                values,
-                color=color,
-                linestyle="-" if decides else style,
-                linewidth=2.2 if decides else 1.3,
-                label=f"{label} (decides)" if decides else label,
-            )
+            if model == mass_model:
+                _line(axes, series, values, color=color, linestyle="-", linewidth=2.2, label=f"{label} (decides)")
+            else:
+                _line(axes, series, values, color=color, linestyle=style, linewidth=1.3, label=label)
     if mass_model == "largest":
-        _line(
-            axes,
-            series,
-            series.effective_mass,
-            color="#E69F00",
-            linewidth=4.0,
-            alpha=0.5,
-            label="larger of both (decides)",
-        )
-    drawn = np.concatenate([line.get_ydata() for line in axes.get_lines()] or [np.empty(0)])
-    drawn = drawn[np.isfinite(drawn)]
-    if len(drawn) and drawn.max() > LARGEST_LINEAR_RATIO * drawn.min():
+        label = "larger of both (decides)"
+        _line(axes, series, series.effective_mass, color="#E69F00", linewidth=4.0, alpha=0.5, label=label)
+    masses = np.concatenate([line.get_ydata() for line in axes.get_lines()] or [np.empty(0)])
+    masses = masses[np.isfinite(masses)]
+    if len(masses) and masses.max() > MAX_LINEAR_RATIO * masses.min():
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
     else:
@@ -168,13 +153,13 @@ def _draw_masses(axes: Axes, series: TimeSeries, mass_model: str) -> None:
 
 def _draw_forces(axes: Axes, forces: RecordedForce, start_ns: int) -> None:
     time = (forces.stamp_ns - start_ns) / 1e9
-    what = "simulated force" if forces.simulated else "measured force"
-    axes.plot(*decimate(time, forces.force, COLUMNS), color="#000000", linewidth=1.0, label=what)
-    for sound, marker, label in ((True, "v", "impact"), (False, "x", "impact, clipped or incomplete")):
-        found = [impact for impact in forces.impacts if sound is not (impact.clipped or impact.incomplete)]
-        if found:
-            onsets = [(impact.stamp_ns - start_ns) / 1e9 for impact in found]
-            peaks = [impact.peak_force for impact in found]
+    label = "simulated force" if forces.simulated else "measured force"
+    axes.plot(*decimate(time, forces.force, COLUMNS), color="#000000", linewidth=1.0, label=label)
+    for usable, marker, label in ((True, "v", "impact"), (False, "x", "impact, clipped or incomplete")):
+        impacts = [impact for impact in forces.impacts if usable is not (impact.clipped or impact.incomplete)]
+        if impacts:
+            onsets = [(impact.stamp_ns - start_ns) / 1e9 for impact in impacts]
+            peaks = [impact.peak_force for impact in impacts]
             axes.plot(onsets, peaks, linestyle="none", marker=marker, color="#D55E00", label=label)
     axes.set_ylabel("force [N]")
     _legend(axes)

@@ -1,4 +1,4 @@
-"""The force of a recording: what was measured, and the impacts that were found while it was."""
+"""Read the force of a recording and the impacts detected live."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class RecordedForce(NamedTuple):
-    """Force (n,) [N] at the ROS times `stamp_ns` (n,), NaN right behind each gap, and the impacts in it."""
+    """Force (n,) [N] at the ROS times `stamp_ns` (n,), with one NaN in each gap, and its impacts."""
 
     stamp_ns: NDArray[np.int64]
     force: FloatArray
@@ -29,12 +29,12 @@ class RecordedForce(NamedTuple):
 
     @property
     def samples(self) -> int:
-        """How many there are."""
+        """Number of samples."""
         return int(np.isfinite(self.force).sum())
 
 
 def read_force(bag: Bag) -> RecordedForce | None:
-    """Return the force of the first channel in `bag`, None where it has none. Raises BagError and DecodeError."""
+    """Return the first force topic of `bag`, or None without force. Raises BagError and DecodeError."""
     topic, impact_topic = (
         next((topic.name for topic in bag.topics if topic.type == kind), "") for kind in (FORCE_BLOCK, IMPACT)
     )
@@ -42,7 +42,7 @@ def read_force(bag: Bag) -> RecordedForce | None:
     forces: list[FloatArray] = []
     blocks = lost = 0
     for block in bag.force_blocks(topic) if topic else ():
-        # The first block may say what was lost before the recording began.
+        # The first block may count samples lost before the recording began.
         if block.lost_samples and blocks:
             lost += block.lost_samples
             stamps.append(np.array([block.stamp_ns], np.int64))

@@ -38,11 +38,7 @@ def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     except OutputError:
         raise
     except OSError as error:
-        raise _refused(path, error) from None
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
         with suppress(OSError):
             unfinished.unlink()
-
-
-def _refused(path: Path, error: OSError) -> OutputError:
-    return OutputError(f"{path}: cannot be written: {error.strerror or error}")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections import Counter
     from collections.abc import Iterator
 
-    from scara_effmass.analysis.assessment import Cycle
+    from scara_effmass.analysis.assessment import AssessedState
     from scara_effmass.bags.bag import Bag
     from scara_effmass.bags.batches import Topic
     from scara_effmass.values import ForceBlock, Impact, RunInfo
@@ -100,6 +100,6 @@ def _imported(bag: Bag, topic: Topic) -> Iterator[Measured]:
         yield Measured(first_log_ns + end_ns - first_stamp_ns, block)
 
 
-def in_order(states: Iterator[Cycle], forces: Iterator[Measured]) -> Iterator[Cycle | Measured]:
+def in_order(states: Iterator[AssessedState], forces: Iterator[Measured]) -> Iterator[AssessedState | Measured]:
     """Yield both as they were recorded."""
     return merge(forces, states, key=lambda each: each.log_time_ns)

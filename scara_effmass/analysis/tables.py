@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -23,15 +23,14 @@ from scara_effmass.wire.message_types import CONTACT_STATE, RUN_INFO
 from scara_effmass.wire.run_info import run_info_message
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from contextlib import AbstractContextManager
+    from collections.abc import Iterator, Mapping, Sequence
 
     from scara_effmass.settings import MonitorSettings
     from scara_effmass.values import ContactAssessment
 
 ROW_GROUP_SIZE = 50_000
 """Rows of a Parquet row group, which are held in memory."""
-
+SUFFIXES = (".parquet", ".csv", ".mcap")
 
 _UNITS = {
     "speed": "speed_m_s",
@@ -81,16 +80,27 @@ def provenance(settings: MonitorSettings, robot: str, bags: Sequence[Path]) -> d
     }
 
 
-def open_writer(
-    path: Path, origin: Mapping[str, str], frame: str, *, overwrite: bool
-) -> AbstractContextManager[AssessmentWriter]:
-    """Return the writer for the suffix of `path`, to be used in a `with`; directions are in `frame`.
+@contextmanager
+def open_writer(path: Path, origin: Mapping[str, str], frame: str, *, overwrite: bool) -> Iterator[AssessmentWriter]:
+    """Give the writer for the suffix of `path`, to be used in a `with`; directions are in `frame`.
 
     Raises OutputError for another suffix, and where the file exists or cannot be written.
     """
-    if path.suffix not in WRITERS:
-        raise OutputError(f"{path}: suffix {path.suffix or 'missing'!r}: must be one of {', '.join(WRITERS)}")
-    return WRITERS[path.suffix](path, origin, frame, overwrite=overwrite)
+    if path.suffix not in SUFFIXES:
+        raise OutputError(f"{path}: suffix {path.suffix or 'missing'!r}: must be one of {', '.join(SUFFIXES)}")
+    if path.suffix == ".mcap":
+        with BagWriter(path, overwrite=overwrite) as bag:
+            yield _BagWriter(bag, origin, frame)
+        return
+    with atomic_file(path, overwrite=overwrite) as unfinished, ExitStack() as stack:
+        if path.suffix == ".parquet":
+            schema = SCHEMA.with_metadata(dict(origin))
+            table = stack.enter_context(parquet.ParquetWriter(unfinished, schema, compression="zstd"))
+        else:
+            table = stack.enter_context(csv.CSVWriter(unfinished, SCHEMA))
+        rows = _TableWriter(table)
+        yield rows
+        rows.flush()
 
 
 class _TableWriter:
@@ -121,38 +131,18 @@ def _columns(rows: list[tuple[str, int, ContactAssessment]]) -> dict[str, Sequen
     return columns | {name: fields[field] for field, name in _UNITS.items()}
 
 
-@contextmanager
-def _parquet(path: Path, origin: Mapping[str, str], _frame: str, *, overwrite: bool) -> Iterator[AssessmentWriter]:
-    schema = SCHEMA.with_metadata(dict(origin))
-    with (
-        atomic_file(path, overwrite=overwrite) as unfinished,
-        parquet.ParquetWriter(unfinished, schema, compression="zstd") as writer,
-    ):
-        rows = _TableWriter(writer)
-        yield rows
-        rows.flush()
-
-
-@contextmanager
-def _csv(path: Path, _origin: Mapping[str, str], _frame: str, *, overwrite: bool) -> Iterator[AssessmentWriter]:
-    with atomic_file(path, overwrite=overwrite) as unfinished, csv.CSVWriter(unfinished, SCHEMA) as writer:
-        rows = _TableWriter(writer)
-        yield rows
-        rows.flush()
-
-
 class _BagWriter:
     def __init__(self, writer: BagWriter, origin: Mapping[str, str], frame: str) -> None:
         self._writer = writer
         self._frame = frame
-        self._about = json.dumps(dict(origin))
+        self._note = json.dumps(dict(origin))
         self._topics: dict[str, str] = {}
         self._encoders: dict[str, ContactStateEncoder] = {}
         self._single = len(json.loads(origin["bags"])) == 1
 
     def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
         if not self._topics:
-            info = RunInfo(stamp_ns=log_time_ns, note=self._about)
+            info = RunInfo(stamp_ns=log_time_ns, note=self._note)
             self._writer.write(f"/{topics.RUN_INFO}", RUN_INFO, log_time_ns, run_info_message(info))
         if bag not in self._topics:
             # One topic per recording: their times may overlap.
@@ -162,17 +152,3 @@ class _BagWriter:
             name = contact.contact_point
             encoder = self._encoders.setdefault(name, ContactStateEncoder(name, self._frame))
             self._writer.write(self._topics[bag], CONTACT_STATE, log_time_ns, encoder.encode(contact))
-
-
-@contextmanager
-def _mcap(path: Path, origin: Mapping[str, str], frame: str, *, overwrite: bool) -> Iterator[AssessmentWriter]:
-    with BagWriter(path, overwrite=overwrite) as writer:
-        yield _BagWriter(writer, origin, frame)
-
-
-WRITERS: dict[str, Callable[..., AbstractContextManager[AssessmentWriter]]] = {
-    ".parquet": _parquet,
-    ".csv": _csv,
-    ".mcap": _mcap,
-}
-"""Writer of each file suffix."""

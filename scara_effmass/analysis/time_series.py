@@ -11,6 +11,8 @@ import numpy as np
 from scara_effmass.values import NAN, Verdict
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from scara_effmass.values import ContactAssessment, FloatArray
@@ -55,7 +57,7 @@ _VALUES = tuple(field.name for field in fields(TimeSeries))[4:]
 
 
 class Episode(NamedTuple):
-    """An interval of one verdict other than OK, from `start` to `stop` [s] since the first joint state.
+    """An interval of one verdict, from `start` to `stop` [s] since the first joint state.
 
     `min_margin` [m/s] is NaN where no margin is known; `reason` is that of the first joint state.
     """
@@ -142,37 +144,32 @@ def decimate(time: FloatArray, values: FloatArray, columns: int) -> tuple[FloatA
 def verdict_spans(series: TimeSeries, timeout: float) -> list[tuple[float, float, Verdict]]:
     """Return intervals of equal verdict as (start, stop, verdict) [s]; a silence beyond `timeout` [s] is UNKNOWN."""
     spans: list[tuple[float, float, Verdict]] = []
-
-    def extend(start: float, stop: float, verdict: Verdict) -> None:
-        if spans and spans[-1][2] is verdict:
-            spans[-1] = (spans[-1][0], stop, verdict)
-        elif stop > start:
-            spans.append((start, stop, verdict))
-
-    ends = np.append(series.time[1:], series.time[-1:])
-    for start, stop, number in zip(series.time.tolist(), ends.tolist(), series.verdict.tolist(), strict=True):
-        extend(start, min(stop, start + timeout), Verdict(number))
-        if stop > start + timeout:
-            extend(start + timeout, stop, Verdict.UNKNOWN)
+    for interval in _intervals(series, timeout):
+        if spans and spans[-1][2] is interval.verdict:
+            spans[-1] = (spans[-1][0], interval.stop, interval.verdict)
+        elif interval.stop > interval.start:
+            spans.append((interval.start, interval.stop, interval.verdict))
     return spans
 
 
 def episodes(series: TimeSeries, timeout: float) -> list[Episode]:
     """Return the intervals without verdict OK, in order; a silence beyond `timeout` [s] is one of UNKNOWN."""
+    return [interval for interval in _intervals(series, timeout) if interval.verdict is not Verdict.OK]
+
+
+def _intervals(series: TimeSeries, timeout: float) -> Iterator[Episode]:
+    """Yield the intervals of equal verdict, and of each silence beyond `timeout` [s], in order."""
     time, verdict = series.time, series.verdict
     if not len(time):
-        return []
+        return
     silent = np.diff(time) > timeout
     starts = [0, *(np.flatnonzero(silent | (np.diff(verdict) != 0)) + 1).tolist()]
-    found: list[Episode] = []
     for start, stop in zip(starts, [*starts[1:], len(time)], strict=True):
         end = float(time[min(stop, len(time) - 1)])
         last = min(end, float(time[stop - 1]) + timeout)
-        if verdict[start] != Verdict.OK:
-            margins = series.margin[start:stop]
-            min_margin = NAN if np.isnan(margins).all() else float(np.nanmin(margins))
-            reason = series.reasons[max(index for index in series.reasons if index <= start)]
-            found.append(Episode(float(time[start]), last, Verdict(verdict[start]), min_margin, reason))
+        margins = series.margin[start:stop]
+        min_margin = NAN if np.isnan(margins).all() else float(np.nanmin(margins))
+        reason = series.reasons.get(max((index for index in series.reasons if index <= start), default=0), "")
+        yield Episode(float(time[start]), last, Verdict(verdict[start]), min_margin, reason)
         if end > last:
-            found.append(Episode(last, end, Verdict.UNKNOWN, NAN, NO_JOINT_STATE))
-    return found
+            yield Episode(last, end, Verdict.UNKNOWN, NAN, NO_JOINT_STATE)

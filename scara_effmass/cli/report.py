@@ -41,17 +41,17 @@ def validation_lines(validation: Validation) -> Iterator[tuple[str, str]]:
     result = validation.result
     yield "result", "accepted" if result.accepted else f"not accepted: {result.reason}"
     simulated = f", {result.simulated} of them simulated" if result.simulated else ""
-    yield "impacts", f"{result.seen} found, {len(result.impacts)} in the series{simulated}"
+    yield "impacts", f"{result.seen} detected, {len(result.impacts)} in the series{simulated}"
     for model in result.models:
-        found = model.overall
-        if not found.count:
-            yield model.model, "no impact to judge it by"
+        series = model.overall
+        if not series.count:
+            yield model.model, "no impact"
             continue
-        r = "r undefined" if found.correlation_reason else f"r {found.correlation:.5f}"
-        exponent = "" if found.exponent is None else f", exponent {found.exponent:.3f}"
-        error = f"bias {found.bias:+.2f} N, RMSE {found.rmse:.2f} N ({found.relative_rmse:.2%})"
-        safe = f"{found.non_conservative} of {found.count} not conservative"
-        yield model.model, f"{r}, k {found.stiffness / 1e3:.4g} N/mm{exponent}, {error}, {safe}"
+        r = "r undefined" if series.correlation_reason else f"r {series.correlation:.5f}"
+        exponent = "" if series.exponent is None else f", exponent {series.exponent:.3f}"
+        error = f"bias {series.bias:+.2f} N, RMSE {series.rmse:.2f} N ({series.relative_rmse:.2%})"
+        safe = f"{series.non_conservative} of {series.count} not conservative"
+        yield model.model, f"{r}, k {series.stiffness / 1e3:.4g} N/mm{exponent}, {error}, {safe}"
     yield "comparison", result.comparison.text
     for subject, counts in (("excluded", result.excluded), ("not paired", result.unpaired)):
         for reason, count in counts.items():
@@ -65,7 +65,7 @@ def force_lines(forces: RecordedForce | None) -> Iterator[tuple[str, str]]:
     """Yield subject and text of a recorded force and its impacts."""
     if forces is None:
         return
-    origin = "simulated, nothing was measured" if forces.simulated else "as recorded"
+    origin = "simulated, not measured" if forces.simulated else "as recorded"
     yield "force", f"{forces.blocks} blocks, {forces.samples} samples, {forces.lost} lost; {origin}: {forces.source}"
     for impact in forces.impacts:
         marks = [f"rebound {impact.rebound}"] * bool(impact.rebound)
@@ -75,7 +75,7 @@ def force_lines(forces: RecordedForce | None) -> Iterator[tuple[str, str]]:
 
 
 def force_record(forces: RecordedForce | None) -> dict[str, Any] | None:
-    """Return the same for JSON."""
+    """Return a recorded force and its impacts for JSON."""
     if forces is None:
         return None
     return {
@@ -97,6 +97,9 @@ def _tightest(tightest: TightestMargin) -> Iterator[tuple[str, str]]:
     yield "  where", where
     if tightest.positions:
         yield "  pose", ", ".join(f"{name} {position:.3f}" for name, position in tightest.positions.items())
-    direction = ", ".join(f"{round(each, 2) + 0.0:.2f}" for each in contact.direction)
-    heading = "in its worst direction" if contact.worst_direction_used else f"along ({direction})"
-    yield "  why", f"{contact.criterion} limit of {contact.body_region}; {contact.effective_mass:.3g} kg {heading}"
+    components = ", ".join(f"{round(component, 2) + 0.0:.2f}" for component in contact.direction)
+    direction_text = "in its worst direction" if contact.worst_direction_used else f"along ({components})"
+    yield (
+        "  why",
+        f"{contact.criterion} limit of {contact.body_region}; {contact.effective_mass:.3g} kg {direction_text}",
+    )
