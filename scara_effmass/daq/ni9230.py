@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from scara_effmass.daq.ni_driver import (
+    SAMPLES_NOT_YET_AVAILABLE,
     AnalogMultiChannelReader,
     Task,
     constants,
@@ -19,7 +20,6 @@ from scara_effmass.daq.ni_driver import (
     optional,
     translated,
 )
-from scara_effmass.daq.ni_errors import SAMPLES_NOT_YET_AVAILABLE
 from scara_effmass.daq.source import ForceSource, Reading
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""A NI-9230 without hardware: NI's own client, and below it a device of the tests' own with a clock of its own."""
+"""Simulated NI-9230: NI's client on a simulated driver with its own clock."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Signal = Callable[[int, NDArray[np.int64]], NDArray[np.float64]]
 
 START_NS = 1_767_225_600_000_000_000
-FASTEST = 12_800.0
+MAX_RATE = 12_800.0
 FULL_SCALE_V = 30.0
 PATIENCE_S = 120.0
 
@@ -45,17 +45,17 @@ MESSAGES = {
 
 
 def ramp(channel: int, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return samples that tell their channel and number."""
+    """Return samples that encode their channel and number."""
     return np.asarray(1e6 * channel + numbers, dtype=np.float64)
 
 
 class NiTask:
-    """What the driver keeps of a task."""
+    """State of a task in the driver."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.channels: list[dict[str, Any]] = []
-        self.asked_rate = 1000.0
+        self.requested_rate = 1000.0
         self.finite = False
         self.samples = 1000
         self.started_ns: int | None = None
@@ -65,9 +65,9 @@ class NiTask:
 
 
 class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
-    """A chassis with a NI 9230 and a module that cannot supply sensors, and every fault at the call of a test.
+    """Chassis with an NI 9230 and a module without sensor supply; tests inject faults.
 
-    Waiting moves the clock on, so nobody sleeps. What is not implemented raises NotImplementedError.
+    Waiting advances the clock without sleeping. Calls that are not implemented raise NotImplementedError.
     """
 
     def __init__(self) -> None:
@@ -80,13 +80,13 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
         self.reserved = False
         self.overloaded: set[str] = set()
         self.detects_overload = True
-        self.overload_questions = 0
+        self.overload_queries = 0
         self.filter_delay: tuple[float, DigitalWidthUnits] | None = None
-        self.limit_told = True
+        self.states_limit = True
         self.tasks: dict[int, NiTask] = {}
         self.created: list[NiTask] = []
         self.blocking = False
-        """A read waits for real until its task is aborted."""
+        """A read blocks until its task is aborted."""
         self.waiting = threading.Event()
         self._faults: list[tuple[str, int, int]] = []
         self._overloads_asked = False
@@ -96,36 +96,34 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
         return self.now_ns
 
     def advance(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the clock."""
         self.now_ns += round(seconds * 1e9)
 
     def fail(self, call: str, code: int, samples: int = 0) -> None:
-        """Let the next `call` of the driver fail with `code`; a read hands over `samples` before it does."""
+        """Let the next `call` of the driver fail with `code`; a read returns `samples` first."""
         self._faults.append((call, code, samples))
 
     def unplug(self, *, forget: bool = False) -> None:
-        """Pull the cable."""
+        """Disconnect the device."""
         self.plugged = False
         self.known = not forget
         self._stop(-201003)
 
     def plug(self) -> None:
-        """Put it in again; tasks from before stay dead."""
+        """Connect the device again; its tasks stay aborted."""
         self.plugged = self.known = True
 
     def reset(self) -> None:
-        """Do what a test panel can do to a task of somebody else's."""
+        """Abort all tasks, as a test panel can."""
         self._stop(-88709)
 
     def _stop(self, code: int) -> None:
         for task in self.tasks.values():
             task.stopped_by = task.stopped_by or code
 
-    # What a test looks at
-
     @property
     def task(self) -> NiTask:
-        """The only task there is."""
+        """The only task."""
         (task,) = self.tasks.values()
         return task
 
@@ -177,27 +175,27 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
 
     def task_control(self, task: int, action: int) -> None:
         assert TaskMode(action) is TaskMode.TASK_ABORT
-        kept = self._known(task)
-        kept.stopped_by = kept.stopped_by or -88709
-        kept.aborted.set()
+        ni_task = self._known(task)
+        ni_task.stopped_by = ni_task.stopped_by or -88709
+        ni_task.aborted.set()
 
     def get_task_attribute_string(self, task: int, attribute: int) -> str:
-        kept = self._known(task)
-        names = [channel["name"] for channel in kept.channels]
+        ni_task = self._known(task)
+        names = [channel["name"] for channel in ni_task.channels]
         return {
-            0x1276: kept.name,
+            0x1276: ni_task.name,
             0x1273: ", ".join(names),
             0x230E: ", ".join(dict.fromkeys(name.partition("/")[0] for name in names)),
         }[attribute]
 
     def start_task(self, task: int) -> None:
-        kept = self._known(task)
+        ni_task = self._known(task)
         self._reach()
         self._check("start_task")
         if self.reserved:
             raise error(-50103)
-        self._rate(kept)
-        kept.started_ns = self.now_ns
+        self._rate(ni_task)
+        ni_task.started_ns = self.now_ns
 
     # Channels
 
@@ -247,9 +245,9 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
         self._channel(task, channel)["coupling"] = value
 
     def get_chan_attribute_double(self, task: int, channel: str, attribute: int) -> float:
-        kept = self._channel(task, channel)
-        if attribute == 0x17DD and self.limit_told:
-            return float(FULL_SCALE_V / (kept["sensitivity"] * 1e-3))
+        properties = self._channel(task, channel)
+        if attribute == 0x17DD and self.states_limit:
+            return float(FULL_SCALE_V / (properties["sensitivity"] * 1e-3))
         if attribute == 0x2FED and self.filter_delay is not None:
             return self.filter_delay[0]
         raise error(-200452)
@@ -269,18 +267,18 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
     ) -> None:
         assert source == ""
         assert active_edge == 10280
-        kept = self._known(task)
-        kept.asked_rate, kept.finite, kept.samples = rate, sample_mode == 10178, samps_per_chan
+        ni_task = self._known(task)
+        ni_task.requested_rate, ni_task.finite, ni_task.samples = rate, sample_mode == 10178, samps_per_chan
 
     def get_timing_attribute_double(self, task: int, attribute: int) -> float:
         assert attribute == 0x1344
         return self._rate(self._known(task))
 
     def _rate(self, task: NiTask) -> float:
-        """Return the rate that the converter has: the next one up from what was asked for."""
-        if task.asked_rate > FASTEST:
+        """Return the next higher rate that the converter has."""
+        if task.requested_rate > MAX_RATE:
             raise error(-200077)
-        return FASTEST / math.floor(FASTEST / task.asked_rate)
+        return MAX_RATE / math.floor(MAX_RATE / task.requested_rate)
 
     # Reading
 
@@ -290,34 +288,34 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
         assert fill_mode == 0  # grouped by channel
         assert array.flags.c_contiguous
         assert array.dtype == np.float64
-        kept = self._known(task)
-        assert array.size >= samples * len(kept.channels)
+        ni_task = self._known(task)
+        assert array.size >= samples * len(ni_task.channels)
         if self.blocking:
             self.waiting.set()
-            assert kept.aborted.wait(PATIENCE_S), "nobody aborted the task"
+            assert ni_task.aborted.wait(PATIENCE_S), "the task was not aborted"
         fault = next((fault for fault in self._faults if fault[0] == "read_analog_f64"), None)
         if fault is not None:
             self._faults.remove(fault)
-            self._take(kept, fault[2], array)
+            self._take(ni_task, fault[2], array)
             raise error(fault[1], fault[2])
-        if kept.stopped_by:
-            raise error(kept.stopped_by, 0)
-        if not kept.finite and self._acquired(kept) - kept.read > max(kept.samples, 100_000):
-            kept.stopped_by = -200279
-            raise error(kept.stopped_by, 0)
-        assert kept.started_ns is not None
-        missing = kept.read + samples - self._acquired(kept)
-        wait_ns = kept.started_ns + math.ceil((kept.read + samples) * 1e9 / self._rate(kept)) - self.now_ns
+        if ni_task.stopped_by:
+            raise error(ni_task.stopped_by, 0)
+        if not ni_task.finite and self._acquired(ni_task) - ni_task.read > max(ni_task.samples, 100_000):
+            ni_task.stopped_by = -200279
+            raise error(ni_task.stopped_by, 0)
+        assert ni_task.started_ns is not None
+        missing = ni_task.read + samples - self._acquired(ni_task)
+        wait_ns = ni_task.started_ns + math.ceil((ni_task.read + samples) * 1e9 / self._rate(ni_task)) - self.now_ns
         if missing > 0:
             self.now_ns += min(wait_ns, round(timeout * 1e9))
-        there = min(samples, self._acquired(kept) - kept.read)
-        self._take(kept, there, array)
+        there = min(samples, self._acquired(ni_task) - ni_task.read)
+        self._take(ni_task, there, array)
         if there < samples:
             raise error(-200284, there)
         return array, there
 
     def _take(self, task: NiTask, count: int, array: NDArray[np.float64]) -> None:
-        """Write `count` samples of each channel into `array`, squashed together at its beginning as the driver does."""
+        """Write `count` samples of each channel to the start of `array`, without gaps, as the driver does."""
         numbers = np.arange(task.read, task.read + count)
         values = [self.signal(channel, numbers) for channel in range(len(task.channels))]
         array.reshape(-1)[: count * len(values)] = np.concatenate(values)
@@ -335,7 +333,7 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
     def get_read_attribute_bool(self, task: int, attribute: int) -> bool:
         assert attribute == 0x2174
         self._known(task)
-        self.overload_questions += 1
+        self.overload_queries += 1
         if not self.detects_overload:
             raise error(-200452)
         self._overloads_asked = True
@@ -374,8 +372,8 @@ NiDevice.__abstractmethods__ = frozenset()
 
 
 def error(code: int, samples_read: int | None = None) -> DaqError:
-    """Return what NI's client raises when its library answers `code`."""
-    text = f"{MESSAGES.get(code, 'Something that nobody has heard of.')}\n\nStatus Code: {code}"
+    """Return the error that NI's client raises for `code`."""
+    text = f"{MESSAGES.get(code, 'Unknown error.')}\n\nStatus Code: {code}"
     return DaqError(text, code) if samples_read is None else DaqReadError(text, code, samples_read)
 
 

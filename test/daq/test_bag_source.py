@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -169,27 +168,6 @@ def test_read_waits_for_the_clock(play: Play) -> None:
     assert (reading.stamp_ns, calls) == (START_NS, 4)
 
 
-def test_close_ends_a_read(play: Play) -> None:
-    looked = threading.Event()
-
-    def standing() -> int:
-        looked.set()
-        return START_NS
-
-    source = play(standing)
-    looked.clear()
-    answers: list[object] = []
-    reader = threading.Thread(target=lambda: answers.append(source.read(600.0)))
-    reader.start()
-    assert looked.wait(120.0)
-    source.close()
-    reader.join(120.0)
-    assert answers == [None]
-    source.close()
-    assert source.read(0.0) is None
-    assert not source.ended
-
-
 def test_bag_can_be_started_again(play: Play) -> None:
     source = play(Clock(NOW), rate=0.0)
     first = due_stamps_ms(source)
@@ -271,12 +249,6 @@ def test_source_states_the_time_that_it_waits_for(play: Play) -> None:
     clock.now_ns = START_NS
     assert due_stamps_ms(source) == []
     assert source.waiting_for == "the clock to reach 1700000000.099 s (now 1700000000.000 s)"
-
-
-def test_source_that_was_not_started_has_no_reading(path: Path) -> None:
-    source = BagSource(DaqSettings(bag=BagSettings(path=str(path))), Clock(NOW))
-    assert source.read(0.0) is None
-    source.close()
 
 
 def test_relative_stamps_move_to_the_start(tmp_path: Path) -> None:

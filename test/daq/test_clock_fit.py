@@ -1,4 +1,4 @@
-"""The fit of sample numbers to ROS time: against clocks whose true relation is known."""
+"""Tests of the clock fit against simulated clocks."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ FLOOR_S = 0.2e-3
 
 @dataclass
 class Device:
-    """A converter whose clock and ROS time each run wrong by some parts per million of true time."""
+    """Converter whose clock and ROS time deviate from true time by some ppm."""
 
     device_ppm: float = 0.0
     ros_ppm: float = 0.0
     rate: float = 12_800.0
     jumps: dict[float, float] = field(default_factory=dict)
-    """True time [s] to how far ROS time jumps then [s]"""
+    """Jump of ROS time [s] by true time [s]."""
 
     def taken_s(self, sample: int) -> float:
         return sample / (self.rate * (1.0 + self.device_ppm * 1e-6))
@@ -45,7 +45,7 @@ class Device:
         return (fit.stamp_ns(sample) - self.ros_ns(self.taken_s(sample))) / 1e9
 
     def follow(self, fit: ClockFit, delays: Sequence[float] | FloatArray, block: int = 1280) -> list[Read]:
-        """Read blocks with these delays [s]; no read comes before an earlier one has."""
+        """Read one block per delay [s], in order."""
         reads, now_s = [], 0.0
         for i, delay in enumerate(delays):
             first, count = i * block, (i + 1) * block
@@ -60,7 +60,7 @@ class Device:
 
 @dataclass
 class Read:
-    """What the fit said after a read of its first and last sample."""
+    """Result of the fit after a read: stamps of its first and last sample, and their largest error."""
 
     first_ns: int
     last_ns: int
@@ -71,7 +71,7 @@ class Read:
 
 
 def usual_delays(n: int, seed: int) -> FloatArray:
-    """0.2 ms at least, 1 ms more on average, and one read in a hundred is held up for 50 to 200 ms."""
+    """Return delays of 0.2 ms plus 1 ms on average; one in a hundred is longer by 50 to 200 ms."""
     rng = np.random.default_rng(seed)
     delays = FLOOR_S + rng.exponential(1e-3, n)
     held_up = rng.random(n) < 0.01
@@ -87,14 +87,14 @@ def test_stamps_stay_within_a_millisecond_of_drifting_clocks(device_ppm: float, 
     reads = device.follow(fit, usual_delays(4000, seed))
     errors = np.abs([read.error for read in reads])
     assert errors[SETTLED_READS - 1 :].max() < 1e-3
-    assert np.median(errors) == pytest.approx(FLOOR_S, abs=0.1e-3)  # the smallest delay, which nobody can see
+    assert np.median(errors) == pytest.approx(FLOOR_S, abs=0.1e-3)  # the smallest delay cannot be observed
     assert fit.restarts == 0
     true_rate = 12_800.0 * (1.0 + device_ppm * 1e-6) / (1.0 + ros_ppm * 1e-6)
     assert fit.sample_rate == pytest.approx(true_rate, rel=10e-6)
 
 
 @pytest.mark.parametrize("ppm", [50.0, -50.0])
-def test_what_nominal_periods_from_the_first_read_on_would_give(ppm: float) -> None:
+def test_fit_is_needed_because_nominal_periods_drift(ppm: float) -> None:
     device = Device(ppm, -ppm)
     fit = ClockFit(12_800.0)
     fit.update(1, device.ros_ns(0.0))
@@ -102,7 +102,7 @@ def test_what_nominal_periods_from_the_first_read_on_would_give(ppm: float) -> N
     assert abs(device.error_s(fit, last)) == pytest.approx(40e-3, rel=1e-3)
 
 
-def test_start_up_is_as_late_as_the_earliest_read_so_far() -> None:
+def test_first_stamps_are_as_late_as_the_earliest_read() -> None:
     late = 0
     for seed in range(300):
         delays = usual_delays(SETTLED_READS, seed)
@@ -110,15 +110,15 @@ def test_start_up_is_as_late_as_the_earliest_read_so_far() -> None:
         reads = device.follow(ClockFit(12_800.0), delays)
         taken = np.array([device.taken_s((i + 1) * 1280 - 1) for i in range(SETTLED_READS)])
         earliest = np.minimum.accumulate(np.maximum.accumulate(taken + delays) - taken)
-        # Within 1 s, the clocks have come apart by 0.1 ms.
+        # Within 1 s, the clocks diverge by 0.1 ms.
         assert all(abs(read.error) <= bound + 0.1e-3 for read, bound in zip(reads, earliest, strict=True))
         late += abs(reads[0].error) > 1e-3
         assert abs(reads[-1].error) < 1e-3
-    assert late > 50  # one read alone is not enough
+    assert late > 50  # a single read is not enough
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_residual_tells_what_stamps_are_off(seed: int) -> None:
+def test_residual_covers_the_error_of_stamps(seed: int) -> None:
     reads = Device(50.0, -50.0).follow(ClockFit(12_800.0), usual_delays(2000, seed))
     covered = [abs(read.error - FLOOR_S) <= read.residual for read in reads]
     assert np.mean(covered) > 0.95
@@ -128,7 +128,7 @@ def test_the_residual_tells_what_stamps_are_off(seed: int) -> None:
 
 
 @pytest.mark.parametrize("delay_s", [1e-3, 10e-3, 30e-3])
-def test_at_the_start_the_residual_tells_how_busy_the_machine_is(delay_s: float) -> None:
+def test_residual_at_the_start_covers_the_delays_of_a_busy_host(delay_s: float) -> None:
     covered = []
     for seed in range(200):
         delays = np.random.default_rng(seed).exponential(delay_s, 4 * SETTLED_READS)
@@ -142,13 +142,13 @@ def test_at_the_start_the_residual_tells_how_busy_the_machine_is(delay_s: float)
     ppm=st.floats(-100.0, 100.0),
     block_s=st.floats(0.05, 2.0),
 )
-def test_prompt_reads_give_the_truth_at_any_rate(rate: float, ppm: float, block_s: float) -> None:
+def test_reads_without_delay_give_exact_stamps_at_any_rate(rate: float, ppm: float, block_s: float) -> None:
     device = Device(device_ppm=ppm, rate=rate)
     fit = ClockFit(rate)
     block = max(1, round(rate * block_s))
     # Until the rate is known, the offset may be as old as six bins, each longer than 1 s by up to a block.
     oldest_s = 6.0 * (1.0 + block / rate) + block / rate
-    # What it is off by then is made up for by no more than a sample per read.
+    # The fit moves back by at most one sample per read.
     made_up = round(abs(ppm) * 1e-6 * oldest_s * rate)
     reads = device.follow(fit, [0.0] * (max(10, round(35.0 * rate / block)) + made_up), block)
     assert max(abs(read.error) for read in reads) <= abs(ppm) * 1e-6 * oldest_s + 1e-8
@@ -162,7 +162,7 @@ def test_prompt_reads_give_the_truth_at_any_rate(rate: float, ppm: float, block_
     samples=st.integers(0, 10**15),
     nanoseconds=st.integers(0, 4 * 10**18),
 )
-def test_neither_sample_numbers_nor_the_epoch_matter(delays: list[float], samples: int, nanoseconds: int) -> None:
+def test_fit_does_not_depend_on_sample_numbers_and_epoch(delays: list[float], samples: int, nanoseconds: int) -> None:
     plain, moved = ClockFit(12_800.0), ClockFit(12_800.0)
     for i, delay in enumerate(delays):
         count, host_ns = (i + 1) * 1280, round(((i + 1) * 0.1 + delay) * 1e9)
@@ -220,7 +220,7 @@ def test_late_reads_do_not_matter_while_some_are_prompt(lateness: list[float], p
     assert fit.restarts == 0
 
 
-def test_a_year_at_a_million_samples_per_second() -> None:
+def test_stamps_are_exact_after_a_year_at_1_mhz() -> None:
     fit = ClockFit(1e6)
     year = 365 * 86_400 * 10**6
     for sample in [*range(0, 40_000_000, 100_000), *range(year, year + 40_000_000, 100_000)]:
@@ -230,7 +230,7 @@ def test_a_year_at_a_million_samples_per_second() -> None:
 
 
 @pytest.mark.parametrize("jump", [-3600.0, -1.0, -0.02, 0.02, 1.0, 3600.0])
-def test_a_jump_of_ros_time_is_noticed_and_recovered_from(jump: float) -> None:
+def test_jump_of_ros_time_restarts_the_fit(jump: float) -> None:
     device = Device(50.0, -50.0, jumps={30.0: jump})
     fit = ClockFit(12_800.0)
     reads = device.follow(fit, usual_delays(1000, 7))
@@ -242,7 +242,7 @@ def test_a_jump_of_ros_time_is_noticed_and_recovered_from(jump: float) -> None:
     assert reads[restart + 20].residual < 1e-3
 
 
-def test_a_jump_too_small_to_be_noticed_is_grown_into() -> None:
+def test_fit_follows_a_small_jump() -> None:
     for jump in (-JUMP_S / 2, JUMP_S / 2):
         fit = ClockFit(12_800.0)
         reads = Device(jumps={30.0: jump}).follow(fit, usual_delays(1000, 3))
@@ -250,9 +250,9 @@ def test_a_jump_too_small_to_be_noticed_is_grown_into() -> None:
         assert max(abs(read.error) for read in reads[700:]) < 1e-3
 
 
-def test_a_stall_longer_than_the_patience_with_late_reads_is_no_jump() -> None:
+def test_long_stall_is_no_jump() -> None:
     delays = usual_delays(600, 5)
-    delays[300] += 10.0  # the hundred reads behind it come all at once
+    delays[300] += 10.0  # the next hundred reads come at once
     fit = ClockFit(12_800.0)
     reads = Device(50.0, -50.0).follow(fit, delays)
     assert fit.restarts == 0
@@ -261,7 +261,7 @@ def test_a_stall_longer_than_the_patience_with_late_reads_is_no_jump() -> None:
 
 @pytest.mark.parametrize("stall_s", [1.0, 3.0, 8.0])
 @pytest.mark.parametrize("late_s", [0.2e-3, 4e-3, 6e-3, 20e-3])
-def test_what_piles_up_in_a_stall_after_a_late_read_is_no_jump(late_s: float, stall_s: float) -> None:
+def test_stall_after_a_late_read_is_no_jump(late_s: float, stall_s: float) -> None:
     held_up, read_s = 199, 1e-3
     fit = ClockFit(12_800.0)
     for n in range(1, 400):
@@ -282,11 +282,11 @@ def test_what_piles_up_in_a_stall_after_a_late_read_is_no_jump(late_s: float, st
     stall_s=st.floats(0.2, 10.0),
     speed=st.floats(20.0, 1000.0),
 )
-def test_no_stall_is_a_jump(
+def test_any_stall_is_no_jump(
     block: int, before_s: float, late: list[float], phase: float, stall_s: float, speed: float
 ) -> None:
     block_s = block / 12_800.0
-    # Reads that are late for JUMP_TIME_S and all by the same are what a jump looks like, and nobody can tell.
+    # Reads that are late by the same amount for JUMP_TIME_S cannot be told from a jump.
     late = late[: int((JUMP_TIME_S - 2.0 * JUMP_S) / block_s) - 1]
     prompt = max(SETTLED_READS, round(before_s / block_s))
     from_s = block_s * (prompt + len(late) + phase)
@@ -301,7 +301,7 @@ def test_no_stall_is_a_jump(
     assert fit.restarts == 0
 
 
-def test_a_bad_first_read_is_forgotten_at_the_second() -> None:
+def test_late_first_read_has_no_lasting_effect() -> None:
     fit = ClockFit(12_800.0)
     reads = Device().follow(fit, [0.25, 0.0, 0.0, 0.0, 0.0])
     assert reads[0].error == pytest.approx(0.25)
@@ -309,7 +309,7 @@ def test_a_bad_first_read_is_forgotten_at_the_second() -> None:
     assert fit.restarts == 0
 
 
-def test_numbers_that_begin_anew_begin_a_new_fit() -> None:
+def test_lower_sample_number_restarts_the_fit() -> None:
     fit = ClockFit(12_800.0)
     Device().follow(fit, [0.0] * 50)
     fit.update(1280, START_NS + 3600 * 10**9)
@@ -318,7 +318,7 @@ def test_numbers_that_begin_anew_begin_a_new_fit() -> None:
     assert not fit.settled
 
 
-def test_after_a_reset_the_next_read_is_a_first_one() -> None:
+def test_reset_fit_equals_a_new_fit() -> None:
     fit, fresh = ClockFit(12_800.0), ClockFit(12_800.0)
     Device(device_ppm=80.0).follow(fit, [0.0] * 100)
     fit.reset()
@@ -327,7 +327,7 @@ def test_after_a_reset_the_next_read_is_a_first_one() -> None:
     assert slower.follow(fit, usual_delays(100, 1)) == slower.follow(fresh, usual_delays(100, 1))
 
 
-def test_before_the_first_read_nothing_is_known_and_after_it_the_nominal_rate() -> None:
+def test_first_read_gives_the_nominal_rate() -> None:
     fit = ClockFit(1000.0)
     with pytest.raises(RuntimeError, match="before the first read"):
         fit.stamp_ns(0)

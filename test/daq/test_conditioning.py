@@ -32,8 +32,8 @@ NAN, INF = math.nan, math.inf
 
 
 @dataclass
-class Started(ForceSource):
-    """What a source says of itself once it has been started; the readings are made by the tests."""
+class StartedSource(ForceSource):
+    """Attributes of a started source; the tests make its readings."""
 
     simulated: bool = False
     channels: tuple[str, ...] = ("ai0",)
@@ -53,10 +53,10 @@ class Started(ForceSource):
         raise AssertionError
 
 
-def signal(settings: Mapping[str, object] | None = None, source: Started | None = None) -> SignalConditioner:
-    """Return what is tested, without a tare unless it is asked for."""
+def signal(settings: Mapping[str, object] | None = None, source: StartedSource | None = None) -> SignalConditioner:
+    """Return a conditioner, by default without a tare at the start."""
     values = {"tare.at_start": False, **(settings or {})}
-    return SignalConditioner(source or Started(), checked(DaqSettings, values, "test"))
+    return SignalConditioner(source or StartedSource(), checked(DaqSettings, values, "test"))
 
 
 def reading(
@@ -67,7 +67,7 @@ def reading(
     saturated: BoolArray | None = None,
     rate: float = RATE,
 ) -> Reading:
-    """Return a reading of a device that is read as soon as its last sample is taken, or of a recording."""
+    """Return a reading of a device, read right after its last sample, or of a recording."""
     array = np.atleast_2d(np.asarray(samples, float))
     array.flags.writeable = False
     read_ns = NOW + round((first + array.shape[1] - 1) / rate * 1e9)
@@ -84,8 +84,8 @@ def test_inverted_sensor_changes_the_sign() -> None:
     assert only_block(signal({"sensor.invert": True}).blocks(reading([1.0, -2.0]))).force.tolist() == [-1.0, 2.0]
 
 
-def test_a_block_says_where_it_is_from_and_cannot_be_changed() -> None:
-    source = Started(channels=("ai0", "ai1"), simulated=True)
+def test_block_states_its_source_and_is_read_only() -> None:
+    source = StartedSource(channels=("ai0", "ai1"), simulated=True)
     blocks = signal({"frame_id": "cell"}, source).blocks(reading([[1.0, 2.0], [3.0, 4.0]], first=7, lost=2))
     for (block,), frame_id in zip(blocks, ("cell", "cell_ai1"), strict=True):
         assert (block.frame_id, block.source, block.simulated) == (frame_id, "a load cell", True)
@@ -103,7 +103,9 @@ def test_uncertainty_is_that_of_the_sensitivity_or_the_recording(
     *, simulated: bool, stated: float | None, uncertainty: float
 ) -> None:
     made = reading([1.0])._replace(relative_uncertainty=stated)
-    assert only_block(signal(source=Started(simulated=simulated)).blocks(made)).relative_uncertainty == uncertainty
+    assert (
+        only_block(signal(source=StartedSource(simulated=simulated)).blocks(made)).relative_uncertainty == uncertainty
+    )
 
 
 holes = arrays(np.float64, st.integers(0, 40), elements=st.sampled_from([1.0, 2.0, 3.0, math.nan, INF, -INF]))
@@ -116,7 +118,7 @@ def test_every_sample_is_published_or_counted_as_lost(readings: list[tuple[int, 
     taken: dict[int, float] = {}
     published: dict[int, float] = {}
     first = 0
-    end = 0  # of what was published or said to be lost
+    end = 0  # of the samples published or counted as lost
     for lost, samples in readings:
         first += lost
         taken |= {first + i: value for i, value in enumerate(samples.tolist()) if math.isfinite(value)}
@@ -131,23 +133,23 @@ def test_every_sample_is_published_or_counted_as_lost(readings: list[tuple[int, 
     assert channel.samples + channel.lost == first
 
 
-def test_a_gap_that_the_source_did_not_mention_is_counted_all_the_same() -> None:
+def test_gap_in_the_sample_numbers_is_counted() -> None:
     force = signal()
     force.blocks(reading([1.0] * 10))
     assert only_block(force.blocks(reading([1.0] * 10, first=15, lost=2))).lost_samples == 5
-    block = only_block(force.blocks(reading([1.0] * 10, first=0, lost=3)))  # began anew
+    block = only_block(force.blocks(reading([1.0] * 10, first=0, lost=3)))  # restarted
     assert (block.first_sample, block.lost_samples) == (0, 3)
     assert force.channels[0].lost == 8
 
 
-def test_more_lost_than_a_message_can_say() -> None:
+def test_lost_samples_of_a_block_are_limited_to_32_bits() -> None:
     force = signal()
     assert only_block(force.blocks(reading([1.0], first=2**33, lost=2**33))).lost_samples == 2**32 - 1
     assert force.channels[0].lost == 2**33
 
 
-def test_a_device_is_timed_by_the_fit_less_the_delays() -> None:
-    source = Started(filter_delay=3e-3, channels=("ai0", "ai1"))
+def test_stamps_of_a_device_are_those_of_the_fit_less_the_delays() -> None:
+    source = StartedSource(filter_delay=3e-3, channels=("ai0", "ai1"))
     force = signal(source=source)
     settings: dict[str, object] = {"filter.kind": FilterKind.ZERO_PHASE, "filter.cutoff": 100.0}
     filtered = signal(settings, source)
@@ -164,7 +166,7 @@ def test_a_device_is_timed_by_the_fit_less_the_delays() -> None:
         assert block.filter_delay == pytest.approx(3e-3 + delay)
 
 
-def test_a_device_that_was_started_again_has_a_new_clock() -> None:
+def test_restarted_device_restarts_the_fit() -> None:
     force = signal()
     for i in range(20):
         force.blocks(reading([1.0] * 100, first=i * 100))
@@ -175,7 +177,7 @@ def test_a_device_that_was_started_again_has_a_new_clock() -> None:
     assert force.clock.restarts == 0
 
 
-def test_the_rate_of_a_device_is_measured_that_of_a_recording_is_its_own() -> None:
+def test_sample_rate_is_measured_for_a_device_and_stated_for_a_recording() -> None:
     force, recorded = signal(), signal()
     true_rate = RATE * (1.0 + 80e-6)
     for i in range(100):
@@ -186,8 +188,8 @@ def test_the_rate_of_a_device_is_measured_that_of_a_recording_is_its_own() -> No
     assert of_recording.sample_rate == RATE
 
 
-def test_a_recording_keeps_its_time_less_the_delay_of_the_low_pass() -> None:
-    source = Started(filter_delay=3e-3)
+def test_stamps_of_a_recording_are_less_the_delay_of_the_low_pass() -> None:
+    source = StartedSource(filter_delay=3e-3)
     recorded = reading([1.0, math.nan, 2.0], first=10, stamp_ns=5_000_000_000)._replace(clock_residual=2e-4)
     before, after = signal(source=source).blocks(recorded)[0]
     assert (before.stamp_ns, after.stamp_ns) == (5_000_000_000, 5_002_000_000)
@@ -203,15 +205,13 @@ def test_a_recording_keeps_its_time_less_the_delay_of_the_low_pass() -> None:
     duration=st.floats(0.008, 0.02),
     blocks=st.integers(1, 9),
 )
-def test_an_impact_has_its_time_whatever_the_filter(
-    kind: FilterKind, onset: float, duration: float, blocks: int
-) -> None:
+def test_filter_does_not_move_an_impact_in_time(kind: FilterKind, onset: float, duration: float, blocks: int) -> None:
     # A converter whose filter delays by 38 samples, and an impact whose peak is known.
     rate, delay = 12_800.0, 38.0 / 12_800.0
     t = np.arange(1280) / rate - delay
     phase = np.clip((t - onset) / duration, 0.0, 1.0)
     samples = 100.0 * np.sin(math.pi * phase)
-    source = Started(sample_rate=rate, filter_delay=delay)
+    source = StartedSource(sample_rate=rate, filter_delay=delay)
     force = signal({"filter.kind": kind, "filter.cutoff": 1000.0}, source)
     weighted = total = 0.0
     for portion in np.array_split(np.arange(1280), blocks):
@@ -237,13 +237,13 @@ def test_an_impact_has_its_time_whatever_the_filter(
 def test_samples_at_the_end_of_the_range_are_marked(
     limit: float, settings: dict[str, object], expected: list[int]
 ) -> None:
-    force = signal(settings, Started(limit=limit))
+    force = signal(settings, StartedSource(limit=limit))
     block = only_block(force.blocks(reading([1.0, -2.0, 3.0, -3.0])))
     assert block.saturated_samples.tolist() == expected
     assert force.channels[0].saturated == len(expected)
 
 
-def test_the_range_is_that_of_the_sensor_not_of_what_is_left_after_the_tare() -> None:
+def test_range_applies_before_the_tare() -> None:
     force = signal({"sensor.range": 100.0, "tare.at_start": True, "tare.time": 0.1})
     force.blocks(reading([50.0] * 100))
     block = only_block(force.blocks(reading([60.0, 99.95], first=100)))
@@ -251,14 +251,14 @@ def test_the_range_is_that_of_the_sensor_not_of_what_is_left_after_the_tare() ->
     assert block.saturated_samples.tolist() == [1]
 
 
-def test_what_the_source_marks_is_marked() -> None:
+def test_samples_marked_by_the_source_are_saturated() -> None:
     marks = np.array([[False, True, False], [False, False, False]])
-    blocks = signal(source=Started(channels=("a", "b"))).blocks(reading(np.ones((2, 3)), saturated=marks))
+    blocks = signal(source=StartedSource(channels=("a", "b"))).blocks(reading(np.ones((2, 3)), saturated=marks))
     assert [block.saturated_samples.tolist() for (block,) in blocks] == [[1], []]
 
 
 @given(st.sets(st.integers(0, 399), max_size=4), st.lists(st.integers(1, 399), max_size=6))
-def test_behind_a_low_pass_all_that_a_saturated_sample_influenced_is_marked(at: set[int], cuts: list[int]) -> None:
+def test_outputs_influenced_by_a_saturated_sample_are_marked(at: set[int], cuts: list[int]) -> None:
     settings: dict[str, object] = {"filter.kind": "zero_phase", "filter.cutoff": 100.0}
     plain, saturated = np.zeros(400), np.zeros(400)
     saturated[list(at)] = 1.0
@@ -268,11 +268,11 @@ def test_behind_a_low_pass_all_that_a_saturated_sample_influenced_is_marked(at: 
         block = only_block(force.blocks(reading(saturated[portion], int(portion[0]))))
         marked += (block.saturated_samples + block.first_sample).tolist()
     influenced = only_block(signal(settings).blocks(reading(saturated))).force != plain
-    # The first sample is taken to have been there for ever; its past is no sample.
+    # The filter extends the first sample to the past; this extension is not a sample.
     assert marked == np.flatnonzero(influenced).tolist()
 
 
-def test_behind_a_gap_the_low_pass_begins_anew() -> None:
+def test_low_pass_restarts_after_a_gap() -> None:
     force = signal({"filter.kind": "causal", "filter.cutoff": 10.0, "sensor.range": 500.0})
     force.blocks(reading([1000.0] * 10))
     block = only_block(force.blocks(reading([3.0] * 10, first=20, lost=10)))
@@ -283,11 +283,11 @@ def test_behind_a_gap_the_low_pass_begins_anew() -> None:
     assert after.force == pytest.approx([3.0])
     assert not after.saturated_samples.size
     assert only_block(force.blocks(reading([4.0] * 3, first=0))).force == pytest.approx([4.0] * 3)
-    block = only_block(force.blocks(reading([5.0] * 3, first=3, lost=2)))  # lost, though the numbers go on
+    block = only_block(force.blocks(reading([5.0] * 3, first=3, lost=2)))  # lost although the numbers continue
     assert block.force == pytest.approx([5.0] * 3)
 
 
-def test_the_first_tare_is_taken_from_the_first_samples_which_go_out_as_they_are() -> None:
+def test_first_tare_applies_after_its_samples() -> None:
     force = signal({"tare.at_start": True, "tare.time": 0.15})
     (channel,) = force.channels
     for first in (0, 100):
@@ -304,7 +304,7 @@ def test_the_first_tare_is_taken_from_the_first_samples_which_go_out_as_they_are
     assert channel.tare_problem == ""
 
 
-def test_a_new_tare_replaces_the_old_one_and_not_what_was_left_of_it() -> None:
+def test_new_tare_replaces_the_old_one() -> None:
     force = signal({"tare.at_start": True, "tare.time": 0.1})
     force.blocks(reading([5.0] * 100))
     force.begin_tare()
@@ -315,7 +315,7 @@ def test_a_new_tare_replaces_the_old_one_and_not_what_was_left_of_it() -> None:
     assert force.channels[0].tare == pytest.approx(7.0)
 
 
-def test_a_refused_tare_leaves_the_old_one_and_says_why() -> None:
+def test_refused_tare_keeps_the_old_one_and_states_the_reason() -> None:
     force = signal({"tare.at_start": True, "tare.time": 0.1})
     (channel,) = force.channels
     force.blocks(reading([5.0] * 100))
@@ -330,13 +330,13 @@ def test_a_refused_tare_leaves_the_old_one_and_says_why() -> None:
     assert channel.tare_problem == ""
 
 
-def test_nothing_is_tared_that_was_not_asked_for() -> None:
+def test_no_tare_without_a_request() -> None:
     force = signal()
     block = only_block(force.blocks(reading([5.0] * 2000)))
     assert (block.tare, block.tare_stamp_ns, force.taring) == (0.0, 0, False)
 
 
-def test_only_finite_samples_make_a_tare() -> None:
+def test_tare_uses_finite_samples_only() -> None:
     force = signal({"tare.at_start": True, "tare.time": 0.1})
     force.blocks(reading([5.0, math.nan] * 99))
     assert force.taring
@@ -344,12 +344,12 @@ def test_only_finite_samples_make_a_tare() -> None:
     assert force.channels[0].tare == pytest.approx(5.0)
 
 
-def test_a_filter_that_cannot_be_is_refused_in_one_line() -> None:
+def test_filter_that_does_not_fit_is_refused_in_one_line() -> None:
     with pytest.raises(SettingsError, match=r"^filter.cutoff = 2000: must be below 500 Hz, half of the sample rate$"):
         signal({"filter.kind": "causal"})
 
 
 @pytest.mark.live
-def test_scipy_is_loaded_by_those_who_filter_only() -> None:
+def test_conditioning_does_not_import_scipy() -> None:
     program = "import sys, scara_effmass.daq.conditioning; sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -1,4 +1,4 @@
-"""The low-pass: what it does to known signals, in whatever portions they come."""
+"""Tests of the low-pass filters."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def lowpass(kind: FilterKind, cutoff: float = 2000.0, rate: float = RATE) -> Low
 
 
 def impulse_response(low: Lowpass, n: int = 20_000) -> FloatArray:
-    """Return what an impulse does after a long rest."""
+    """Return the impulse response after a long rest."""
     low.reset()
     low(np.zeros(1))
     return low(np.eye(1, n)[0])
@@ -45,7 +45,7 @@ def gain_at(response: FloatArray, relative_frequency: float) -> complex:
 
 
 @given(kinds, relative_cutoffs)
-def test_half_the_power_passes_at_the_cutoff(kind: FilterKind, relative_cutoff: float) -> None:
+def test_power_is_halved_at_the_cutoff(kind: FilterKind, relative_cutoff: float) -> None:
     response = impulse_response(lowpass(kind, relative_cutoff * RATE))
     assert abs(gain_at(response, relative_cutoff)) ** 2 == pytest.approx(0.5, rel=1e-6)
     assert gain_at(response, 0.0) == pytest.approx(1.0, rel=1e-9)
@@ -54,7 +54,7 @@ def test_half_the_power_passes_at_the_cutoff(kind: FilterKind, relative_cutoff: 
 
 
 @given(kinds, relative_cutoffs)
-def test_a_ramp_comes_out_late_by_the_declared_delay(kind: FilterKind, relative_cutoff: float) -> None:
+def test_ramp_is_late_by_the_stated_delay(kind: FilterKind, relative_cutoff: float) -> None:
     low = lowpass(kind, relative_cutoff * RATE)
     n = 5 * low.memory + 100
     ramp = np.arange(n, dtype=float)
@@ -62,14 +62,14 @@ def test_a_ramp_comes_out_late_by_the_declared_delay(kind: FilterKind, relative_
 
 
 @given(relative_cutoffs)
-def test_the_delay_of_the_causal_one_is_that_of_the_analogue_filter(relative_cutoff: float) -> None:
-    # H = 1 / (s² + sqrt(2) s + 1) is late by sqrt(2) at s = 0; the bilinear transform puts s = 1 at the cutoff.
+def test_delay_of_the_butterworth_is_that_of_the_analogue_filter(relative_cutoff: float) -> None:
+    # H = 1 / (s² + sqrt(2) s + 1) has the delay sqrt(2) at s = 0; the bilinear transform maps s = j to the cutoff.
     delay = math.sqrt(2.0) / (2.0 * math.tan(math.pi * relative_cutoff))
     assert Butterworth(relative_cutoff * RATE, RATE).delay == pytest.approx(delay, rel=1e-6)
 
 
 @given(relative_cutoffs, st.floats(0.0, 0.5))
-def test_zero_phase_delays_every_frequency_alike(relative_cutoff: float, frequency: float) -> None:
+def test_gaussian_delays_all_frequencies_equally(relative_cutoff: float, frequency: float) -> None:
     low = Gaussian(relative_cutoff * RATE, RATE)
     response = impulse_response(low, 2 * low.memory)
     shifted_back = gain_at(response, frequency) * np.exp(2j * math.pi * frequency * low.delay)
@@ -79,7 +79,7 @@ def test_zero_phase_delays_every_frequency_alike(relative_cutoff: float, frequen
 
 
 @given(relative_cutoffs, signals)
-def test_zero_phase_never_overshoots(relative_cutoff: float, samples: FloatArray) -> None:
+def test_gaussian_does_not_overshoot(relative_cutoff: float, samples: FloatArray) -> None:
     output = Gaussian(relative_cutoff * RATE, RATE)(samples)
     rounding = 1e-12 * np.abs(samples).max()
     assert output.max() <= samples.max() + rounding
@@ -89,7 +89,7 @@ def test_zero_phase_never_overshoots(relative_cutoff: float, samples: FloatArray
 @given(kinds, relative_cutoffs, signals, st.lists(st.floats(0.0, 1.0), max_size=8))
 @example(FilterKind.CAUSAL, 0.1, np.sin(np.arange(300.0)), [0.1, 0.11, 0.5, 0.9])
 @example(FilterKind.ZERO_PHASE, 0.1, np.sin(np.arange(300.0)), [0.1, 0.11, 0.5, 0.9])
-def test_portions_do_not_matter(
+def test_size_of_portions_does_not_matter(
     kind: FilterKind, relative_cutoff: float, samples: FloatArray, cuts: list[float]
 ) -> None:
     low = lowpass(kind, relative_cutoff * RATE)
@@ -105,15 +105,13 @@ def test_portions_do_not_matter(
 
 
 @given(kinds, relative_cutoffs, st.floats(-1e4, 1e4), st.integers(1, 100))
-def test_a_constant_passes_from_the_first_sample_on(
-    kind: FilterKind, relative_cutoff: float, constant: float, n: int
-) -> None:
+def test_constant_passes_unchanged(kind: FilterKind, relative_cutoff: float, constant: float, n: int) -> None:
     output = lowpass(kind, relative_cutoff * RATE)(np.full(n, constant))
     assert output == pytest.approx(np.full(n, constant), rel=1e-10)
 
 
 @given(kinds, relative_cutoffs)
-def test_influence_beyond_the_declared_memory_is_negligible(kind: FilterKind, relative_cutoff: float) -> None:
+def test_influence_beyond_the_stated_memory_is_negligible(kind: FilterKind, relative_cutoff: float) -> None:
     low = lowpass(kind, relative_cutoff * RATE)
     response = np.abs(impulse_response(low))
     left = response[low.memory + 1 :].sum() / response.sum()
@@ -122,7 +120,7 @@ def test_influence_beyond_the_declared_memory_is_negligible(kind: FilterKind, re
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_after_a_reset_the_past_is_forgotten(kind: FilterKind) -> None:
+def test_reset_filter_equals_a_new_filter(kind: FilterKind) -> None:
     samples = np.random.default_rng(1).normal(size=200)
     low = lowpass(kind)
     fresh = low(samples)
@@ -132,7 +130,7 @@ def test_after_a_reset_the_past_is_forgotten(kind: FilterKind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_its_input_is_left_alone_and_may_be_read_only(kind: FilterKind) -> None:
+def test_input_stays_unchanged_and_may_be_read_only(kind: FilterKind) -> None:
     samples = np.arange(100.0)
     samples.flags.writeable = False
     assert lowpass(kind)(samples).shape == (100,)
@@ -141,14 +139,14 @@ def test_its_input_is_left_alone_and_may_be_read_only(kind: FilterKind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("cutoff", [500.0, 501.0, 1e5])
-def test_a_cutoff_beyond_half_the_sample_rate_is_refused(kind: FilterKind, cutoff: float) -> None:
+def test_cutoff_above_half_the_sample_rate_is_refused(kind: FilterKind, cutoff: float) -> None:
     message = f"filter.cutoff = {cutoff:g}: must be below 500 Hz, half of the sample rate"
     with pytest.raises(SettingsError, match=f"^{message}$"):
         lowpass(kind, cutoff, 1000.0)
     lowpass(kind, 499.9, 1000.0)
 
 
-def test_a_zero_phase_low_pass_that_would_take_too_long_is_refused() -> None:
+def test_gaussian_with_too_many_taps_is_refused() -> None:
     with pytest.raises(SettingsError, match=r"^filter.cutoff = 1: must be >= 4 Hz with zero_phase at 12800 Hz; "):
         lowpass(FilterKind.ZERO_PHASE, 1.0)
     assert lowpass(FilterKind.ZERO_PHASE, 4.0).memory < MAX_TAPS

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 import sys
-import threading
 from ctypes.util import find_library
 from typing import TYPE_CHECKING, Any
 
@@ -145,16 +144,6 @@ def test_blocks_are_consecutive(ni_device: NiDevice, started: Open) -> None:
     assert not source.ended
 
 
-def test_reading_is_a_read_only_copy(started: Open) -> None:
-    source = started()
-    first = got(source.read(1.0)).samples
-    before = first.copy()
-    source.read(1.0)
-    np.testing.assert_array_equal(first, before)
-    with pytest.raises(ValueError, match="read-only"):
-        first[0, 0] = 1.0
-
-
 def test_channels_share_one_task(ni_device: NiDevice, started: Open) -> None:
     source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai2"))
     assert source.channels == ("ai0", "ai2")
@@ -207,7 +196,7 @@ def test_filter_delay_is_that_of_the_driver_or_the_settings(
 
 
 def test_unknown_limit_is_infinite(ni_device: NiDevice, started: Open) -> None:
-    ni_device.limit_told = False
+    ni_device.states_limit = False
     assert started().limit == math.inf
 
 
@@ -344,15 +333,6 @@ def test_reset_device_is_lost(code: int, ni_device: NiDevice, started: Open) -> 
     assert got(source.read(1.0)).first_sample == 0
 
 
-def test_source_restarts_after_a_reset_by_another_program(ni_device: NiDevice, started: Open) -> None:
-    source = started()
-    ni_device.reset()
-    with pytest.raises(DeviceLostError, match="was reset"):
-        source.read(1.0)
-    source.start()
-    assert got(source.read(1.0)).first_sample == 0
-
-
 def test_reserved_device_is_refused_until_it_is_free(ni_device: NiDevice, make: Open) -> None:
     ni_device.reserved = True
     source = make()
@@ -407,7 +387,7 @@ def test_error_at_the_start_is_one_line(
 def test_unknown_error_states_the_message_of_the_driver(ni_device: NiDevice, started: Open) -> None:
     source = started()
     ni_device.fail("read_analog_f64", -209999)
-    with pytest.raises(DaqError, match=r"see this code .* \(NI-DAQmx -209999: Something that nobody has heard of"):
+    with pytest.raises(DaqError, match=r"see this code .* \(NI-DAQmx -209999: Unknown error\."):
         source.read(1.0)
 
 
@@ -439,21 +419,7 @@ def test_module_without_overload_detection_is_read(ni_device: NiDevice, started:
         reading = got(source.read(1.0))
         assert reading.first_sample == number * BLOCK
         assert reading.saturated is None
-    assert ni_device.overload_questions == 1
-
-
-def test_close_ends_a_read(ni_device: NiDevice, started: Open) -> None:
-    source = started()
-    ni_device.blocking = True
-    answers: list[Reading | None] = []
-    reader = threading.Thread(target=lambda: answers.append(source.read(600.0)))
-    reader.start()
-    assert ni_device.waiting.wait(120.0)
-    source.close()
-    reader.join(120.0)
-    assert answers == [None]
-    assert not ni_device.tasks
-    assert not source.ended
+    assert ni_device.overload_queries == 1
 
 
 def test_close_is_allowed_at_any_time_and_again(ni_device: NiDevice, make: Open) -> None:

@@ -15,12 +15,12 @@ BLOCK = 1000
 BLOCK_NS = round(BLOCK / RATE * NS)
 
 
-def test_before_anything_was_read_there_is_no_latency() -> None:
+def test_no_read_gives_no_latency() -> None:
     assert all(math.isnan(latency) for latency in ReadLatency(RATE).latencies())
 
 
 @given(st.lists(st.integers(0, 50_000_000), min_size=1, max_size=99), st.integers(0, 2**62))
-def test_the_latency_is_the_delay_against_the_soonest_read(delays_ns: list[int], start_ns: int) -> None:
+def test_latency_is_the_delay_against_the_earliest_read(delays_ns: list[int], start_ns: int) -> None:
     pace = ReadLatency(RATE)
     for number, delay_ns in enumerate(delays_ns, 1):
         pace.add(number * BLOCK, start_ns + number * BLOCK_NS + delay_ns)
@@ -30,7 +30,7 @@ def test_the_latency_is_the_delay_against_the_soonest_read(delays_ns: list[int],
 
 
 @pytest.mark.parametrize("drift", [-100e-6, 100e-6])
-def test_drifting_clocks_do_not_pass_for_latency(drift: float) -> None:
+def test_clock_drift_is_no_latency(drift: float) -> None:
     pace = ReadLatency(RATE)
     for number in range(1, 10_000):
         pace.add(number * BLOCK, round(number * BLOCK_NS * (1.0 + drift)))
@@ -39,7 +39,7 @@ def test_drifting_clocks_do_not_pass_for_latency(drift: float) -> None:
     assert pace.time_ns(9999 * BLOCK) == pytest.approx(9999 * BLOCK_NS * (1.0 + drift), abs=1.1e6)
 
 
-def test_what_is_long_past_is_forgotten() -> None:
+def test_old_reads_expire() -> None:
     pace = ReadLatency(RATE)
     for number in range(1, 1000):
         pace.add(number * BLOCK, number * BLOCK_NS + (900_000_000 if number == 1 else 0))

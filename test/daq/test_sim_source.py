@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import threading
-import time
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,14 +22,12 @@ BLOCK = 1280
 
 
 class Clock:
-    """A steady clock that stands still unless it is moved."""
+    """Steady clock that the test sets."""
 
     def __init__(self) -> None:
         self.ns = 77_000_000_000_000
-        self.asked = threading.Event()
 
     def __call__(self) -> int:
-        self.asked.set()
         return self.ns
 
 
@@ -63,7 +59,7 @@ def test_sim_source_declares_that_it_is_simulated() -> None:
     assert source.filter_delay == 0.0
 
 
-def test_its_samples_are_those_of_the_simulated_signal() -> None:
+def test_samples_are_those_of_the_synthetic_signal() -> None:
     source, clock = started()
     clock.ns += NS
     signal = SyntheticSignal(
@@ -83,7 +79,7 @@ def test_its_samples_are_those_of_the_simulated_signal() -> None:
     assert source.limit == signal.limit
 
 
-def test_a_block_comes_when_its_last_sample_has_been_taken() -> None:
+def test_block_is_due_after_its_last_sample() -> None:
     source, clock = started()
     assert source.read(0.0) is None
     clock.ns += 99_999_999
@@ -93,15 +89,17 @@ def test_a_block_comes_when_its_last_sample_has_been_taken() -> None:
     assert source.read(0.0) is None
 
 
-def test_who_comes_late_gets_block_after_block_and_nothing_is_lost() -> None:
+def test_late_reads_lose_nothing() -> None:
     source, clock = started()
     clock.ns += 550_000_000
-    assert [block(source).first_sample for _ in range(5)] == [0, 1280, 2560, 3840, 5120]
+    readings = [block(source) for _ in range(5)]
+    assert [reading.first_sample for reading in readings] == [0, 1280, 2560, 3840, 5120]
+    assert {reading.read_ns for reading in readings} == {NOW_NS}
     assert source.read(0.0) is None
 
 
 @pytest.mark.parametrize("error", [-1e-3, 50e-6])
-def test_the_simulated_clock_is_off_the_hosts(error: float) -> None:
+def test_simulated_converter_has_the_clock_error(error: float) -> None:
     source, clock = started(
         DaqSettings(source=ForceSourceKind.SIM, sim=SimSettings(sample_rate=1000.0, clock_error=error))
     )
@@ -111,37 +109,7 @@ def test_the_simulated_clock_is_off_the_hosts(error: float) -> None:
         assert source.read(0.0) is None
         clock.ns += 1
         assert block(source).samples.shape == (1, 100)
-    assert source.sample_rate == 1000.0  # it does not know
-
-
-def test_the_time_of_reading_is_ros_time() -> None:
-    source, clock = started()
-    clock.ns += NS
-    assert block(source).read_ns == NOW_NS
-
-
-def test_it_waits_for_the_block_in_real_time() -> None:
-    source = HalfSineSource(
-        DaqSettings(source=ForceSourceKind.SIM, block_time=0.01, sim=SimSettings(clock_error=0.0)), lambda: NOW_NS
-    )
-    before = time.monotonic()
-    source.start()
-    for _ in range(5):
-        block(source, timeout_s=120.0)
-    assert 0.05 <= time.monotonic() - before < 120.0
-
-
-def test_closing_ends_a_read_that_waits() -> None:
-    source, clock = started()
-    clock.asked.clear()
-    answers: list[Reading | None] = []
-    reader = threading.Thread(target=lambda: answers.append(source.read(600.0)))
-    reader.start()
-    assert clock.asked.wait(120.0)
-    source.close()
-    reader.join(timeout=120.0)
-    assert not reader.is_alive()
-    assert answers == [None]
+    assert source.sample_rate == 1000.0  # the nominal rate
 
 
 def test_started_again_it_begins_anew() -> None:
@@ -157,7 +125,7 @@ def test_started_again_it_begins_anew() -> None:
     assert np.array_equal(again.samples, first.samples)
 
 
-def test_a_sensor_that_reads_compression_as_negative_is_simulated_as_such() -> None:
+def test_inverted_sensor_changes_the_sign() -> None:
     source, clock = started(SETTINGS.model_copy(update={"sensor": SensorSettings(invert=True)}))
     plain, plain_clock = started()
     clock.ns += NS

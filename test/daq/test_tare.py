@@ -1,4 +1,4 @@
-"""What is taken for zero: the force at rest, whatever hits the sensor meanwhile, or a refusal."""
+"""Tests of the tare."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ def tare_of(force: FloatArray, saturated: slice | None = None) -> float | str:
 
 
 @given(st.floats(-1e3, 1e3), st.integers(0, 2**32 - 1))
-def test_it_is_the_force_at_rest(bias: float, seed: int) -> None:
+def test_tare_is_the_force_at_rest(bias: float, seed: int) -> None:
     # The median of ten means is 1.2 times as uncertain as the mean: 0.0055 N here.
     assert tare_of(bias + noise(seed)) == pytest.approx(bias, abs=6 * 0.0055)
 
 
 @given(bias=st.floats(-1e3, 1e3), start=st.integers(0, N), length=st.integers(1, 50), peak=st.floats(-2e3, 2e3))
-def test_an_impact_meanwhile_does_not_move_it(bias: float, start: int, length: int, peak: float) -> None:
+def test_impact_does_not_change_the_tare(bias: float, start: int, length: int, peak: float) -> None:
     force = bias + noise()
     force[start : start + length] += peak
     assert tare_of(force) == pytest.approx(bias, abs=0.03)
 
 
 @given(st.lists(st.integers(0, N), max_size=10))
-def test_portions_do_not_matter(cuts: list[int]) -> None:
+def test_size_of_portions_does_not_matter(cuts: list[int]) -> None:
     force = 3.0 + noise()
     tare = Tare(TareSettings(), RATE)
     for portion in np.split(force, sorted(cuts)):
@@ -58,26 +58,26 @@ def test_portions_do_not_matter(cuts: list[int]) -> None:
 @pytest.mark.parametrize(
     "moving",
     [
-        pytest.param(np.linspace(0.0, 20.0, N), id="a hand leans on it"),
-        pytest.param(np.where(np.arange(N) < N // 2, 0.0, 5.0), id="something is put on it"),
-        pytest.param(5.0 * np.sin(np.arange(N) * 0.02), id="it swings"),
+        pytest.param(np.linspace(0.0, 20.0, N), id="ramp"),
+        pytest.param(np.where(np.arange(N) < N // 2, 0.0, 5.0), id="step"),
+        pytest.param(5.0 * np.sin(np.arange(N) * 0.02), id="oscillation"),
     ],
 )
-def test_a_force_that_moves_is_refused(moving: FloatArray) -> None:
+def test_changing_force_is_refused(moving: FloatArray) -> None:
     result = tare_of(moving + noise())
     assert isinstance(result, str)
     assert result.startswith("refused: the force moved by ")
     assert result.endswith(" N, tare.tolerance is 1 N")
 
 
-def test_a_saturated_sensor_is_refused_and_a_short_overload_is_not() -> None:
+def test_saturated_sensor_is_refused_after_three_parts() -> None:
     assert tare_of(np.full(N, 2224.0), slice(None)) == "refused: the force was at the end of the measuring range"
     force = 2.0 + noise()
     force[200:340] = 2224.0  # three of the ten parts
     assert tare_of(force, slice(200, 340)) == pytest.approx(2.0, abs=0.03)
 
 
-def test_it_takes_its_time_and_no_more() -> None:
+def test_tare_ends_after_its_time() -> None:
     tare = Tare(TareSettings(time=0.5), RATE)
     tare.add(np.zeros(N - 1), NONE)
     before = tare.done
@@ -86,7 +86,7 @@ def test_it_takes_its_time_and_no_more() -> None:
     assert tare.result() == 0.0
 
 
-def test_ten_samples_are_the_least() -> None:
+def test_tare_uses_at_least_ten_samples() -> None:
     tare = Tare(TareSettings(time=0.5), 1.0)
     tare.add(np.full(9, 4.0), NONE)
     before = tare.done
