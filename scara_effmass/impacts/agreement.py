@@ -1,7 +1,7 @@
-"""How well predicted forces agree with measured ones over a series of impacts.
+"""Agreement of predicted and measured peak forces over a series of impacts.
 
-The law is F = x sqrt(k), x = v sqrt(mu) (ISO/TS 15066, Annex A: E = mu v^2 / 2 = F^2 / (2 k)). Series are short, so all
-is computed anew from the whole series, with sums that are rounded once.
+The model is F = x sqrt(k), x = v sqrt(mu) (ISO/TS 15066, Annex A: E = mu v^2 / 2 = F^2 / (2 k)). Every call recomputes
+the whole series, with exactly rounded sums (`math.fsum`).
 """
 
 from __future__ import annotations
@@ -11,23 +11,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit  # scipy.stats would take a second to import, and a hundred times as long to answer
+from scipy.special import stdtrit  # scipy.stats takes a second to import
 
 if TYPE_CHECKING:
     from scara_effmass.values import FloatArray
 
 CONFIDENCE = 0.95
 LIMITS = 1.96
-"""Standard deviations to either side of the bias that hold 95 % of normal differences (Bland and Altman 1986)."""
-SAME = 0.05
-"""Values of x within this share are one value: the speeds of repetitions scatter by 2 % to either side, and correlating
-that says nothing of the law."""
+"""Half-width of the 95 % limits of agreement, in standard deviations (Bland and Altman 1986)."""
+MIN_RELATIVE_RANGE = 0.05
+"""Minimum relative range of x for a correlation; speeds of repeated impacts alone scatter by +-2 %."""
 ROUNDING = 1e-12
-"""A prediction this share below the measured force is not below it: one impact fits its own stiffness exactly."""
+"""Relative tolerance for rounding: a single impact fits its own stiffness exactly."""
 
 
 class Interval(NamedTuple):
-    """From `low` to `high`."""
+    """Closed interval."""
 
     low: float
     high: float
@@ -35,16 +34,15 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Predicted against measured forces of `count` impacts. Forces in [N], stiffness in [N/m].
+    """Agreement of predicted and measured forces of `count` impacts. Forces in [N], stiffness in [N/m].
 
-    `correlation` is Pearson's r of F and x, and 0 where `correlation_reason` says why there is none.
-    `fitted_stiffness` is that of the least-squares line F = sqrt(k) x through the origin, 0 below two impacts;
-    `stiffness` the one behind the predictions. `exponent` is p of F = c (mu v^2)^p over logarithms: 0.5 for a linear
-    spring, 0.6 for a Hertz contact. Intervals are at 95 % and take the residuals for independent and normal.
-    `bias` and `rmse` are of predicted - measured, `relative_rmse` is over the mean measured force, `limits` are
-    bias +- 1.96 standard deviations (n - 1) of the differences. `shortfalls` counts predictions that fall short by more
-    than the tolerance, relative to the measured force, `non_conservative` those that fall short at all;
-    `largest_shortfall` is relative, and 0 where none does. None: too few impacts, or `correlation_reason`.
+    `correlation` is Pearson's r of F and x; 0 if undefined, then `correlation_reason` is set. `fitted_stiffness` is k
+    of the least-squares line F = sqrt(k) x through the origin, 0 below two impacts; `stiffness` is the one used for
+    the predictions. `exponent` is p of the log-log fit F = c (mu v^2)^p: 0.5 for a linear spring, 0.6 for a Hertz
+    contact. Intervals are at 95 % and assume independent, normal residuals. `bias` and `rmse` are of predicted -
+    measured, `relative_rmse` is relative to the mean measured force, `limits` are bias +- 1.96 standard deviations
+    (n - 1). `non_conservative` counts predictions below the measured force, `shortfalls` those below it by more than
+    the tolerance; `largest_shortfall` is relative, 0 without shortfall. None: too few impacts or no correlation.
     """
 
     count: int
@@ -67,9 +65,9 @@ class Agreement:
 
 
 def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfall_tolerance: float = 0.1) -> Agreement:
-    """Return the agreement of measured `force` (n,) [N] with the law over `x` (n,) = v sqrt(mu) [m/s sqrt(kg)].
+    """Return the agreement of measured `force` (n,) [N] with F = x sqrt(k), `x` (n,) = v sqrt(mu) [m/s sqrt(kg)].
 
-    Both are positive. `stiffness` [N/m] is the one to predict with; 0: the fitted one.
+    Both must be positive. `stiffness` [N/m] is used for the predictions; 0: the fitted stiffness.
     """
     n = x.size
     slope = slope_through_origin(x, force)
@@ -80,9 +78,9 @@ def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfal
     bias, rmse = _mean(difference), math.sqrt(_mean(difference**2))
     deviation = math.sqrt(math.fsum((difference - bias) ** 2) / (n - 1)) if n > 1 else 0.0
     shortfall = -difference / force
-    reason = _uncorrelated(x, force)
-    line = None if reason else _Line(x, force)
-    power = None if reason else _Line(2.0 * np.log(x), np.log(force))  # x^2 = mu v^2
+    reason = _correlation_reason(x, force)
+    line = None if reason else _LinearFit(x, force)
+    power = None if reason else _LinearFit(2.0 * np.log(x), np.log(force))  # x^2 = mu v^2
     return Agreement(
         count=n,
         correlation=line.correlation if line else 0.0,
@@ -105,17 +103,17 @@ def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfal
 
 
 def slope_through_origin(x: FloatArray, force: FloatArray) -> float:
-    """Return the slope of the least-squares line F = slope x, sum(x F) / sum(x^2); 0 without impacts."""
+    """Return sum(x F) / sum(x^2), the slope of the least-squares line F = slope x; 0 without impacts."""
     return math.fsum(x * force) / math.fsum(x * x) if x.size else 0.0
 
 
 def is_conservative(predicted: float, measured: float) -> bool:
-    """Return whether `predicted` is not below `measured`, rounding aside."""
+    """Return whether `predicted` is at least `measured`, within rounding."""
     return measured - predicted <= ROUNDING * measured
 
 
-class _Line:
-    """The least-squares line through points (x, y), and their correlation. Both must vary."""
+class _LinearFit:
+    """Least-squares line through points (x, y), and their correlation. x and y must vary."""
 
     def __init__(self, x: FloatArray, y: FloatArray) -> None:
         self.n = x.size
@@ -127,7 +125,7 @@ class _Line:
 
     @property
     def slope_interval(self) -> Interval | None:
-        """By Student's t with n - 2 degrees of freedom."""
+        """Confidence interval of the slope (Student's t, n - 2 degrees of freedom)."""
         if self.n < 3:
             return None
         half = _quantile(self.n - 2) * math.sqrt(self._errors / (self.n - 2))
@@ -135,7 +133,7 @@ class _Line:
 
     @property
     def correlation_interval(self) -> Interval | None:
-        """By Fisher's z, which is normal with the standard deviation (n - 3)^-1/2."""
+        """Confidence interval of r (Fisher's z, standard deviation (n - 3)^-1/2)."""
         r = self.correlation
         if self.n < 4 or abs(r) == 1.0:
             return None if self.n < 4 else Interval(r, r)
@@ -143,11 +141,11 @@ class _Line:
         return Interval(math.tanh(z - half), math.tanh(z + half))
 
 
-def _uncorrelated(x: FloatArray, force: FloatArray) -> str:
-    """Return why no correlation of `force` and `x` is defined; empty when it is."""
+def _correlation_reason(x: FloatArray, force: FloatArray) -> str:
+    """Return why the correlation of `force` and `x` is undefined; empty if it is defined."""
     if x.size < 2:
         return "fewer than two impacts"
-    if np.ptp(x) <= SAME * x.max():
+    if np.ptp(x) <= MIN_RELATIVE_RANGE * x.max():
         return "all impacts are at the same v sqrt(mu)"
     if np.ptp(force) <= ROUNDING * force.max():
         return "all impacts have the same measured force"
@@ -155,7 +153,7 @@ def _uncorrelated(x: FloatArray, force: FloatArray) -> str:
 
 
 def _stiffness_interval(x: FloatArray, force: FloatArray, slope: float) -> Interval | None:
-    """Return the interval of k = slope^2: that of the slope (t, n - 1 degrees of freedom), squared end by end."""
+    """Return the interval of k = slope^2: the squared ends of the slope's interval (t, n - 1 degrees of freedom)."""
     n = x.size
     if n < 2:
         return None
@@ -166,7 +164,7 @@ def _stiffness_interval(x: FloatArray, force: FloatArray, slope: float) -> Inter
 
 
 def _quantile(degrees: float) -> float:
-    """Return Student's t (infinite `degrees`: the normal distribution's) that half of 1 - CONFIDENCE lies above."""
+    """Return the two-sided CONFIDENCE quantile of Student's t; infinite `degrees`: of the normal distribution."""
     return float(stdtrit(degrees, 0.5 + CONFIDENCE / 2.0))
 
 

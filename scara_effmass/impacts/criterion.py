@@ -1,4 +1,4 @@
-"""The acceptance criterion, and which model explains the forces best."""
+"""Acceptance criterion, and comparison of the effective-mass models."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def criterion_hash(criterion: CriterionSettings) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def shortcoming(criterion: CriterionSettings, found: Agreement, unpaired: int) -> str:
-    """Return the first figure that fails, with its value and its limit; empty when the series is accepted."""
-    count, total = found.count, found.count + unpaired
+def unmet_criterion(criterion: CriterionSettings, agreement: Agreement, unmatched: int) -> str:
+    """Return the first unmet condition with value and limit; empty if the series is accepted."""
+    count, total = agreement.count, agreement.count + unmatched
     too_low = (
-        f"{found.shortfalls} of {_impacts(count)} predicted more than {criterion.shortfall_tolerance:.0%} too low, "
+        f"{agreement.shortfalls} of {_impacts(count)} predicted more than {criterion.shortfall_tolerance:.0%} too low, "
         f"at most {criterion.largest_shortfall_share:.0%} may be"
     )
     checks = (
@@ -38,22 +38,22 @@ def shortcoming(criterion: CriterionSettings, found: Agreement, unpaired: int) -
             count < criterion.least_paired_share * total,
             f"{_impacts(count)} of {total} paired with the robot, at least {criterion.least_paired_share:.0%} must be",
         ),
-        (bool(found.correlation_reason), f"correlation undefined: {found.correlation_reason}"),
+        (bool(agreement.correlation_reason), f"correlation undefined: {agreement.correlation_reason}"),
         (
-            found.correlation < criterion.least_correlation,
-            f"correlation {found.correlation:.4f} is below {criterion.least_correlation:g}",
+            agreement.correlation < criterion.least_correlation,
+            f"correlation {agreement.correlation:.4f} is below {criterion.least_correlation:g}",
         ),
         (
-            found.relative_rmse > criterion.largest_relative_rmse,
-            f"relative RMSE {found.relative_rmse:.4f} is above {criterion.largest_relative_rmse:g}",
+            agreement.relative_rmse > criterion.largest_relative_rmse,
+            f"relative RMSE {agreement.relative_rmse:.4f} is above {criterion.largest_relative_rmse:g}",
         ),
-        (found.shortfalls > criterion.largest_shortfall_share * count, too_low),
+        (agreement.shortfalls > criterion.largest_shortfall_share * count, too_low),
     )
     return next((reason for fails, reason in checks if fails), "")
 
 
 class Fit(NamedTuple):
-    """How well one model explains the measured forces, with the stiffness that suits it best."""
+    """Agreement of one model with the measured forces, with its own fitted stiffness [N/m]."""
 
     model: str
     relative_rmse: float
@@ -63,29 +63,29 @@ class Fit(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The models on the same `count` impacts, the best one first, and that in words."""
+    """Models on the same `count` impacts, best first; `text` states the result."""
 
     count: int
     order: tuple[Fit, ...]
     text: str
 
 
-def compare(found: Mapping[str, Agreement], *, same_mass: bool) -> Comparison:
-    """Return the order of the models by RMSE over the mean force.
+def compare(agreements: Mapping[str, Agreement], *, same_mass: bool) -> Comparison:
+    """Rank the models by relative RMSE.
 
-    `found`, by model, is on the same impacts, each model with the stiffness that fits it best. `same_mass`: no model's
-    reduced mass varies over the series.
+    `agreements` by model must be on the same impacts, each with the fitted stiffness. `same_mass`: no model's reduced
+    mass varies over the series.
     """
-    fits = [Fit(model, a.relative_rmse, a.correlation, a.stiffness) for model, a in found.items()]
+    fits = [Fit(model, a.relative_rmse, a.correlation, a.stiffness) for model, a in agreements.items()]
     order = tuple(sorted(fits, key=lambda fit: fit.relative_rmse))
-    count = min((a.count for a in found.values()), default=0)
+    count = min((a.count for a in agreements.values()), default=0)
     numbers = ", ".join(f"{fit.model} {fit.relative_rmse:.4f} (r {fit.correlation:.4f})" for fit in order)
     if count < 2 or len(order) < 2:
         text = "no two models on at least two same impacts: nothing to compare"
     elif same_mass:
         text = f"all impacts at the same reduced mass: the models cannot be told apart; relative RMSE {numbers}"
     else:
-        best = [fit.model for fit in order if fit.relative_rmse <= _by_chance(count) * order[0].relative_rmse]
+        best = [fit.model for fit in order if fit.relative_rmse <= _max_rmse_ratio(count) * order[0].relative_rmse]
         if len(best) == 1:
             text = f"{best[0]} explains the forces best; relative RMSE {numbers}"
         else:
@@ -94,10 +94,10 @@ def compare(found: Mapping[str, Agreement], *, same_mass: bool) -> Comparison:
     return Comparison(count, order, text)
 
 
-def _by_chance(count: int) -> float:
-    """Return the ratio of two RMSE, of errors of one size, that 95 % of series of `count` impacts stay below.
+def _max_rmse_ratio(count: int) -> float:
+    """Return the 95 % limit of the ratio of two RMSE over `count` impacts with equal error variance.
 
-    By Snedecor's F, for independent errors; those of models on the same impacts are alike, and differ less.
+    Snedecor's F assumes independent errors; errors on the same impacts correlate, so their ratio is smaller.
     """
     return math.sqrt(fdtri(count - 1, count - 1, (1.0 + CONFIDENCE) / 2.0))
 

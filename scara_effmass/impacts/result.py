@@ -1,4 +1,4 @@
-"""What a whole series of impacts has shown."""
+"""Result of a validation series."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 class ModelResult(NamedTuple):
-    """How one model of the effective mass agrees with the series, over all and by group.
+    """Agreement of one effective-mass model with the series, overall and by group.
 
-    The groups are predicted with the stiffness of the whole series. `reason` is why the model is not accepted.
+    Group predictions use the stiffness of the whole series. `reason` states why the model is not accepted.
     """
 
     model: str
@@ -27,12 +27,12 @@ class ModelResult(NamedTuple):
 
 
 class Result(NamedTuple):
-    """A whole series. `seen` = the number of `impacts` + the sums over `excluded` and `unpaired` + `waiting`.
+    """Whole series; `seen` = number of `impacts` + sums of `excluded` and `unpaired` + `waiting`.
 
-    `models` are lumped, full, iso, and largest where that is judged. `impacts` are predicted with the stiffness of the
-    whole series. `excluded` and `unpaired` count by reason, `refused` has them one by one. `clock` and `force_sign` say
-    what is wrong with the clocks and with the sign of the force, empty when nothing is known to be. `accepted` and
-    `reason` are of `model`, the judged one.
+    `model` is the selected effective-mass model; `accepted` and `reason` refer to it. `models` are lumped, full, iso,
+    and largest if selected. Predictions in `impacts` use the stiffness of the whole series. `excluded` and `unpaired`
+    count by reason, `refused` lists each impact. `clock` and `force_sign` describe a problem with the clocks or the
+    sign of the force; empty: none detected.
     """
 
     model: str

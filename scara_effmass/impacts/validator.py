@@ -1,4 +1,4 @@
-"""Predictions against measurements: what the validator node publishes, and what the report is made of."""
+"""Validation of predicted peak forces against measured impacts, live and offline."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from scara_effmass.impacts.criterion import criterion_hash, shortcoming
-from scara_effmass.impacts.pairing import Pairing
-from scara_effmass.impacts.prediction import agreement_of, comparison_of, has_mass, predicted
+from scara_effmass.impacts.criterion import criterion_hash, unmet_criterion
+from scara_effmass.impacts.impact_matcher import ImpactMatcher
+from scara_effmass.impacts.prediction import compare_models, has_mass, model_agreement, predict
 from scara_effmass.impacts.result import ModelResult, Result
-from scara_effmass.impacts.robot_track import MODELS, Unusable
+from scara_effmass.impacts.state_history import MODELS, Rejection
 from scara_effmass.values import ValidatedImpact
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from scara_effmass.impacts.agreement import Agreement
-    from scara_effmass.impacts.pairing import Paired
+    from scara_effmass.impacts.impact_matcher import MatchedImpact
     from scara_effmass.settings import ValidatorSettings
     from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RunInfo
 
@@ -27,15 +27,15 @@ Key = TypeVar("Key", str, float)
 N_M = 1000.0
 """N/m in one N/mm."""
 WRONG_SIGN_FORCE = 10.0
-"""A force this far below zero [N], and WRONG_SIGN_RATIO times as far as above it, is compression read as negative."""
+"""Minimum tensile force [N] that counts as inverted compression; it must also exceed WRONG_SIGN_RATIO x the maximum."""
 WRONG_SIGN_RATIO = 3.0
 
 
 class Validator:
-    """Judges the models of the effective mass by measured impacts; the same live and offline.
+    """Validate the effective-mass models against measured impacts; the same live and offline.
 
-    Contact states and impacts each come in their own order; how the two are interleaved makes no difference, as long as
-    an impact comes within `settings.history` of the states of its onset.
+    Contact states and impacts must each arrive in order. Their interleaving does not change the result if an impact
+    arrives within `settings.history` of the states around its onset.
     """
 
     def __init__(self, settings: ValidatorSettings) -> None:
@@ -44,90 +44,90 @@ class Validator:
         self._model = settings.effective_mass_model.value
         self._models = (*MODELS, self._model) if self._model not in MODELS else MODELS
         self._stiffness = settings.stiffness * N_M
-        self._pairing = Pairing(settings)
+        self._matcher = ImpactMatcher(settings)
         self._contact_point = settings.contact_point
-        self._others: set[str] = set()
-        self._pairs: list[Paired] = []
-        self._least = self._largest = 0.0
-        self._clock = self._sign = ""
+        self._other_contact_points: set[str] = set()
+        self._matches: list[MatchedImpact] = []
+        self._min_force = self._max_force = 0.0
+        self._past_clock_problem = self._past_sign_problem = ""
 
     @property
     def obstacle_mass(self) -> float:
-        """Mass of what is hit in the latest run [kg]; 0: not given."""
-        return self._pairing.runs.latest.obstacle_mass
+        """Obstacle mass of the latest run [kg]; 0: unknown."""
+        return self._matcher.runs.latest.obstacle_mass
 
     def set_run(self, since_ns: int, *, obstacle_mass: float | None = None, configuration: str | None = None) -> None:
-        """Let an obstacle mass [kg] or a configuration hold for impacts from `since_ns` on; None: as before.
+        """Set obstacle mass [kg] or configuration of impacts from `since_ns` on; None keeps the current value.
 
-        They also hold for what later run information does not state. Raises SettingsError.
+        They also apply to later run information that does not state them. Raises SettingsError.
         """
-        self._pairing.runs.set(since_ns, obstacle_mass, configuration)
+        self._matcher.runs.set(since_ns, obstacle_mass, configuration)
 
     def set_run_info(self, info: RunInfo, received_ns: int) -> None:
-        """Let `info` hold from its stamp on, or from `received_ns` without one, in place of the run before it.
+        """Begin the run that `info` describes, at its stamp or else at `received_ns`.
 
-        Raises SettingsError for a value that cannot be used: then the obstacle mass is not known from then on.
+        Raises SettingsError for an invalid value; the obstacle mass is unknown from then on.
         """
-        self._pairing.runs.begin(info, received_ns)
+        self._matcher.runs.begin(info, received_ns)
 
     def forget_obstacle(self, received_ns: int) -> None:
-        """Treat the obstacle mass as not known from `received_ns` on: unreadable run information arrived."""
-        self._pairing.runs.forget_obstacle(received_ns)
+        """Set the obstacle mass to unknown from `received_ns` on: unreadable run information arrived."""
+        self._matcher.runs.forget_obstacle(received_ns)
 
     def add_state(self, contact: ContactAssessment, received_ns: int) -> list[ValidatedImpact]:
-        """Take a contact state that arrived at `received_ns` (0: not known), and return what is now validated."""
+        """Add a contact state that arrived at `received_ns` (0: unknown); return newly validated impacts."""
         name = contact.contact_point
         if name != self._contact_point:
             if self._contact_point or not name:
-                self._others |= {name} - {""}
+                self._other_contact_points |= {name} - {""}
                 return []
             self._contact_point = name
-        done = self.begin_recording() if self._pairing.track.went_back(contact.stamp_ns) else []
-        self._pairing.track.add(contact, received_ns)
-        return done + self._validated() if self._pairing.waiting else done
+        validated = self.begin_recording() if self._matcher.states.is_clock_reset(contact.stamp_ns) else []
+        self._matcher.states.add(contact, received_ns)
+        return validated + self._validate() if self._matcher.waiting else validated
 
     def add_impact(self, impact: Impact, received_ns: int) -> list[ValidatedImpact]:
-        """Take an impact that arrived at `received_ns` (0: not known), and return what is now validated."""
-        self._pairing.add_impact(impact, received_ns)
-        return self._validated()
+        """Add an impact that arrived at `received_ns` (0: unknown); return newly validated impacts."""
+        self._matcher.add_impact(impact, received_ns)
+        return self._validate()
 
     def add_force(self, block: ForceBlock, received_ns: int) -> None:
-        """Take note of a force block, by which the clocks and the sign of the force are checked."""
-        self._pairing.clock.add_block(block, received_ns)
+        """Add a force block to the checks of the clocks and of the sign of the force."""
+        self._matcher.clock.add_block(block, received_ns)
         finite = block.force[np.isfinite(block.force)]
         if finite.size:
-            self._least = min(self._least, float(finite.min()))
-            self._largest = max(self._largest, float(finite.max()))
+            self._min_force = min(self._min_force, float(finite.min()))
+            self._max_force = max(self._max_force, float(finite.max()))
 
     def finish(self) -> list[ValidatedImpact]:
-        """Decide all that waits, because no more states will come, and return what is validated thereby."""
-        return self._validated(all_of_them=True)
+        """Match all waiting impacts without further states; return newly validated impacts."""
+        return self._validate(flush=True)
 
     def begin_recording(self) -> list[ValidatedImpact]:
-        """Go on with the series in another recording, or after the clock has gone back; otherwise as `finish`.
+        """Finish, then continue the series with a new recording or a reset clock; return newly validated impacts.
 
-        The latest run holds until another one is set.
+        The latest run stays valid until another one begins.
         """
-        done = self.finish()
-        self._clock, self._sign = self._clock_text(), self._force_sign()
-        self._least = self._largest = 0.0
-        self._pairing.forget()
-        return done
+        validated = self.finish()
+        clock, force_sign = self._clock_problem(), self._force_sign_problem()
+        self._clear_problems()
+        self._past_clock_problem, self._past_sign_problem = clock, force_sign
+        self._matcher.begin_recording()
+        return validated
 
     def reset(self) -> None:
-        """Begin a new series under the same settings, in the current run."""
-        self._pairing.reset()
-        self._pairs.clear()
-        self._others.clear()
-        self._least = self._largest = 0.0
-        self._clock = self._sign = ""
+        """Begin a new series with the same settings, in the current run."""
+        self._matcher.reset()
+        self._matches.clear()
+        self._other_contact_points.clear()
+        self._clear_problems()
 
     def result(self) -> Result:
-        """Return how the series stands."""
-        series = self._series()
-        clock, force_sign = self._clock_text(), self._force_sign()
-        reasons = {model: force_sign or clock or self._shortcoming(found) for model, found in series.items()}
-        refused = self._pairing.refused
+        """Return the current result of the series."""
+        agreements = self._agreements()
+        clock, force_sign = self._clock_problem(), self._force_sign_problem()
+        reasons = {model: force_sign or clock or self._unmet_criterion(a) for model, a in agreements.items()}
+        refused = self._matcher.refused
         reason = reasons[self._model]
         return Result(
             model=self._model,
@@ -135,24 +135,24 @@ class Validator:
             models=tuple(
                 ModelResult(
                     model=model,
-                    overall=found,
-                    by_configuration=self._grouped(model, found.stiffness, lambda pair: pair.run.configuration),
-                    by_obstacle_mass=self._grouped(model, found.stiffness, lambda pair: pair.run.obstacle_mass),
+                    overall=overall,
+                    by_configuration=self._grouped(model, overall.stiffness, lambda match: match.run.configuration),
+                    by_obstacle_mass=self._grouped(model, overall.stiffness, lambda match: match.run.obstacle_mass),
                     accepted=not reasons[model],
                     reason=reasons[model],
                 )
-                for model, found in series.items()
+                for model, overall in agreements.items()
             ),
-            comparison=comparison_of(self._models, self._pairs),
-            impacts=tuple(self._judged(pair, series, reason) for pair in self._pairs),
+            comparison=compare_models(self._models, self._matches),
+            impacts=tuple(self._validated_impact(match, agreements, reason) for match in self._matches),
             refused=tuple(refused),
-            seen=self._pairing.seen,
-            waiting=self._pairing.waiting,
-            simulated=sum(pair.impact.simulated for pair in self._pairs),
-            excluded=Counter(one.reason for one in refused if one.excluded),
-            unpaired=Counter(one.reason for one in refused if not one.excluded),
-            other_contact_points=tuple(sorted(self._others)),
-            late_states=self._pairing.track.late,
+            seen=self._matcher.seen,
+            waiting=self._matcher.waiting,
+            simulated=sum(match.impact.simulated for match in self._matches),
+            excluded=Counter(impact.reason for impact in refused if impact.excluded),
+            unpaired=Counter(impact.reason for impact in refused if not impact.excluded),
+            other_contact_points=tuple(sorted(self._other_contact_points)),
+            late_states=self._matcher.states.late,
             clock=clock,
             force_sign=force_sign,
             accepted=not reason,
@@ -160,52 +160,56 @@ class Validator:
             criterion_hash=self.criterion_hash,
         )
 
-    def _validated(self, *, all_of_them: bool = False) -> list[ValidatedImpact]:
-        done = []
-        for pair in self._pairing.decided(all_of_them=all_of_them):
-            if not has_mass(self._model, pair):
+    def _validate(self, *, flush: bool = False) -> list[ValidatedImpact]:
+        validated = []
+        for match in self._matcher.matches(flush=flush):
+            if not has_mass(self._model, match):
                 detail = "choose an effective_mass_model that the robot description allows"
-                self._pairing.refuse(pair.impact, Unusable(f"no {self._model} mass", detail))
+                self._matcher.refuse(match.impact, Rejection(f"no {self._model} mass", detail))
                 continue
-            self._pairs.append(pair)
-            series = self._series()
-            done.append(self._judged(pair, series, self._shortcoming(series[self._model])))
-        return done
+            self._matches.append(match)
+            agreements = self._agreements()
+            validated.append(self._validated_impact(match, agreements, self._unmet_criterion(agreements[self._model])))
+        return validated
 
-    def _series(self) -> dict[str, Agreement]:
-        return {model: self._agreement(model, self._pairs, self._stiffness) for model in self._models}
+    def _agreements(self) -> dict[str, Agreement]:
+        return {model: self._agreement(model, self._matches, self._stiffness) for model in self._models}
 
-    def _shortcoming(self, found: Agreement) -> str:
-        unpaired = sum(not one.excluded for one in self._pairing.refused)
-        return shortcoming(self.settings.criterion, found, unpaired)
+    def _unmet_criterion(self, agreement: Agreement) -> str:
+        unmatched = sum(not impact.excluded for impact in self._matcher.refused)
+        return unmet_criterion(self.settings.criterion, agreement, unmatched)
 
-    def _agreement(self, model: str, pairs: Iterable[Paired], stiffness: float = 0.0) -> Agreement:
-        return agreement_of(model, pairs, stiffness, self.settings.criterion.shortfall_tolerance)
+    def _agreement(self, model: str, matches: Iterable[MatchedImpact], stiffness: float) -> Agreement:
+        return model_agreement(model, matches, stiffness, self.settings.criterion.shortfall_tolerance)
 
-    def _judged(self, pair: Paired, series: Mapping[str, Agreement], reason: str) -> ValidatedImpact:
-        """Return what is said of `pair` as the `series` stands, which is not accepted for `reason`."""
-        impact, state, run = pair
+    def _validated_impact(
+        self, match: MatchedImpact, agreements: Mapping[str, Agreement], reason: str
+    ) -> ValidatedImpact:
+        """Return predictions for `match` and the statistics of the series; `reason`: why it is not accepted."""
+        impact, state, run = match
         predictions = {
-            model: predicted(model, pair, found.stiffness) for model, found in series.items() if has_mass(model, pair)
+            model: predict(model, match, agreement.stiffness)
+            for model, agreement in agreements.items()
+            if has_mass(model, match)
         }
-        judged, found = predictions[self._model], series[self._model]
+        selected, agreement = predictions[self._model], agreements[self._model]
         return ValidatedImpact(
             stamp_ns=impact.stamp_ns,
             frame_id=impact.frame_id,
-            predicted_force=judged.predicted_force,
+            predicted_force=selected.predicted_force,
             measured_force=impact.peak_force,
-            relative_error=judged.relative_error,
-            effective_mass=judged.effective_mass,
-            reduced_mass=judged.reduced_mass,
+            relative_error=selected.relative_error,
+            effective_mass=selected.effective_mass,
+            reduced_mass=selected.reduced_mass,
             speed=state.speed,
-            stiffness=judged.stiffness,
-            conservative=judged.conservative,
-            count=found.count,
-            correlation=found.correlation,
-            fitted_stiffness=found.fitted_stiffness,
-            bias=found.bias,
-            rmse=found.rmse,
-            non_conservative=found.non_conservative,
+            stiffness=selected.stiffness,
+            conservative=selected.conservative,
+            count=agreement.count,
+            correlation=agreement.correlation,
+            fitted_stiffness=agreement.fitted_stiffness,
+            bias=agreement.bias,
+            rmse=agreement.rmse,
+            non_conservative=agreement.non_conservative,
             accepted=not reason,
             reason=reason,
             predictions=tuple(predictions.values()),
@@ -218,17 +222,21 @@ class Validator:
             simulated=impact.simulated,
         )
 
-    def _grouped(self, model: str, stiffness: float, key: Callable[[Paired], Key]) -> dict[Key, Agreement]:
-        groups: dict[Key, list[Paired]] = {}
-        for pair in self._pairs:
-            groups.setdefault(key(pair), []).append(pair)
+    def _grouped(self, model: str, stiffness: float, key: Callable[[MatchedImpact], Key]) -> dict[Key, Agreement]:
+        groups: dict[Key, list[MatchedImpact]] = {}
+        for match in self._matches:
+            groups.setdefault(key(match), []).append(match)
         return {name: self._agreement(model, groups[name], stiffness) for name in sorted(groups)}
 
-    def _clock_text(self) -> str:
-        return self._clock or self._pairing.clock.text(self._pairing.track)
+    def _clear_problems(self) -> None:
+        self._min_force = self._max_force = 0.0
+        self._past_clock_problem = self._past_sign_problem = ""
 
-    def _force_sign(self) -> str:
-        if not self._sign and self._least < -max(WRONG_SIGN_FORCE, WRONG_SIGN_RATIO * self._largest):
-            least, largest = f"{self._least:.0f} N", f"{self._largest:.0f} N"
-            return f"force goes to {least} and never above {largest}: compression is positive; set sensor.invert"
-        return self._sign
+    def _clock_problem(self) -> str:
+        return self._past_clock_problem or self._matcher.clock.problem(self._matcher.states)
+
+    def _force_sign_problem(self) -> str:
+        if not self._past_sign_problem and self._min_force < -max(WRONG_SIGN_FORCE, WRONG_SIGN_RATIO * self._max_force):
+            low, high = f"{self._min_force:.0f} N", f"{self._max_force:.0f} N"
+            return f"force goes to {low} and never above {high}: compression is positive; set sensor.invert"
+        return self._past_sign_problem

@@ -11,7 +11,7 @@ import pytest
 
 from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.agreement import Agreement, agreement
-from scara_effmass.impacts.criterion import compare, criterion_hash, shortcoming
+from scara_effmass.impacts.criterion import compare, criterion_hash, unmet_criterion
 from scara_effmass.settings import CriterionSettings, ValidatorSettings, checked
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ GOOD = agreement(X, 450.0 * X)
 
 
 def test_accepted_without_a_reason() -> None:
-    assert shortcoming(CriterionSettings(), GOOD, 0) == ""
+    assert unmet_criterion(CriterionSettings(), GOOD, 0) == ""
 
 
 @pytest.mark.parametrize(
@@ -43,12 +43,12 @@ def test_accepted_without_a_reason() -> None:
     ],
 )
 def test_the_first_figure_that_fails(found: Agreement, unpaired: int, reason: str) -> None:
-    assert shortcoming(CriterionSettings(), found, unpaired) == reason
+    assert unmet_criterion(CriterionSettings(), found, unpaired) == reason
 
 
 def test_limits_are_inclusive() -> None:
     found = replace(GOOD, correlation=0.95, relative_rmse=0.1, shortfalls=1)
-    assert shortcoming(CriterionSettings(), found, 20) == ""
+    assert unmet_criterion(CriterionSettings(), found, 20) == ""
 
 
 def test_a_stiffness_that_is_too_small_fails_by_its_shortfalls() -> None:
@@ -56,14 +56,14 @@ def test_a_stiffness_that_is_too_small_fails_by_its_shortfalls() -> None:
     found = agreement(X, 450.0 * X, (0.85 * 450.0) ** 2)
     assert found.correlation == pytest.approx(1.0)
     lenient = CriterionSettings(largest_relative_rmse=0.2)
-    assert shortcoming(lenient, found, 0) == "20 of 20 impacts predicted more than 10% too low, at most 5% may be"
+    assert unmet_criterion(lenient, found, 0) == "20 of 20 impacts predicted more than 10% too low, at most 5% may be"
 
 
 def test_half_of_a_fitted_series_is_non_conservative_and_may_be() -> None:
     rng = np.random.default_rng(0)
     found = agreement(X, 450.0 * X * (1.0 + rng.normal(0.0, 0.01, X.size)))
     assert found.non_conservative >= 5
-    assert shortcoming(CriterionSettings(), found, 0) == ""
+    assert unmet_criterion(CriterionSettings(), found, 0) == ""
 
 
 def test_the_hash_is_that_of_the_values() -> None:

@@ -251,7 +251,7 @@ def test_no_obstacle_mass(campaign: Cell) -> None:
     found, result = run(campaign._replace(runs=[]), ValidatorSettings(history=60.0))
     assert not found
     assert result.unpaired == {"obstacle_mass is not given": 12}
-    assert result.refused[0].detail == "set it to the mass of what is hit [kg]"
+    assert result.refused[0].detail == "set it to the mass of the obstacle [kg]"
 
 
 def test_no_contact_states(campaign: Cell) -> None:

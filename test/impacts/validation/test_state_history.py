@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.robot_track import OnsetState, RobotTrack, Unusable
+from scara_effmass.impacts.state_history import OnsetState, Rejection, StateHistory
 from scara_effmass.settings import ValidatorSettings
 from scara_effmass.values import NAN, Verdict
 
@@ -25,20 +25,20 @@ MS = 1_000_000
 STILL = (0.0, 0.0, 0.0)
 
 
-def track_of(states: Iterable[ContactAssessment], **settings: float) -> RobotTrack:
-    track = RobotTrack(ValidatorSettings(**settings))
+def history_of(states: Iterable[ContactAssessment], **settings: float) -> StateHistory:
+    history = StateHistory(ValidatorSettings(**settings))
     for state in states:
-        track.add(state, state.stamp_ns + MS)
-    return track
+        history.add(state, state.stamp_ns + MS)
+    return history
 
 
-def usable(state: OnsetState | Unusable) -> OnsetState:
+def usable(state: OnsetState | Rejection) -> OnsetState:
     assert isinstance(state, OnsetState), state
     return state
 
 
-def refused(state: OnsetState | Unusable) -> Unusable:
-    assert isinstance(state, Unusable), state
+def refused(state: OnsetState | Rejection) -> Rejection:
+    assert isinstance(state, Rejection), state
     return state
 
 
@@ -52,7 +52,7 @@ def test_steady_changes_are_met_exactly(
         make_state(START + round(t * 1e9), speed + acceleration * t, lumped=mass + change * t, full=2 * mass)
         for t in times
     ]
-    found = usable(track_of(states).at(START + onset, MS))
+    found = usable(history_of(states).at(START + onset, MS))
     t = onset / 1e9
     assert found.speed == pytest.approx(speed + acceleration * t, rel=1e-9)
     assert found.masses == pytest.approx((mass + change * t, 2 * mass, 2.77), rel=1e-9)
@@ -65,14 +65,14 @@ def test_steady_changes_are_met_exactly(
 def test_direction_turns_with_time_and_stays_a_unit(make_state: MakeState, share: float, angle: float) -> None:
     a, b = (1.0, 0.0, 0.0), (math.cos(angle), math.sin(angle), 0.0)
     states = [make_state(START, direction=a), make_state(START + 10 * MS, direction=b)]
-    x, y, z = usable(track_of(states).at(START + round(share * 10 * MS), 0)).direction
+    x, y, z = usable(history_of(states).at(START + round(share * 10 * MS), 0)).direction
     assert math.hypot(x, y, z) == pytest.approx(1.0)
     assert math.atan2(y, x) == pytest.approx(share * angle, abs=0.08 * angle + 1e-6)
 
 
 def test_between_two_states_alone(make_state: MakeState) -> None:
-    track = track_of([make_state(START, 0.2), make_state(START + 10 * MS, 0.3)])
-    found = usable(track.at(START + 5 * MS, 0))
+    history = history_of([make_state(START, 0.2), make_state(START + 10 * MS, 0.3)])
+    found = usable(history.at(START + 5 * MS, 0))
     assert found.speed == pytest.approx(0.25)
     assert not found.from_trend
 
@@ -86,7 +86,7 @@ def test_never_a_state_that_the_contact_has_slowed(
     states = [make_state(START + i * step * MS, 0.25, lumped=1.0) for i in range(-10, 1)]
     states += [make_state(START + i * step * MS, *after, lumped=3.0) for i in range(1, 10)]
     for onset in (START + step * MS // 3, START + step * MS - 1):
-        found = usable(track_of(states).at(onset, 100_000))
+        found = usable(history_of(states).at(onset, 100_000))
         assert found.speed == pytest.approx(0.25, rel=1e-9)
         assert found.direction == pytest.approx((1.0, 0.0, 0.0))
         assert found.masses[0] == pytest.approx(1.0)
@@ -110,11 +110,11 @@ def test_a_spring_between_two_masses(make_state: MakeState, rate: int, late_us: 
         t = np.arange(0.0, 0.3, 1.0 / rate) - onset
         v = v0 - v0 * mu / m * (1.0 - np.cos(w * np.clip(t, 0.0, math.pi / w)))
         v = np.where(t > math.pi / w, v0 + (v - v0) * np.exp(-(t - math.pi / w) / 0.03), v)
-        track = track_of(
+        history = history_of(
             make_state(START + round((at + onset) * 1e9), abs(speed), (math.copysign(1.0, speed), 0.0, 0.0))
             for at, speed in zip(t.tolist(), v.tolist(), strict=True)
         )
-        errors.append(usable(track.at(START + round(onset * 1e9) + late_us * 1000, MS)).speed / v0 - 1.0)
+        errors.append(usable(history.at(START + round(onset * 1e9) + late_us * 1000, MS)).speed / v0 - 1.0)
     assert abs(np.mean(errors)) < 0.005
     assert np.max(np.abs(errors)) < 0.03  # less than `slowing`, save for what the clock is off
 
@@ -123,7 +123,7 @@ def test_the_onset_may_be_stamped_late_by_the_clock_uncertainty(make_state: Make
     """At 1 kHz the contact began 0.8 ms before its stamp: the state in between is slowed already."""
     states = [make_state(START + i * MS, 0.25) for i in range(-20, 0)]
     states += [make_state(START + i * MS, 0.2 - 0.05 * i) for i in range(4)]
-    found = usable(track_of(states).at(START + 300_000, MS))
+    found = usable(history_of(states).at(START + 300_000, MS))
     assert found.speed == pytest.approx(0.25)
     assert found.from_trend
     assert found.speed_spread == pytest.approx(0.25 - (0.15 - 0.3 * 0.05))  # clocks off by 1 ms
@@ -131,7 +131,7 @@ def test_the_onset_may_be_stamped_late_by_the_clock_uncertainty(make_state: Make
 
 def test_braking_before_the_impact_is_no_slowing_by_it(make_state: MakeState) -> None:
     states = [make_state(START + i * 10 * MS, 0.3 - 0.01 * i) for i in range(12)]
-    found = usable(track_of(states).at(START + 65 * MS, MS))
+    found = usable(history_of(states).at(START + 65 * MS, MS))
     assert found.speed == pytest.approx(0.235)
     assert not found.from_trend
 
@@ -143,7 +143,7 @@ def test_noise_is_not_made_larger(make_state: MakeState) -> None:
     for _ in range(300):
         states = [make_state(START + i * MS, 0.25 * (1.0 + rng.normal(0.0, 0.02))) for i in range(-20, 0)]
         states += [make_state(START + i * MS, 0.1) for i in range(3)]
-        errors.append(usable(track_of(states).at(START - 500_000, 0)).speed / 0.25 - 1.0)
+        errors.append(usable(history_of(states).at(START - 500_000, 0)).speed / 0.25 - 1.0)
     assert np.std(errors) < 0.03
     assert abs(np.mean(errors)) < 0.01
 
@@ -159,8 +159,8 @@ def test_noise_is_not_made_larger(make_state: MakeState) -> None:
     ],
 )
 def test_no_state_near_enough(make_state: MakeState, stamps: list[int], reason: str, detail: str) -> None:
-    track = track_of(make_state(START + ms * MS) for ms in sorted(stamps))
-    assert refused(track.at(START, MS)) == Unusable(reason, detail)
+    history = history_of(make_state(START + ms * MS) for ms in sorted(stamps))
+    assert refused(history.at(START, MS)) == Rejection(reason, detail)
 
 
 @pytest.mark.parametrize("side", [-5, 5])
@@ -169,71 +169,71 @@ def test_unknown_without_numbers(
 ) -> None:
     states = [make_state(START + ms * MS) for ms in (-15, -10, -5, 5, 10)]
     states = [make_blank(s.stamp_ns, "joint3 is missing") if s.stamp_ns == START + side * MS else s for s in states]
-    why = refused(track_of(states).at(START, MS))
-    assert why == Unusable("the contact state at the onset is UNKNOWN", "joint3 is missing")
+    why = refused(history_of(states).at(START, MS))
+    assert why == Rejection("the contact state at the onset is UNKNOWN", "joint3 is missing")
 
 
 def test_unknown_with_numbers_will_do(make_state: MakeState) -> None:
     """A verdict that is held, latched or without limits says nothing against speed and masses."""
     states = [make_state(START + ms * MS, verdict=Verdict.UNKNOWN, reason="latched until reset: x") for ms in (-5, 5)]
-    assert usable(track_of(states).at(START, MS)).speed == 0.25
+    assert usable(history_of(states).at(START, MS)).speed == 0.25
 
 
 @pytest.mark.parametrize(("speed", "direction"), [(0.0, STILL), (0.004, (1.0, 0.0, 0.0)), (NAN, (1.0, 0.0, 0.0))])
 def test_standing_still(make_state: MakeState, speed: float, direction: Vector3) -> None:
     states = [make_state(START + ms * MS, speed, direction) for ms in (-15, -10, -5, 5)]
-    assert refused(track_of(states).at(START, MS)).reason == "the robot stands still at the onset"
+    assert refused(history_of(states).at(START, MS)).reason == "the robot stands still at the onset"
     states[:3] = [make_state(START - 5 * MS)]
-    assert refused(track_of(states).at(START, MS)).reason == "the robot stands still at the onset"
+    assert refused(history_of(states).at(START, MS)).reason == "the robot stands still at the onset"
 
 
 def test_turning_back(make_state: MakeState) -> None:
     states = [make_state(START - 5 * MS), make_state(START + 5 * MS, direction=(-1.0, 0.0, 0.0))]
-    assert refused(track_of(states).at(START, MS)).reason == "the direction of motion turns over at the onset"
+    assert refused(history_of(states).at(START, MS)).reason == "the direction of motion turns over at the onset"
 
 
 def test_a_model_without_a_mass_does_not_spoil_the_others(make_state: MakeState) -> None:
     states = [make_state(START + ms * MS, full=NAN) for ms in (-5, 5)]
-    lumped, full, iso = usable(track_of(states).at(START, MS)).masses
+    lumped, full, iso = usable(history_of(states).at(START, MS)).masses
     assert (lumped, iso) == (1.0, 2.77)
     assert math.isnan(full)
 
 
 def test_states_out_of_order_are_left_out(make_state: MakeState) -> None:
     states = [make_state(START + ms * MS) for ms in (-10, -5, 5)]
-    track = track_of([*states, make_state(START, 9.0), make_state(START + 5 * MS, 9.0), make_state(0, 9.0)])
-    assert usable(track.at(START, MS)).speed == 0.25
-    assert track.late == 2  # the same stamp again is the monitor's way to say that nothing came
-    assert len(track) == 3
+    history = history_of([*states, make_state(START, 9.0), make_state(START + 5 * MS, 9.0), make_state(0, 9.0)])
+    assert usable(history.at(START, MS)).speed == 0.25
+    assert history.late == 2  # the same stamp again is the monitor's way to say that nothing came
+    assert len(history) == 3
 
 
 def test_history_is_bounded_and_long_enough(make_state: MakeState) -> None:
-    track = RobotTrack(ValidatorSettings(history=1.0))
+    history = StateHistory(ValidatorSettings(history=1.0))
     for i in range(10_000):
-        track.add(make_state(START + i * MS, 0.1 + i * 1e-5), 0)
-        assert min(i + 1, 1000) <= len(track) <= 2001
-    assert usable(track.at(START + 9001 * MS, MS)).speed == pytest.approx(0.1 + 9001e-5)
-    assert track.went_back(START + 8000 * MS)
-    assert not track.went_back(START + 9500 * MS)
+        history.add(make_state(START + i * MS, 0.1 + i * 1e-5), 0)
+        assert min(i + 1, 1000) <= len(history) <= 2001
+    assert usable(history.at(START + 9001 * MS, MS)).speed == pytest.approx(0.1 + 9001e-5)
+    assert history.is_clock_reset(START + 8000 * MS)
+    assert not history.is_clock_reset(START + 9500 * MS)
 
 
 def test_only_what_had_arrived(make_state: MakeState) -> None:
-    track = track_of(make_state(START + ms * MS) for ms in (-10, -5, 5))
-    assert isinstance(track.at(START, MS, START + 6 * MS), OnsetState)
-    assert refused(track.at(START, MS, START + 5 * MS)).reason == "no contact state within 50 ms after the onset"
+    history = history_of(make_state(START + ms * MS) for ms in (-10, -5, 5))
+    assert isinstance(history.at(START, MS, START + 6 * MS), OnsetState)
+    assert refused(history.at(START, MS, START + 5 * MS)).reason == "no contact state within 50 ms after the onset"
 
 
 def test_a_trend_of_long_ago_is_none(make_state: MakeState) -> None:
     states = [make_state(START + ms * MS, 0.1) for ms in (-400, -390, -380)]
     states += [make_state(START - 5 * MS, 0.25), make_state(START + 5 * MS, 0.2)]
-    found = usable(track_of(states).at(START, MS))
+    found = usable(history_of(states).at(START, MS))
     assert found.speed == pytest.approx(0.225)
     assert not found.from_trend
 
 
 def test_arrivals_that_go_back_are_taken_as_at_once(make_state: MakeState) -> None:
-    track = RobotTrack(ValidatorSettings())
-    track.add(make_state(START - 5 * MS), START + 10 * MS)
-    track.add(make_state(START + 5 * MS), START + 6 * MS)
-    assert isinstance(track.at(START, 0, START + 8 * MS), Unusable)
-    assert isinstance(track.at(START, 0, START + 10 * MS), OnsetState)
+    history = StateHistory(ValidatorSettings())
+    history.add(make_state(START - 5 * MS), START + 10 * MS)
+    history.add(make_state(START + 5 * MS), START + 6 * MS)
+    assert isinstance(history.at(START, 0, START + 8 * MS), Rejection)
+    assert isinstance(history.at(START, 0, START + 10 * MS), OnsetState)

@@ -1,0 +1,199 @@
+"""Match impacts with the contact states at their onsets.
+
+Impacts are matched in the order of arrival, each as soon as the states around its onset have arrived. The outcome
+depends on stamps and arrival times only, not on how the two streams interleave.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections import deque
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from scara_effmass.errors import SettingsError
+from scara_effmass.impacts.clocks import ForceClock
+from scara_effmass.impacts.run_info import check_obstacle_mass, check_run_info
+from scara_effmass.impacts.state_history import NANOSECONDS, Rejection, StateHistory
+from scara_effmass.values import RefusedImpact
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from scara_effmass.impacts.state_history import OnsetState
+    from scara_effmass.settings import ValidatorSettings
+    from scara_effmass.values import Impact, RunInfo
+
+CLOCKS_DIFFER = "force and contact states are seconds apart: their clocks differ"
+NO_OBSTACLE = "obstacle_mass is not given"
+
+
+class Run(NamedTuple):
+    """Conditions from `since_ns` on: obstacle mass [kg] (0: unknown) and name of the robot configuration."""
+
+    since_ns: int
+    obstacle_mass: float
+    configuration: str
+
+
+class RunHistory:
+    """Obstacle mass and robot configuration over time."""
+
+    def __init__(self, obstacle_mass: float, configuration: str) -> None:
+        self._runs = [Run(0, obstacle_mass, configuration)]
+        self._defaults = self._runs[0]
+
+    def set(self, since_ns: int, obstacle_mass: float | None, configuration: str | None) -> None:
+        """Begin a run with changed settings; None keeps the current value. Raises SettingsError."""
+        changes: dict[str, Any] = {} if configuration is None else {"configuration": configuration}
+        if obstacle_mass is not None:
+            check_obstacle_mass(obstacle_mass)
+            changes["obstacle_mass"] = float(obstacle_mass)
+        self._defaults = self._defaults._replace(**changes)
+        self._insert(self.at(since_ns)._replace(since_ns=since_ns, **changes))
+
+    def begin(self, info: RunInfo, received_ns: int) -> None:
+        """Begin the run that `info` describes; the settings replace values that it does not state.
+
+        Raises SettingsError for an invalid value; the obstacle mass is unknown from then on.
+        """
+        try:
+            check_run_info(info)
+        except SettingsError:
+            self.forget_obstacle(received_ns)
+            raise
+        mass = info.obstacle_mass or self._defaults.obstacle_mass
+        self._insert(Run(info.stamp_ns or received_ns, mass, info.configuration or self._defaults.configuration))
+
+    def forget_obstacle(self, since_ns: int) -> None:
+        """Begin a run with unknown obstacle mass."""
+        self._insert(self.at(since_ns)._replace(since_ns=since_ns, obstacle_mass=0.0))
+
+    def _insert(self, run: Run) -> None:
+        run = run._replace(since_ns=max(run.since_ns, 0))
+        self._runs = sorted([other for other in self._runs if other.since_ns != run.since_ns] + [run])
+
+    def at(self, stamp_ns: int) -> Run:
+        """Return the run at `stamp_ns`."""
+        i = bisect_right([run.since_ns for run in self._runs], stamp_ns)
+        return self._runs[max(i - 1, 0)]
+
+    @property
+    def latest(self) -> Run:
+        """Run that began last."""
+        return self._runs[-1]
+
+    def restart(self) -> None:
+        """Keep only the latest run, valid from time 0: the clock restarts."""
+        self._runs = [self._runs[-1]._replace(since_ns=0)]
+
+
+class MatchedImpact(NamedTuple):
+    """An impact, the robot state at its onset, and the run that it belongs to."""
+
+    impact: Impact
+    state: OnsetState
+    run: Run
+
+
+class ImpactMatcher:
+    """Match each impact with the robot state at its onset, or record why that fails.
+
+    Every impact is matched, in `refused`, or `waiting`.
+    """
+
+    def __init__(self, settings: ValidatorSettings) -> None:
+        self._settings = settings
+        self._max_wait_ns = round(settings.clock_tolerance * NANOSECONDS)
+        self.states = StateHistory(settings)
+        self.clock = ForceClock(settings)
+        self.runs = RunHistory(settings.obstacle_mass, settings.configuration)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin a new series; keep contact states and runs."""
+        self._queue: deque[tuple[Impact, int]] = deque()
+        self.clock.clear()
+        self.states.late = 0
+        self.seen = 0
+        self.refused: list[RefusedImpact] = []
+
+    def begin_recording(self) -> None:
+        """Drop everything that depends on the stamps of the previous recording."""
+        self.states.clear()
+        self.clock.clear()
+        self.runs.restart()
+
+    @property
+    def waiting(self) -> int:
+        """Number of impacts in the queue."""
+        return len(self._queue)
+
+    def add_impact(self, impact: Impact, received_ns: int) -> None:
+        """Queue an impact that arrived at `received_ns` (0: unknown)."""
+        self.seen += 1
+        if not _invalid_reason(impact):
+            self.clock.add_impact(impact, received_ns)
+        self._queue.append((impact, received_ns))
+
+    def refuse(self, impact: Impact, rejection: Rejection, *, excluded: bool = False) -> None:
+        """Record an impact that does not enter the series."""
+        self.refused.append(
+            RefusedImpact(
+                stamp_ns=impact.stamp_ns,
+                peak_force=impact.peak_force,
+                excluded=excluded,
+                reason=rejection.reason,
+                detail=rejection.detail,
+            )
+        )
+
+    def matches(self, *, flush: bool = False) -> Iterator[MatchedImpact]:
+        """Yield the impacts that can be matched now, in order. `flush`: no more states will arrive."""
+        while self._queue and (flush or self._ready(*self._queue[0])):
+            impact, received_ns = self._queue.popleft()
+            if reason := _invalid_reason(impact):
+                self.refuse(impact, Rejection(reason), excluded=True)
+                continue
+            run = self.runs.at(impact.stamp_ns)
+            state = self._onset_state(impact, received_ns)
+            if isinstance(state, Rejection):
+                self.refuse(impact, state)
+            elif not run.obstacle_mass:
+                self.refuse(impact, Rejection(NO_OBSTACLE, "set it to the mass of the obstacle [kg]"))
+            else:
+                yield MatchedImpact(impact, state, run)
+
+    def _ready(self, impact: Impact, received_ns: int) -> bool:
+        """Return whether every relevant state has arrived, by stamp, or the maximum wait is over."""
+        if _invalid_reason(impact) or self.states.last_ns >= impact.stamp_ns + self._uncertainty_ns(impact):
+            return True
+        return received_ns > 0 and self.states.last_arrival_ns > received_ns + self._max_wait_ns
+
+    def _onset_state(self, impact: Impact, received_ns: int) -> OnsetState | Rejection:
+        onset_ns = impact.stamp_ns
+        deadline_ns = received_ns + self._max_wait_ns if received_ns and self.states.last_arrival_ns else 0
+        lag_ns = self.states.lag_at(onset_ns, deadline_ns)
+        if lag_ns is None:
+            return Rejection("no contact state")
+        if offset_ns := self.clock.offset_ns(impact, received_ns, lag_ns if deadline_ns else None):
+            return Rejection(CLOCKS_DIFFER, f"by {abs(offset_ns) / NANOSECONDS:.2f} s")
+        return self.states.at(onset_ns, self._uncertainty_ns(impact), deadline_ns)
+
+    def _uncertainty_ns(self, impact: Impact) -> int:
+        return round((self._settings.clock_uncertainty + abs(impact.clock_residual)) * NANOSECONDS)
+
+
+def _invalid_reason(impact: Impact) -> str:
+    """Return why `impact` is not a valid measurement of a collision; empty if it is valid."""
+    if impact.clipped:
+        return "clipped: the force reached the end of the measuring range"
+    if impact.incomplete:
+        return "incomplete: samples were lost during it"
+    if impact.rebound > 0:
+        return "rebound of an earlier impact"
+    if not 0.0 < impact.peak_force < math.inf:
+        return "no positive peak force"
+    if impact.stamp_ns <= 0 or not math.isfinite(impact.clock_residual):
+        return "no usable stamp"
+    return ""
