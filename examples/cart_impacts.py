@@ -1,4 +1,4 @@
-"""Import real impacts and detect them: the mass of a cart from impulse and change of velocity.
+"""Detect measured impacts and compute the mass of a cart from impulse and change of velocity.
 
     python examples/cart_impacts.py test/recordings/cart_impacts
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from scara_effmass.values import FloatArray, Impact
 
 MEDIAN_S, LINE_S = 0.25, 0.5
-"""For so long before and after the contact, the velocity goes into a median, and into a line."""
+"""Duration before and after the contact that enters the median and the line."""
 
 
 class Motion(NamedTuple):
@@ -41,16 +41,18 @@ def main(folder: Path) -> None:
         columns = read_columns(path)
         for run in sorted({name.partition(":")[0] for name in columns}):
             motion = motion_of(columns, run)
-            for after_start_s, impact in impacts_in(path, run):
-                onset = motion.start_s + after_start_s
-                changes = (change(motion, onset, onset + impact.duration) for change in (by_medians, by_lines))
-                masses = ",".join(f"{impact.impulse / change:.3f}" for change in changes)
+            for since_start_s, impact in impacts_in(path, run):
+                onset = motion.start_s + since_start_s
+                changes_m_s = (
+                    change(motion, onset, onset + impact.duration) for change in (change_by_medians, change_by_lines)
+                )
+                masses = ",".join(f"{impact.impulse / change_m_s:.3f}" for change_m_s in changes_m_s)
                 measured = f"{impact.peak_force:.2f},{impact.duration:.3f},{impact.impulse:.4f}"
                 print(f"{path.stem},{run},{measured},{masses}")  # noqa: T201
 
 
 def impacts_in(path: Path, run: str) -> list[tuple[float, Impact]]:
-    """Return the impacts of one run, each with its onset [s] after the first sample."""
+    """Return onset [s] after the first sample, and impact, for each impact of one run."""
     columns = {"topic": f"{run}: Force (N)", "time_column": f"{run}: Time (s)"}
     settings = checked(ImportSettings, {**columns, "sensor.invert": True}, "cart impacts")
     detector = Detector(DetectionSettings(threshold=0.5))
@@ -60,14 +62,14 @@ def impacts_in(path: Path, run: str) -> list[tuple[float, Impact]]:
 
 
 def read_columns(path: Path) -> dict[str, tuple[str, ...]]:
-    """Return the columns of a file by their names."""
+    """Return the columns of a file by name."""
     with path.open(encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(file)
     return dict(zip(header, zip(*rows, strict=True), strict=True))
 
 
 def motion_of(columns: dict[str, tuple[str, ...]], run: str) -> Motion:
-    """Return the motion in one run; in some files it is in every fourth row only."""
+    """Return the motion of one run; some files contain it in every fourth row only."""
     times, velocities = (
         np.array([float(cell or "nan") for cell in columns[f"{run}: {what}"]])
         for what in ("Time (s)", "Velocity (m/s)")
@@ -76,29 +78,28 @@ def motion_of(columns: dict[str, tuple[str, ...]], run: str) -> Motion:
     return Motion(float(times[0]), times[known], velocities[known])
 
 
-def by_medians(motion: Motion, onset: float, end: float) -> float:
-    """Return how much slower the cart is after the contact than before [m/s]; a median stands an outlier."""
-    before, after = around(motion, onset, end, MEDIAN_S)
+def change_by_medians(motion: Motion, onset: float, end: float) -> float:
+    """Return the decrease of the cart's speed over the contact [m/s], from medians, which tolerate outliers."""
+    before, after = adjacent(motion, onset, end, MEDIAN_S)
     return float(np.median(motion.velocity_m_s[before]) - np.median(motion.velocity_m_s[after]))
 
 
-def by_lines(motion: Motion, onset: float, end: float) -> float:
-    """Do the same with lines through the velocity before and after, both continued to the middle of the contact.
+def change_by_lines(motion: Motion, onset: float, end: float) -> float:
+    """Return the decrease of speed from lines before and after, extrapolated to the middle of the contact.
 
-    That takes out what else pulls at the cart during the contact, if it pulls alike before and after: the slope, and
-    friction. The lines are those of Theil and Sen, which stand outliers.
+    This removes the effect of slope and friction if they are equal before and after. Theil-Sen lines tolerate outliers.
     """
     middle = (onset + end) / 2.0
-    reached = []
-    for part in around(motion, onset, end, LINE_S):
+    speeds_m_s = []
+    for part in adjacent(motion, onset, end, LINE_S):
         line = theilslopes(motion.velocity_m_s[part], motion.time_s[part])
-        reached.append(float(line.intercept + line.slope * middle))
-    before, after = reached
+        speeds_m_s.append(float(line.intercept + line.slope * middle))
+    before, after = speeds_m_s
     return before - after
 
 
-def around(motion: Motion, onset: float, end: float, span_s: float) -> tuple[slice, slice]:
-    """Return which samples of the motion are up to `span_s` before the contact, and which after."""
+def adjacent(motion: Motion, onset: float, end: float, span_s: float) -> tuple[slice, slice]:
+    """Return the samples of the motion up to `span_s` before and after the contact."""
     edges = np.searchsorted(motion.time_s, [onset - span_s, onset, end, end + span_s], side="right").tolist()
     return slice(edges[0], edges[1]), slice(edges[2], edges[3])
 

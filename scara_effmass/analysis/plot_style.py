@@ -1,4 +1,4 @@
-"""How the figures of the paper look."""
+"""Style of the figures: colours, markers and matplotlib settings."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ STYLE: dict[Any, Any] = {
     "axes.titlelocation": "left",
     "figure.titlesize": 12.0,
     "legend.frameon": False,
-    "image.cmap": "cividis",  # made to look alike to everybody, and red stands out on all of it
+    "image.cmap": "cividis",  # readable with colour blindness, and red is visible on all of it
     "svg.hashsalt": "scara_effmass",
 }
 ISO_RED = "#D00000"
 INK = "#222222"
 CYCLE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
-"""Okabe and Ito's palette, which the usual kinds of colour blindness can tell apart."""
+"""Colour-blind-safe palette of Okabe and Ito."""
 MARKERS = "os^D"
 
 
 def new_figure(width: float, height: float, title: str) -> Figure:
-    """Return an empty figure of that size [inch]; call it, and save what it returns, under `STYLE`."""
+    """Return an empty figure of `width` by `height` [inch]; create and save it in the rc context `STYLE`."""
     figure = Figure(figsize=(width, height), layout="compressed")
     FigureCanvasAgg(figure)
     figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
