@@ -1,4 +1,4 @@
-"""Reading takes the memory of a few chunks, however long the recording."""
+"""Reading needs the memory of a few chunks, interfaceever the length of the bag."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ CHUNK_BYTES = 1 << 20
 
 
 @pytest.fixture(scope="module")
-def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Generated: one message 60 000 times, 45 MB before compression."""
+def long_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a bag of 60 000 equal messages, 45 MB uncompressed."""
     path = tmp_path_factory.mktemp("bags") / "long.mcap"
     data = joint_state_message(JointState(0, NAMES, np.zeros(JOINTS), np.ones(JOINTS)))
     with BagWriter(path) as writer:
@@ -33,13 +33,13 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("what", ["blocks", "messages"])
-def test_memory_does_not_grow_with_the_recording(long: Path, what: str) -> None:
-    with open_bag(long) as bag:
-        assert "sensor_msgs/msg/JointState" in bag.types.types  # made once, and not what this is about
+@pytest.mark.parametrize("interface", ["blocks", "messages"])
+def test_memory_does_not_grow_with_the_bag(long_bag: Path, interface: str) -> None:
+    with open_bag(long_bag) as bag:
+        assert "sensor_msgs/msg/JointState" in bag.types.types  # loaded before the measurement
         tracemalloc.start()
         try:
-            if what == "blocks":
+            if interface == "blocks":
                 count = sum(len(block) for block in bag.joint_state_blocks())
             else:
                 count = sum(1 for _ in bag.messages())

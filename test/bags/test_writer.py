@@ -67,7 +67,7 @@ def interrupted(path: Path, *, overwrite: bool = False) -> None:
         raise ZeroDivisionError
 
 
-def only(folder: Path) -> list[str]:
+def names_in(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
@@ -76,15 +76,15 @@ def written(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return write(tmp_path / "new" / request.param)
 
 
-def test_reads_back_to_the_last_bit(written: Path) -> None:
+def test_joint_states_are_read_back_bit_identical(written: Path) -> None:
     with open_bag(written) as bag:
         states = [state for block in bag.joint_state_blocks() for state in block.states()]
         assert [(s.stamp_ns, s.names) for s in states] == [(s.stamp_ns, s.names) for s in STATES]
-        for state, right in zip(states, STATES, strict=True):
-            assert state.position.tobytes() == right.position.tobytes()
-            assert state.velocity.tobytes() == right.velocity.tobytes()
+        for state, expected in zip(states, STATES, strict=True):
+            assert state.position.tobytes() == expected.position.tobytes()
+            assert state.velocity.tobytes() == expected.velocity.tobytes()
         assert bag.losses == ()
-    assert only(written.parent) == [written.name]
+    assert names_in(written.parent) == [written.name]
 
 
 def test_contact_state_carries_every_field(written: Path) -> None:
@@ -98,8 +98,8 @@ def test_contact_state_carries_every_field(written: Path) -> None:
         assert getattr(message, field) == pytest.approx(getattr(CONTACT, field), abs=0, nan_ok=True), field
 
 
-def test_rosbags_reads_it_with_equal_type_hashes(written: Path) -> None:
-    """`AnyReader` computes each type's hash from the embedded definition and compares."""
+def test_rosbags_reads_the_bag_with_equal_type_hashes(written: Path) -> None:
+    """`AnyReader` compares each hash with that of the embedded definition."""
     with AnyReader([written]) as reader:
         counts = {connection.topic: connection.msgcount for connection in reader.connections}
         assert counts == {"/joint_states": 500, "/contact_state": 1}
@@ -110,7 +110,7 @@ def test_rosbags_reads_it_with_equal_type_hashes(written: Path) -> None:
         assert all(connection.digest.startswith("RIHS01_") for connection in reader.connections)
 
 
-def test_the_library_of_the_format_finds_nothing_to_object_to(written: Path) -> None:
+def test_mcap_reads_the_file_with_valid_checksums(written: Path) -> None:
     path = written / "bag_0.mcap" if written.is_dir() else written
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
@@ -122,44 +122,44 @@ def test_the_library_of_the_format_finds_nothing_to_object_to(written: Path) -> 
     assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
 
 
-def test_the_metadata_are_those_of_rosbag2(tmp_path: Path) -> None:
+def test_metadata_is_that_of_rosbag2(tmp_path: Path) -> None:
     folder = write(tmp_path / "bag")
-    assert only(folder) == ["bag_0.mcap", "metadata.yaml"]
-    about = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    assert about["storage_identifier"] == "mcap"
-    assert about["relative_file_paths"] == ["bag_0.mcap"]
-    assert about["message_count"] == 501
-    assert about["starting_time"] == {"nanoseconds_since_epoch": T0}
-    assert about["duration"] == {"nanoseconds": 499_000_000}
-    assert [t["topic_metadata"]["name"] for t in about["topics_with_message_count"]] == [
+    assert names_in(folder) == ["bag_0.mcap", "metadata.yaml"]
+    information = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert information["storage_identifier"] == "mcap"
+    assert information["relative_file_paths"] == ["bag_0.mcap"]
+    assert information["message_count"] == 501
+    assert information["starting_time"] == {"nanoseconds_since_epoch": T0}
+    assert information["duration"] == {"nanoseconds": 499_000_000}
+    assert [t["topic_metadata"]["name"] for t in information["topics_with_message_count"]] == [
         "/joint_states",
         "/contact_state",
     ]
 
 
-class TestExisting:
+class TestExistingPath:
     @pytest.mark.parametrize("name", ["bag", "bag.mcap"])
     def test_is_kept(self, tmp_path: Path, name: str) -> None:
         path = write(tmp_path / name)
         with pytest.raises(OutputError, match=f"{name}: already exists"):
             BagWriter(path)
-        assert only(tmp_path) == [name]
+        assert names_in(tmp_path) == [name]
 
-    def test_is_replaced_when_asked(self, written: Path) -> None:
+    def test_is_replaced_with_overwrite(self, written: Path) -> None:
         with BagWriter(written, overwrite=True) as writer:
             writer.write_joint_states("/other", STATES[:3])
         with open_bag(written) as bag:
             assert [(topic.name, topic.count) for topic in bag.topics] == [("/other", 3)]
-        assert only(written.parent) == [written.name]
+        assert names_in(written.parent) == [written.name]
 
-    def test_is_kept_when_the_new_one_fails(self, written: Path) -> None:
+    def test_is_kept_if_writing_fails(self, written: Path) -> None:
         with pytest.raises(ZeroDivisionError):
             interrupted(written, overwrite=True)
         with open_bag(written) as bag:
             assert len(bag.topics) == 2
-        assert only(written.parent) == [written.name]
+        assert names_in(written.parent) == [written.name]
 
-    def test_is_kept_when_it_is_no_recording(self, tmp_path: Path) -> None:
+    def test_is_kept_if_it_is_not_a_bag(self, tmp_path: Path) -> None:
         folder = tmp_path / "thesis"
         folder.mkdir()
         (folder / "chapter1").write_text("x")
@@ -168,43 +168,41 @@ class TestExisting:
         (tmp_path / "folder.mcap").mkdir()
         with pytest.raises(OutputError, match="is not such a bag and is not replaced"):
             BagWriter(tmp_path / "folder.mcap", overwrite=True)
-        assert only(folder) == ["chapter1"]
+        assert names_in(folder) == ["chapter1"]
 
-    def test_is_kept_when_it_came_meanwhile(self, tmp_path: Path) -> None:
+    def test_is_kept_if_created_meanwhile(self, tmp_path: Path) -> None:
         writer = BagWriter(tmp_path / "bag.mcap")
         writer.write_joint_states("/joint_states", STATES)
         (tmp_path / "bag.mcap").write_text("mine")
         with pytest.raises(OutputError, match="already exists"):
             writer.close()
         assert (tmp_path / "bag.mcap").read_text() == "mine"
-        assert only(tmp_path) == ["bag.mcap"]
+        assert names_in(tmp_path) == ["bag.mcap"]
 
 
-def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
+def test_failed_bag_is_deleted(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError):
         interrupted(tmp_path / "bag")
-    assert only(tmp_path) == []
+    assert names_in(tmp_path) == []
 
 
-def test_an_unknown_type_is_named_and_leaves_nothing(tmp_path: Path) -> None:
+def test_unknown_type_is_refused(tmp_path: Path) -> None:
     with (
         pytest.raises(BagError, match="/x: type lab_msgs/msg/Nope is not defined"),
         BagWriter(tmp_path / "bag") as writer,
     ):
         writer.write("/x", "lab_msgs/msg/Nope", T0, b"")
-    assert only(tmp_path) == []
+    assert names_in(tmp_path) == []
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_unwritable_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(OutputError, match=r"file/bag: cannot be written: "):
         BagWriter(tmp_path / "file" / "bag")
 
 
 @pytest.mark.parametrize("name", ["bag", "bag.mcap"])
-def test_a_signal_that_breaks_in_at_the_start_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_interrupt_at_the_start_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -214,25 +212,25 @@ def test_a_signal_that_breaks_in_at_the_start_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_empty_recording_is_complete(tmp_path: Path) -> None:
+def test_empty_bag_is_complete(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag"):
         pass
     with AnyReader([tmp_path / "bag" / "bag_0.mcap"]) as reader:
         assert reader.message_count == 0
 
 
-def test_own_messages_are_known() -> None:
+def test_package_types_are_known() -> None:
     files = Path(__file__).parents[2].glob("msg_schemas/msg/*.msg")
     assert {name.rpartition("/")[2] for name in own_types()} == {path.stem for path in files}
     assert own_types().keys() <= known_types().fielddefs.keys()
 
 
-def test_own_messages_have_the_fields_of_the_values() -> None:
+def test_contact_state_has_the_fields_of_the_values() -> None:
     fields = [name for name, _ in known_types().fielddefs[CONTACT_STATE][1]]
     assert fields == ["header", *ContactAssessment._fields[1:]]
 
 
-def test_a_joint_state_without_velocity_stays_without() -> None:
+def test_joint_state_without_velocity() -> None:
     data = joint_state_message(STATES[0]._replace(velocity=np.empty(0)))
     message: Any = known_types().deserialize_cdr(data, JOINT_STATE)
     assert (len(message.position), len(message.velocity), len(message.effort)) == (2, 0, 0)

@@ -1,4 +1,4 @@
-"""`record`: a process of its own, ended as users and launchers do it, killed, and repaired."""
+"""`scara-effmass record` as a process: stopped by signals, killed, and repaired."""
 
 from __future__ import annotations
 
@@ -29,46 +29,46 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.usefixtures("own_domain")
 
-PATIENCE_S = 120.0
+TIMEOUT_S = 120.0
 RECORD = (sys.executable, "-m", "scara_effmass", "record")
 
 
-def until(condition: Callable[[], Any], process: subprocess.Popen[str]) -> None:
-    began = time.monotonic()
+def wait_until(condition: Callable[[], Any], process: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + TIMEOUT_S
     while not condition():
-        assert time.monotonic() < began + PATIENCE_S, "nothing came of it"
+        assert time.monotonic() < deadline
         assert process.poll() is None, process.communicate()
         with suppress(subprocess.TimeoutExpired):
             process.wait(0.01)
 
 
 def saved(bag: Path) -> int:
-    """Messages that are on the disk while the recorder runs."""
+    """Return the number of messages on the disk while the recorder runs."""
     try:
         with open_bag(bag) as opened:
             return sum(1 for _ in opened.messages())
-    except Exception:  # noqa: BLE001 - not there yet
+    except Exception:  # noqa: BLE001 - not created yet
         return 0
 
 
 @contextmanager
-def recording(bag: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
+def recording(bag: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Record ten notes; they are on the disk inside the `with`."""
     context = Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     node = Node("notes", context=context)
     publisher = node.create_publisher(String, "notes", QoSProfile(depth=100))
     process = subprocess.Popen(
-        [*RECORD, "-o", str(bag), *words],
+        [*RECORD, "-o", str(bag), *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
     try:
-        until(publisher.get_subscription_count, process)
+        wait_until(publisher.get_subscription_count, process)
         for number in range(10):
             publisher.publish(String(data=str(number)))
-        until(lambda: saved(bag) == 10, process)
+        wait_until(lambda: saved(bag) == 10, process)
         yield process
     finally:
         process.kill()
@@ -77,12 +77,12 @@ def recording(bag: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
         context.try_shutdown()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_ends_with_a_complete_recording_and_says_what_is_in_it(tmp_path: Path, number: signal.Signals) -> None:
+@pytest.mark.parametrize("stop_signal", [signal.SIGINT, signal.SIGTERM])
+def test_signal_completes_the_bag_and_prints_the_report(tmp_path: Path, stop_signal: signal.Signals) -> None:
     bag = tmp_path / "bag"
     with recording(bag, "notes", "never", "--json") as process:
-        process.send_signal(number)
-        output, errors = process.communicate(timeout=PATIENCE_S)
+        process.send_signal(stop_signal)
+        output, errors = process.communicate(timeout=TIMEOUT_S)
     assert (process.returncode, errors) == (0, "")
     report = json.loads(output)
     assert (report["bag"], report["messages"], report["lost"]) == (str(bag), 10, 0)
@@ -99,91 +99,87 @@ def test_it_ends_with_a_complete_recording_and_says_what_is_in_it(tmp_path: Path
         assert opened.losses == ()
 
 
-def test_what_it_prints(tmp_path: Path) -> None:
+def test_text_output(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     with recording(bag, "notes", "never", "--no-compression", "--max-size", "0.0001") as process:
         process.send_signal(signal.SIGINT)
-        output, errors = process.communicate(timeout=PATIENCE_S)
+        output, errors = process.communicate(timeout=TIMEOUT_S)
     assert (process.returncode, errors) == (0, "")
     lines = output.splitlines()
     assert lines[0] == "recorded        /notes: 10 messages"
     assert lines[1] == "not recorded    /never: no publisher"
-    assert lines[2].startswith("in all          10 messages, 0 lost, 0.0 MB in ")
+    assert lines[2].startswith("total           10 messages, 0 lost, 0.0 MB in ")
     assert lines[2].endswith(f" s: {bag}")
     assert len(list(bag.glob("bag_*.mcap"))) > 1
 
 
-def test_killed_it_leaves_what_repair_completes(tmp_path: Path, cli: Cli) -> None:
+def test_repair_completes_the_bag_of_a_killed_recorder(tmp_path: Path, cli: Cli) -> None:
     bag = tmp_path / "bag"
     with recording(bag, "notes") as process:
         process.kill()
         process.wait()
     assert not (bag / "metadata.yaml").exists()
-    done = cli("record", "--repair", bag)
-    assert (done.returncode, done.stderr) == (0, "")
+    result = cli("record", "--repair", bag)
+    assert (result.returncode, result.stderr) == (0, "")
     assert (
-        done.stdout == f"repaired        {bag / 'bag_0.mcap'}: 10 messages\nrepaired        {bag / 'metadata.yaml'}\n"
+        result.stdout == f"repaired        {bag / 'bag_0.mcap'}: 10 messages\nrepaired        {bag / 'metadata.yaml'}\n"
     )
     with open_bag(bag) as opened:
         assert len(list(opened.messages())) == 10
         assert opened.losses == ()
-    again = cli("record", "--repair", bag, "--json")
-    assert again.returncode == 0
-    report = json.loads(again.stdout)
+    result = cli("record", "--repair", bag, "--json")
+    assert result.returncode == 0
+    report = json.loads(result.stdout)
     assert report["intact"] is True
     assert [file["messages"] for file in report["files"]] == [10]
 
 
 REFUSALS = {
-    "nothing to do": (["record"], "one of the arguments -o/--output --repair is required"),
-    "both": (["record", "-o", "a", "--repair", "b"], "not allowed with argument"),
-    "a file": (["record", "-o", "a.mcap"], "a.mcap: must be a folder name without .mcap"),
+    "no task": (["record"], "one of the arguments -o/--output --repair is required"),
+    "two tasks": (["record", "-o", "a", "--repair", "b"], "not allowed with argument"),
+    "file as output": (["record", "-o", "a.mcap"], "a.mcap: must be a folder name without .mcap"),
     "negative size": (["record", "-o", "a", "--max-size", "-1"], "--max-size = -1.0: must be >= 0 (0: never)"),
-    "no duration": (["record", "-o", "a", "--duration", "0"], "duration = 0.0: must be > 0 s"),
-    "all and some": (["record", "-o", "a", "b", "--all"], "topics = 'b': must be empty with --all"),
-    "a wrong name": (["record", "-o", "a", "b c"], "record: topic 'b c': "),
+    "zero duration": (["record", "-o", "a", "--duration", "0"], "duration = 0.0: must be > 0 s"),
+    "topics with --all": (["record", "-o", "a", "b", "--all"], "topics = 'b': must be empty with --all"),
+    "invalid topic": (["record", "-o", "a", "b c"], "record: topic 'b c': "),
     "unwritable": (["record", "-o", "/proc/none/a"], "/proc/none/a: cannot be written"),
-    "repair of nothing": (["record", "--repair", "a"], "a: does not exist"),
-    "repair of topics": (["record", "--repair", "a", "b"], "record: topics = 'b': must be empty with --repair"),
-    "ROS parameters": (["record", "-o", "a", "--", "-p", "b:=1"], "recorder: no parameter 'b'"),
+    "repair of a missing bag": (["record", "--repair", "a"], "a: does not exist"),
+    "repair with topics": (["record", "--repair", "a", "b"], "record: topics = 'b': must be empty with --repair"),
+    "unknown ROS parameter": (["record", "-o", "a", "--", "-p", "b:=1"], "recorder: no parameter 'b'"),
 }
 
 
-@pytest.mark.usefixtures("own_domain")
-@pytest.mark.parametrize("name", REFUSALS)
+@pytest.mark.parametrize(("arguments", "message"), REFUSALS.values(), ids=REFUSALS)
 def test_invalid_input_gives_one_line_and_exit_code_2(
-    name: str, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+    arguments: list[str], message: str, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("faulthandler.enable", lambda: None)  # rclpy calls it, but captured stderr has no descriptor
-    arguments, expected = REFUSALS[name]
-    assert expected in refused(*arguments)
+    assert message in refused(*arguments)
 
 
-def test_a_recording_is_replaced_only_by_force(cli_process: Cli, swing_bag: Path, tmp_path: Path) -> None:
+def test_existing_bag_is_replaced_only_with_force(cli_process: Cli, swing_bag: Path, tmp_path: Path) -> None:
     bag = tmp_path / "swing"
     bag.mkdir()
     for path in swing_bag.iterdir():
         (bag / path.name).write_bytes(path.read_bytes())
-    done = cli_process("record", "-o", bag, "--duration", "0.1")
-    assert done.returncode == 2
-    assert f"{bag}: already exists" in done.stderr
+    process = cli_process("record", "-o", bag, "--duration", "0.1")
+    assert process.returncode == 2
+    assert f"{bag}: already exists" in process.stderr
     assert saved(bag) == 1000
-    done = cli_process("record", "-o", bag, "--duration", "0.1", "--force")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert re.match(r"in all          0 messages, 0 lost, 0\.0 MB in 1 file, \d+\.\d s: ", done.stdout)
+    process = cli_process("record", "-o", bag, "--duration", "0.1", "--force")
+    assert (process.returncode, process.stderr) == (0, "")
+    assert re.match(r"total           0 messages, 0 lost, 0\.0 MB in 1 file, \d+\.\d s: ", process.stdout)
     assert sorted(path.name for path in bag.iterdir()) == ["metadata.yaml", "swing_0.mcap"]
 
 
-def test_a_file_that_cannot_be_repaired_is_named_and_the_answer_is_no(
-    cli_process: Cli, swing_bag: Path, tmp_path: Path
-) -> None:
+def test_file_that_cannot_be_repaired_gives_exit_code_1(cli_process: Cli, swing_bag: Path, tmp_path: Path) -> None:
     bag = tmp_path / "swing"
     bag.mkdir()
     (bag / "swing_0.mcap").write_bytes((swing_bag / "swing_0.mcap").read_bytes())
     (bag / "swing_1.mcap").write_bytes(b"")
-    done = cli_process("record", "--repair", bag)
-    assert done.returncode == 1
-    assert done.stdout.splitlines()[:2] == [
+    process = cli_process("record", "--repair", bag)
+    assert process.returncode == 1
+    assert process.stdout.splitlines()[:2] == [
         f"intact          {bag / 'swing_0.mcap'}: 1000 messages",
-        f"not repaired    {bag / 'swing_1.mcap'}: is empty; a recording in MCAP would be right",
+        f"not repaired    {bag / 'swing_1.mcap'}: is empty",
     ]
