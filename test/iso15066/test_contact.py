@@ -9,7 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.iso15066 import peak_force, reduced_mass, transferred_energy
+from scara_effmass.iso15066 import (
+    force_per_root_stiffness,
+    peak_force,
+    reduced_mass,
+    robot_mass,
+    transferred_energy,
+)
 
 masses = st.floats(1e-3, 1e3)
 speeds = st.floats(1e-3, 10.0)
@@ -19,6 +25,14 @@ stiffnesses = st.floats(1e3, 1e6)
 @pytest.mark.parametrize(("cart", "expected"), [(0.50, 0.42), (2.39, 1.28), (3.72, 1.59), (7.35, 2.01)])
 def test_reduced_mass_of_the_four_test_carts(cart: float, expected: float) -> None:
     assert reduced_mass(2.77, cart) == pytest.approx(expected, abs=0.005)
+
+
+def test_robot_mass_is_half_the_moving_mass_and_the_payload() -> None:
+    assert robot_mass(5.04, 0.25) == pytest.approx(2.77)
+
+
+def test_force_per_root_stiffness_is_speed_times_root_of_mass() -> None:
+    assert force_per_root_stiffness(0.5, 4.0) == 1.0
 
 
 @given(masses, masses)

@@ -62,6 +62,15 @@ def parallel(mass: float, other: float) -> float:
     return mass * other / (mass + other)
 
 
+def require_no_numbers(contact: ContactAssessment) -> None:
+    """Require an UNKNOWN whose masses, force and speeds are 0, and which names no limit."""
+    assert contact.verdict is Verdict.UNKNOWN
+    assert (contact.effective_mass, contact.worst_direction_mass, contact.reduced_mass) == (0.0, 0.0, 0.0)
+    assert (contact.obstacle_mass, contact.stiffness, contact.predicted_force) == (0.0, 0.0, 0.0)
+    assert (contact.allowable_speed, contact.margin) == (0.0, -contact.speed)
+    assert (contact.body_region, contact.criterion, contact.mass_capped) == ("", "", False)
+
+
 any_settings = st.builds(
     settings_of,
     effective_mass_model=st.sampled_from(MassModel),
@@ -265,16 +274,14 @@ def test_missing_model_gives_unknown(bare_scara: RobotDynamics, skew_scara: Robo
     assert math.isnan(bare.full_mass)
     assert math.isnan(skew.lumped_mass)
     if model in {MassModel.FULL, MassModel.LARGEST}:
-        assert bare.verdict is Verdict.UNKNOWN
+        require_no_numbers(bare)
         assert bare.reason.startswith("no full mass (the file gives no inertia tensors)")
-        assert (bare.allowable_speed, bare.effective_mass, bare.stiffness) == (0.0, 0.0, 0.0)
     else:
         assert bare.verdict is Verdict.OK
     if model in {MassModel.LUMPED, MassModel.LARGEST}:
-        assert skew.verdict is Verdict.UNKNOWN
+        require_no_numbers(skew)
         assert skew.reason.startswith("no lumped mass (")
         assert skew.reason.endswith("choose effective_mass_model full or iso")
-        assert skew.allowable_speed == 0.0
     else:
         assert skew.verdict in {Verdict.OK, Verdict.WARN}
 
@@ -362,10 +369,9 @@ def test_effective_mass_below_the_minimum_gives_unknown(
         assert light.verdict in {Verdict.OK, Verdict.WARN}
         assert light.effective_mass > 0.0
     else:
-        assert light.verdict is Verdict.UNKNOWN
+        require_no_numbers(light)
         assert light.reason.startswith(f"{model.value} mass = ")
         assert "must be at least 1e-06 kg" in light.reason
-        assert (light.allowable_speed, light.effective_mass, light.reduced_mass) == (0.0, 0.0, 0.0)
 
 
 def test_placeholder_masses_give_unknown(scara_variant: Variant) -> None:
@@ -374,6 +380,33 @@ def test_placeholder_masses_give_unknown(scara_variant: Variant) -> None:
             link.update(mass=1.0, inertia=[1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 
     contact = assess_one(scara_variant(replace_inertias), (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1))
-    assert contact.verdict is Verdict.UNKNOWN
+    require_no_numbers(contact)
     assert contact.reason == "every link has mass 1 and identity inertia: placeholders, not data"
     assert contact.iso_mass == 0.0
+
+
+def test_speed_exactly_at_the_allowable_speed_is_no_violation(scara: RobotDynamics) -> None:
+    q, qd = (0.3, 1.2, 0.1, 0.0), (1.5, 0.4, 0.01, 0.1)
+    alone = assess_one(scara, q, qd)
+    # Between a/2 and a the difference a - v is exact, and so is the allowable speed a - (a - v) = v.
+    assert 0.5 * alone.allowable_speed < alone.speed < alone.allowable_speed
+    closing = alone.allowable_speed - alone.speed
+    equal = assess_one(scara, q, qd, person_speed=closing, warn_ratio=1.0)
+    assert equal.allowable_speed == equal.speed
+    assert equal.verdict is Verdict.OK
+    above = assess_one(scara, q, qd, person_speed=closing + 1e-9, warn_ratio=1.0)
+    assert above.verdict is Verdict.VIOLATION
+
+
+def test_mass_equal_to_the_full_one_gives_no_warning_at_zero_margin(scara: RobotDynamics) -> None:
+    q, qd = (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1)
+    contact = assess_one(scara, q, qd, effective_mass_model="full", model_margin=0.0)
+    assert (contact.verdict, contact.reason) == (Verdict.OK, "")
+
+
+def test_violation_with_a_low_mass_states_both_reasons(scara: RobotDynamics) -> None:
+    q, qd = (0.0, -1.2, 0.1, 0.0), (0.0005, 0.0005, 0.01, 0.001)
+    contact = assess_one(scara, q, qd, effective_mass_model="iso", speed_threshold=0.1, person_speed=5.0)
+    assert contact.verdict is Verdict.VIOLATION
+    assert " m/s is above the 0.000 m/s that the " in contact.reason
+    assert "; the iso mass of 2.77 kg is below the full model's " in contact.reason

@@ -210,6 +210,7 @@ class TestZeroVelocity:
     def test_joint_that_moved_may_stop(self, scara: RobotDynamics) -> None:
         feed = Feed(make_monitor(scara))
         feed()
+        feed()
         assert feed(state(velocity=(0.0,) * 4)) == (Verdict.OK, "")
 
     @pytest.mark.parametrize("speed", [0.06, 0.3, 2.0])
@@ -458,3 +459,35 @@ class TestBoundaries:
         feed = Feed(make_monitor(scara))
         feed()
         assert feed(state(position=(1.5, *Q[1:])), 201 * MS)[0] is Verdict.OK
+
+    @pytest.mark.parametrize(("gap_ms", "expected"), [(200, Verdict.OK), (201, Verdict.UNKNOWN)])
+    def test_gap_up_to_the_timeout_can_be_differentiated(
+        self, scara: RobotDynamics, gap_ms: int, expected: Verdict
+    ) -> None:
+        feed = Feed(make_monitor(scara, differentiate_velocity=True))
+        feed(state(velocity=()))
+        assert feed(state(position=[q + 0.01 for q in Q], velocity=()), gap_ms * MS)[0] is expected
+
+    @pytest.mark.parametrize("speeds", [(0.1, 3.0), (3.0, 0.1)])
+    def test_higher_of_two_speeds_explains_the_travel(self, scara: RobotDynamics, speeds: tuple[float, float]) -> None:
+        feed = Feed(make_monitor(scara))
+        feed(state(velocity=(speeds[0], *QD[1:])))
+        verdict, reason = feed(state(position=(Q[0] + 0.3, *Q[1:]), velocity=(speeds[1], *QD[1:])), 100 * MS)
+        assert (verdict is Verdict.UNKNOWN, reason.startswith("joint1 moved")) == (False, False)
+
+    def test_travel_is_explained_by_the_last_half_second_only(self, scara: RobotDynamics) -> None:
+        """At 0.1 rad/s the velocity explains at most 0.05 rad in the window, and 1.5 times that plus 0.05 rad."""
+        feed = Feed(make_monitor(scara))
+        for _ in range(2000):
+            feed()
+        assert feed(state(position=(Q[0] + 0.15, *Q[1:])))[1].startswith("joint1 moved 0.1500 rad where")
+
+    @pytest.mark.parametrize(("rest_ms", "travel", "expected"), [(500, 0.0249, True), (2000, 0.03, False)])
+    def test_travel_after_rest_is_bounded_by_still_speed_over_half_a_second(
+        self, scara: RobotDynamics, rest_ms: int, travel: float, *, expected: bool
+    ) -> None:
+        feed = Feed(make_monitor(scara))
+        for _ in range(rest_ms):
+            feed(state(velocity=(0.0,) * 4))
+        moved = state(position=(Q[0] + travel, *Q[1:]), velocity=(0.0,) * 4)
+        assert (feed(moved)[0] is Verdict.OK) == expected

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from scara_effmass.safety import Monitor, no_robot_decision
+from scara_effmass.safety import Monitor, no_robot_decision, unknown_contact
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import JointState, Verdict
 
@@ -76,6 +77,32 @@ def test_gap_between_stamps_gives_held_unknown(scara: RobotDynamics) -> None:
     assert verdict(send(monitor, 301)) is Verdict.OK
 
 
+def test_gap_of_exactly_the_timeout_holds_nothing(scara: RobotDynamics) -> None:
+    monitor = make_monitor(scara, release_time=0.1)
+    send(monitor, 0)
+    assert verdict(send(monitor, 200)) is Verdict.OK
+
+
+@pytest.mark.parametrize("stamp_ns", [0, -5])
+def test_unusable_stamp_gives_neither_stamp_nor_age(scara: RobotDynamics, stamp_ns: int) -> None:
+    state = JointState(stamp_ns, JOINTS, np.zeros(4), np.full(4, 0.01))
+    decision = make_monitor(scara).assess(state, NOW)
+    assert decision is not None
+    assert (decision.contacts[0].stamp_ns, decision.contacts[0].input_age) == (0, 0.0)
+
+
+def test_unknown_contact_states_no_number() -> None:
+    contact = unknown_contact("tool", "no data", 5, 0.25)
+    assert (contact.stamp_ns, contact.contact_point, contact.reason, contact.input_age) == (5, "tool", "no data", 0.25)
+    assert contact.direction == (0.0, 0.0, 0.0)
+    assert math.isnan(contact.lumped_mass)
+    assert math.isnan(contact.full_mass)
+    names = set(contact._fields) - {
+        *("stamp_ns", "contact_point", "reason", "input_age", "direction", "lumped_mass", "full_mass"),
+    }
+    assert {name for name in names if getattr(contact, name)} == set()
+
+
 class TestFirstCause:
     def test_first_cause_stays_until_reset(self, scara: RobotDynamics) -> None:
         monitor = make_monitor(scara)
@@ -116,6 +143,9 @@ class TestLatch:
             assert verdict(latched) is Verdict.VIOLATION
             assert reason(latched).startswith("latched until reset: tool: 2.")
             assert (latched.allowable_speed, latched.speed_scaling) == (0.0, 0.0)
+        again = send(monitor, 100_000.5, FAST).contacts[0]
+        assert again.reason.startswith("latched until reset: ")
+        assert again.allowable_speed == 0.0
         monitor.reset()
         assert verdict(send(monitor, 100_001)) is Verdict.OK
 
@@ -202,3 +232,11 @@ def test_no_robot_allows_nothing(text: str) -> None:
     (contact,) = decision.contacts
     assert (contact.verdict, contact.reason, contact.contact_point) == (Verdict.UNKNOWN, text, "")
     assert (decision.allowable_speed, decision.speed_scaling) == (0.0, 0.0)
+    assert not contact.watchdog
+    assert no_robot_decision(text, watchdog=True).contacts[0].watchdog
+
+
+def test_only_contacts_of_the_watchdog_are_marked(scara: RobotDynamics) -> None:
+    monitor = make_monitor(scara)
+    assert not send(monitor, 0).contacts[0].watchdog
+    assert monitor.watchdog_decision(10**9).contacts[0].watchdog
