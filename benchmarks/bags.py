@@ -1,4 +1,4 @@
-"""(c) Joint states out of a recording: this project's blocks against rosbags' messages, from the same file."""
+"""(c) Reading joint states from a bag: blocks of this package, compared with messages of rosbags."""
 
 from __future__ import annotations
 
@@ -19,46 +19,48 @@ TOPIC = "/joint_states"
 
 
 def measure() -> tuple[float, float]:
-    """Return the median rate [messages/s] of both on a zstd MCAP of joint states at 1 kHz."""
-    ours, theirs = [], []
+    """Return the median rates [messages/s] of this package and of rosbags, for a zstd MCAP of joint states."""
+    block_rates, message_rates = [], []
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         _write(bag)
         for _ in range(ROUNDS):
-            ours.append(MESSAGES / _read_blocks(bag))
-            theirs.append(MESSAGES / _read_messages(bag))
-    return float(np.median(ours)), float(np.median(theirs))
+            block_rates.append(MESSAGES / _read_blocks(bag))
+            message_rates.append(MESSAGES / _read_messages(bag))
+    return float(np.median(block_rates)), float(np.median(message_rates))
 
 
-def _write(bag: Path) -> None:
+def _write(path: Path) -> None:
     names = ("joint1", "joint2", "joint3", "joint4")
     random = np.random.default_rng(1)
     values = random.normal(size=(MESSAGES, 8))
-    with BagWriter(bag) as writer:
+    with BagWriter(path) as writer:
         writer.write_joint_states(
             TOPIC, (JointState(1_000_000_000 + i * 1_000_000, names, row[:4], row[4:]) for i, row in enumerate(values))
         )
 
 
-def _read_blocks(bag: Path) -> float:
-    started = time.perf_counter()
-    with open_bag(bag) as recording:
-        count = sum(len(block.stamp_ns) for block in recording.joint_state_blocks(TOPIC))
-    _require(count)
-    return time.perf_counter() - started
+def _read_blocks(path: Path) -> float:
+    """Return the time [s] to read all blocks."""
+    start = time.perf_counter()
+    with open_bag(path) as bag:
+        count = sum(map(len, bag.joint_state_blocks(TOPIC)))
+    _check(count)
+    return time.perf_counter() - start
 
 
-def _read_messages(bag: Path) -> float:
-    started = time.perf_counter()
-    with AnyReader([bag]) as reader:
+def _read_messages(path: Path) -> float:
+    """Return the time [s] to read all messages with rosbags."""
+    start = time.perf_counter()
+    with AnyReader([path]) as reader:
         count = sum(
             len(reader.deserialize(data, connection.msgtype).position) == 4
             for connection, _, data in reader.messages(reader.connections)
         )
-    _require(count)
-    return time.perf_counter() - started
+    _check(count)
+    return time.perf_counter() - start
 
 
-def _require(count: int) -> None:
+def _check(count: int) -> None:
     if count != MESSAGES:
-        raise RuntimeError(f"{count} of {MESSAGES} joint states were read")
+        raise RuntimeError(f"{count} of {MESSAGES} joint states were read; expected all")

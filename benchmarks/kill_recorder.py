@@ -50,7 +50,7 @@ class Outcome(NamedTuple):
     saved: int
     readable: int
     repaired: int
-    parts: int
+    files: int
     age_s: float
     """Time from the last readable message to the kill."""
 
@@ -102,16 +102,16 @@ def _run(bag: Path, generator: random.Random) -> Outcome:
 def _record(bag: Path, options: RecorderOptions, send: int) -> NoReturn:
     """Record until killed, in the forked process."""
     try:
-        recording = BagRecorder(bag, options)
-        numbers = [recording.add_topic(topic, STRING) for topic in TOPICS]
+        recorder = BagRecorder(bag, options)
+        topics = [recorder.add_topic(topic, STRING) for topic in TOPICS]
         count = 0
         while True:
             for _ in range(BURST):
-                for topic in numbers[count % 10 != 0 :]:  # one message of the first topic for ten of the second
+                for topic in topics[count % 10 != 0 :]:  # one message of the first topic for ten of the second
                     number = count // 10 if topic == 0 else count
-                    recording.write(topic, time.time_ns(), message(topic, number))
+                    recorder.write(topic, time.time_ns(), message(topic, number))
                 count += 1
-            os.write(send, SAVED_COUNT.pack(recording.report().saved))
+            os.write(send, SAVED_COUNT.pack(recorder.report().saved))
             time.sleep(PAUSE_S)
     finally:
         os._exit(1)
@@ -142,9 +142,10 @@ def _check(bag: Path, after_s: float, killed_ns: int, saved: int) -> Outcome:
             _require(data == message(topic, counts[connection.topic]), f"{connection.topic}: a message differs")
             counts[connection.topic] += 1
     _require(sum(counts.values()) == readable, f"rosbags reads {sum(counts.values())} of {readable} messages")
-    about = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-    _require(about["message_count"] == readable, f"metadata.yaml lists {about['message_count']} of {readable} messages")
-    _require(repair(bag).intact, "a second repair finds something to do")
+    metadata = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))
+    listed = metadata["rosbag2_bagfile_information"]["message_count"]
+    _require(listed == readable, f"metadata.yaml lists {listed} of {readable} messages")
+    _require(repair(bag).intact, "a second repair changes the bag")
     return Outcome(after_s, saved, readable, kept, len(report.files), age_s)
 
 
@@ -184,7 +185,7 @@ def main() -> None:
         "without a message yet": sum(not outcome.readable for outcome in outcomes),
         "messages readable": sum(outcome.readable for outcome in outcomes),
         "messages reported as saved": sum(outcome.saved for outcome in outcomes),
-        "parts": sum(outcome.parts for outcome in outcomes),
+        "files": sum(outcome.files for outcome in outcomes),
         "age of the last readable message, median [s]": float(np.median(ages)),
         "age of the last readable message, worst [s]": max(ages),
     }

@@ -1,4 +1,4 @@
-"""(e) The recorder: messages per second beside the bare writer of mcap, and live at 1 kHz with force blocks."""
+"""(e) The recorder: its rate compared with the writer of `mcap`, and a live recording at 1 kHz with force blocks."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ BLOCK = 1280
 
 
 class Run(NamedTuple):
-    """A live recording: messages sent and recorded, CPU [share of a core], memory [MB]."""
+    """Result of a live recording: message counts, CPU [share of a core], memory [MB]."""
 
     sent: int
     recorded: int
@@ -53,35 +53,36 @@ class Run(NamedTuple):
 
 
 def measure() -> tuple[float, float]:
-    """Return the median rate [messages/s] without loss of our recording and of the bare writer, both in zstd."""
+    """Return the median rates [messages/s] of the recorder and of the writer of `mcap`, both with zstd."""
     random = np.random.default_rng(1)
     values = random.normal(size=(MESSAGES, 8))
     messages = [joint_state_message(JointState(START_NS, NAMES, row[:4], row[4:])) for row in values]
-    ours, theirs = [], []
+    recorder_rates, writer_rates = [], []
     with tempfile.TemporaryDirectory() as folder:
         for number in range(ROUNDS):
-            ours.append(MESSAGES / _record(Path(folder) / f"ours{number}", messages))
-            theirs.append(MESSAGES / _write(Path(folder) / f"theirs{number}.mcap", messages))
-    return float(np.median(ours)), float(np.median(theirs))
+            recorder_rates.append(MESSAGES / _record(Path(folder) / f"bag{number}", messages))
+            writer_rates.append(MESSAGES / _write(Path(folder) / f"bag{number}.mcap", messages))
+    return float(np.median(recorder_rates)), float(np.median(writer_rates))
 
 
 def _record(folder: Path, messages: list[bytes]) -> float:
-    """Return how long it takes until everything is on the disk [s]."""
+    """Return the time [s] until all messages are on the disk."""
     options = RecorderOptions(queue_messages=MESSAGES, queue_bytes=1 << 30)
-    started = time.perf_counter()
-    with BagRecorder(folder, options) as recording:
-        topic = recording.add_topic("/joint_states", JOINT_STATE)
+    start = time.perf_counter()
+    with BagRecorder(folder, options) as recorder:
+        topic = recorder.add_topic("/joint_states", JOINT_STATE)
         for number, data in enumerate(messages):
-            recording.write(topic, START_NS + number * STEP_NS, data)
-    seconds = time.perf_counter() - started
-    if (saved := recording.report().saved) != MESSAGES:
+            recorder.write(topic, START_NS + number * STEP_NS, data)
+    seconds = time.perf_counter() - start
+    if (saved := recorder.report().saved) != MESSAGES:
         raise RuntimeError(f"{saved} of {MESSAGES} messages were recorded")
     return seconds
 
 
 def _write(path: Path, messages: list[bytes]) -> float:
+    """Return the time [s] to write the messages with `mcap`."""
     definition, _ = known_types().generate_msgdef(JOINT_STATE, ros_version=2)
-    started = time.perf_counter()
+    start = time.perf_counter()
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start("ros2")
@@ -91,7 +92,7 @@ def _write(path: Path, messages: list[bytes]) -> float:
             time_ns = START_NS + number * STEP_NS
             writer.add_message(channel, time_ns, data, time_ns, number)
         writer.finish()
-    return time.perf_counter() - started
+    return time.perf_counter() - start
 
 
 class Sender(Node):
@@ -115,17 +116,17 @@ class Sender(Node):
         for timer in self._timers:
             timer.cancel()
 
-    def connected(self) -> bool:
-        """Return whether the recorder listens to both."""
+    def is_connected(self) -> bool:
+        """Whether both topics have a subscription."""
         return all(publisher.get_subscription_count() for publisher in (self._joint_states, self._force))
 
     def start(self) -> None:
-        """Send."""
+        """Start publishing."""
         for timer in self._timers:
             timer.reset()
 
     def stop(self) -> None:
-        """Send no more."""
+        """Stop publishing."""
         for timer in self._timers:
             timer.cancel()
 
@@ -139,26 +140,26 @@ class Sender(Node):
 
 
 def measure_live() -> Run:
-    """Return what the recorder makes of 20 s."""
+    """Record 20 s of live messages."""
     with tempfile.TemporaryDirectory() as folder:
-        bag = Path(folder) / "bag"
-        command = [str(Path(sys.executable).with_name("scara-effmass")), "record", "-o", str(bag), "--json"]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE)  # noqa: S603 - our own
+        path = Path(folder) / "bag"
+        command = [str(Path(sys.executable).with_name("scara-effmass")), "record", "-o", str(path), "--json"]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE)  # noqa: S603 - fixed command
         rclpy.init()
         sender = Sender()
         executor = EventsExecutor()
         executor.add_node(sender)
         try:
             deadline = time.monotonic() + DISCOVERY_S
-            while not sender.connected():
+            while not sender.is_connected():
                 _spin(executor, 0.1)
                 if time.monotonic() > deadline or process.poll() is not None:
-                    raise RuntimeError("the recorder did not come up")
+                    raise RuntimeError("the recorder did not subscribe")
             sender.start()
             _spin(executor, WARM_UP_S)
-            used, started = cpu_s(process.pid), time.monotonic()
+            start_cpu_s, start_s = cpu_s(process.pid), time.monotonic()
             _spin(executor, RUN_S)
-            cpu = (cpu_s(process.pid) - used) / (time.monotonic() - started)
+            cpu = (cpu_s(process.pid) - start_cpu_s) / (time.monotonic() - start_s)
             memory_mb = resident_mb(process.pid)
             sender.stop()
             _spin(executor, SETTLE_S)
@@ -168,8 +169,8 @@ def measure_live() -> Run:
             rclpy.shutdown()
             process.send_signal(signal.SIGINT)
             output, _ = process.communicate(timeout=20)
-        with open_bag(bag) as recording:
-            recorded = sum(1 for _ in recording.messages())
+        with open_bag(path) as bag:
+            recorded = sum(1 for _ in bag.messages())
         return Run(sent, recorded, int(json.loads(output)["lost"]), cpu, memory_mb)
 
 
@@ -178,7 +179,7 @@ def _spin(executor: EventsExecutor, seconds: float) -> None:
 
 
 if __name__ == "__main__":
-    rate, bare = measure()
+    rate, writer_rate = measure()
     live = measure_live()
-    sys.stdout.write(f"{rate:,.0f} messages/s, bare writer {bare:,.0f}, ratio {rate / bare:.2f}\n")
+    sys.stdout.write(f"{rate:,.0f} messages/s, mcap writer {writer_rate:,.0f}, ratio {rate / writer_rate:.2f}\n")
     sys.stdout.write(f"{live}\n")
