@@ -1,4 +1,4 @@
-"""The command line. The module of a command is imported when the command is called."""
+"""Command line. The module of a command is imported only when the command runs."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
     from types import FrameType
 
 COMMANDS = {
-    "demo": "run all nodes on the simulated cell, or on a recording, and show what comes of it",
+    "demo": "run all nodes on the simulated cell or on a recording, and write a report",
     "monitor": "run the live monitor node",
     "daq": "run the force node: an NI-9230, a recording, or simulated force",
-    "validator": "run the node that holds impacts against their predictions",
-    "sim": "run the simulated cell's robot",
+    "validator": "run the node that compares impacts with their predictions",
+    "sim": "run the robot of the simulated cell",
     "import": "convert force from CSV and TDMS files and from wrench topics to a bag",
-    "replay": "play a bag into the live nodes, with /clock",
-    "record": "record live topics into a bag that survives a crash; complete one that was killed",
-    "assess": "assess every joint state of bags, offline, into a table or a bag",
-    "validate": "hold measured impacts against their predictions, offline, and write a report",
-    "figures": "draw the paper's figures anew, and compare its numbers",
-    "campaign": "simulate the paper's impact experiment, and record it as bags",
-    "limits": "print the body-region table, and the speeds it allows",
-    "doctor": "tell what is installed and whether a robot model is sound",
+    "replay": "replay a bag to the live nodes, with /clock",
+    "record": "record live topics to a bag that survives a crash; repair a bag",
+    "assess": "assess every joint state of bags offline; write a table or a bag",
+    "validate": "compare measured impacts with their predictions offline; write a report",
+    "figures": "draw the figures of the paper again and compare its numbers",
+    "campaign": "simulate the impact experiment of the paper and record it to bags",
+    "limits": "print the body-region limits and the allowable speeds",
+    "doctor": "check the installation, the DAQ device and a robot model",
 }
 ALIASES = {"bench": "sim"}
 """Former names of commands, still accepted."""
@@ -39,7 +39,7 @@ MODULES = {"import": "import_force"}
 """Modules of commands whose name is a Python keyword."""
 
 BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143
-"""Exit codes: the first as rich has it, the last two as a shell gives them to a process that a signal ended."""
+"""Exit codes; 130 and 143 are what a shell reports after SIGINT and SIGTERM."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -49,8 +49,8 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 0, 1 (the answer is no), 2 (bad input), 130 (interrupted)."""
-    arguments, ros_arguments = _split(sys.argv[1:] if argv is None else argv)
+    """Run one command and return its exit code: 0, 1 (negative result), 2 (invalid input), 130 (interrupted)."""
+    arguments, ros_arguments = _split(sys.argv[1:] if argv is None else list(argv))
     arguments[:1] = [ALIASES.get(name, name) for name in arguments[:1]]
     parser = _parser(arguments)
     parsed = parser.parse_args(arguments)
@@ -61,21 +61,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         parsed.ros_arguments = ros_arguments
     elif ros_arguments:
         parser.error(f"{ros_arguments[0]}: this command takes no ROS arguments")
-    before = signal.signal(signal.SIGTERM, _terminate)
+    previous_handler = signal.signal(signal.SIGTERM, _terminate)
     try:
         code: int = parsed.run(parsed)
         sys.stdout.flush()
     except EffmassError as error:
-        print(error, file=sys.stderr)  # noqa: T201 - the one line for every refusal
+        print(error, file=sys.stderr)  # noqa: T201 - the only error output
         return INPUT_ERROR
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:
-        # The buffer has no reader: without this the interpreter reports a broken pipe at exit.
+        # Otherwise the interpreter reports the broken pipe again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, previous_handler)
     return code
 
 
@@ -84,19 +84,20 @@ def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:
     sys.exit(TERMINATED)
 
 
-def _split(argv: Sequence[str]) -> tuple[list[str], list[str]]:
+def _split(argv: list[str]) -> tuple[list[str], list[str]]:
     """Return the arguments of the command and those of ROS, which follow `--` or start at `--ros-args`."""
-    words = list(argv)
-    at = next((index for index, word in enumerate(words) if word in {"--", "--ros-args"}), len(words))
-    rest = words[at + 1 :] if words[at : at + 1] == ["--"] else words[at:]
-    return words[:at], rest if not rest or "--ros-args" in rest else ["--ros-args", *rest]
+    start = next((index for index, argument in enumerate(argv) if argument in {"--", "--ros-args"}), len(argv))
+    ros_arguments = list(argv[start + 1 :] if argv[start : start + 1] == ["--"] else argv[start:])
+    if ros_arguments and "--ros-args" not in ros_arguments:
+        ros_arguments.insert(0, "--ros-args")
+    return list(argv[:start]), ros_arguments
 
 
 def _parser(arguments: list[str]) -> argparse.ArgumentParser:
     parser = _Parser(
         prog="scara-effmass",
         description="Assess a robot's effective mass by ISO/TS 15066, measure impacts, and validate the predictions.",
-        epilog="'scara-effmass COMMAND --help' gives a command's options and examples. Bad input exits with 2.",
+        epilog="'scara-effmass COMMAND --help' gives a command's options and examples. Invalid input exits with 2.",
     )
     parser.add_argument("--version", action="version", version=f"scara-effmass {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", parser_class=_Parser)

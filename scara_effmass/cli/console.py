@@ -1,4 +1,4 @@
-"""How every command prints: lines of subject and text, tables, JSON, and progress."""
+"""Print the results of commands: lines of subject and text, tables, JSON, and progress."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.progress import ProgressColumn
 
 PIPE_WIDTH = 160
-"""Columns where no terminal sets them: wide enough for every table."""
+"""Width of the output without a terminal [columns]."""
 
 
 def printer() -> Console:
@@ -48,7 +48,7 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[obj
     cells = [[_cell(value) for value in row] for row in rows]
     numeric = [all(right for _, right in column) for column in zip(*cells, strict=True)]
     for heading, right in zip(headings, numeric, strict=True):
-        table.add_column(heading, justify="right" if right else "left")
+        table.add_column(heading, justify="right" if right else "left", overflow="fold")
     for row in cells:
         table.add_row(*(text for text, _ in row))
     printer().print(table)

@@ -78,7 +78,7 @@ class LiveRun:
             force = stack.enter_context(child_process(_force_command(bag))) if bag.force_topic else None
             recorder = stack.enter_context(child_process(record_command(args)))
             nodes = [node for node in (monitor, force, recorder) if node]
-            status = StatusLine(printer(), bag.duration_s, visible=not args.json)
+            status = StatusLine(printer(), visible=not args.json)
             first_ns: list[int] = []
 
             def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:

@@ -110,7 +110,7 @@ def _run_live(
     with ExitStack() as stack:
         recorder = stack.enter_context(child_process(record_command(args)))
         processes = [recorder, *(stack.enter_context(child_process(command)) for command in commands)]
-        status = StatusLine(console, duration_s, visible=not args.json)
+        status = StatusLine(console, visible=not args.json)
 
         def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
             status.show(contacts, at_ns / 1e9 - start_s, client.speed_scaling)

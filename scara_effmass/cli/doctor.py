@@ -10,8 +10,6 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rich.table import Table
-
 from scara_effmass import __version__
 from scara_effmass.cli.console import print_json, print_table, printer
 from scara_effmass.cli.options import add_json, add_params, add_robot, load_dynamics, settings_from
@@ -72,9 +70,13 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"healthy": healthy, "findings": [result._asdict() for result in results], "joints": joints})
     else:
-        _print(results, joints)
-        summary = "the monitor can run with this robot" if healthy else "the monitor cannot run: see the lines marked"
-        printer().print(f"healthy: {summary}" if healthy else f"not healthy: {summary} wrong")
+        print_table("", ("level", "subject", "result"), results)
+        if joints:
+            headings = ("joint", "type", "lower", "upper", "max. speed [unit/s]", "link mass [kg]", "unit")
+            rows = ((*joint.values(), "rad" if joint["type"] == "revolute" else "m") for joint in joints)
+            print_table("", headings, rows)
+        problem = "not healthy: the monitor cannot run: see the lines marked wrong"
+        printer().print("healthy: the monitor can run with this robot" if healthy else problem)
     return 0 if healthy else 1
 
 
@@ -108,7 +110,7 @@ def _version(module: str, wheel: str) -> str:
 def _type_support() -> str:
     kind = type(import_module("scara_effmass_msgs.msg").ContactState)
     kind.__import_type_support__()
-    if kind._TYPE_SUPPORT is None:  # noqa: SLF001 - the generated code offers no other way to ask
+    if kind._TYPE_SUPPORT is None:  # noqa: SLF001 - the generated code has no public way
         raise ImportError("the type support of ContactState does not load")
     return f"type support of ContactState loads ({import_module('scara_effmass_msgs').__file__})"
 
@@ -146,11 +148,10 @@ def _daq(params: Path | None) -> Iterator[CheckResult]:
         yield CheckResult("note" if device.problem or device.simulated else "ok", device.name, text)
     if settings.source is ForceSourceKind.NI9230:
         present = [channel for device in devices for channel in device.channels]
-        missing = set(settings.ni9230.channels) - {
-            name for name in settings.ni9230.channels if name.lower() in map(str.lower, present)
-        }
+        known = {channel.lower() for channel in present}
+        missing = sorted(channel for channel in settings.ni9230.channels if channel.lower() not in known)
         if missing:
-            text = f"{', '.join(sorted(missing))} not found; present: {', '.join(present) or 'none'}"
+            text = f"{', '.join(missing)} not found; present: {', '.join(present) or 'none'}"
             yield CheckResult("note", "ni9230.channels", text)
         else:
             yield CheckResult("ok", "ni9230.channels", f"{', '.join(settings.ni9230.channels)}: present")
@@ -171,9 +172,9 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
     yield CheckResult("ok", "robot", f"{robot.name} ({robot.origin}), base frame {robot.base_frame}")
     yield CheckResult("ok", "contact points", ", ".join(dynamics.contact_points))
     for subject, problem, text in (
-        ("masses", robot.masses_reason, "given"),
-        ("centres of mass", robot.coms_reason, "given"),
-        ("inertia tensors", robot.inertias_reason, "given, all physically possible"),
+        ("masses", robot.masses_reason, "present"),
+        ("centres of mass", robot.coms_reason, "present"),
+        ("inertia tensors", robot.inertias_reason, "present and physically consistent"),
         ("lumped model", dynamics.lumped_reason, f"masses {aggregated} kg, from base to tip"),
         ("full model", dynamics.full_reason, "the mass matrix is positive definite over the joint ranges"),
     ):
@@ -205,9 +206,7 @@ def _mass_model(dynamics: RobotDynamics, model: MassModel) -> CheckResult:
     if problem := dynamics.robot.masses_reason:
         remedy = f"add the masses to the robot file ({problem})"
     elif problems[model]:
-        models = [
-            choice.value for choice, problem in problems.items() if not problem and choice is not MassModel.LARGEST
-        ]
+        models = (name.value for name, reason in problems.items() if not reason and name is not MassModel.LARGEST)
         remedy = f"this model does not exist for this robot; choose {' or '.join(models)}"
     else:
         return CheckResult("ok", "effective_mass_model", model.value)
@@ -232,16 +231,3 @@ def _joints(dynamics: RobotDynamics) -> list[dict[str, Any]]:
         }
         for index, name in enumerate(robot.joint_names)
     ]
-
-
-def _print(results: list[CheckResult], joints: list[dict[str, Any]]) -> None:
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    for min_width in (5, None, None):
-        table.add_column(min_width=min_width, overflow="fold")
-    for result in results:
-        table.add_row(*result)
-    printer().print(table)
-    if joints:
-        headings = ("joint", "type", "lower", "upper", "max. speed [unit/s]", "link mass [kg]", "unit")
-        rows = ((*joint.values(), "rad" if joint["type"] == "revolute" else "m") for joint in joints)
-        print_table("", headings, rows)

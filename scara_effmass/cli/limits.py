@@ -22,7 +22,7 @@ from scara_effmass.iso15066 import (
 if TYPE_CHECKING:
     import argparse
 
-    from scara_effmass.iso15066 import Limit, SpeedLimit
+    from scara_effmass.iso15066 import Limit
 
 EXAMPLES = """\
 Speeds are relative speeds at nominal values; the monitor adds its uncertainty margins.
@@ -32,6 +32,11 @@ examples:
   scara-effmass limits --mass 0.97 --mass 2.77 --region hand_fingers --region chest
   scara-effmass limits --mass 2.77 --contact quasi_static --json
 """
+
+POINT_COLUMNS = (
+    *("clause", "name", "region", "quasi_static_force_n", "quasi_static_pressure_n_cm2"),
+    *("transient_force_n", "transient_pressure_n_cm2"),
+)
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -56,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the rows of the chosen regions, and the allowable speeds of the masses."""
     settings = settings_from(args)
     limits = limits_for(settings)
-    # Without --region the whole table is shown, also the regions without a limit for this kind of contact.
+    # Without --region the table also has the regions without a limit for this type of contact.
     regions = [BODY_REGIONS[limit.region] for limit in limits] if settings.body_regions else list(BODY_REGIONS.values())
     names = {region.name for region in regions}
     points = [point for point in BODY_POINTS if point.region in names]
@@ -83,18 +88,7 @@ def run(args: argparse.Namespace) -> int:
     print_table(
         "Body points: permissible force [N] and pressure [N/cm²]",
         ("row", "point", "region", "clamped force", "clamped pressure", "transient force", "transient pressure"),
-        (
-            (
-                point.clause,
-                point.name,
-                point.region,
-                point.quasi_static_force_n,
-                point.quasi_static_pressure_n_cm2,
-                point.transient_force_n,
-                point.transient_pressure_n_cm2,
-            )
-            for point in points
-        ),
+        ([getattr(point, name) for name in POINT_COLUMNS] for point in points),
     )
     print_table(
         "Body regions: Table A.3; energy for information",
@@ -107,12 +101,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _speed_limit(mass: float, *limits: Limit) -> SpeedLimit:
-    return SpeedLimits(limits).speed_limit(mass)
-
-
 def _speed(mass: float, limit: Limit) -> dict[str, Any]:
-    speed_limit = _speed_limit(mass, limit)
+    speed_limit = SpeedLimits([limit]).speed_limit(mass)
     return {
         "effective_mass_kg": mass,
         "region": limit.region,
@@ -130,11 +120,11 @@ def _speed(mass: float, limit: Limit) -> dict[str, Any]:
 def _print_speeds(masses: list[float], limits: tuple[Limit, ...]) -> None:
     rows = []
     for limit in limits:
-        speed_limits = (_speed_limit(mass, limit) for mass in masses)
+        speed_limits = (SpeedLimits([limit]).speed_limit(mass) for mass in masses)
         speeds = (f"{1e3 * speed.allowable_speed:.0f} ({speed.criterion})" for speed in speed_limits)
         rows.append((limit.region, *speeds, limit.clause))
     if len(limits) > 1:
-        speed_limits = (_speed_limit(mass, *limits) for mass in masses)
+        speed_limits = (SpeedLimits(limits).speed_limit(mass) for mass in masses)
         speeds = (f"{1e3 * s.allowable_speed:.0f} ({s.limit.region}, {s.criterion})" for s in speed_limits)
         rows.append(("lowest", *speeds, ""))
     headings = ("region", *(f"{mass:g} kg" for mass in masses), "limits")

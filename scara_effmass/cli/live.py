@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from itertools import chain
 from typing import TYPE_CHECKING, final
 
 from rich.console import Group
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 PIPE_PERIOD_S = 2.0
 TERMINAL_PERIOD_S = 0.125
-BAR_WIDTH = 12
 _STYLES = {
     Verdict.OK: "bold green",
     Verdict.WARN: "bold yellow",
@@ -33,10 +33,9 @@ _STYLES = {
 class StatusLine:
     """Shows the latest assessments; to be used in a `with`."""
 
-    def __init__(self, console: Console, duration_s: float, *, visible: bool) -> None:
-        """Show a run of `duration_s` seconds on `console`; an invisible status prints nothing."""
+    def __init__(self, console: Console, *, visible: bool) -> None:
+        """Prepare to print on `console`; an invisible status prints nothing."""
         self._console = console
-        self._duration_s = duration_s
         self._visible = visible
         self._last_update_s = 0.0
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
@@ -48,11 +47,12 @@ class StatusLine:
         if not self._visible or now_s - self._last_update_s < period_s:
             return
         self._last_update_s = now_s
+        lines = [_line(contact, time_s, speed_scaling) for contact in contacts]
         if self._live is None:
-            for contact in contacts:
-                self._console.print(f"{time_s:6.1f} s  {_line(contact)}  scaling {speed_scaling:.2f}")
+            self._console.print(*lines, sep="\n")
         else:
-            self._live.update(self._render(contacts, time_s, speed_scaling), refresh=True)
+            reasons = [Text(f"  {contact.reason}", no_wrap=True, overflow="ellipsis") for contact in contacts]
+            self._live.update(Group(*chain.from_iterable(zip(lines, reasons, strict=True))), refresh=True)
 
     def __enter__(self) -> StatusLine:
         if self._live and self._visible:
@@ -65,29 +65,9 @@ class StatusLine:
         if self._live:
             self._live.stop()
 
-    def _render(self, contacts: tuple[ContactAssessment, ...], time_s: float, speed_scaling: float) -> Group:
-        lines = []
-        for contact in contacts:
-            style = _STYLES[contact.verdict]
-            text = Text(no_wrap=True, overflow="ellipsis")
-            text.append(f"{contact.contact_point}  {time_s:5.1f} of {self._duration_s:.1f} s  ")
-            text.append(f" {contact.verdict.name:<9} ", style)
-            text.append(f"  {contact.speed:.3f} of {contact.allowable_speed:.3f} m/s ")
-            text.append(_bar(contact), style.split(" on ")[0])
-            text.append(f"  {contact.effective_mass:.3g} kg  scaling {speed_scaling:.2f}")
-            lines.append(text)
-            lines.append(Text(f"  {contact.reason}", no_wrap=True, overflow="ellipsis"))
-        return Group(*lines)
 
-
-def _line(contact: ContactAssessment) -> str:
-    return (
-        f"{contact.contact_point}: {contact.speed:5.3f} of {contact.allowable_speed:5.3f} m/s, "
-        f"{contact.effective_mass:6.3g} kg  {contact.verdict.name:<9}"
-    )
-
-
-def _bar(contact: ContactAssessment) -> str:
-    ratio = min(1.0, contact.speed / contact.allowable_speed) if contact.allowable_speed > 0.0 else 0.0
-    filled = round(BAR_WIDTH * ratio)
-    return "█" * filled + "░" * (BAR_WIDTH - filled)
+def _line(contact: ContactAssessment, time_s: float, speed_scaling: float) -> Text:
+    text = Text(f"{time_s:6.1f} s  {contact.contact_point}: ", no_wrap=True)
+    text.append(f"{contact.speed:5.3f} of {contact.allowable_speed:5.3f} m/s, {contact.effective_mass:6.3g} kg  ")
+    text.append(f"{contact.verdict.name:<9}", _STYLES[contact.verdict])
+    return text.append(f"  scaling {speed_scaling:.2f}")
