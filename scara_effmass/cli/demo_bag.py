@@ -103,7 +103,7 @@ class LiveRun:
                     self.sent = sum(self.replay_report["sent"].values())
                     self._read_back(bag, args.duration)
                     client.spin(ANSWER_TIMEOUT_S, lambda: client.cycles >= self.sent - self.foreign)
-                    self.answered, self.watchdog_messages = client.cycles, client.silences
+                    self.answered, self.watchdog_messages = client.cycles, client.watchdog_decisions
                     if force:
                         client.spin(FORCE_END_TIMEOUT_S, lambda: force.ended)
                         force.finish()

@@ -13,14 +13,17 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import rclpy
 from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.qos import qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo
     from rclpy.executors import Executor
     from rclpy.lifecycle import LifecyclePublisher, State
+    from rclpy.parameter import Parameter
     from rclpy.subscription import Subscription
     from rclpy.timer import Timer
 
@@ -59,6 +63,39 @@ def spin_for(executor: Executor, seconds: float, done: Callable[[], bool] = bool
     end_ns = time.monotonic_ns() + round(seconds * 1e9)
     while not done() and (left_ns := end_ns - time.monotonic_ns()) > 0:
         executor.spin_once(timeout_sec=min(left_ns / 1e9, _SPIN_SLICE_S))
+
+
+class ClientNode:
+    """Plain node with its own ROS context and executor, all in the calling thread; call `close` at the end.
+
+    It has no services and no log topic, and rclpy does not handle signals for it.
+    """
+
+    def __init__(self, name: str, parameters: list[Parameter] | None = None) -> None:
+        """Create the node; `parameters` override its defaults."""
+        self._stack = ExitStack()
+        context = Context()
+        rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+        self._stack.callback(context.try_shutdown)
+        self.node = Node(
+            name,
+            context=context,
+            start_parameter_services=False,
+            enable_rosout=False,
+            parameter_overrides=parameters,
+        )
+        self._stack.callback(self.node.destroy_node)
+        self._executor = EventsExecutor(context=context)
+        self._executor.add_node(self.node)
+        self._stack.callback(self._executor.shutdown)
+
+    def spin_for(self, seconds: float, done: Callable[[], bool] = bool) -> None:
+        """Handle events for `seconds` or until `done`."""
+        spin_for(self._executor, seconds, done)
+
+    def close(self) -> None:
+        """Destroy the node and its context."""
+        self._stack.close()
 
 
 class LifecycleBase(LifecycleNode):

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import signal
 import time
-from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, final
 
-import rclpy
-from rclpy.context import Context
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 from scara_effmass_msgs.msg import ContactState, ImpactValidation
 from std_msgs.msg import Float64
 
-from scara_effmass.nodes.lifecycle import spin_for
+from scara_effmass.nodes.lifecycle import ClientNode
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import contact_from
@@ -39,10 +33,10 @@ _TOPICS = 3
 
 
 @final
-class MonitorClient:
+class MonitorClient(ClientNode):
     """Collects the contact states of each joint state, a cycle. Use it in a `with`, in the main thread.
 
-    Counts `cycles` and `silences` (decisions of the watchdog, without a joint state) and keeps the latest
+    Counts `cycles` and `watchdog_decisions` (which answer no joint state) and keeps the latest
     `allowable_speed` [m/s] and `speed_scaling` [0-1].
     """
 
@@ -57,7 +51,7 @@ class MonitorClient:
         `on_validation` gets every message of a validator.
         """
         self.cycles = 0
-        self.silences = 0
+        self.watchdog_decisions = 0
         self.allowable_speed = 0.0
         self.speed_scaling = 0.0
         self._last_point = contact_points[-1]
@@ -66,21 +60,9 @@ class MonitorClient:
         self._matched: set[str] = set()
         self._handlers: dict[int, Any] = {}
         self._pending_signals: list[int] = []
-        self._stack = ExitStack()
-        context = Context()
-        # rclpy must not handle signals: an interrupt ends the whole command, not only the context.
-        rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-        self._stack.callback(context.try_shutdown)
-        node = Node(
-            "watch",
-            context=context,
-            start_parameter_services=False,
-            enable_rosout=False,
-            parameter_overrides=[Parameter("use_sim_time", value=True)],
-        )
-        self._node = node
+        super().__init__("watch", [Parameter("use_sim_time", value=True)])
+        node = self.node
         self._clock = node.get_clock()
-        self._stack.callback(node.destroy_node)
         for kind, topic, callback in (
             (ContactState, topics.CONTACT_STATE, self._on_contact_state),
             (Float64, topics.ALLOWABLE_SPEED, self._on_allowable_speed),
@@ -92,9 +74,6 @@ class MonitorClient:
             node.create_subscription(
                 ImpactValidation, topics.IMPACT_VALIDATION, on_validation, qos_profile(topics.CLIENT_QOS)
             )
-        self._executor = EventsExecutor(context=context)
-        self._executor.add_node(node)
-        self._stack.callback(self._executor.shutdown)
 
     @property
     def connected(self) -> bool:
@@ -103,7 +82,7 @@ class MonitorClient:
 
     def has_peers(self, topic: str, publishers: int, subscribers: int) -> bool:
         """Return whether `topic` has at least so many publishers and subscribers, this client included."""
-        node = self._node
+        node = self.node
         return node.count_publishers(topic) >= publishers and node.count_subscribers(topic) >= subscribers
 
     @property
@@ -118,7 +97,7 @@ class MonitorClient:
         """
         deadline = time.monotonic() + seconds
         while not (is_done := done()) and (left := deadline - time.monotonic()) > 0.0:
-            spin_for(self._executor, min(left, _SPIN_SLICE_S))
+            self.spin_for(min(left, _SPIN_SLICE_S))
             self._handle_signals()
         return is_done
 
@@ -130,7 +109,7 @@ class MonitorClient:
     def __exit__(self, *_: object) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
-        self._stack.close()
+        self.close()
         self._handle_signals()
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
@@ -156,7 +135,7 @@ class MonitorClient:
     def _on_contact_state(self, message: ContactState) -> None:
         contact = contact_from(message)
         if contact.watchdog:
-            self.silences += contact.contact_point == self._last_point
+            self.watchdog_decisions += contact.contact_point == self._last_point
             return
         pending = self._pending
         if pending and pending[0].stamp_ns != contact.stamp_ns:

@@ -30,7 +30,7 @@ class MonitorHealth:
     """Counts received and lost joint states and measures processing times."""
 
     def __init__(self, node: str) -> None:
-        """Start to count; `node` is the node's name."""
+        """Create the counters; `node` is the node's name."""
         self._node = node
         self.received = 0
         self.lost = 0
@@ -68,19 +68,17 @@ class MonitorHealth:
         processing_us = np.array(self._processing_ns or [0]) / 1e3
         self._processing_ns = []
         incompatible = "; ".join(sorted(self._incompatible))
-        level, message = DiagnosticStatus.OK, f"{self.received} joint states"
+        warning = ""
         if publishers == 0:
-            level, message = DiagnosticStatus.WARN, "no publisher of joint states"
+            warning = "no publisher of joint states"
         elif publishers > 1:
-            level, message = DiagnosticStatus.WARN, f"{publishers} publishers of joint states, handled as one stream"
+            warning = f"{publishers} publishers of joint states, handled as one stream"
         elif self.lost:
-            level, message = DiagnosticStatus.WARN, f"{self.lost} joint states lost"
-        elif incompatible:
-            level, message = DiagnosticStatus.WARN, incompatible
+            warning = f"{self.lost} joint states lost"
         return status(
             f"{self._node}: input",
-            level,
-            message,
+            DiagnosticStatus.WARN if warning or incompatible else DiagnosticStatus.OK,
+            warning or incompatible or f"{self.received} joint states",
             {
                 "publishers": publishers,
                 "received": self.received,

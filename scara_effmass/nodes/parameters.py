@@ -68,7 +68,7 @@ def on_parameters_changed(
     node.add_post_set_parameters_callback(lambda changes: apply(changed(changes), {p.name for p in changes}))
 
 
-def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401  what ROS holds, before the settings model checks it
+def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401 - the settings model checks the type
     """Return the value of `parameter` for a settings model."""
     value = parameter.value
     return tuple(value) if parameter.type_ is Parameter.Type.STRING_ARRAY else value

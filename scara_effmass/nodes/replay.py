@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, field
 from itertools import chain, islice
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -87,8 +88,7 @@ class ReplayOptions:
                 raise SettingsError(f"replay: {key.removesuffix('_s')} = {value}: must be {rule}")
 
 
-@dataclass(frozen=True, slots=True)
-class ReplayProgress:
+class ReplayProgress(NamedTuple):
     """Progress of a replay."""
 
     pass_number: int
@@ -96,38 +96,36 @@ class ReplayProgress:
     """Recorded time since the start of the pass."""
     span_s: float
     """Recorded time of one pass."""
-    sent: int
-    unanswered: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ReplayReport:
     """Result of a replay."""
 
-    sent: Mapping[str, int]
+    sent: Mapping[str, int] = field(default_factory=dict)
     """Messages per published topic, without the clock."""
-    skipped: Mapping[str, str]
+    skipped: Mapping[str, str] = field(default_factory=dict)
     """Topics of the recording that were not replayed, and the reason."""
-    unheard: tuple[str, ...]
+    unheard: tuple[str, ...] = ()
     """Topics without any subscriber."""
-    unacknowledged: tuple[str, ...]
+    unacknowledged: tuple[str, ...] = ()
     """Topics of which a reliable subscriber had not received everything at the end."""
-    answered: int
+    answered: int = 0
     """Joint states that the monitor answered; this and the next two are counted at rate 0 only."""
-    unanswered: int
+    unanswered: int = 0
     """Joint states without an answer in time."""
-    not_awaited: int
+    not_awaited: int = 0
     """Joint states sent without waiting, because none with these names was ever answered."""
-    passes: int
+    passes: int = 0
     """Passes started."""
-    replayed_s: float
+    replayed_s: float = 0.0
     """Recorded time that was replayed."""
-    wall_s: float
-    late: int
+    wall_s: float = 0.0
+    late: int = 0
     """Messages sent more than 10 ms late; 0 at rate 0."""
-    worst_lateness_s: float
-    interrupted: bool
-    warnings: tuple[str, ...]
+    worst_lateness_s: float = 0.0
+    interrupted: bool = False
+    warnings: tuple[str, ...] = ()
 
     @property
     def achieved_rate(self) -> float:
@@ -189,14 +187,15 @@ def replay(options: ReplayOptions, on_progress: Callable[[ReplayProgress], None]
     SIGINT and SIGTERM end the replay early. It runs in its own ROS context. Raises BagError for an unreadable bag,
     EffmassError if nodes are not ready in time or the monitor stops answering.
     """
-    with open_bag(options.bag) as bag, Interruption() as interruption, ReplayNode() as node:
+    with open_bag(options.bag) as bag, Interruption() as interruption, closing(ReplayNode()) as node:
         player = _Player(options, bag, node, on_progress or (lambda _: None))
         try:
             with interruption.allowed():
                 player.play()
         except KeyboardInterrupt:
-            player.interrupted = True
-        return player.report()
+            player.report.interrupted = True
+        player.finish_report()
+        return player.report
 
 
 class _Player:
@@ -217,7 +216,10 @@ class _Player:
         if options.duration_s < (MAX_TIME_NS - self._start_ns) / _NS:
             self._stop_ns = self._start_ns + round(options.duration_s * _NS)
         self._end_ns = min(self._stop_ns, bag.end_ns)
-        self._publishers, self._skipped = replay_publishers(bag, node.node, options.topics, options.joint_state_topic)
+        self.report = ReplayReport()
+        self._publishers, self.report.skipped = replay_publishers(
+            bag, node.node, options.topics, options.joint_state_topic
+        )
         self._joint_states = next((p for p in self._publishers.values() if p.name == JOINT_STATES), None)
         if options.rate == 0.0 and self._joint_states is None:
             raise SettingsError(
@@ -227,15 +229,8 @@ class _Player:
         self._clock = ReplayPublisher(node.node, CLOCK, Clock)  # after all other publishers
         self._readiness = ReadinessReports(node.node)  # after all other subscriptions
         self._stamps = StampCheck()
-        self._unacknowledged: list[str] = []
-        self._passes = 0
         self._now_ns = self._start_ns
-        self._replayed_ns = 0
-        self._wall_ns = 0
-        self._late = 0
-        self._worst_lateness_ns = 0
         self._progress_ns = 0
-        self.interrupted = False
 
     def play(self) -> None:
         """Wait for the nodes, play all passes, and wait until every subscriber has received everything."""
@@ -244,8 +239,9 @@ class _Player:
         if latched and self._start_ns > self._bag.start_ns:
             for message in self._bag.messages(latched, None, self._start_ns):
                 self._publishers[message.topic].send(message.data)
-        while not self._options.passes or self._passes < self._options.passes:
-            self._passes += 1
+        report = self.report
+        while not self._options.passes or report.passes < self._options.passes:
+            report.passes += 1
             messages = self._bag.messages(self._publishers.keys(), self._start_ns, self._stop_ns)
             messages = chain(list(islice(messages, 1)), messages)  # opens the files before the time is taken
             self._now_ns = self._start_ns
@@ -253,29 +249,20 @@ class _Player:
             try:
                 self._play_pass(messages, pass_start_ns)
             finally:
-                self._wall_ns += time.monotonic_ns() - pass_start_ns
-                self._replayed_ns += self._now_ns - self._start_ns
-        self._unacknowledged = self._node.wait_acknowledged(self._publishers.values())
+                report.wall_s += (time.monotonic_ns() - pass_start_ns) / _NS
+                report.replayed_s += (self._now_ns - self._start_ns) / _NS
+        report.unacknowledged = tuple(self._node.wait_acknowledged(self._publishers.values()))
 
-    def report(self) -> ReplayReport:
-        """Return the result so far."""
-        lockstep = self._lockstep
-        return ReplayReport(
-            sent={publisher.name: publisher.sent for publisher in self._publishers.values()},
-            skipped=self._skipped,
-            unheard=tuple(p.name for p in self._publishers.values() if not p.had_subscriber),
-            unacknowledged=tuple(self._unacknowledged),
-            answered=lockstep.answered if lockstep else 0,
-            unanswered=lockstep.unanswered if lockstep else 0,
-            not_awaited=lockstep.not_awaited if lockstep else 0,
-            passes=self._passes,
-            replayed_s=self._replayed_ns / _NS,
-            wall_s=self._wall_ns / _NS,
-            late=self._late,
-            worst_lateness_s=self._worst_lateness_ns / _NS,
-            interrupted=self.interrupted,
-            warnings=(*self._bag.losses, *self._stamps.warnings()),
-        )
+    def finish_report(self) -> None:
+        """Complete the report."""
+        report = self.report
+        report.sent = {publisher.name: publisher.sent for publisher in self._publishers.values()}
+        report.unheard = tuple(p.name for p in self._publishers.values() if not p.had_subscriber)
+        report.warnings = (*self._bag.losses, *self._stamps.warnings())
+        if self._lockstep:
+            report.answered = self._lockstep.answered
+            report.unanswered = self._lockstep.unanswered
+            report.not_awaited = self._lockstep.not_awaited
 
     def _wait_until_ready(self) -> None:
         """Hold the clock at the start until all nodes have been ready for the settling time. Raises EffmassError."""
@@ -312,8 +299,8 @@ class _Player:
                 due_ns = pass_start_ns + round((time_ns - self._start_ns) / rate)
                 self._node.spin_until(due_ns)
                 lateness_ns = time.monotonic_ns() - due_ns
-                self._late += lateness_ns > LATE_NS
-                self._worst_lateness_ns = max(self._worst_lateness_ns, lateness_ns)
+                self.report.late += lateness_ns > LATE_NS
+                self.report.worst_lateness_s = max(self.report.worst_lateness_s, lateness_ns / _NS)
             self._now_ns = time_ns
             if time_ns != clock_ns:
                 clock_ns = time_ns
@@ -344,10 +331,8 @@ class _Player:
         self._progress_ns = now_ns
         self._on_progress(
             ReplayProgress(
-                pass_number=self._passes,
+                pass_number=self.report.passes,
                 time_s=(self._now_ns - self._start_ns) / _NS,
                 span_s=(self._end_ns - self._start_ns) / _NS,
-                sent=sum(publisher.sent for publisher in self._publishers.values()),
-                unanswered=self._lockstep.unanswered if self._lockstep else 0,
             )
         )

@@ -1,23 +1,19 @@
-"""ROS side of a replay: a node with its own context, a publisher per replayed topic, and interruption by signals."""
+"""ROS side of a replay: its node, a publisher per replayed topic, and interruption by signals."""
 
 from __future__ import annotations
 
 import signal
 import threading
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, final
 
-import rclpy
-from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions, get_current_signal_handlers_options
 
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.nodes.lifecycle import spin_for
+from scara_effmass.nodes.lifecycle import ClientNode
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.wire import topics as wire_topics
 from scara_effmass.wire.message_types import message_class
@@ -37,6 +33,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from rclpy.event_handler import QoSPublisherMatchedInfo
+    from rclpy.node import Node
 
     from scara_effmass.bags.bag import Bag
 
@@ -156,25 +153,16 @@ def _definition_mismatch(bag: Bag, node: Node, publisher: ReplayPublisher, messa
 
 
 @final
-class ReplayNode:
-    """Node with its own ROS context and executor, all in the calling thread. Use it in a `with`."""
+class ReplayNode(ClientNode):
+    """Node of a replay, which publishes the topics of the recording only."""
 
     def __init__(self) -> None:
         """Create the node."""
-        self._stack = ExitStack()
-        context = Context()
-        rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-        self._stack.callback(context.try_shutdown)
-        # No services and no log topic: the node publishes the topics of the recording only.
-        self.node = Node("replay", context=context, start_parameter_services=False, enable_rosout=False)
-        self._stack.callback(self.node.destroy_node)
-        self._executor = EventsExecutor(context=context)
-        self._executor.add_node(self.node)
-        self._stack.callback(self._executor.shutdown)
+        super().__init__("replay")
 
     def spin_until(self, deadline_ns: int, done: Callable[[], bool] = bool) -> None:
         """Handle events until `done` or until the monotonic clock shows `deadline_ns`."""
-        spin_for(self._executor, (deadline_ns - time.monotonic_ns()) / 1e9, done)
+        self.spin_for((deadline_ns - time.monotonic_ns()) / 1e9, done)
 
     def wait_acknowledged(self, publishers: Collection[ReplayPublisher]) -> list[str]:
         """Wait until the subscribers have received everything; return the topics not acknowledged within 10 s.
@@ -188,12 +176,6 @@ class ReplayNode:
             if pending[0].publisher.wait_for_all_acked(Duration(nanoseconds=_ACKNOWLEDGEMENT_STEP_NS)):
                 del pending[0]
         return [publisher.name for publisher in pending]
-
-    def __enter__(self) -> ReplayNode:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
 
 
 @final

@@ -206,13 +206,11 @@ class NodeHarness:
         """Return "message | value" of the status `name` once `accept` holds for its value of `key`."""
 
         def matching() -> str | None:
-            for status in (
-                status for array in self.diagnostics for status in array.status if status.name.endswith(name)
-            ):
-                for pair in status.values:
-                    if pair.key == key and accept(pair.value):
-                        return f"{status.message} | {pair.value}"
-            return None
+            statuses = (s for array in self.diagnostics for s in array.status if s.name.endswith(name))
+            pairs = ((status.message, pair) for status in statuses for pair in status.values)
+            return next(
+                (f"{text} | {pair.value}" for text, pair in pairs if pair.key == key and accept(pair.value)), None
+            )
 
         self.diagnostics.clear()
         return str(self.spin_until(matching))

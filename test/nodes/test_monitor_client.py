@@ -117,7 +117,7 @@ def test_watchdog_decisions_are_not_cycles(monitor: FakeMonitor) -> None:
         monitor.publish(watchdog_contact("no joint state yet", 0, 0.3), contact(NS))
         monitor.publish(watchdog_contact("no joint state for 0.25 s", NS, 0.25), contact(2 * NS))
         assert client.spin(TIMEOUT_S, lambda: len(cycles) == 2)
-        assert (client.cycles, client.silences) == (2, 2)
+        assert (client.cycles, client.watchdog_decisions) == (2, 2)
 
 
 def test_joint_state_without_a_stamp_gets_the_time_of_the_clock(monitor: FakeMonitor) -> None:

@@ -235,22 +235,16 @@ def same_states(received: list[JointState], sent: list[JointState]) -> bool:
     )
 
 
-def test_messages_arrive_once_in_order_and_unchanged(bag: Path) -> None:
+def test_messages_and_clock_arrive_once_in_order_and_unchanged(bag: Path) -> None:
     with Receiver("/joint_states", "/remark", "/clock") as receiver:
         report = play(bag, rate=2.0)
+        assert receiver.clock(100) == [START_NS + number * MS for number in range(100)]
         assert same_states(receiver.states(100), [state(number) for number in range(100)])
         remarks = [deserialize_message(data, String).data for data in receiver.wait("/remark", 4)]
     assert remarks == ["at 0", "at 25", "at 50", "at 75"]
     assert report.sent == {"/joint_states": 100, "/remark": 4}
     assert (report.skipped, report.unheard, report.unacknowledged, report.warnings) == ({}, (), (), ())
     assert (report.passes, report.interrupted) == (1, False)
-
-
-def test_clock_shows_every_log_time_in_order(bag: Path) -> None:
-    with Receiver("/joint_states", "/clock") as receiver:
-        play(bag, rate=2.0)
-        clock = receiver.clock(100)
-    assert clock == [START_NS + number * MS for number in range(100)]
 
 
 @pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
@@ -527,7 +521,7 @@ def test_progress_increases_from_the_start(bag: Path) -> None:
         play(bag, reports.append, rate=0.0)
     assert reports[0].time_s == 0.0
     assert len(reports) > 1
-    assert all(a.time_s <= b.time_s and a.sent <= b.sent for a, b in pairwise(reports))
+    assert all(a.time_s <= b.time_s for a, b in pairwise(reports))
     assert {progress.span_s for progress in reports} == {0.099}
 
 
