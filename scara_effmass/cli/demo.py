@@ -60,7 +60,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         type=number(above=0.0, finite=False, unit="s"),
         default=math.inf,
         metavar="S",
-        help="how much to replay or simulate [s] (default: all)",
+        help="duration of the replay or simulation [s] (default: all)",
     )
     parser.add_argument(
         "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="output folder (default: out/demo)"
@@ -77,21 +77,21 @@ def run(args: argparse.Namespace) -> int:
     from scara_effmass.cli.demo_sim import run_sim  # noqa: PLC0415
 
     check_output(args.out / RECORDING, overwrite=args.force)
-    settings, arm, note = _choose_mass_model(args)
+    settings, dynamics, note = _choose_mass_model(args)
     if args.bag is None:
         if args.robot or settings.robot:
             raise SettingsError("demo: --robot: the simulated cell has its own robot, an i4-550L; --robot needs --bag")
         if args.topic:
             raise SettingsError(f"demo: --topic = {args.topic}: the simulated cell has its own topic; it needs --bag")
-    return run_bag(args, arm, settings, note) if args.bag else run_sim(args, arm, settings)
+    return run_bag(args, dynamics, settings, note) if args.bag else run_sim(args, dynamics, settings)
 
 
 def _choose_mass_model(args: argparse.Namespace) -> tuple[MonitorSettings, RobotDynamics, str]:
-    """Return settings, robot, and a note if its lumped mass does not exist and another model is used."""
+    """Return settings, robot, and a note if another model replaces a lumped mass that does not exist."""
     settings = settings_from(args)
-    arm = load_dynamics(settings)
-    if args.effective_mass_model or settings.effective_mass_model is not MassModel.LUMPED or not arm.lumped_reason:
-        return settings, arm, ""
-    model = MassModel.ISO if arm.full_reason else MassModel.FULL
-    note = f"{model.value}, because the lumped mass does not exist: {arm.lumped_reason}"
-    return settings_from(args, effective_mass_model=model), arm, note
+    dynamics = load_dynamics(settings)
+    if args.effective_mass_model or settings.effective_mass_model is not MassModel.LUMPED or not dynamics.lumped_reason:
+        return settings, dynamics, ""
+    model = MassModel.ISO if dynamics.full_reason else MassModel.FULL
+    note = f"{model.value}, because the lumped mass does not exist: {dynamics.lumped_reason}"
+    return settings_from(args, effective_mass_model=model), dynamics, note

@@ -13,7 +13,7 @@ from scara_effmass.cli.processes import (
     RECORDING,
     SIM_TIME,
     START_TIMEOUT_S,
-    child_process,
+    ChildProcess,
     isolate_ros_domain,
     monitor_command,
     record_command,
@@ -74,9 +74,9 @@ class LiveRun:
         from scara_effmass.nodes.monitor_client import MonitorClient  # noqa: PLC0415 - reads the domain at import
 
         with ExitStack() as stack:
-            monitor = stack.enter_context(child_process(monitor_command(args, self._settings)))
-            force = stack.enter_context(child_process(_force_command(bag))) if bag.force_topic else None
-            recorder = stack.enter_context(child_process(record_command(args)))
+            monitor = stack.enter_context(ChildProcess(monitor_command(args, self._settings)))
+            force = stack.enter_context(ChildProcess(_force_command(bag))) if bag.force_topic else None
+            recorder = stack.enter_context(ChildProcess(record_command(args)))
             nodes = [node for node in (monitor, force, recorder) if node]
             status = StatusLine(printer(), visible=not args.json)
             first_ns: list[int] = []
@@ -95,7 +95,7 @@ class LiveRun:
                 if not client.spin(START_TIMEOUT_S, lambda: client.connected or node_ended()):
                     raise EffmassError(f"monitor: not running after {START_TIMEOUT_S:g} s")
                 require_running(nodes)
-                with child_process(_replay_command(args, bag)) as replay, status:
+                with ChildProcess(_replay_command(args, bag)) as replay, status:
                     nodes.remove(force) if force else None
                     client.spin(math.inf, lambda: replay.ended or node_ended())
                     require_running(nodes)

@@ -13,7 +13,7 @@ from scara_effmass.cli.processes import (
     RECORDING,
     SIM_TIME,
     START_TIMEOUT_S,
-    child_process,
+    ChildProcess,
     isolate_ros_domain,
     monitor_command,
     record_command,
@@ -108,8 +108,8 @@ def _run_live(
     validations: list[ImpactValidation] = []
     console = printer()
     with ExitStack() as stack:
-        recorder = stack.enter_context(child_process(record_command(args)))
-        processes = [recorder, *(stack.enter_context(child_process(command)) for command in commands)]
+        recorder = stack.enter_context(ChildProcess(record_command(args)))
+        processes = [recorder, *(stack.enter_context(ChildProcess(command)) for command in commands)]
         status = StatusLine(console, visible=not args.json)
 
         def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
@@ -129,7 +129,7 @@ def _run_live(
                 raise EffmassError(f"nodes: not running after {START_TIMEOUT_S:g} s")
             require_running(processes)
             # The recorder subscribes once it receives the first /clock message, which the simulation publishes.
-            processes.append(stack.enter_context(child_process(sim_command)))
+            processes.append(stack.enter_context(ChildProcess(sim_command)))
             client.spin(START_TIMEOUT_S + MAX_SLOWDOWN * duration_s, finished)
             require_running(processes)
             record_report: dict[str, Any] = json.loads(recorder.finish())

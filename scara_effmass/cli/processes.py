@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from scara_effmass.errors import EffmassError
 
@@ -35,14 +35,14 @@ _PR_SET_PDEATHSIG = 1
 
 
 class ChildProcess:
-    """A running `scara-effmass` command whose output is kept."""
+    """A running `scara-effmass` command with captured output; use it in a `with`, which ends it."""
 
     def __init__(self, command: Sequence[str]) -> None:
         """Start the command in a new session, so that Ctrl-C at the terminal reaches this process only."""
         self._name = command[0]
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115
-        self._process = subprocess.Popen(  # noqa: S603 - this very program
+        self._process = subprocess.Popen(  # noqa: S603 - starts this program
             [sys.executable, "-m", "scara_effmass", *command],
             stdin=subprocess.DEVNULL,
             stdout=self._output,
@@ -51,20 +51,28 @@ class ChildProcess:
             preexec_fn=_end_with_parent,  # noqa: PLW1509 - no thread runs yet where commands are started
         )
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._interrupt()
+        self._output.close()
+        self._errors.close()
+
     @property
     def ended(self) -> bool:
         """Whether the process has ended."""
         return self._process.poll() is not None
 
     def output(self) -> str:
-        """Wait for the process to end and return what it printed. Raises EffmassError with its message if it failed."""
+        """Wait for the end of the process and return its stdout. Raises EffmassError if it failed."""
         if self._process.wait() != 0:
             self.fail()
         self._output.seek(0)
         return self._output.read().decode()
 
     def finish(self) -> str:
-        """Interrupt the process and return what it printed. Raises EffmassError if it failed."""
+        """Interrupt the process and return its stdout. Raises EffmassError if it failed."""
         self._interrupt()
         return self.output()
 
@@ -74,12 +82,6 @@ class ChildProcess:
         lines = self._errors.read().decode(errors="replace").strip().splitlines()
         reason = lines[-1] if lines else f"exit code {self._process.returncode}"
         raise EffmassError(f"{self._name} has ended: {reason}")
-
-    def close(self) -> None:
-        """Interrupt the process and discard what it printed."""
-        self._interrupt()
-        self._output.close()
-        self._errors.close()
 
     def _interrupt(self) -> None:
         """Interrupt the process, and kill it if it does not end in time."""
@@ -103,16 +105,6 @@ def require_running(processes: Iterable[ChildProcess]) -> None:
     for process in processes:
         if process.ended:
             process.fail()
-
-
-@contextmanager
-def child_process(command: Sequence[str]) -> Iterator[ChildProcess]:
-    """Run a `scara-effmass` command for the duration of a `with`."""
-    process = ChildProcess(command)
-    try:
-        yield process
-    finally:
-        process.close()
 
 
 @contextmanager

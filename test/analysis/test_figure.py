@@ -1,4 +1,4 @@
-"""The figure of a run: it can be opened, says what it shows, and shows what there is."""
+"""The figure of a run shows every line, verdict, gap and impact with its label."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def run(seconds: float = 10.0, *, max_mass: float = 3.0, full: bool = True, gap:
     )
 
 
-def drawn(series: TimeSeries, model: str = "lumped") -> Figure:
+def draw(series: TimeSeries, model: str = "lumped") -> Figure:
     return draw_run(series, title="a robot: a bag", subtitle="generated", mass_model=model, timeout=0.2)
 
 
@@ -49,8 +49,8 @@ def lines(figure: Figure, panel: int) -> dict[str, np.ndarray[tuple[int, ...], n
     return {str(line.get_label()): np.asarray(line.get_ydata()) for line in figure.axes[panel].get_lines()}
 
 
-def test_labels_have_units_and_every_line_a_name() -> None:
-    figure = drawn(run())
+def test_axes_have_units_and_lines_have_labels() -> None:
+    figure = draw(run())
     assert [axes.get_ylabel() for axes in figure.axes] == [
         "verdict",
         "speed of the contact point [m/s]",
@@ -62,45 +62,45 @@ def test_labels_have_units_and_every_line_a_name() -> None:
     assert all(axes.get_legend() for axes in figure.axes)
 
 
-def test_a_spike_of_one_cycle_is_drawn() -> None:
-    figure = drawn(run(100.0))
+def test_peak_of_one_cycle_is_drawn() -> None:
+    figure = draw(run(100.0))
     assert np.nanmax(lines(figure, 1)["speed"]) == 2.0
     assert np.nanmax(lines(figure, 2)["lumped model (decides)"]) == 3.0
     assert len(lines(figure, 1)["speed"]) < 10_000
 
 
-def test_masses_far_apart_get_a_logarithmic_axis() -> None:
-    assert drawn(run()).axes[2].get_yscale() == "linear"
-    assert drawn(run(max_mass=900.0)).axes[2].get_yscale() == "log"
+def test_wide_mass_range_has_a_logarithmic_axis() -> None:
+    assert draw(run()).axes[2].get_yscale() == "linear"
+    assert draw(run(max_mass=900.0)).axes[2].get_yscale() == "log"
 
 
-def test_a_gap_breaks_the_lines() -> None:
-    assert not np.isnan(lines(drawn(run()), 1)["speed"]).any()
-    assert np.isnan(lines(drawn(run(gap=True)), 1)["speed"]).sum() == 1
+def test_gap_breaks_the_lines() -> None:
+    assert not np.isnan(lines(draw(run()), 1)["speed"]).any()
+    assert np.isnan(lines(draw(run(gap=True)), 1)["speed"]).sum() == 1
 
 
-def test_a_model_that_does_not_exist_is_not_in_the_legend() -> None:
-    assert "full model" not in lines(drawn(run(full=False)), 2)
-    assert "full model (decides)" in lines(drawn(run(), "full"), 2)
-    assert "larger of both (decides)" in lines(drawn(run(), "largest"), 2)
+def test_missing_mass_model_is_not_in_the_legend() -> None:
+    assert "full model" not in lines(draw(run(full=False)), 2)
+    assert "full model (decides)" in lines(draw(run(), "full"), 2)
+    assert "larger of both (decides)" in lines(draw(run(), "largest"), 2)
 
 
-def test_a_single_unknown_cycle_can_be_drawn(tmp_path: Path) -> None:
+def test_single_unknown_cycle_is_drawn(tmp_path: Path) -> None:
     builder = TimeSeriesBuilder()
     builder.add(unknown_contact("tool", "the header stamp is zero", 0, 0.0), 1)
-    write(drawn(builder.build()), tmp_path / "run.png", tmp_path / "run.svg")
+    write(draw(builder.build()), tmp_path / "run.png", tmp_path / "run.svg")
     height, width, _ = imread(tmp_path / "run.png").shape
     assert width > 1500
     assert height > 900
     assert "</svg>" in (tmp_path / "run.svg").read_text(encoding="utf-8")
 
 
-def test_force_and_its_impacts_are_drawn_below() -> None:
+def test_force_panel_shows_force_and_impacts() -> None:
     stamp_ns = (np.arange(100) * 1e8).astype(np.int64)
     impact = Impact(5_000_000_000, "cell", 90.0, 2e-3, 0.1, 640.0, *(False, False, 0, 0.0, 0.1, 0.0, "test", False))
-    cut = impact._replace(stamp_ns=7_000_000_000, peak_force=40.0, clipped=True)
+    clipped = impact._replace(stamp_ns=7_000_000_000, peak_force=40.0, clipped=True)
     forces = RecordedForce(
-        stamp_ns, np.linspace(0.0, 90.0, 100), 1, 0, simulated=True, source="test", impacts=(impact, cut)
+        stamp_ns, np.linspace(0.0, 90.0, 100), 1, 0, simulated=True, source="test", impacts=(impact, clipped)
     )
     figure = draw_run(run(), title="", subtitle="", mass_model="lumped", timeout=0.2, forces=forces)
     assert len(figure.axes) == 4

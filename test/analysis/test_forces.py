@@ -1,4 +1,4 @@
-"""The force of a recording, as it is drawn and summed up."""
+"""Force and impacts read from a recording."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def block(number: int, first: int, lost: int = 0) -> ForceBlock:
     return ForceBlock(stamp_ns, "cell", first, 1e4, force, lost, none, 0.0, 0.0, "test", *(False, 0.0, 0, 0.0))
 
 
-def test_blocks_are_put_together_with_a_gap_where_samples_were_lost(tmp_path: Path) -> None:
+def test_lost_samples_give_a_nan_between_blocks(tmp_path: Path) -> None:
     impact = Impact(START_NS, "cell", 9.0, 1e-3, 0.01, 3.0, *(False, False, 0, 0.0, 0.1, 0.0, "test", False))
     with BagWriter(tmp_path / "bag") as bag:
-        for each in (block(0, 100, lost=7), block(1, 110), block(3, 130, lost=10)):
-            bag.write("/force", FORCE_BLOCK, each.stamp_ns, force_block_message(each))
+        for message in (block(0, 100, lost=7), block(1, 110), block(3, 130, lost=10)):
+            bag.write("/force", FORCE_BLOCK, message.stamp_ns, force_block_message(message))
         bag.write("/impact", IMPACT, START_NS + 4 * MS, impact_message(impact))
     with open_bag(tmp_path / "bag") as bag:
         forces = read_force(bag)
@@ -44,6 +44,6 @@ def test_blocks_are_put_together_with_a_gap_where_samples_were_lost(tmp_path: Pa
     assert forces.stamp_ns[-1] == START_NS + 3 * MS + 900_000
 
 
-def test_a_recording_without_force_has_none() -> None:
+def test_recording_without_force_gives_none() -> None:
     with open_bag(share("bags", "straight_300_200")) as bag:
         assert read_force(bag) is None

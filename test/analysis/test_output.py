@@ -1,4 +1,4 @@
-"""Files appear whole or not at all."""
+"""Output files appear complete or not at all."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def test_a_complete_file_takes_its_name_and_makes_its_folders(tmp_path: Path) -> None:
+def test_complete_file_and_its_folders_are_created(tmp_path: Path) -> None:
     path = tmp_path / "a" / "b" / "c.txt"
     with atomic_file(path, overwrite=False) as unfinished:
         unfinished.write_text("whole")
@@ -24,7 +24,7 @@ def test_a_complete_file_takes_its_name_and_makes_its_folders(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("error", [ValueError("odd"), KeyboardInterrupt(), SystemExit(143)])
-def test_an_unfinished_file_goes(error: BaseException, tmp_path: Path) -> None:
+def test_unfinished_file_is_removed(error: BaseException, tmp_path: Path) -> None:
     def write() -> None:
         with atomic_file(tmp_path / "c.txt", overwrite=False) as unfinished:
             unfinished.write_text("half")
@@ -35,7 +35,7 @@ def test_an_unfinished_file_goes(error: BaseException, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_signal_that_breaks_in_at_the_start_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_at_creation_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(path: Path) -> None:
         path.write_bytes(b"")
         raise KeyboardInterrupt
@@ -46,7 +46,7 @@ def test_a_signal_that_breaks_in_at_the_start_leaves_nothing(tmp_path: Path, mon
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
+def test_full_disk_raises_output_error(tmp_path: Path) -> None:
     with (
         pytest.raises(OutputError, match=r"c\.txt: cannot be written: No space left"),
         atomic_file(tmp_path / "c.txt", overwrite=True),
@@ -55,18 +55,18 @@ def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_exists_stays_unless_it_may_be_replaced(tmp_path: Path) -> None:
+def test_existing_file_is_replaced_only_with_overwrite(tmp_path: Path) -> None:
     path = tmp_path / "c.txt"
-    path.write_text("precious")
+    path.write_text("existing")
     with pytest.raises(OutputError, match="--force"), atomic_file(path, overwrite=False):
         pass
-    assert path.read_text() == "precious"
+    assert path.read_text() == "existing"
     with atomic_file(path, overwrite=True) as unfinished:
         unfinished.write_text("new")
     assert path.read_text() == "new"
 
 
-def test_what_appears_meanwhile_stays_too(tmp_path: Path) -> None:
+def test_file_created_meanwhile_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "c.txt"
 
     def write() -> None:
@@ -80,6 +80,6 @@ def test_what_appears_meanwhile_stays_too(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_folder_is_no_file(tmp_path: Path) -> None:
+def test_folder_raises_output_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="is a folder"):
         check_output_path(tmp_path, overwrite=True)

@@ -1,4 +1,4 @@
-"""What a run comes down to, counted by hand."""
+"""Cycles, times and reasons of a summary match hand counts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def contact(verdict: Verdict, margin: float = 0.5, reason: str = "", point: str 
     )
 
 
-def test_a_verdict_lasts_until_the_next_and_no_longer_than_the_timeout() -> None:
+def test_verdict_lasts_until_the_next_cycle_or_the_timeout() -> None:
     summary = Summary(TIMEOUT_NS)
     for at_ms, verdict in ((0, Verdict.OK), (100, Verdict.WARN), (150, Verdict.OK), (1150, Verdict.VIOLATION)):
         summary.add([contact(verdict)], at_ms * MS)
@@ -37,14 +37,14 @@ def test_a_verdict_lasts_until_the_next_and_no_longer_than_the_timeout() -> None
     assert (summary.gaps, summary.max_gap_ns) == (1, 1000 * MS)
 
 
-def test_time_that_goes_back_is_not_counted() -> None:
+def test_backward_time_is_not_counted() -> None:
     summary = Summary(TIMEOUT_NS)
     summary.add([contact(Verdict.OK)], 100 * MS)
     summary.add([contact(Verdict.OK)], 50 * MS)
     assert sum(summary.time_ns.values()) == 0
 
 
-def test_recordings_do_not_follow_one_another() -> None:
+def test_time_between_recordings_is_not_counted() -> None:
     summary = Summary(TIMEOUT_NS)
     summary.add([contact(Verdict.OK)], 0)
     summary.new_recording()
@@ -53,7 +53,7 @@ def test_recordings_do_not_follow_one_another() -> None:
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_the_worst_contact_point_gives_the_cycle_its_verdict(order: int) -> None:
+def test_cycle_has_the_verdict_of_its_worst_contact_point(order: int) -> None:
     summary = Summary(TIMEOUT_NS)
     points = [contact(Verdict.VIOLATION, -0.1), contact(Verdict.UNKNOWN, -9.0, "stale", "elbow")]
     summary.add(points[::order], 0)
@@ -63,7 +63,7 @@ def test_the_worst_contact_point_gives_the_cycle_its_verdict(order: int) -> None
     assert summary.tightest.contact.margin == -0.1
 
 
-def test_the_tightest_margin_comes_with_pose_and_recording() -> None:
+def test_tightest_margin_has_positions_and_recording() -> None:
     summary = Summary(TIMEOUT_NS)
     for number, margin in enumerate((0.5, 0.2, 0.3)):
         position = np.array([float(number)])
@@ -73,14 +73,14 @@ def test_the_tightest_margin_comes_with_pose_and_recording() -> None:
     assert (tightest["margin_m_s"], tightest["bag"], tightest["positions"]) == (0.2, "bag1", {"joint1": 1.0})
 
 
-def test_reasons_that_differ_in_their_numbers_count_as_one() -> None:
+def test_reasons_are_counted_without_their_numbers() -> None:
     summary = Summary(TIMEOUT_NS)
     for reason in ("the joint state is 0.512 s old", "the joint state is -1e-05 s old", "joint1 at 2.5000 rad"):
         summary.add([contact(Verdict.UNKNOWN, 0.0, reason)], 0)
     assert summary.reasons == {"the joint state is … s old": 2, "joint1 at … rad": 1}
 
 
-def test_no_recording_fills_the_memory_with_reasons() -> None:
+def test_number_of_reasons_is_bounded() -> None:
     summary = Summary(TIMEOUT_NS)
     for number in range(10 * MAX_REASONS):
         summary.add([contact(Verdict.UNKNOWN, 0.0, f"name{number} is odd")], 0)
@@ -88,7 +88,7 @@ def test_no_recording_fills_the_memory_with_reasons() -> None:
     assert summary.reasons[OTHER_REASONS] == 9 * MAX_REASONS
 
 
-def test_nothing_is_json_too() -> None:
+def test_empty_summary_is_valid_json() -> None:
     result = Summary(TIMEOUT_NS).as_dict()
     assert result["tightest"] is None
     json.dumps(result, allow_nan=False)

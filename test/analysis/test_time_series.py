@@ -1,4 +1,4 @@
-"""Time series of a contact point: no peak, gap or episode is lost on the way to a figure or report."""
+"""Time series, decimation and episodes keep every peak, gap and verdict."""
 
 from __future__ import annotations
 
@@ -21,9 +21,7 @@ from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:
-    from scara_effmass.analysis.time_series import (
-        TimeSeries,
-    )
+    from scara_effmass.analysis.time_series import TimeSeries
 
 OK, WARN, VIOLATION, UNKNOWN = Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN
 TIMEOUT = 0.2

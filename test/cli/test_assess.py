@@ -232,9 +232,9 @@ def test_report_shows_every_contact_point_and_episode(swing_bag: Path, cli: Cli,
     assert again.returncode == 0
     (tmp_path / "a.csv").unlink()
     page_path = tmp_path / "report" / "report.html"
-    page_path.write_text("precious", encoding="utf-8")
+    page_path.write_text("existing", encoding="utf-8")
     assert cli(*words).stderr == f"{page_path}: already exists; use --force to replace it\n"
-    assert page_path.read_text(encoding="utf-8") == "precious"
+    assert page_path.read_text(encoding="utf-8") == "existing"
     assert not (tmp_path / "a.csv").exists()
 
 
@@ -256,13 +256,13 @@ def test_several_topics_need_the_topic_option(swing_bag: Path, cli: Cli, tmp_pat
 @pytest.mark.parametrize("suffix", [".parquet", ".csv", ".mcap"])
 def test_existing_output_needs_force(suffix: str, swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     out = tmp_path / f"a{suffix}"
-    out.write_bytes(b"precious")
+    out.write_bytes(b"existing")
     done = cli("assess", swing_bag, "-o", out)
     assert done.returncode == 2
     assert done.stderr.startswith(f"{out}: already exists")
-    assert out.read_bytes() == b"precious"
+    assert out.read_bytes() == b"existing"
     assert cli("assess", swing_bag, "-o", out, "--force").returncode == 0
-    assert out.read_bytes() != b"precious"
+    assert out.read_bytes() != b"existing"
     assert list(tmp_path.iterdir()) == [out]
 
 
