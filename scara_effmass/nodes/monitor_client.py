@@ -60,7 +60,7 @@ class MonitorClient(ClientNode):
         self._matched: set[str] = set()
         self._handlers: dict[int, Any] = {}
         self._pending_signals: list[int] = []
-        super().__init__("watch", [Parameter("use_sim_time", value=True)])
+        super().__init__("monitor_client", [Parameter("use_sim_time", value=True)])
         node = self.node
         self._clock = node.get_clock()
         for kind, topic, callback in (

@@ -16,6 +16,7 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
+from test.nodes.conftest import stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,14 +59,14 @@ def test_live_validation_equals_offline_validation(new_harness: Callable[..., No
     dynamics = RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
     (expected,) = validate([BAG], dynamics, ValidationSettings()).result.impacts
     (message,) = validations
-    assert message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec == expected.stamp_ns
+    assert stamp_ns(message) == expected.stamp_ns
     names = (
         "measured_force",
+        "predicted_force",
         "speed",
         "effective_mass",
         "reduced_mass",
         "stiffness",
-        "predicted_force",
         "conservative",
     )
     assert {name: getattr(message, name) for name in names} == {name: getattr(expected, name) for name in names}
