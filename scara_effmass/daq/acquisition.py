@@ -96,7 +96,7 @@ class Acquisition:
         self._end = 0
         """Number of the next sample if none is missing."""
         self._due_ns = 0
-        """When that sample was due as the run began."""
+        """Steady time at which that sample was due when the run started."""
         self._run = 0
         self._run_first: int | None = None
         """Number of the first sample of this run, lost or not; None before its first reading."""

@@ -30,12 +30,12 @@ MAX_OVERLAP_NS = NS
 
 @dataclass(frozen=True, slots=True)
 class BagBlocks:
-    """Blocks of one topic in the order of their stamps; `lost_samples` of each is what is missing before it."""
+    """Blocks of one topic in the order of their stamps; `lost_samples` counts the samples missing before a block."""
 
     bag: Bag
     topic: str
     source: str
-    """What the first block states as its source."""
+    """Source that the first block states."""
     sample_rate: float
     start_ns: int
     end_ns: int

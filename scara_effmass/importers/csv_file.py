@@ -71,7 +71,7 @@ def _read(path: Path) -> tuple[list[str], Rows]:
     start, first = next(((n, line) for n, line in numbered if line.strip() and not line.startswith("#")), (0, ""))
     if not first:
         raise BagError(f"{path}: is empty; must have a header row and rows of numbers")
-    delimiter = max(DELIMITERS, key=lambda each: len(next(csv.reader([first], delimiter=each))))
+    delimiter = max(DELIMITERS, key=lambda mark: len(next(csv.reader([first], delimiter=mark))))
     rows = _rows(path, start, chain([first], lines), delimiter)
     _, header = next(rows)
     if len(header) < 2:

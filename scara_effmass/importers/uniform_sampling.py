@@ -108,7 +108,7 @@ def _sample_numbers(stamps_ns: IntArray, sampling: _Sampling) -> IntArray:
 
 
 def _delay_steps(delay_ns: FloatArray) -> FloatArray:
-    """Return by how much the minimum delay rises from the window before each sample to the window from it on."""
+    """Return the rise of the minimum delay from the window before each sample to the window that starts with it."""
     infinite = np.full(WINDOW, np.inf)
     minimum = sliding_window_view(np.concatenate((infinite, delay_ns, infinite)), WINDOW).min(axis=1)
     steps: FloatArray = minimum[WINDOW : WINDOW + len(delay_ns)] - minimum[: len(delay_ns)]

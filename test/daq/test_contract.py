@@ -40,31 +40,31 @@ class Subject:
     finite: bool
     recorded: bool = False
     missing: dict[str, object] = field(default_factory=dict)
-    """Settings under which it cannot start."""
+    """Settings with which the source cannot start."""
     slow: dict[str, object] = field(default_factory=dict)
-    """Settings under which the first block takes a while."""
+    """Settings with which the first block is late."""
     hold: Callable[[], None] = lambda: None
-    """Let reads wait for real."""
+    """Let reads block."""
     waiting: threading.Event = field(default_factory=threading.Event)
-    """Set when a read has begun to wait."""
+    """Set when a read waits."""
     made: list[ForceSource] = field(default_factory=list)
     now_ns: int = NOW_NS
 
     def clock(self) -> int:
-        """ROS time, which goes on by a microsecond whenever somebody looks."""
+        """Return the ROS time, which advances by 1 µs per call."""
         self.waiting.set()
         self.now_ns += 1000
         return self.now_ns
 
     def source(self, **values: object) -> ForceSource:
-        """Make a source; it is closed at the end of the test."""
+        """Create a source that is closed at the end of the test."""
         settings = checked(DaqSettings, {**self.settings, **values}, "test")
         made = self.make(settings, self.clock)
         self.made.append(made)
         return made
 
     def started(self, **values: object) -> ForceSource:
-        """Make and start one."""
+        """Create and start a source."""
         source = self.source(**values)
         source.start()
         return source
@@ -80,14 +80,14 @@ def half_sines(_: pytest.FixtureRequest, __: Path) -> Subject:
     steady = [0]
 
     def fast_ns() -> int:
-        """Return a steady time that is a second on whenever somebody looks: every block is there already."""
+        """Return a steady time that advances by 1 s per call, so that all blocks are due."""
         steady[0] += NS
         return steady[0]
 
     times_ns = chain([3600 * NS], repeat(0))
 
     def stopped_ns() -> int:
-        """Return a steady time that stands, an hour before the start: however long a read waits, nothing comes."""
+        """Return a constant steady time, 1 h before the start, so that no block is ever due."""
         subject.waiting.set()
         return next(times_ns)
 
@@ -186,10 +186,10 @@ def block(source: ForceSource) -> Reading:
     return reading
 
 
-def read_all(source: ForceSource, most: int) -> list[Reading]:
-    """Read to the end, or `most` readings."""
+def read_all(source: ForceSource, max_readings: int) -> list[Reading]:
+    """Return the readings up to the end, at most `max_readings`."""
     readings: list[Reading] = []
-    while len(readings) < most and (reading := source.read(SOON_S)) is not None:
+    while len(readings) < max_readings and (reading := source.read(SOON_S)) is not None:
         readings.append(reading)
     return readings
 

@@ -1,4 +1,4 @@
-"""The source on NI's own client, with a device of the tests' own behind it: every fault, and what is said of it."""
+"""Tests of the source ni9230: NI's client on a simulated driver, with faults."""
 
 from __future__ import annotations
 
@@ -166,19 +166,19 @@ def test_invalid_channels_are_refused(names: tuple[str, ...]) -> None:
         settings(ni9230__channels=names)
 
 
-@pytest.mark.parametrize(("asked", "real"), [(12_800.0, 12_800.0), (5_000.0, 6_400.0), (10_000.0, 12_800.0)])
-def test_sample_rate_is_that_of_the_device(asked: float, real: float, started: Open, ni_device: NiDevice) -> None:
-    source = started(ni9230__sample_rate=asked)
-    assert source.requested_rate == asked
-    assert source.sample_rate == real
-    assert source.filter_delay == pytest.approx(38.0 / real)
+@pytest.mark.parametrize(("requested", "actual"), [(12_800.0, 12_800.0), (5_000.0, 6_400.0), (10_000.0, 12_800.0)])
+def test_sample_rate_is_that_of_the_device(requested: float, actual: float, started: Open, ni_device: NiDevice) -> None:
+    source = started(ni9230__sample_rate=requested)
+    assert source.requested_rate == requested
+    assert source.sample_rate == actual
+    assert source.filter_delay == pytest.approx(38.0 / actual)
     begin_ns = ni_device.now_ns
-    assert got(source.read(1.0)).samples.shape == (1, round(0.1 * real))
+    assert got(source.read(1.0)).samples.shape == (1, round(0.1 * actual))
     assert ni_device.now_ns - begin_ns == pytest.approx(1e8)
 
 
 @pytest.mark.parametrize(
-    ("told", "expected"),
+    ("stated", "expected"),
     [
         ((2.9e-3, DigitalWidthUnits.SECONDS), 2.9e-3),
         ((39.5, DigitalWidthUnits.SAMPLE_CLOCK_PERIODS), 39.5 / 12_800.0),
@@ -189,9 +189,9 @@ def test_sample_rate_is_that_of_the_device(asked: float, real: float, started: O
     ],
 )
 def test_filter_delay_is_that_of_the_driver_or_the_settings(
-    told: tuple[float, Any] | None, expected: float, ni_device: NiDevice, started: Open
+    stated: tuple[float, Any] | None, expected: float, ni_device: NiDevice, started: Open
 ) -> None:
-    ni_device.filter_delay = told
+    ni_device.filter_delay = stated
     assert started(ni9230__filter_delay_samples=34.0).filter_delay == pytest.approx(expected)
 
 
