@@ -12,7 +12,6 @@ import pytest
 
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.messages import header, message, serialized
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
@@ -25,6 +24,7 @@ from scara_effmass.wire.force import impact_message
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE, RUN_INFO, STRING, WRENCH, WRENCH_STAMPED
 from scara_effmass.wire.topics import RECORDING_INFO
+from test.bags.messages import header, message, serialized
 
 if TYPE_CHECKING:
     from pathlib import Path

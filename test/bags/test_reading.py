@@ -31,10 +31,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.files import find_bags, open_bag
-from scara_effmass.bags.messages import serialized
 from scara_effmass.errors import BagError
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
+from test.bags.messages import serialized
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

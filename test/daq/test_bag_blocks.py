@@ -12,13 +12,13 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from scara_effmass.bags.definitions import known_types
-from scara_effmass.bags.messages import serialized
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.daq.bag_source import BagSource
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.settings import BagSettings, DaqSettings
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK
+from test.bags.messages import serialized
 from test.daq.force_bag import MS, START_NS, block_messages, force_block, write_blocks, write_messages
 
 if TYPE_CHECKING:

@@ -10,11 +10,11 @@ import pytest
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
-from scara_effmass.bags.messages import header, message, serialized
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, STRING, WRENCH, WRENCH_STAMPED
 from scara_effmass.wire.topics import RECORDING_INFO
+from test.bags.messages import header, message, serialized
 from test.importers.conftest import force_of, imported, lost_in, open_import
 
 if TYPE_CHECKING:

@@ -35,7 +35,6 @@ from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import Float64, Header, String
 
 from scara_effmass.bags.bag import RawMessage
-from scara_effmass.bags.messages import serialized
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, EffmassError, SettingsError
 from scara_effmass.nodes import lockstep
@@ -44,6 +43,7 @@ from scara_effmass.nodes.replay import CLOCK_STEP_NS, ReplayOptions, replay, tim
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
 from scara_effmass.wire.topics import READINESS
+from test.bags.messages import serialized
 from test.nodes.conftest import JOINTS, TIMEOUT_S
 
 if TYPE_CHECKING:
