@@ -1,4 +1,4 @@
-"""What the validator needs from one recording, in the order in which it was recorded."""
+"""Joint states, measurements and run information of one recording, in the order of their log times."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ USUAL = {FORCE_BLOCK: "force", IMPACT: "impact", WRENCH_STAMPED: "wrench", WRENC
 """Usual topic of each type of measurement, in the order of preference."""
 
 
-class Measured(NamedTuple):
-    """A force block or an impact, and when it was recorded."""
+class Measurement(NamedTuple):
+    """A force block or an impact, and its log time."""
 
     log_time_ns: int
     value: ForceBlock | Impact
 
 
 def run_infos(bag: Bag) -> list[RunInfo]:
-    """Return the run information in `bag`; a stamp that is not stated becomes the log time.
+    """Return the run information in `bag`; a missing stamp becomes the log time, or 0 in the first one.
 
-    The first one holds from the beginning on if it states no stamp. Raises BagError for a value that cannot be used.
+    Raises BagError for an invalid value.
     """
     infos: list[RunInfo] = []
     for log_time_ns, info in run_info.run_infos(bag):
@@ -50,34 +50,34 @@ def run_infos(bag: Bag) -> list[RunInfo]:
     return infos
 
 
-def measured_topic(bag: Bag, asked: str | None) -> Topic:
-    """Return the topic `asked`, or the one of the first type in USUAL that the bag has.
+def measurement_topic(bag: Bag, name: str | None) -> Topic:
+    """Return the topic `name`, or the one of the first type in USUAL that the bag has.
 
     Of several topics of that type, the one with the usual name is taken. Raises BagError, with the topics of these
     types, when none or several remain.
     """
-    found = [topic for kind in USUAL for topic in bag.topics if topic.type == kind and topic.count]
-    if not found:
+    candidates = [topic for kind in USUAL for topic in bag.topics if topic.type == kind and topic.count]
+    if not candidates:
         raise BagError(f"{bag.path}: must hold {FORCE_BLOCK} or {IMPACT}, as daq publishes them, or {WRENCH_STAMPED}")
-    surest = [topic for topic in found if topic.type == found[0].type]
-    if asked is not None:
-        chosen = [topic for topic in found if topic.name.lstrip("/") == asked.lstrip("/")]
+    preferred = [topic for topic in candidates if topic.type == candidates[0].type]
+    if name is not None:
+        selected = [topic for topic in candidates if topic.name.lstrip("/") == name.lstrip("/")]
     else:
-        chosen = [topic for topic in surest if topic.name.lstrip("/") == USUAL[topic.type]] or surest
-    if len(chosen) == 1:
-        return chosen[0]
-    problem = "several topics hold the force" if asked is None else f"no force on {asked}"
-    raise BagError(f"{bag.path}: {problem}; give --force-topic one of {', '.join(topic.name for topic in found)}")
+        selected = [topic for topic in preferred if topic.name.lstrip("/") == USUAL[topic.type]] or preferred
+    if len(selected) == 1:
+        return selected[0]
+    problem = "several topics hold the force" if name is None else f"no force on {name}"
+    raise BagError(f"{bag.path}: {problem}; give --force-topic one of {', '.join(topic.name for topic in candidates)}")
 
 
-def measured(bag: Bag, topic: Topic, unreadable: Counter[str]) -> Iterator[Measured]:
+def measurements(bag: Bag, topic: Topic, unreadable: Counter[str]) -> Iterator[Measurement]:
     """Yield the force blocks or impacts of `topic`; count messages that cannot be decoded in `unreadable`.
 
     Wrenches are imported as force blocks; the force is their z component. Raises BagError when the recording has
     another definition of the type, or wrenches cannot be imported.
     """
     if topic.type in {WRENCH_STAMPED, WRENCH}:
-        yield from _imported(bag, topic)
+        yield from _import_wrenches(bag, topic)
         return
     check_definition(bag.types, topic.type, str(bag.path))
     for message in bag.messages([topic.name]):
@@ -85,21 +85,23 @@ def measured(bag: Bag, topic: Topic, unreadable: Counter[str]) -> Iterator[Measu
             continue
         try:
             decode = decode_force_block if topic.type == FORCE_BLOCK else decode_impact
-            yield Measured(message.log_time_ns, decode(message.data))
+            yield Measurement(message.log_time_ns, decode(message.data))
         except DecodeError as error:
             unreadable[f"{bag.path}: {topic.name}: left out: {error}"] += 1
 
 
-def _imported(bag: Bag, topic: Topic) -> Iterator[Measured]:
+def _import_wrenches(bag: Bag, topic: Topic) -> Iterator[Measurement]:
     """Yield the imported force of a topic of wrenches; log times keep their distance from the stamps of the first."""
     first_log_ns = next(message.log_time_ns for message in bag.messages([topic.name]))
     first_stamp_ns: int | None = None
     for block in import_force(bag.path, ImportSettings(topic=topic.name)).blocks:
         first_stamp_ns = block.stamp_ns if first_stamp_ns is None else first_stamp_ns
         end_ns = block.stamp_ns + round(len(block.force) / block.sample_rate * NS)
-        yield Measured(first_log_ns + end_ns - first_stamp_ns, block)
+        yield Measurement(first_log_ns + end_ns - first_stamp_ns, block)
 
 
-def in_order(states: Iterator[AssessedState], forces: Iterator[Measured]) -> Iterator[AssessedState | Measured]:
-    """Yield both as they were recorded."""
-    return merge(forces, states, key=lambda each: each.log_time_ns)
+def merge_by_log_time(
+    states: Iterator[AssessedState], forces: Iterator[Measurement]
+) -> Iterator[AssessedState | Measurement]:
+    """Yield both in the order of their log times."""
+    return merge(forces, states, key=lambda record: record.log_time_ns)

@@ -1,6 +1,6 @@
-"""Recordings through the cores of monitor, force node and validator, one after the other.
+"""Validate recordings with the same monitor, detector and validator as the live nodes.
 
-The recorder's log time stands for the time at which a node would have heard of a message.
+The log time of a message replaces its arrival time at a node.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
 from scara_effmass.analysis.recorded_run import (
-    Measured,
-    in_order,
-    measured,
-    measured_topic,
+    Measurement,
+    measurement_topic,
+    measurements,
+    merge_by_log_time,
     run_infos,
 )
 from scara_effmass.bags.files import open_bag
@@ -36,10 +36,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ValidationSettings:
-    """Settings of the cores, and what is to be read.
+    """Settings of monitor, validator and detection, and the topics to read; None: chosen automatically.
 
-    `obstacle_mass` [kg] goes before what recordings say; where neither gives one, `validator.obstacle_mass` holds.
-    Topics are found where they are None.
+    `obstacle_mass` [kg] overrides the recordings; if both state none, `validator.obstacle_mass` applies.
     """
 
     monitor: MonitorSettings = field(default_factory=MonitorSettings)
@@ -51,11 +50,11 @@ class ValidationSettings:
 
 
 class ValidatedRecording(NamedTuple):
-    """What came of one recording.
+    """Result of one recording: its part of the `impacts` and `refused` of the whole result.
 
-    `impacts` are those of the whole result that are from it, `refused` likewise. `force_topic` holds force blocks, in
-    which `dropouts` and `glitches` (single samples), and `pushes` that are too long for impacts were found, or else
-    impacts. `relative_uncertainty` is that of the force, the largest one stated. `losses`: what could not be read.
+    `dropouts` and `glitches` (single samples), and `pushes` (contacts too long for impacts) are counted in force
+    blocks; 0 if `force_topic` holds impacts. `relative_uncertainty` is the maximum stated for the force. `losses`
+    lists unreadable parts.
     """
 
     path: Path
@@ -77,13 +76,13 @@ class ValidatedRecording(NamedTuple):
 
 
 class Validation(NamedTuple):
-    """The validator's result, and the recordings it is from; none where the series was live."""
+    """Result of a series and its recordings; no recordings if the series was live."""
 
     result: Result
     recordings: tuple[ValidatedRecording, ...]
 
     def names(self) -> list[str]:
-        """Return for each impact the recording it is from."""
+        """Return the name of the recording of each impact."""
         if not self.recordings:
             return ["live"] * len(self.result.impacts)
         return [recording.path.name for recording in self.recordings for _ in recording.impacts]
@@ -95,32 +94,33 @@ def validate(
     settings: ValidationSettings,
     advance: Callable[[float], object] = lambda _: None,
 ) -> Validation:
-    """Return what the recordings at `paths`, each for `open_bag`, say of the models of `dynamics`, as one series.
+    """Validate the models of `dynamics` with the recordings at `paths`, as one series.
 
-    `advance` is called with the share of a recording that has been done. Raises BagError, SettingsError, LimitError.
+    Calls `advance` with the fraction of a recording processed since the last call. Raises BagError, SettingsError,
+    LimitError.
     """
     validator = Validator(settings.validator)
-    feeds: list[_Feed] = []
+    readers: list[_RecordingReader] = []
     ends = [(0, 0)]
     for path in paths:
         validator.begin_recording()
         with open_bag(path) as bag:
-            feed = _Feed(bag, Monitor(dynamics, settings.monitor), validator, settings)
-            feed.run(advance)
-        feeds.append(feed)
+            reader = _RecordingReader(bag, Monitor(dynamics, settings.monitor), validator, settings)
+            reader.run(advance)
+        readers.append(reader)
         validator.finish()
         result = validator.result()
         ends.append((len(result.impacts), len(result.refused)))
     result = validator.result()
     recordings = [
-        feed.recording(result.impacts[start[0] : stop[0]], result.refused[start[1] : stop[1]])
-        for feed, start, stop in zip(feeds, ends, ends[1:], strict=False)
+        reader.recording(result.impacts[start[0] : stop[0]], result.refused[start[1] : stop[1]])
+        for reader, start, stop in zip(readers, ends, ends[1:], strict=False)
     ]
     return Validation(result, tuple(recordings))
 
 
-class _Feed:
-    """One recording on its way into the validator."""
+class _RecordingReader:
+    """Feed one recording into monitor, detector and validator, and count its contents."""
 
     def __init__(self, bag: Bag, monitor: Monitor, validator: Validator, settings: ValidationSettings) -> None:
         self._bag = bag
@@ -128,9 +128,9 @@ class _Feed:
         self._validator = validator
         self._detector = Detector(settings.detection)
         self._states = joint_state_topic(bag, settings.topic)
-        self._force = measured_topic(bag, settings.force_topic)
+        self._force = measurement_topic(bag, settings.force_topic)
         self._infos = tuple(run_infos(bag))
-        self._joint_states = self._blocks = self._lost = self._heard_ns = 0
+        self._joint_states = self._blocks = self._lost = self._last_force_ns = 0
         self._simulated = any(info.simulated for info in self._infos)
         self._sources: Counter[str] = Counter()
         self._uncertainty = 0.0
@@ -138,22 +138,22 @@ class _Feed:
         self._set_runs(settings)
 
     def run(self, advance: Callable[[float], object]) -> None:
-        """Feed all of it."""
-        total = next(each.count for each in self._bag.topics if each.name == self._states)
+        """Feed the whole recording."""
+        total = next(topic.count for topic in self._bag.topics if topic.name == self._states)
         states = assess_joint_states(self._bag, self._states, self._monitor)
-        for each in in_order(states, measured(self._bag, self._force, self._unreadable)):
-            if isinstance(each, Measured):
-                self._measure(each)
+        for record in merge_by_log_time(states, measurements(self._bag, self._force, self._unreadable)):
+            if isinstance(record, Measurement):
+                self._add_measurement(record)
                 continue
             self._joint_states += 1
             advance(1.0 / total)
-            for contact in each.decision.contacts if each.decision else ():
-                self._validator.add_state(contact, each.log_time_ns)
+            for contact in record.decision.contacts if record.decision else ():
+                self._validator.add_state(contact, record.log_time_ns)
         for impact in self._detector.finish():
-            self._validator.add_impact(impact, self._heard_ns)
+            self._validator.add_impact(impact, self._last_force_ns)
 
     def recording(self, impacts: tuple[ValidatedImpact, ...], refused: tuple[RefusedImpact, ...]) -> ValidatedRecording:
-        """Return what came of it."""
+        """Return the result of this recording."""
         unreadable = [f"{line} ({count} times)" if count > 1 else line for line, count in self._unreadable.items()]
         return ValidatedRecording(
             path=self._bag.path,
@@ -175,25 +175,24 @@ class _Feed:
         )
 
     def _set_runs(self, settings: ValidationSettings) -> None:
-        given, mass = settings.validator, settings.obstacle_mass
-        # Nothing may be left over from the recording before.
-        first = given.obstacle_mass if mass is None else mass
-        self._validator.set_run(0, obstacle_mass=first, configuration=given.configuration)
+        defaults, mass = settings.validator, settings.obstacle_mass
+        # Replaces the run of the previous recording.
+        initial_mass = defaults.obstacle_mass if mass is None else mass
+        self._validator.set_run(0, obstacle_mass=initial_mass, configuration=defaults.configuration)
         for info in self._infos:
-            stated = info if mass is None else info._replace(obstacle_mass=mass)
-            self._validator.set_run_info(stated, 0)
+            self._validator.set_run_info(info if mass is None else info._replace(obstacle_mass=mass), 0)
 
-    def _measure(self, each: Measured) -> None:
-        value, self._heard_ns = each.value, each.log_time_ns
+    def _add_measurement(self, measurement: Measurement) -> None:
+        value, self._last_force_ns = measurement.value, measurement.log_time_ns
         self._sources[value.source] += 1
         self._simulated |= value.simulated
         if isinstance(value, Impact):
-            self._validator.add_impact(value, each.log_time_ns)
+            self._validator.add_impact(value, measurement.log_time_ns)
             return
-        self._take_block(value, each.log_time_ns)
+        self._add_block(value, measurement.log_time_ns)
 
-    def _take_block(self, block: ForceBlock, received_ns: int) -> None:
-        # The first block may say what was lost before the recording began.
+    def _add_block(self, block: ForceBlock, received_ns: int) -> None:
+        # The first block counts samples lost before the recording began.
         self._lost += block.lost_samples if self._blocks else 0
         self._blocks += 1
         self._uncertainty = max(self._uncertainty, block.relative_uncertainty)

@@ -1,4 +1,4 @@
-"""The figures of a validation."""
+"""Figures of the validation report."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 
 from scara_effmass.analysis.plot_style import INK, ISO_RED, new_figure
-from scara_effmass.analysis.validation_marks import GREY, Marks, color, shown
+from scara_effmass.analysis.validation_marks import GREY, Marks, color, configuration_label
 from scara_effmass.iso15066 import force_per_root_stiffness
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ ROOT = r"$v\sqrt{\mu}$ [m/s $\sqrt{\mathrm{kg}}$]"
 
 
 class Plot(NamedTuple):
-    """A figure: name of its files, what it is called, what it shows, and what draws it."""
+    """A figure: file name, title, caption and drawing function."""
 
     name: str
     title: str
@@ -39,41 +39,41 @@ class Plot(NamedTuple):
 
 
 def draw_forces(result: Result) -> Figure:
-    """Force over v sqrt(mu) of every model, on the same axes."""
+    """Draw force over v sqrt(mu), one panel per model, with shared axes."""
     models, marks = result.models, Marks(result.impacts)
     figure = new_figure(3.7 * len(models) + 1.6, 4.9, f"{_origin(result)} force over $v\\sqrt{{\\mu}}$")
     panels = figure.subplots(1, len(models), sharex=True, sharey=True, squeeze=False)[0]
     panels[0].set_ylabel(f"{_origin(result).lower()} peak force [N]")
-    points = {model.model: _with(model.model, result) for model in models}
-    reach = 1.08 * max((x for found in points.values() for _, x in found), default=1.0)
+    points = {model.model: _points(model.model, result) for model in models}
+    x_limit = 1.08 * max((x for model_points in points.values() for _, x in model_points), default=1.0)
     for axes, model in zip(panels, models, strict=True):
-        found, overall = points[model.model], model.overall
-        judged = ", judged" if model.model == result.model else ""
-        axes.set(xlabel=ROOT, title=f"{model.model}{judged}")
-        if not found:
-            _say(axes, EMPTY if not result.impacts else "the robot has no such mass")
+        data, overall = points[model.model], model.overall
+        selected = ", selected" if model.model == result.model else ""
+        axes.set(xlabel=ROOT, title=f"{model.model}{selected}")
+        if not data:
+            _annotate(axes, EMPTY if not result.impacts else "the robot has no such mass")
             continue
-        marks.scatter(axes, [impact for impact, _ in found], [(x, impact.measured_force) for impact, x in found])
-        axes.plot((0.0, reach), (0.0, math.sqrt(overall.stiffness) * reach), color=ISO_RED, linewidth=1.4, zorder=1)
+        marks.scatter(axes, [impact for impact, _ in data], [(x, impact.measured_force) for impact, x in data])
+        axes.plot((0.0, x_limit), (0.0, math.sqrt(overall.stiffness) * x_limit), color=ISO_RED, linewidth=1.4, zorder=1)
         r = "undefined" if overall.correlation_reason else f"{overall.correlation:.5f}"
         lines = (f"r = {r}", f"k = {overall.stiffness / N_MM:.4g} N/mm", f"RMSE = {overall.relative_rmse:.2%}")
         axes.text(0.05, 0.95, "\n".join(lines), transform=axes.transAxes, va="top")
-    panels[0].set(xlim=(0.0, reach))
+    panels[0].set(xlim=(0.0, x_limit))
     panels[0].set_ylim(bottom=0.0)
     marks.legend(figure, Line2D([], [], color=ISO_RED, linewidth=1.4, label=r"$F = v\sqrt{\mu k}$"))
     return figure
 
 
 def draw_differences(result: Result) -> Figure:
-    """Bland and Altman's plot of the judged model."""
+    """Draw the Bland-Altman plot of the selected model."""
     figure = new_figure(10.5, 4.9, f"Predicted minus {_origin(result).lower()} force, {result.model} model")
     axes = figure.subplots()
     marks = Marks(result.impacts)
     axes.set(xlabel=f"mean of predicted and {_origin(result).lower()} force [N]", ylabel="difference [N]")
     if not result.impacts:
-        _say(axes, EMPTY)
+        _annotate(axes, EMPTY)
         return figure
-    overall = _judged(result).overall
+    overall = _selected(result).overall
     points = [
         ((impact.predicted_force + impact.measured_force) / 2.0, impact.predicted_force - impact.measured_force)
         for impact in result.impacts
@@ -91,18 +91,18 @@ def draw_differences(result: Result) -> Figure:
 
 
 def draw_exponent(result: Result) -> Figure:
-    """Force over mu v^2 on logarithmic axes, for the judged model."""
-    figure = new_figure(10.5, 4.9, f"Law of the contact, {result.model} model")
+    """Draw force over mu v^2 on logarithmic axes, for the selected model."""
+    figure = new_figure(10.5, 4.9, f"Exponent of the contact law, {result.model} model")
     axes = figure.subplots()
     marks = Marks(result.impacts)
     axes.set(xlabel=r"$\mu v^2$ [J], twice the energy", ylabel=f"{_origin(result).lower()} peak force [N]")
-    found = _with(result.model, result)
-    if not found:
-        _say(axes, EMPTY)
+    points = _points(result.model, result)
+    if not points:
+        _annotate(axes, EMPTY)
         return figure
-    overall = _judged(result).overall
-    energy = np.array([x**2 for _, x in found])
-    force = np.array([impact.measured_force for impact, _ in found])
+    overall = _selected(result).overall
+    energy = np.array([x**2 for _, x in points])
+    force = np.array([impact.measured_force for impact, _ in points])
     marks.scatter(axes, result.impacts, list(zip(energy.tolist(), force.tolist(), strict=True)))
     ends = np.array([0.9 * energy.min(), 1.1 * energy.max()])
     middle = float(np.exp(np.log(energy).mean())), float(np.exp(np.log(force).mean()))
@@ -124,13 +124,13 @@ def draw_exponent(result: Result) -> Figure:
 
 
 def draw_masses(result: Result) -> Figure:
-    """Force over the obstacle's mass, by configuration: mean of the impacts, and mean prediction."""
+    """Draw mean measured and predicted force over obstacle mass, by configuration."""
     figure = new_figure(10.5, 4.9, f"{_origin(result)} force over the mass of the obstacle")
     axes = figure.subplots()
     marks = Marks(result.impacts)
     axes.set(xlabel="$m_H$ [kg]", ylabel="peak force [N]")
     if not result.impacts:
-        _say(axes, EMPTY)
+        _annotate(axes, EMPTY)
         return figure
     handles = []
     for number, name in enumerate(marks.configurations):
@@ -150,7 +150,7 @@ def draw_masses(result: Result) -> Figure:
             alpha=0.35,
             markersize=4.0,
         )
-        label = f"{shown(name)}, {_mean(impact.effective_mass for impact in impacts):.2f} kg"
+        label = f"{configuration_label(name)}, {_mean(impact.effective_mass for impact in impacts):.2f} kg"
         handles += axes.plot(masses, measured, marker=marker, color=shade, linewidth=1.8, label=label)
         axes.plot(masses, predicted, color=INK, linestyle=":", linewidth=1.4, zorder=3)
     axes.set_xlim(left=0.0)
@@ -166,34 +166,34 @@ PLOTS = (
     Plot(
         "force_over_root_mu",
         "Force over v√μ.",
-        "Every model on the same impacts and axes; the line goes through the origin, its slope is √k. A model that "
-        "explains the forces has its points on the line.",
+        "All models on the same impacts and axes. The line through the origin has the slope √k; points on the line "
+        "agree with the model.",
         draw_forces,
     ),
     Plot(
         "force_over_obstacle_mass",
-        "Force over the mass of the obstacle,",
-        "by configuration, with the robot's mean effective mass in it: means as lines, single impacts as pale points.",
+        "Force over the mass of the obstacle.",
+        "Lines: mean force by configuration, with the robot's mean effective mass. Pale points: single impacts.",
         draw_masses,
     ),
     Plot(
         "bland_altman",
-        "Bland-Altman plot",
-        "of the judged model; 95 % of normal differences lie between the limits.",
+        "Bland-Altman plot.",
+        "Selected model; the limits contain 95 % of normally distributed differences.",
         draw_differences,
     ),
     Plot(
         "exponent",
         "Exponent of the law.",
-        "Logarithms of force and energy, judged model. Damping, friction, a contact that is no linear spring, or "
-        "masses that are off turn the line away from 0.5.",
+        "Logarithms of force and energy, selected model. Damping, friction, a non-linear contact or wrong masses "
+        "change the exponent from 0.5.",
         draw_exponent,
     ),
 )
 
 
-def _with(model: str, result: Result) -> list[tuple[ValidatedImpact, float]]:
-    """Return the impacts for which `model` has a mass, with v sqrt(mu)."""
+def _points(model: str, result: Result) -> list[tuple[ValidatedImpact, float]]:
+    """Return the impacts for which `model` has a mass, each with v sqrt(mu)."""
     return [
         (impact, force_per_root_stiffness(impact.speed, prediction.reduced_mass))
         for impact in result.impacts
@@ -202,7 +202,7 @@ def _with(model: str, result: Result) -> list[tuple[ValidatedImpact, float]]:
     ]
 
 
-def _judged(result: Result) -> ModelResult:
+def _selected(result: Result) -> ModelResult:
     return next(model for model in result.models if model.model == result.model)
 
 
@@ -224,5 +224,5 @@ def _number(value: float, interval: Sequence[float] | None) -> str:
     return f"{value:.3f}" + (f" (95 %: {interval[0]:.3f} to {interval[1]:.3f})" if interval else "")
 
 
-def _say(axes: Axes, text: str) -> None:
+def _annotate(axes: Axes, text: str) -> None:
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center")

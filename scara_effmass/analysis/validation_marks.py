@@ -1,4 +1,4 @@
-"""How impacts are marked in the figures of a validation: colour by mass of the obstacle, marker by configuration."""
+"""Markers of impacts in validation figures: colour by obstacle mass, marker by configuration."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ if TYPE_CHECKING:
     from scara_effmass.values import ValidatedImpact
 
 MARKERS = "os^Dv<>pX*"
-"""One for each configuration, and again from the first one on."""
+"""Markers of the configurations; they repeat if there are more."""
 DARK, LIGHT = 0.0, 0.88
-"""Ends of the colour map that are told from each other, and from the paper."""
+"""Range of the colour map with enough contrast to white."""
 GREY = "#777777"
 
 
 class Marks:
-    """The marks of a series of impacts.
+    """Marker style of each impact of a series.
 
-    `configurations` begin with the one in which the robot's mass is smallest, `obstacle_masses` [kg] with the least.
+    `configurations` are in the order of their mean effective mass, `obstacle_masses` [kg] ascending.
     """
 
     def __init__(self, impacts: Iterable[ValidatedImpact]) -> None:
         masses: dict[str, list[float]] = {}
-        found = set()
+        obstacle_masses = set()
         for impact in impacts:
             masses.setdefault(impact.configuration, []).append(impact.effective_mass)
-            found.add(impact.obstacle_mass)
+            obstacle_masses.add(impact.obstacle_mass)
         self.configurations = sorted(masses, key=lambda name: (float(np.mean(masses[name])), name))
-        self.obstacle_masses = sorted(found)
+        self.obstacle_masses = sorted(obstacle_masses)
 
     def marker(self, configuration: str) -> str:
         """Return the marker of a configuration."""
@@ -58,7 +58,7 @@ class Marks:
         axes.grid(alpha=0.3)
 
     def legend(self, figure: Figure, *lines: Line2D) -> None:
-        """Say outside the panels what marks and `lines` mean."""
+        """Draw the legend of the markers and `lines` beside the axes."""
         count = len(self.obstacle_masses)
         handles = [*lines, Line2D([], [], color="none", label="$m_H$ [kg]")]
         handles += [
@@ -67,17 +67,17 @@ class Marks:
         ]
         handles.append(Line2D([], [], color="none", label="configuration"))
         handles += [
-            Line2D([], [], linestyle="none", marker=self.marker(name), color=GREY, label=shown(name))
+            Line2D([], [], linestyle="none", marker=self.marker(name), color=GREY, label=configuration_label(name))
             for name in self.configurations
         ]
         figure.legend(handles=handles, loc="outside right upper")
 
 
 def color(number: int, count: int) -> tuple[float, float, float, float]:
-    """Return the colour of the `number`-th of `count`."""
+    """Return colour `number` of `count`."""
     return mpl.colormaps["plasma"](DARK + (LIGHT - DARK) * number / max(count - 1, 1))
 
 
-def shown(configuration: str) -> str:
-    """Return what a configuration is called in a figure, where dollars would begin a formula."""
+def configuration_label(configuration: str) -> str:
+    """Return the label of a configuration, with `$` escaped for matplotlib."""
     return configuration.replace("$", r"\$") or "not named"

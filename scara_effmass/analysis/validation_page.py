@@ -1,4 +1,4 @@
-"""The report of a validation as one page."""
+"""HTML page of the validation report."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _left_out_rows(result: Result) -> Iterator[tuple[str, ...]]:
 
 def _facts(validation: Validation, settings: ValidationSettings, robot: Robot) -> Iterator[tuple[str, str]]:
     result = validation.result
-    yield "validated", f"{result.model} model of {robot.name}, contact point {result.contact_point or 'none seen'}"
+    yield "validated", f"{result.model} model of {robot.name}, contact point {result.contact_point or 'none received'}"
     yield "against", origin(result)
     yield "impacts", f"{result.seen} found, {len(result.impacts)} in the series, {len(result.refused)} left out"
     yield "criterion", f"{'; '.join(demands(settings.validator.criterion))} (hash {result.criterion_hash})"
@@ -79,7 +79,7 @@ def _facts(validation: Validation, settings: ValidationSettings, robot: Robot) -
     if result.other_contact_points:
         yield "not validated", f"other contact points: {', '.join(result.other_contact_points)}"
     if result.late_states:
-        yield "contact states", f"{result.late_states} came out of order and were left out"
+        yield "contact states", f"{result.late_states} arrived out of order and were dropped"
     yield "robot file", robot.origin
     count = len(validation.recordings)
     yield "recordings", f"{count}, listed below" if count else "none: the series was live"
@@ -98,54 +98,54 @@ def _rows(section: str, settings: BaseModel, *, only_changed: bool) -> Iterator[
     defaults = type(settings)().model_dump(mode="json")
     for name, value in settings.model_dump(mode="json").items():
         if isinstance(value, dict):
-            yield from ((f"{section}: {name}.{key}", f"{each}") for key, each in value.items())
+            yield from ((f"{section}: {name}.{key}", f"{item}") for key, item in value.items())
         elif not only_changed or value != defaults[name]:
             yield f"{section}: {name}", "(empty)" if value == "" else f"{value}"
 
 
 def _model_row(model: ModelResult) -> tuple[str, ...]:
-    found = model.overall
+    series = model.overall
     accepted = "yes" if model.accepted else f"no: {model.reason}"
-    if not found.count:
-        return (model.model, "0", *["-"] * (8), accepted)
+    if not series.count:
+        return (model.model, "0", *["-"] * 8, accepted)
     r = (
-        f"undefined: {found.correlation_reason}"
-        if found.correlation_reason
-        else _with(f"{found.correlation:.5f}", found.correlation_interval, ".5f")
+        f"undefined: {series.correlation_reason}"
+        if series.correlation_reason
+        else _interval(f"{series.correlation:.5f}", series.correlation_interval, ".5f")
     )
-    stiffness = _with(f"{found.fitted_stiffness / N_MM:.1f}", found.stiffness_interval, ".1f", 1.0 / N_MM)
-    exponent = "-" if found.exponent is None else _with(f"{found.exponent:.3f}", found.exponent_interval, ".3f")
+    stiffness = _interval(f"{series.fitted_stiffness / N_MM:.1f}", series.stiffness_interval, ".1f", 1.0 / N_MM)
+    exponent = "-" if series.exponent is None else _interval(f"{series.exponent:.3f}", series.exponent_interval, ".3f")
     return (
         model.model,
-        f"{found.count}",
+        f"{series.count}",
         r,
-        stiffness if found.count > 1 else "-",
+        stiffness if series.count > 1 else "-",
         exponent,
-        f"{found.bias:+.2f}",
-        f"{found.rmse:.2f}",
-        f"{found.relative_rmse:.2%}",
-        "-" if found.limits is None else f"{found.limits.low:+.2f} to {found.limits.high:+.2f}",
-        f"{found.non_conservative} (largest {found.largest_shortfall:.2%}; {found.shortfalls} beyond tolerance)",
+        f"{series.bias:+.2f}",
+        f"{series.rmse:.2f}",
+        f"{series.relative_rmse:.2%}",
+        "-" if series.limits is None else f"{series.limits.low:+.2f} to {series.limits.high:+.2f}",
+        f"{series.non_conservative} (largest {series.largest_shortfall:.2%}; {series.shortfalls} beyond tolerance)",
         accepted,
     )
 
 
-def _group_row(model: ModelResult, found: Agreement) -> tuple[str, ...]:
-    k, whole = found.fitted_stiffness, model.overall.stiffness
+def _group_row(model: ModelResult, series: Agreement) -> tuple[str, ...]:
+    k, whole = series.fitted_stiffness, model.overall.stiffness
     return (
         model.model,
-        f"{found.count}",
-        f"{found.mean_force:.1f}",
+        f"{series.count}",
+        f"{series.mean_force:.1f}",
         f"{k / N_MM:.1f}" if k else "-",
         _relative(k / whole - 1.0) if k and whole else "-",
-        f"{found.bias:+.2f}",
-        f"{found.rmse:.2f}",
-        f"{found.non_conservative}",
+        f"{series.bias:+.2f}",
+        f"{series.rmse:.2f}",
+        f"{series.non_conservative}",
     )
 
 
 def _details(result: Result, reason: str) -> str:
-    return "; ".join(sorted({one.detail for one in result.refused if one.reason == reason and one.detail})[:5])
+    return "; ".join(sorted({item.detail for item in result.refused if item.reason == reason and item.detail})[:5])
 
 
 def _impact_heads(result: Result) -> tuple[str, ...]:
@@ -164,22 +164,22 @@ def _impact_rows(validation: Validation) -> Iterator[tuple[str, ...]]:
 
 def _impact_row(impact: ValidatedImpact, models: Iterable[str]) -> Iterator[str]:
     predictions = {prediction.model: prediction for prediction in impact.predictions}
-    known = [predictions.get(model) for model in models]
+    by_model = [predictions.get(model) for model in models]
     yield f"{impact.stamp_ns / 1e9:.6f}"
     yield impact.configuration or "not named"
     yield f"{impact.obstacle_mass:g}"
     yield f"{1e3 * impact.speed:.1f}"
-    yield from ("-" if each is None else f"{each.effective_mass:.3f}" for each in known)
+    yield from ("-" if prediction is None else f"{prediction.effective_mass:.3f}" for prediction in by_model)
     yield f"{impact.reduced_mass:.3f}"
     yield f"{impact.measured_force:.1f}"
     yield f"{impact.predicted_force:.1f}"
-    yield from ("-" if each is None else _relative(each.relative_error) for each in known)
+    yield from ("-" if prediction is None else _relative(prediction.relative_error) for prediction in by_model)
     yield "yes" if impact.conservative else "no"
 
 
 def _recording_row(recording: ValidatedRecording) -> tuple[str, ...]:
-    counted = ("dropouts", "drop-outs"), ("glitches", "glitches"), ("pushes", "pushes too long for impacts")
-    remarks = [f"{count} {what}" for name, what in counted if (count := getattr(recording, name))]
+    counters = ("dropouts", "drop-outs"), ("glitches", "glitches"), ("pushes", "contacts too long for impacts")
+    remarks = [f"{count} {label}" for name, label in counters if (count := getattr(recording, name))]
     return (
         recording.path.name,
         f"{recording.joint_states}",
@@ -192,10 +192,10 @@ def _recording_row(recording: ValidatedRecording) -> tuple[str, ...]:
 
 
 def _relative(share: float) -> str:
-    """Return a difference in percent, without a sign where it rounds to nothing."""
+    """Return a relative difference in percent; without sign if it rounds to zero."""
     text = f"{share:+.2%}"
     return text if text.strip("+-0.%") else "0.00%"
 
 
-def _with(text: str, interval: tuple[float, float] | None, form: str, scale: float = 1.0) -> str:
+def _interval(text: str, interval: tuple[float, float] | None, form: str, scale: float = 1.0) -> str:
     return text if interval is None else f"{text} ({interval[0] * scale:{form}} to {interval[1] * scale:{form}})"

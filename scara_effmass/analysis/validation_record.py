@@ -1,4 +1,4 @@
-"""A validation as JSON takes it: everything, in SI units, numbers finite or null."""
+"""Validation as JSON: all results in SI units; numbers are finite or null."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ UNITS = {
     "bias": "N",
     "rmse": "N",
     "limits": "N",
-    "spread": "of what it is the spread of",
+    "spread": "unit of the quantity",
     "stamp_ns": "ns, ROS time",
 }
 FIRST = ("count", "correlation", "fitted_stiffness", "exponent", "bias", "rmse", "non_conservative")
 
 
 def record(validation: Validation, settings: ValidationSettings, robot: Robot) -> dict[str, Any]:
-    """Return all of `validation`, the models first, and what it was made with."""
+    """Return all results of `validation`, the models first, with settings and robot."""
     result = validation.result
     whole = _plain({name: getattr(result, name) for name in result._fields if name not in {"models", "impacts"}})
     names = validation.names()
@@ -69,17 +69,17 @@ def _model(model: ModelResult) -> dict[str, Any]:
     }
 
 
-def _plain(value: Any, without: Iterable[str] = ()) -> Any:  # noqa: ANN401 - whatever a result is made of
-    """Return `value` in the types of JSON; names of tuples and dataclasses become keys."""
+def _plain(value: Any, without: Iterable[str] = ()) -> Any:  # noqa: ANN401 - any part of a result
+    """Return `value` as JSON types; fields of tuples and dataclasses become keys."""
     if is_dataclass(value):
         value = {field.name: getattr(value, field.name) for field in fields(value)}
     elif hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, dict):
-        named = ((f"{key:g}" if isinstance(key, float) else str(key), each) for key, each in value.items())
-        return {key: _plain(each) for key, each in named if key not in without}
+        named = ((f"{key:g}" if isinstance(key, float) else str(key), item) for key, item in value.items())
+        return {key: _plain(item) for key, item in named if key not in without}
     if isinstance(value, tuple | list):
-        return [_plain(each) for each in value]
+        return [_plain(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value if value is None or isinstance(value, bool | int | str) else str(value)

@@ -1,4 +1,4 @@
-"""The report of a validation: page, figures and numbers, written together or not at all."""
+"""Write the validation report (page, figures, JSON) completely or not at all."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 PAGE, RECORD = "report.html", "report.json"
 NAMES = (PAGE, RECORD, *(f"{plot.name}{suffix}" for plot in PLOTS for suffix in FORMATS))
-"""Of all files of a report."""
+"""Names of all files of a report."""
 
 
-def require_room(folder: Path, *, overwrite: bool) -> None:
-    """Raise OutputError when a report may not be written into `folder`."""
+def check_report_folder(folder: Path, *, overwrite: bool) -> None:
+    """Raise OutputError if a file of the report cannot be written into `folder`."""
     if folder.exists() and not folder.is_dir():
         check_output_path(folder, overwrite=False)
     for name in NAMES:

@@ -1,4 +1,4 @@
-"""What a validation may be taken for, and what not."""
+"""Scope and limits of validity of a validation, in words."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ if TYPE_CHECKING:
     from scara_effmass.settings import CriterionSettings
 
 NO_PROOF = (
-    "This judges a model of the collision force by the impacts below. It is no certified safety function and no proof "
-    "that a cell conforms to a standard."
+    "This report compares a model of the collision force with the impacts below. It is not a certified safety function "
+    "and does not prove that a cell conforms to a standard."
 )
 LAW = (
-    "F = v √(μ k) holds for a free, linear, undamped contact. Damping, friction, and the reaction of the drives bend "
-    "it, and a mass that is off looks the same: the exponent and each group's own stiffness show by how much, not "
-    "which of them it is. A clamped contact is another case."
+    "F = v √(μ k) is valid for a free, linear, undamped contact. Damping, friction, the reaction of the drives and a "
+    "wrong mass all cause deviations. The exponent and the stiffness of each group show the size of the deviation, not "
+    "its cause. A clamped contact is not covered."
 )
 FITTED = (
-    "Each model's stiffness is fitted to these very impacts. So the figures judge how the force varies with speed and "
-    "mass, not how large it is, and the bias is near zero by construction. With a stiffness measured beforehand "
-    "(--stiffness) the level is judged as well."
+    "The stiffness of each model is fitted to these impacts. The statistics therefore test how the force varies with "
+    "speed and mass, not its level, and the bias is near zero by construction. Use a stiffness measured beforehand "
+    "(--stiffness) to test the level as well."
 )
-INTERVALS = "Intervals are at 95 % and take the impacts for independent and their residuals for normal."
+INTERVALS = "Intervals are at 95 % and assume independent impacts and normal residuals."
 ROTORS = (
-    "The masses leave out what rotors and gears reflect to the joints: neither the robot file nor the setting armature "
-    "states it. A real robot that is pushed back during the contact feels heavier."
+    "The masses do not include the reflected inertia of rotors and gears: neither the robot file nor the setting "
+    "armature states it. A real robot that is pushed back during the contact has a larger effective mass."
 )
 
 
 def origin(result: Result) -> str:
-    """Return in a few words where the forces come from."""
+    """Return the origin of the forces."""
     if not result.impacts:
         return "nothing: no impact could be paired with the robot"
     if not result.simulated:
@@ -64,23 +64,23 @@ def limits(validation: Validation, settings: ValidationSettings, robot: Robot) -
     if result.simulated:
         which = "All" if result.simulated == len(result.impacts) else f"{result.simulated} of the"
         yield (
-            f"{which} {len(result.impacts)} impacts are simulated. That a model agrees with them shows that its "
-            "mechanics are right, not that its numbers are those of a real robot, sensor or contact."
+            f"{which} {len(result.impacts)} impacts are simulated. Agreement with them verifies the mechanics of a "
+            "model, not the parameters of a real robot, sensor or contact."
         )
     yield NO_PROOF
     yield LAW
-    given = settings.validator.stiffness
-    yield FITTED if not given else f"All models predict with the given stiffness of {given:g} N/mm."
+    stiffness = settings.validator.stiffness
+    yield FITTED if not stiffness else f"All models use the specified stiffness of {stiffness:g} N/mm."
     yield INTERVALS
     if result.impacts:
-        yield _covered(result)
+        yield _tested_ranges(result)
     yield from _force_uncertainty(validation)
     if not np.any(robot.model.armature):
         yield ROTORS
     yield from (f"Robot file: {note}" for note in robot.notes)
 
 
-def _covered(result: Result) -> str:
+def _tested_ranges(result: Result) -> str:
     impacts = result.impacts
     speeds = _span((1e3 * impact.speed for impact in impacts), "mm/s")
     obstacles = _span((impact.obstacle_mass for impact in impacts), "kg")
@@ -88,7 +88,7 @@ def _covered(result: Result) -> str:
     configurations = len({impact.configuration for impact in impacts})
     forces = _span((impact.measured_force for impact in impacts), "N")
     return (
-        f"Nothing is said outside of what was covered: speeds of {speeds}, obstacles of {obstacles}, effective masses "
+        f"Valid only for the tested ranges: speeds of {speeds}, obstacles of {obstacles}, effective masses "
         f"of {masses}, forces of {forces}, {_counted(configurations, 'configuration')}."
     )
 
@@ -97,15 +97,15 @@ def _force_uncertainty(validation: Validation) -> Iterator[str]:
     stated = max((recording.relative_uncertainty for recording in validation.recordings), default=0.0)
     if stated:
         yield (
-            f"The force is known to ±{_percent(stated)} (calibration of the sensor). That goes into the fitted "
-            "stiffness, twice as large, and leaves correlation and exponent alone."
+            f"The calibration uncertainty of the force is ±{_percent(stated)}. The fitted stiffness has twice that "
+            "uncertainty; correlation and exponent are not affected."
         )
     elif validation.result.simulated < len(validation.result.impacts):
-        yield "The recordings do not say how well the force sensor is calibrated."
+        yield "The recordings do not state the calibration uncertainty of the force sensor."
 
 
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def _percent(share: float) -> str:
@@ -113,6 +113,6 @@ def _percent(share: float) -> str:
 
 
 def _span(values: Iterable[float], unit: str) -> str:
-    found = sorted(values)
-    low, high = f"{found[0]:.3g}", f"{found[-1]:.3g}"
+    ordered = sorted(values)
+    low, high = f"{ordered[0]:.3g}", f"{ordered[-1]:.3g}"
     return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"

@@ -1,4 +1,4 @@
-"""What a simulated recording knows of its impact, beside what was found without that knowledge."""
+"""Deviation of the estimates from the ground truth of simulated recordings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LINEAR = 1.0
 
 
 class Deviation(NamedTuple):
-    """Found over true - 1, for one quantity: the mean over the `impacts`, and the one farthest from zero."""
+    """Estimate / true value - 1 of one quantity: mean over the `impacts`, and the value farthest from zero."""
 
     quantity: str
     impacts: int
@@ -25,34 +25,35 @@ class Deviation(NamedTuple):
 
 
 def deviations(validation: Validation) -> list[Deviation]:
-    """Return how far off was what was found, where recordings of a single impact tell the truth; else nothing."""
-    found: dict[str, list[float]] = {}
+    """Return the deviations over all recordings of a single impact that state the true values."""
+    by_quantity: dict[str, list[float]] = {}
     for recording in validation.recordings:
-        for quantity, deviation in _of(recording):
-            found.setdefault(quantity, []).append(deviation)
+        for quantity, deviation in _recording_deviations(recording):
+            by_quantity.setdefault(quantity, []).append(deviation)
     return [
-        Deviation(quantity, len(each), sum(each) / len(each), max(each, key=abs)) for quantity, each in found.items()
+        Deviation(quantity, len(values), sum(values) / len(values), max(values, key=abs))
+        for quantity, values in by_quantity.items()
     ]
 
 
 def stated_stiffness(validation: Validation) -> float | None:
-    """Return the stiffness [N/m] of the simulated contact; None for none, several, or no linear spring."""
+    """Return the stiffness [N/m] of the simulated contact; None if unknown, not unique, or not a linear spring."""
     infos = [info for recording in validation.recordings for info in recording.infos]
     contacts = {(info.contact_stiffness, info.contact_exponent) for info in infos}
     ((stiffness, exponent),) = contacts if len(contacts) == 1 else ((0.0, 0.0),)
     return stiffness if exponent == LINEAR and 0.0 < stiffness < math.inf else None
 
 
-def _of(recording: ValidatedRecording) -> Iterator[tuple[str, float]]:
+def _recording_deviations(recording: ValidatedRecording) -> Iterator[tuple[str, float]]:
     if len(recording.impacts) != 1 or len(recording.infos) != 1:
         return
     info = recording.infos[0]
     truth = (info.true_speed, info.true_effective_mass, info.true_peak_force)
     if all(0.0 < value < math.inf for value in truth):
-        yield from _compared(recording.impacts[0], *truth)
+        yield from _impact_deviations(recording.impacts[0], *truth)
 
 
-def _compared(
+def _impact_deviations(
     impact: ValidatedImpact, speed: float, effective_mass: float, peak_force: float
 ) -> Iterator[tuple[str, float]]:
     yield "speed at the onset", impact.speed / speed - 1.0

@@ -57,9 +57,9 @@ def run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
     """Run the simulated cell; return 0 when the series of impacts is accepted, else 1. Raises EffmassError."""
     from scara_effmass.analysis.validation import ValidationSettings, validate  # noqa: PLC0415 - not for --help
     from scara_effmass.analysis.validation_record import record  # noqa: PLC0415
-    from scara_effmass.analysis.validation_report import PAGE, require_room, write_report  # noqa: PLC0415
+    from scara_effmass.analysis.validation_report import PAGE, check_report_folder, write_report  # noqa: PLC0415
 
-    require_room(args.out, overwrite=args.force)
+    check_report_folder(args.out, overwrite=args.force)
     if not args.json:
         print_lines(INTRODUCTION)
     with removed_on_failure(args.out / RECORDING):

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from scara_effmass.analysis.validation import ValidationSettings
 
 EXAMPLES = """\
-Impacts are found anew in the force blocks of a recording; without these, the recorded impacts are taken. The mass
-of what is hit comes from --obstacle-mass, else from what the recording says of itself, else from validator:
-obstacle_mass in FILE. All recordings are one series. DIR gets report.html, report.json, and figures as PNG and SVG.
-Exits with 1 when the series fails the acceptance criterion; the report is written all the same.
+Impacts are detected in the force blocks of a recording; without force blocks, recorded impacts or wrenches are used.
+The obstacle mass is --obstacle-mass, else the run information of the recording, else obstacle_mass in section
+validator of FILE. All recordings form one series. DIR receives report.html, report.json, and figures as PNG and SVG.
+Exit status 1: the series does not meet the acceptance criterion; the report is written anyway.
 
 examples:
   scara-effmass validate bags/campaign -o out/validation
@@ -52,14 +52,14 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         dest="mass_of_obstacle",
         type=float,
         metavar="KG",
-        help="mass of what is hit, in all recordings",
+        help="mass of the obstacle in all recordings",
     )
     parser.add_argument(
         "--stiffness",
         dest="contact_stiffness",
         type=float,
         metavar="N_PER_MM",
-        help="contact stiffness to predict with (default: the one that fits best)",
+        help="contact stiffness for the predictions (default: fitted to the series)",
     )
     add_robot(parser)
     add_params(parser, "monitor_node, validator_node and daq_node (its detection)")
@@ -69,40 +69,40 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Validate, write the report, and print what it comes down to."""
+    """Validate the recordings, write the report and print a summary."""
     from scara_effmass.analysis.validation import validate  # noqa: PLC0415 - not needed for --help
     from scara_effmass.analysis.validation_record import record  # noqa: PLC0415
-    from scara_effmass.analysis.validation_report import PAGE, require_room, write_report  # noqa: PLC0415
+    from scara_effmass.analysis.validation_report import PAGE, check_report_folder, write_report  # noqa: PLC0415
     from scara_effmass.bags.files import find_bags  # noqa: PLC0415
 
     settings = validation_settings(args)
-    arm = load_dynamics(settings.monitor)
-    require_room(args.output, overwrite=args.force)
-    paths = [path for given in args.bags for path in find_bags(given)]
-    _require_different(paths)
+    dynamics = load_dynamics(settings.monitor)
+    check_report_folder(args.output, overwrite=args.force)
+    paths = [path for argument in args.bags for path in find_bags(argument)]
+    _check_unique(paths)
     with progress_bar() as progress:
         task = progress.add_task("recordings", total=len(paths))
-        validation = validate(paths, arm, settings, lambda share: progress.advance(task, share))
-    write_report(validation, settings, arm.robot, args.output, overwrite=args.force)
+        validation = validate(paths, dynamics, settings, lambda share: progress.advance(task, share))
+    write_report(validation, settings, dynamics.robot, args.output, overwrite=args.force)
     if args.json:
-        print_json({**record(validation, settings, arm.robot), "output": str(args.output)})
+        print_json({**record(validation, settings, dynamics.robot), "output": str(args.output)})
     else:
         print_lines([*validation_lines(validation), ("written", args.output / PAGE)])
     return 0 if validation.result.accepted else NOT_ACCEPTED
 
 
-def _require_different(paths: Sequence[Path]) -> None:
-    """Raise SettingsError for a recording that is given twice: its impacts would count as repetitions."""
-    places: set[Path] = set()
+def _check_unique(paths: Sequence[Path]) -> None:
+    """Raise SettingsError for a duplicate recording: its impacts would count twice."""
+    unique_paths: set[Path] = set()
     for path in paths:
-        place = path.resolve()
-        if place in places:
+        resolved_path = path.resolve()
+        if resolved_path in unique_paths:
             raise SettingsError(f"{path}: must be given only once")
-        places.add(place)
+        unique_paths.add(resolved_path)
 
 
 def validation_settings(args: argparse.Namespace) -> ValidationSettings:
-    """Return the settings of --params with the other options over them. Raises SettingsError."""
+    """Return the settings of --params, overridden by the other options. Raises SettingsError."""
     from scara_effmass.analysis.validation import ValidationSettings  # noqa: PLC0415
 
     path, model = args.params, args.effective_mass_model
@@ -110,14 +110,14 @@ def validation_settings(args: argparse.Namespace) -> ValidationSettings:
     def section(kind: type[Settings], name: str) -> Settings:
         return load_settings(kind, path, name, SECTIONS) if path else kind()
 
-    validator = _changed(
+    validator = _with_options(
         section(ValidatorSettings, "validator"),
         stiffness=args.contact_stiffness,
         effective_mass_model=model,
         obstacle_mass=args.mass_of_obstacle,
     )
     return ValidationSettings(
-        monitor=_changed(section(MonitorSettings, "monitor"), robot=args.robot, effective_mass_model=model),
+        monitor=_with_options(section(MonitorSettings, "monitor"), robot=args.robot, effective_mass_model=model),
         validator=validator,
         detection=section(DaqSettings, "daq").detection,
         obstacle_mass=args.mass_of_obstacle,
@@ -126,6 +126,6 @@ def validation_settings(args: argparse.Namespace) -> ValidationSettings:
     )
 
 
-def _changed(settings: Settings, **given: Any) -> Settings:  # noqa: ANN401 - any setting
-    changes = {name: value for name, value in given.items() if value is not None}
+def _with_options(settings: Settings, **options: Any) -> Settings:  # noqa: ANN401 - any setting
+    changes = {name: value for name, value in options.items() if value is not None}
     return checked(type(settings), {**settings.model_dump(), **changes}, "options")

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from scara_effmass.nodes.validator_node import NodeSettings
 
 EXAMPLES = """\
-ROS arguments stand behind -- or --ros-args; they win over the options. What is hit may change while it runs:
-set its parameter obstacle_mass, or let the bench or a replayed recording say it on run_info.
+ROS arguments follow -- or --ros-args and override the options. To change the obstacle mass at run time, set the
+parameter obstacle_mass; sim_node and replayed recordings publish it on run_info.
 
 examples:
   scara-effmass validator --obstacle-mass 2.39
@@ -27,19 +27,19 @@ examples:
 def add_to(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.epilog = EXAMPLES
-    parser.add_argument("--obstacle-mass", type=float, metavar="KG", help="mass of what is hit, m_H [kg]")
+    parser.add_argument("--obstacle-mass", type=float, metavar="KG", help="mass of the obstacle, m_H [kg]")
     add_params(parser, "validator_node")
     parser.set_defaults(run=run, ros_arguments=[])
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the node until it is told to stop."""
+    """Run the node until shutdown."""
     from scara_effmass.nodes.validator_node import NodeSettings, main  # noqa: PLC0415 - rclpy, only when the node runs
 
     if args.params:
-        load_settings(NodeSettings, args.params, "validator")  # says in one line what ROS would say in ten
-    words = node_arguments(args.params, {"obstacle_mass": args.obstacle_mass}, args.ros_arguments)
-    return main(words, write_report)
+        load_settings(NodeSettings, args.params, "validator")  # a shorter error message than that of ROS
+    node_args = node_arguments(args.params, {"obstacle_mass": args.obstacle_mass}, args.ros_arguments)
+    return main(node_args, write_report)
 
 
 def node() -> int:
@@ -50,14 +50,16 @@ def node() -> int:
 
 
 def write_report(result: Result, settings: NodeSettings, folder: Path) -> Path:
-    """Write the report of a live series; return its page. Raises OutputError, RobotError."""
+    """Write the report of a live series; return the path of its page. Raises OutputError, RobotError."""
     from scara_effmass.analysis import validation_report  # noqa: PLC0415 - draws, only when it is asked for
     from scara_effmass.analysis.validation import Validation, ValidationSettings  # noqa: PLC0415
     from scara_effmass.model.load import load_robot  # noqa: PLC0415
 
     monitor = checked(MonitorSettings, {"robot": settings.robot}, "validator")
-    shown = checked(ValidatorSettings, settings.model_dump(include=set(ValidatorSettings.model_fields)), "validator")
-    about = ValidationSettings(monitor=monitor, validator=shown, detection=settings.detection)
+    validator = checked(
+        ValidatorSettings, settings.model_dump(include=set(ValidatorSettings.model_fields)), "validator"
+    )
+    report_settings = ValidationSettings(monitor=monitor, validator=validator, detection=settings.detection)
     robot = load_robot(monitor.robot_path, monitor)
-    validation_report.write_report(Validation(result, ()), about, robot, folder, overwrite=False)
+    validation_report.write_report(Validation(result, ()), report_settings, robot, folder, overwrite=False)
     return folder / validation_report.PAGE

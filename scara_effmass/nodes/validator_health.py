@@ -1,4 +1,4 @@
-"""What `/diagnostics` says of the validation: how the series stands, and what is not in it."""
+"""Diagnostics of the validation: state of the series, and impacts and messages that are not part of it."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ if TYPE_CHECKING:
 
 
 class ValidatorHealth:
-    """Counts what the middleware lost and what could not be decoded, and puts the series into a status."""
+    """Count lost and undecodable messages, and report them with the series."""
 
     def __init__(self, node: str) -> None:
-        """Report for the node of that name."""
+        """`node`: name of the node in the status."""
         self._node = node
-        self._unmatched: set[str] = set()
+        self._incompatible: set[str] = set()
         self._lost: dict[str, int] = {}
         self._undecodable: Counter[str] = Counter()
 
     def incompatible(self, line: str) -> None:
-        """Note an endpoint that could not be connected for its QoS."""
-        self._unmatched.add(line)
+        """Record an endpoint with incompatible QoS."""
+        self._incompatible.add(line)
 
     def lose(self, topic: str, count: int) -> None:
-        """Note how many messages of a topic the middleware has lost so far."""
+        """Record the total number of messages of a topic that the middleware lost."""
         self._lost[topic] = count
 
     def undecodable(self, line: str) -> None:
-        """Note a message that is not what its type says."""
+        """Count an undecodable message."""
         self._undecodable[line] += 1
 
     def statuses(self, result: Result, obstacle_mass: float) -> list[DiagnosticStatus]:
-        """Return the statuses for one report; `obstacle_mass` [kg] is that of the latest run, 0 where not known."""
-        judged = next(each for each in result.models if each.model == result.model).overall
-        trouble = result.clock or result.force_sign or "; ".join((*sorted(self._unmatched), *self._undecodable))
+        """Return the diagnostic status; `obstacle_mass` [kg] of the latest run, 0: unknown."""
+        selected = next(model for model in result.models if model.model == result.model).overall
+        problem = result.clock or result.force_sign or "; ".join((*sorted(self._incompatible), *self._undecodable))
         unpaired = sum(result.unpaired.values())
-        if not trouble and unpaired:
-            trouble = f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}"
-        if not trouble and self._lost:
-            trouble = ", ".join(f"{count} messages of {topic} lost" for topic, count in self._lost.items())
+        if not problem and unpaired:
+            problem = f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}"
+        if not problem and self._lost:
+            problem = ", ".join(f"{count} messages of {topic} lost" for topic, count in self._lost.items())
         values: dict[str, object] = {
             "model": result.model,
             "contact point": result.contact_point,
@@ -55,20 +55,20 @@ class ValidatorHealth:
             "accepted": result.accepted,
             "reason": result.reason,
             "criterion hash": result.criterion_hash,
-            "correlation": judged.correlation_reason or f"{judged.correlation:.5f}",
-            "fitted stiffness [N/m]": f"{judged.fitted_stiffness:.6g}",
-            "bias [N]": f"{judged.bias:.4g}",
-            "rmse [N]": f"{judged.rmse:.4g}",
-            "non-conservative": judged.non_conservative,
+            "correlation": selected.correlation_reason or f"{selected.correlation:.5f}",
+            "fitted stiffness [N/m]": f"{selected.fitted_stiffness:.6g}",
+            "bias [N]": f"{selected.bias:.4g}",
+            "rmse [N]": f"{selected.rmse:.4g}",
+            "non-conservative": selected.non_conservative,
             "clocks": result.clock,
             "sign of force": result.force_sign,
             "contact states too late": result.late_states,
             "undecodable messages": sum(self._undecodable.values()),
-            "incompatible QoS": "; ".join(sorted(self._unmatched)),
+            "incompatible QoS": "; ".join(sorted(self._incompatible)),
         }
         values |= {f"excluded: {reason}": count for reason, count in sorted(result.excluded.items())}
         values |= {f"not paired: {reason}": count for reason, count in sorted(result.unpaired.items())}
         values |= {f"lost of {topic}": count for topic, count in sorted(self._lost.items())}
-        level = DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK
-        message = trouble or f"{len(result.impacts)} impacts, {'accepted' if result.accepted else result.reason}"
+        level = DiagnosticStatus.WARN if problem else DiagnosticStatus.OK
+        message = problem or f"{len(result.impacts)} impacts, {'accepted' if result.accepted else result.reason}"
         return [status(f"{self._node}: series", level, message, values)]

@@ -1,4 +1,4 @@
-"""`validator_node`: impacts against what the monitor predicted at their onset."""
+"""`validator_node`: compare measured impacts with predictions from the contact states at their onsets."""
 
 from __future__ import annotations
 
@@ -39,47 +39,47 @@ if TYPE_CHECKING:
     WriteReport = Callable[[Result, "NodeSettings", Path], Path]
 
 _NS = 1_000_000_000
-_PLAIN = (
+_COMMON_FIELDS = (
     *("predicted_force", "measured_force", "relative_error", "effective_mass", "reduced_mass", "speed", "stiffness"),
     *("conservative", "count", "correlation", "fitted_stiffness", "bias", "rmse", "non_conservative", "accepted"),
     "reason",
 )
-"""The fields that message and value have in common."""
+"""Fields that `ImpactValidation` and `ValidatedImpact` share."""
 
 
 class NodeSettings(ValidatorSettings):
-    """The settings of the validation and the node's own."""
+    """Settings of the validation and of the node."""
 
     autostart: bool = Field(default=True, description="configure and activate at start", json_schema_extra=READ_ONLY)
     find_impacts: bool = Field(
         default=False,
-        description="find impacts in the topic force, for a sender that publishes no topic impact",
+        description="detect impacts in the topic force, for a sender that does not publish the topic impact",
         json_schema_extra=READ_ONLY,
     )
     report_folder: str = Field(
         "",
-        description="where ~/write_report makes a folder for each report; empty: validation, where the node runs",
+        description="parent folder of the reports of ~/write_report; empty: validation, in the working directory",
         json_schema_extra=READ_ONLY,
     )
     robot: str = Field(
         "",
-        description="robot file of the monitor, which the report describes; empty: the shipped Omron i4-550L",
+        description="robot file of the monitor, named in the report; empty: the shipped Omron i4-550L",
         json_schema_extra=READ_ONLY,
     )
     detection: DetectionSettings = DetectionSettings()
 
 
 class ValidatorNode(LifecycleBase):
-    """Pairs `impact` (or what it finds in `force`) with `contact_state`; publishes `impact_validation`."""
+    """Match `impact` (or impacts detected in `force`) with `contact_state`; publish `impact_validation`."""
 
     def __init__(self, write_report: WriteReport | None = None) -> None:
-        """Declare the parameters; `write_report` makes the report. Raises SettingsError."""
+        """Declare the parameters; `write_report` writes the report. Raises SettingsError."""
         super().__init__("validator")
         settings = checked(NodeSettings, parameters.declare(self, NodeSettings), self.get_name())
         self.autostart = settings.autostart
         self._settings = settings
         self._write_report = write_report
-        parameters.on_parameters_changed(self, lambda: self._settings, self._take)
+        parameters.on_parameters_changed(self, lambda: self._settings, self._apply)
         self._validator: Validator | None = None
 
     def configure(self) -> None:
@@ -88,7 +88,7 @@ class ValidatorNode(LifecycleBase):
         self._health = ValidatorHealth(self.get_name())
         self._validator = Validator(settings)
         self._detector = Detector(settings.detection)
-        self._result = self.create_owned_publisher(
+        self._publisher = self.create_owned_publisher(
             ImpactValidation, topics.IMPACT_VALIDATION, topics.STREAM_QOS, self._health.incompatible
         )
         Diagnostics(self, self._statuses)
@@ -151,7 +151,7 @@ class ValidatorNode(LifecycleBase):
             self._refuse_run(error)
 
     def _on_recording_info(self, message: String) -> None:
-        """Take run information in the JSON of an older recording; other text is ignored."""
+        """Read run information in the JSON format of older recordings; ignore other text."""
         if info := run_info_from_json(message.data):
             self._begin_run(info)
 
@@ -164,17 +164,17 @@ class ValidatorNode(LifecycleBase):
             self._refuse_run(error)
 
     def _refuse_run(self, error: EffmassError) -> None:
-        """Forget the obstacle mass: nothing is predicted with that of another run."""
+        """Set the obstacle mass to unknown, so that no prediction uses the mass of another run."""
         self.get_logger().error(f"{topics.RUN_INFO}: {error}; the obstacle mass is not known until the next RunInfo")
         if self._validator is not None:
             self._validator.forget_obstacle(self._now_ns())
 
     def _publish(self, impacts: Iterable[ValidatedImpact]) -> None:
         for impact in impacts:
-            message = ImpactValidation(**{name: getattr(impact, name) for name in _PLAIN})
+            message = ImpactValidation(**{name: getattr(impact, name) for name in _COMMON_FIELDS})
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(impact.stamp_ns, _NS)
             message.header.frame_id = impact.frame_id
-            self._result.publish(message)
+            self._publisher.publish(message)
 
     def _statuses(self) -> list[DiagnosticStatus]:
         validator = self._validator
@@ -185,12 +185,12 @@ class ValidatorNode(LifecycleBase):
             count = len(self._validator.result().impacts)
             self._validator.reset()
             response.success = True
-            response.message = f"a new series; the last one had {count} impacts"
+            response.message = f"new series started; the previous one had {count} impacts"
         return response
 
     def _on_write_report(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._validator is None or self._write_report is None:
-            response.message = "no report can be written here"
+            response.message = "the node is not configured, or runs without a report writer"
             return response
         folder = Path(self._settings.report_folder or "validation") / f"{self._now_ns() / _NS:.3f}"
         try:
@@ -200,14 +200,14 @@ class ValidatorNode(LifecycleBase):
             response.message = str(error)
         return response
 
-    def _take(self, settings: NodeSettings, given: AbstractSet[str]) -> None:
+    def _apply(self, settings: NodeSettings, names: AbstractSet[str]) -> None:
         self._settings = settings
-        # What was not set now may have been told since, by a recording or the bench.
-        told = {name: getattr(settings, name) for name in ("obstacle_mass", "configuration") if name in given}
-        if told and self._validator is not None:
-            self._validator.set_run(self._now_ns(), **told)
+        # Unchanged parameters must not override later run information.
+        changes = {name: getattr(settings, name) for name in ("obstacle_mass", "configuration") if name in names}
+        if changes and self._validator is not None:
+            self._validator.set_run(self._now_ns(), **changes)
 
 
 def main(args: Sequence[str] | None = None, write_report: WriteReport | None = None) -> int:
-    """Run the node with ROS arguments `args`, or those of the process."""
+    """Run the node with the ROS arguments `args`; default: those of the process."""
     return run(partial(ValidatorNode, write_report), args)

@@ -12,7 +12,7 @@ from matplotlib.image import imread
 
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.analysis.validation_record import record
-from scara_effmass.analysis.validation_report import NAMES, require_room, write_report
+from scara_effmass.analysis.validation_report import NAMES, check_report_folder, write_report
 from scara_effmass.analysis.validation_scope import LAW, NO_PROOF
 from scara_effmass.errors import OutputError
 from scara_effmass.settings import ValidatorSettings
@@ -161,7 +161,7 @@ def test_a_given_stiffness_is_said(campaign: list[Path], dynamics: RobotDynamics
     settings = ValidationSettings(validator=ValidatorSettings(stiffness=2000.0))
     found = validate(campaign, dynamics, settings)
     files = written(found, dynamics, tmp_path / "report", settings)
-    assert "All models predict with the given stiffness of 2000 N/mm." in files["report.html"].decode()
+    assert "All models use the specified stiffness of 2000 N/mm." in files["report.html"].decode()
     assert json.loads(files["report.json"])["models"][0]["stiffness"] == 2e6
 
 
@@ -173,10 +173,10 @@ def test_nothing_is_overwritten_and_nothing_half_written(
     (folder / "exponent.svg").write_text("mine")
     refused = r"exponent\.svg: already exists; use --force to replace it"
     with pytest.raises(OutputError, match=refused):
-        require_room(folder, overwrite=False)
+        check_report_folder(folder, overwrite=False)
     with pytest.raises(OutputError, match=refused):
         write_report(validation, SETTINGS, dynamics.robot, folder, overwrite=False)
-    require_room(folder, overwrite=True)
+    check_report_folder(folder, overwrite=True)
 
     def fail(*_: object) -> str:
         raise OutputError("no room")
@@ -191,4 +191,4 @@ def test_nothing_is_overwritten_and_nothing_half_written(
 def test_the_folder_must_not_be_a_file(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="file"):
-        require_room(tmp_path / "file", overwrite=True)
+        check_report_folder(tmp_path / "file", overwrite=True)

@@ -201,7 +201,7 @@ def test_reset_begins_a_new_series(bench: Bench) -> None:
     bench.harness.spin_until(lambda: len(bench.heard) == 4)
     answer: Any = bench.harness.call_service(Trigger, "reset", Trigger.Request())
     assert answer.success
-    assert answer.message == "a new series; the last one had 4 impacts"
+    assert answer.message == "new series started; the previous one had 4 impacts"
     bench.harness.diagnostic("validator: series", "impacts seen", lambda value: value == "0")
 
 
