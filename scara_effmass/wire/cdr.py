@@ -102,7 +102,7 @@ class Cursor:
         """Read a sequence of numbers into a read-only array in native order."""
         dtype = np.dtype(number).newbyteorder(self.byte_order)
         start, count = self.skip_numbers(field, dtype.itemsize)
-        # copied, because numbers in the message are not aligned in memory
+        # A copy, because numbers in the message are not aligned in memory.
         array = np.frombuffer(self._data[start : start + count * dtype.itemsize], dtype).astype(number, copy=False)
         array.flags.writeable = False
         return array

@@ -1,7 +1,7 @@
-"""ContactState messages from and to `ContactAssessment`, and Float64 messages.
+"""Convert ContactState messages to and from `ContactAssessment`, and encode Float64 messages.
 
-Packing with `struct` takes a fifth of the time that filling in a message and converting it in rclpy takes, three times
-per cycle. Tests compare the layout with rclpy and rosbags.
+Packing with `struct` takes a fifth of the time of rclpy, which matters three times per cycle. Tests compare the layout
+with rclpy and rosbags.
 """
 
 from __future__ import annotations

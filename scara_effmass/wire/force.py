@@ -1,4 +1,4 @@
-"""ForceBlock and Impact messages from and to the values of the same names.
+"""Convert the ForceBlock and Impact messages to and from the values of the same names.
 
 Tests compare both layouts with rclpy and rosbags.
 """
@@ -70,20 +70,20 @@ def decode_force_block(data: bytes) -> ForceBlock:
         saturated_samples = np.arange(len(force), dtype=np.uint32)
         saturated_samples.flags.writeable = False
     block = ForceBlock(
-        stamp_ns,
-        frame_id,
-        first_sample,
-        sample_rate,
-        force,
-        lost_samples,
-        saturated_samples,
-        cursor.float64("clock_residual"),
-        cursor.float64("filter_delay"),
-        cursor.text("source"),
-        cursor.flag("simulated"),
-        cursor.float64("tare"),
-        cursor.stamp_ns("tare_stamp"),
-        cursor.float64("relative_uncertainty"),
+        stamp_ns=stamp_ns,
+        frame_id=frame_id,
+        first_sample=first_sample,
+        sample_rate=sample_rate,
+        force=force,
+        lost_samples=lost_samples,
+        saturated_samples=saturated_samples,
+        clock_residual=cursor.float64("clock_residual"),
+        filter_delay=cursor.float64("filter_delay"),
+        source=cursor.text("source"),
+        simulated=cursor.flag("simulated"),
+        tare=cursor.float64("tare"),
+        tare_stamp_ns=cursor.stamp_ns("tare_stamp"),
+        relative_uncertainty=cursor.float64("relative_uncertainty"),
     )
     cursor.end("relative_uncertainty")
     return block
@@ -112,20 +112,20 @@ def decode_impact(data: bytes) -> Impact:
     cursor = Cursor(data, "Impact")
     stamp_ns, frame_id = cursor.header()
     impact = Impact(
-        stamp_ns,
-        frame_id,
-        cursor.float64("peak_force"),
-        cursor.float64("duration"),
-        cursor.float64("impulse"),
-        cursor.float64("onset_sample"),
-        cursor.flag("clipped"),
-        cursor.flag("incomplete"),
-        cursor.integer("rebound", 4),
-        cursor.float64("baseline"),
-        cursor.float64("noise"),
-        cursor.float64("clock_residual"),
-        cursor.text("source"),
-        cursor.flag("simulated"),
+        stamp_ns=stamp_ns,
+        frame_id=frame_id,
+        peak_force=cursor.float64("peak_force"),
+        duration=cursor.float64("duration"),
+        impulse=cursor.float64("impulse"),
+        onset_sample=cursor.float64("onset_sample"),
+        clipped=cursor.flag("clipped"),
+        incomplete=cursor.flag("incomplete"),
+        rebound=cursor.integer("rebound", 4),
+        baseline=cursor.float64("baseline"),
+        noise=cursor.float64("noise"),
+        clock_residual=cursor.float64("clock_residual"),
+        source=cursor.text("source"),
+        simulated=cursor.flag("simulated"),
     )
     cursor.end("simulated")
     return impact

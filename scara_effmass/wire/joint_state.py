@@ -1,4 +1,4 @@
-"""sensor_msgs/JointState messages from and to `JointState`."""
+"""Convert sensor_msgs/JointState messages to and from `JointState`."""
 
 from __future__ import annotations
 

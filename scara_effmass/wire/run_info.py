@@ -1,4 +1,4 @@
-"""Run information on the wire: `RunInfo.msg` as CDR, and the JSON text of recordings made before it existed."""
+"""Convert run information to and from CDR (`RunInfo.msg`), and from the JSON text of older recordings."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ import struct
 from typing import TYPE_CHECKING, Any
 
 from scara_effmass.values import RunInfo
-from scara_effmass.wire.cdr import LITTLE_ENDIAN, Cursor, padded, sec_and_nanosec, with_text
+from scara_effmass.wire.cdr import LITTLE_ENDIAN, STAMP, Cursor, padded, sec_and_nanosec, with_text
 
 if TYPE_CHECKING:
     from scara_effmass.values import Vector3
 
 LATEST_NS = 2**63 - 1
 UNUSABLE_NS = LATEST_NS + 1
-"""Stands for a time in JSON that is none."""
+"""Replaces an invalid time in JSON."""
 
-_STAMP = struct.Struct("<iI")
 _MASS_AND_PLATE = struct.Struct("<7d")
 """From obstacle_mass to plate_normal."""
 _TRUTH = struct.Struct("<ddiI5d")
@@ -25,8 +24,8 @@ _TRUTH = struct.Struct("<ddiI5d")
 
 
 def run_info_message(info: RunInfo) -> bytes:
-    """Return a scara_effmass_msgs/RunInfo."""
-    header = with_text(_STAMP.pack(*sec_and_nanosec(info.stamp_ns)), info.frame_id)
+    """Return the CDR bytes of a RunInfo."""
+    header = with_text(STAMP.pack(*sec_and_nanosec(info.stamp_ns)), info.frame_id)
     numbers = _MASS_AND_PLATE.pack(info.obstacle_mass, *info.impact_position, *info.plate_normal)
     truth = _TRUTH.pack(
         info.contact_stiffness,
@@ -43,7 +42,7 @@ def run_info_message(info: RunInfo) -> bytes:
 
 
 def decode_run_info(data: bytes) -> RunInfo:
-    """Return the RunInfo in `data`, CDR of either byte order, values unchecked; raises DecodeError."""
+    """Return the RunInfo in `data`, CDR of either byte order, with unchecked values. Raises DecodeError."""
     cursor = Cursor(data, "RunInfo")
     stamp_ns, frame_id = cursor.header()
     info = RunInfo(
@@ -69,9 +68,9 @@ def decode_run_info(data: bytes) -> RunInfo:
 
 
 def run_info_from_json(text: str) -> RunInfo | None:
-    """Return the run information in the JSON `text` of an older recording; None where it is no JSON object.
+    """Return the run information in the JSON `text` of an older recording, None if it is not a JSON object.
 
-    A value of the wrong type becomes one that `impacts.run_info.checked` refuses.
+    A value of the wrong type becomes a value that `impacts.run_info.checked` refuses.
     """
     try:
         fields = json.loads(text)
@@ -104,8 +103,8 @@ def _vector(cursor: Cursor, field: str) -> Vector3:
     return (cursor.float64(f"{field}.x"), cursor.float64(f"{field}.y"), cursor.float64(f"{field}.z"))
 
 
-def _number(value: Any) -> float:  # noqa: ANN401 - whatever JSON holds
-    """Return `value` as float: 0 where it is not stated, NaN where it is no number."""
+def _number(value: Any) -> float:  # noqa: ANN401 - any JSON value
+    """Return `value` as float: 0 if it is missing, NaN if it is not a number."""
     if value is None:
         return 0.0
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -113,21 +112,21 @@ def _number(value: Any) -> float:  # noqa: ANN401 - whatever JSON holds
     return float(value) if abs(value) <= LATEST_NS else math.nan
 
 
-def _known(value: Any) -> float:  # noqa: ANN401 - whatever JSON holds
-    """Return a ground truth `value`, 0 where it is unknown or no positive number."""
+def _known(value: Any) -> float:  # noqa: ANN401 - any JSON value
+    """Return a ground truth, 0 if it is unknown or not a positive number."""
     number = _number(value)
     return number if 0.0 < number < math.inf else 0.0
 
 
-def _vector_from(values: Any) -> Vector3:  # noqa: ANN401 - whatever JSON holds
-    """Return a list of two or three numbers as a vector, NaN where it is none."""
+def _vector_from(values: Any) -> Vector3:  # noqa: ANN401 - any JSON value
+    """Return a list of two or three numbers as a vector, NaN if it is anything else."""
     numbers = [_number(value) for value in values] if isinstance(values, list) else []
     x, y, z = {2: [*numbers, 0.0], 3: numbers}.get(len(numbers), [math.nan] * 3)
     return (x, y, z)
 
 
-def _nanoseconds(value: Any) -> int:  # noqa: ANN401 - whatever JSON holds
-    """Return `value` as ROS time: 0 where it is not stated, UNUSABLE_NS where it is none."""
+def _nanoseconds(value: Any) -> int:  # noqa: ANN401 - any JSON value
+    """Return `value` as ROS time [ns]: 0 if it is missing, UNUSABLE_NS if it is invalid."""
     if value is None:
         return 0
     whole = isinstance(value, int) and not isinstance(value, bool) and abs(value) <= LATEST_NS
