@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scara_effmass.bags.writer import BagWriter
+from scara_effmass.daq.conditioning import MAX_LOST, RANGE_TOLERANCE
 from scara_effmass.errors import BagError
 from scara_effmass.importers import BAG_IMPORTER, IMPORTERS
 from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT
@@ -26,10 +27,6 @@ if TYPE_CHECKING:
 
 MAX_VALUE = 1e9
 """[N] or [V]; no sensor measures more."""
-RANGE_TOLERANCE = 1e-3
-"""Relative distance from the end of the range at which a sample counts as saturated."""
-MAX_LOST = 2**32 - 1
-"""Largest value of `ForceBlock.lost_samples`."""
 
 
 @dataclass(frozen=True, slots=True)
