@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from scara_effmass.values import ContactAssessment, JointState
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
-"""Matches numbers in a reason, so that reasons that differ in numbers alone count as one; digits in names stay."""
+"""Numbers in a reason, except digits in names; reasons are counted without them."""
 MAX_REASONS = 200
-"""Number of different reasons to count; all others count as one, which bounds the memory."""
+"""Maximum number of different reasons; further ones count as `OTHER_REASONS`, which bounds the memory."""
 OTHER_REASONS = "other reasons"
 
 
@@ -66,7 +66,7 @@ class Summary:
         self._last = (at_ns, worst.verdict)
 
     def new_recording(self) -> None:
-        """Start a new recording: its first cycle does not follow the last one in time."""
+        """Start a new recording; the time since the last cycle is not counted."""
         self._last = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -85,7 +85,7 @@ class Summary:
         if self._last is None:
             return
         last_ns, verdict = self._last
-        # Stamps may be out of order: no time is counted twice.
+        # Stamps may be out of order; no time is counted twice.
         elapsed_ns = max(0, at_ns - last_ns)
         self.time_ns[verdict] += min(elapsed_ns, self._timeout_ns)
         if elapsed_ns > self._timeout_ns:

@@ -1,4 +1,4 @@
-"""Assessments of one contact point over time, as figures and reports use them."""
+"""Time series of the assessments of one contact point, for figures and reports."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class TimeSeriesBuilder:
 
 
 def decimate(time: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
-    """Return at most 5 points per pixel column that draw like all: first, last, minimum, maximum, and one NaN.
+    """Return at most 5 points per pixel column that draw the same lines: first, last, minimum, maximum, and one NaN.
 
     `time` (m,) is ascending. Equal columns of time become equal columns of pixels, so no peak and no gap is lost.
     """
@@ -153,7 +153,7 @@ def verdict_spans(series: TimeSeries, timeout: float) -> list[tuple[float, float
 
 
 def episodes(series: TimeSeries, timeout: float) -> list[Episode]:
-    """Return the intervals without verdict OK, in order; a silence beyond `timeout` [s] is one of UNKNOWN."""
+    """Return the intervals without verdict OK, in order; a silence beyond `timeout` [s] is UNKNOWN."""
     return [interval for interval in _intervals(series, timeout) if interval.verdict is not Verdict.OK]
 
 

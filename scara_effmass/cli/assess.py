@@ -44,10 +44,10 @@ examples:
 
 
 class Assessor:
-    """Assesses recordings one after the other, and counts."""
+    """Assesses recordings in turn and sums up the results."""
 
     def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
-        """Prepare; only a SCARA has closed forms to check against."""
+        """Prepare; only a SCARA has closed forms for the check."""
         from scara_effmass.analysis.closed_form_check import ClosedFormCheck  # noqa: PLC0415 - not needed for --help
         from scara_effmass.analysis.summary import Summary  # noqa: PLC0415
 
@@ -71,7 +71,7 @@ class Assessor:
         advance: Callable[[], object],
         series: Mapping[str, TimeSeriesBuilder],
     ) -> None:
-        """Assess every joint state on `topic` into `table`, and into the `series` of its contact point if there is one.
+        """Assess every joint state on `topic`; add it to `table` and, if present, to the `series` of its contact point.
 
         Raises EffmassError.
         """
@@ -146,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
 
     settings = settings_from(args)
     dynamics = load_dynamics(settings)
-    Monitor(dynamics, settings)  # refuses limits that do not exist before anything is written
+    Monitor(dynamics, settings)  # raises for missing limits before any file is written
     paths = [path for folder in args.bags for path in find_bags(folder)]
     assessor = Assessor(dynamics, settings)
     origin = provenance(settings, dynamics.robot.origin, paths)

@@ -1,4 +1,4 @@
-"""`scara-effmass demo --bag`: replay a recording to the live monitor and report what it publishes."""
+"""`scara-effmass demo --bag`: replay a recording to the live monitor and report its verdicts."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from scara_effmass.values import ContactAssessment
 
 ANSWER_TIMEOUT_S = 10.0
-"""How long the monitor's last messages may take after the end of the replay."""
+"""Maximum wait for the last messages of the monitor after the end of the replay."""
 FORCE_END_TIMEOUT_S = 3.0
 
 
@@ -48,7 +48,7 @@ class ReplayedBag(NamedTuple):
 
 
 class LiveRun:
-    """One replay through the live monitor, and what the monitor published."""
+    """One replay through the live monitor, and the messages of the monitor."""
 
     def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
         """Prepare for the contact points of `dynamics`."""
@@ -82,7 +82,8 @@ class LiveRun:
             first_ns: list[int] = []
 
             def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
-                first_ns.append(at_ns) if not first_ns else None
+                if not first_ns:
+                    first_ns.append(at_ns)
                 self.summary.add(contacts, at_ns)
                 for contact in contacts:
                     self.series[contact.contact_point].add(contact, at_ns)
@@ -96,7 +97,8 @@ class LiveRun:
                     raise EffmassError(f"monitor: not running after {START_TIMEOUT_S:g} s")
                 require_running(nodes)
                 with ChildProcess(_replay_command(args, bag)) as replay, status:
-                    nodes.remove(force) if force else None
+                    if force:
+                        nodes.remove(force)
                     client.spin(math.inf, lambda: replay.ended or node_ended())
                     require_running(nodes)
                     self.replay_report = json.loads(replay.output())
@@ -110,7 +112,7 @@ class LiveRun:
                     self.record_report = json.loads(recorder.finish())
 
     def _read_back(self, bag: ReplayedBag, duration_s: float) -> None:
-        """Read what no message of the monitor holds: joint states of other devices, the pose of the tightest margin."""
+        """Read from the bag the count of joint states of other devices and the pose of the tightest margin."""
         from scara_effmass.bags.files import open_bag  # noqa: PLC0415
 
         tightest = self.summary.tightest
@@ -126,7 +128,7 @@ class LiveRun:
 
 
 def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings, note: str) -> int:
-    """Replay the recording live and write the report; `note` says why another mass model is used."""
+    """Replay the recording live and write the report; `note` states why another mass model is used."""
     from scara_effmass.analysis.forces import read_force  # noqa: PLC0415 - not needed for --help
     from scara_effmass.analysis.run_report import PAGE, run_report  # noqa: PLC0415
     from scara_effmass.bags.files import open_bag  # noqa: PLC0415
@@ -179,15 +181,15 @@ def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
 
 def _force_command(bag: ReplayedBag) -> list[str]:
     """Return the command that plays the force on the clock of the replay and ends with it."""
-    words = ["daq", "--source", "bag", "--path", str(bag.path), "--topic", bag.force_topic]
-    return [*words, *SIM_TIME, "-p", "stop_at_end:=true"]
+    command = ["daq", "--source", "bag", "--path", str(bag.path), "--topic", bag.force_topic]
+    return [*command, *SIM_TIME, "-p", "stop_at_end:=true"]
 
 
 def _replay_command(args: argparse.Namespace, bag: ReplayedBag) -> list[str]:
     """Return the command that replays the joint states once monitor and recorder subscribe."""
-    words = ["replay", str(bag.path), "--topic", bag.topic, "--topics", bag.topic]
-    words += ["--rate", str(args.rate), "--duration", str(args.duration)]
-    return [*words, "--subscribers", "2", "--wait", str(START_TIMEOUT_S), "--json"]
+    command = ["replay", str(bag.path), "--topic", bag.topic, "--topics", bag.topic]
+    command += ["--rate", str(args.rate), "--duration", str(args.duration)]
+    return [*command, "--subscribers", "2", "--wait", str(START_TIMEOUT_S), "--json"]
 
 
 def _inspect(args: argparse.Namespace) -> ReplayedBag:
@@ -210,7 +212,7 @@ def _introduction(bag: ReplayedBag, dynamics: RobotDynamics, mass_model: str, ra
     generated = f"generated, no real robot: {bag.description}" if bag.description else ""
     return [
         ("recording", f"{bag.path}, {bag.topic}, {bag.duration_s:.1f} s, {speed}"),
-        ("motion", generated or "as recorded; the recording does not say that it was generated"),
+        ("motion", generated or "as recorded; the recording does not state that it was generated"),
         ("live", "the monitor node computes all verdicts now, from that motion"),
         ("not measured", "masses and permissible forces come from the robot's model and ISO/TS 15066"),
         ("robot", f"{dynamics.robot.name}, {dynamics.robot.origin}"),
@@ -225,13 +227,13 @@ def _lines(live: LiveRun) -> Iterator[tuple[str, str]]:
 
 
 def _process_lines(live: LiveRun) -> Iterator[tuple[str, str]]:
-    """Yield what replay and recorder reported."""
+    """Yield the results of the recorder and the replay."""
     recorded, replayed = live.record_report, live.replay_report
     yield "recorded", f"{recorded['messages']} messages, {recorded['lost']} lost: {recorded['bag']}"
     for name, topic in recorded["topics"].items():
         yield "", f"{name}: {topic['recorded']}"
     if replayed["late"]:
-        worst = f"at worst {replayed['worst_lateness_s']:.3f} s: this machine was too busy, not the recording"
+        worst = f"at worst {replayed['worst_lateness_s']:.3f} s: this machine was too busy"
         yield "late", f"{replayed['late']} messages were sent late, {worst}"
     for warning in replayed["warnings"]:
         yield "recording", warning

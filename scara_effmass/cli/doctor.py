@@ -185,7 +185,7 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
     if robot.payload_mass:
         yield CheckResult("ok", "payload", f"{robot.payload_mass:.4g} kg")
     else:
-        yield CheckResult("note", "payload", "0 kg: the last link must include the tool and what it carries")
+        yield CheckResult("note", "payload", "0 kg: the last link must include the tool and its load")
     for joint, armature in zip(robot.joint_names, robot.model.armature.tolist(), strict=True):
         if armature:
             yield CheckResult("ok", f"armature of {joint}", f"{armature:.4g} kg m² or kg")

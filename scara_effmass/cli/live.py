@@ -1,4 +1,4 @@
-"""The status of a live run: two lines that update on a terminal, one line every two seconds in a pipe."""
+"""Status of a live run: updating lines on a terminal, one line every 2 s in a pipe."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options that several commands share, and the settings they make."""
+"""Options shared by several commands, and the settings made from them."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def settings_from(
 
 
 def node_arguments(params: Path | None, parameters: Mapping[str, Any], ros_arguments: Sequence[str]) -> list[str]:
-    """Return ROS arguments: the parameter file, then `parameters`, then the user's own; the last one wins."""
+    """Return ROS arguments: parameter file, `parameters`, and the arguments of the user, which override both."""
     arguments = ["--ros-args"]
     if params:
         arguments += ["--params-file", str(params)]
