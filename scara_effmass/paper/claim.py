@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 
@@ -29,73 +29,44 @@ class Outcome(Enum):
 class Claim:
     """A statement `paper` at `where` in the paper, our result `ours`, and the `rule` for a match.
 
-    `value` [`unit`] is the number in `ours`, None without one; `basis` is None where nothing was checked.
+    A new claim is not checked; its methods return it compared with a result. NaN never matches. `value` [`unit`] is
+    the number in `ours`, None without one; `basis` is None where nothing was checked.
     """
 
     key: str
     where: str
     paper: str
-    ours: str
-    value: float | None
-    unit: str
-    rule: str
-    basis: Basis | None
-    outcome: Outcome
+    basis: Basis | None = Basis.RESULT
+    ours: str = ""
+    value: float | None = None
+    unit: str = ""
+    rule: str = ""
+    outcome: Outcome = Outcome.NOT_CHECKED
     note: str = ""
 
-
-@dataclass(frozen=True, slots=True)
-class Statement:
-    """A statement of the paper; its methods compare it with a result. NaN never matches."""
-
-    key: str
-    where: str
-    text: str
-    basis: Basis = Basis.RESULT
-
     def near(self, value: float, expected: float, tolerance: float, unit: str = "", note: str = "") -> Claim:
-        """Return the claim that `value` is within `tolerance` of `expected`."""
+        """Compare: `value` is within `tolerance` of `expected`."""
         rule = f"within {_quantity(tolerance, unit)} of {_quantity(expected, unit)}"
         return self._compared(value, unit, rule, note, met=abs(value - expected) <= tolerance)
 
     def at_most(self, value: float, bound: float, unit: str = "", note: str = "") -> Claim:
-        """Return the claim that `value` does not exceed `bound`."""
+        """Compare: `value` does not exceed `bound`."""
         return self._compared(value, unit, f"at most {_quantity(bound, unit)}", note, met=value <= bound)
 
     def more_than(self, value: float, bound: float, unit: str = "", note: str = "") -> Claim:
-        """Return the claim that `value` exceeds `bound`."""
+        """Compare: `value` exceeds `bound`."""
         return self._compared(value, unit, f"more than {_quantity(bound, unit)}", note, met=value > bound)
 
     def holds(self, ours: str, rule: str, note: str = "", *, met: bool) -> Claim:
-        """Return a claim without a single number."""
-        return self._claim(ours, None, "", rule, self.basis, _outcome(met=met), note)
+        """Compare without a single number."""
+        return replace(self, ours=ours, rule=rule, note=note, outcome=Outcome.MATCH if met else Outcome.NO_MATCH)
 
     def not_checked(self, reason: str) -> Claim:
-        """Return a claim that cannot be checked here."""
-        return self._claim("", None, "", "", None, Outcome.NOT_CHECKED, reason)
+        """Return the claim as one that cannot be checked here."""
+        return replace(self, basis=None, note=reason)
 
     def _compared(self, value: float, unit: str, rule: str, note: str, *, met: bool) -> Claim:
-        return self._claim(_quantity(value, unit), value, unit, rule, self.basis, _outcome(met=met), note)
-
-    def _claim(
-        self, ours: str, value: float | None, unit: str, rule: str, basis: Basis | None, outcome: Outcome, note: str
-    ) -> Claim:
-        return Claim(
-            key=self.key,
-            where=self.where,
-            paper=self.text,
-            ours=ours,
-            value=value,
-            unit=unit,
-            rule=rule,
-            basis=basis,
-            outcome=outcome,
-            note=note,
-        )
-
-
-def _outcome(*, met: bool) -> Outcome:
-    return Outcome.MATCH if met else Outcome.NO_MATCH
+        return replace(self.holds(_quantity(value, unit), rule, note, met=met), value=value, unit=unit)
 
 
 def _quantity(value: float, unit: str) -> str:

@@ -6,33 +6,32 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scara_effmass.paper.claim import Basis, Statement
+from scara_effmass.paper.claim import Basis, Claim
 from scara_effmass.paper.protocol import OBSTACLES_KG, REPETITIONS, SPEED
 from scara_effmass.paper.recorded_impact import mean_peaks, origin, points_by_mass, root_reduced_mass
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from scara_effmass.paper.claim import Claim
     from scara_effmass.paper.motion import ToolMotion
     from scara_effmass.paper.recorded_impact import RecordedImpact
     from scara_effmass.paper.scara import Scara
 
 MIN_CORRELATION = 0.99
 """Pearson's r of an agreement, chosen here: the paper shows curves and prints no number."""
-REPEATED = Statement("repetitions", "§5", "three tests per case", Basis.GIVEN)
-GROWS = Statement("force_grows", "Fig. 19", "the force grows with m_H in every configuration")
-ORDERED = Statement("force_order", "Fig. 19", "the configurations are in the order of √µ")
-PROPORTIONAL = Statement("force_proportional", "Fig. 19", "mean peak force proportional to √µ")
+REPEATED = Claim("repetitions", "§5", "three tests per case", Basis.GIVEN)
+GROWS = Claim("force_grows", "Fig. 19", "the force grows with m_H in every configuration")
+ORDERED = Claim("force_order", "Fig. 19", "the configurations are in the order of √µ")
+PROPORTIONAL = Claim("force_proportional", "Fig. 19", "mean peak force proportional to √µ")
 
 
 def motion_claims(motion: ToolMotion) -> Iterator[Claim]:
     """Yield the claims of Fig. 17."""
     note = f"{motion.source}, which was generated with this value"
-    yield Statement("speed", "§5, Fig. 17", "250 mm/s at the impact", Basis.GIVEN).near(
+    yield Claim("speed", "§5, Fig. 17", "250 mm/s at the impact", Basis.GIVEN).near(
         1e3 * motion.contact_speed_m_s, 1e3 * SPEED, 2.5, "mm/s", note
     )
-    yield Statement("midpoint", "§5, Fig. 17", "impact at mid-path", Basis.GIVEN).near(
+    yield Claim("midpoint", "§5, Fig. 17", "impact at mid-path", Basis.GIVEN).near(
         motion.path_share, 0.5, 0.01, note=note
     )
 
@@ -40,8 +39,8 @@ def motion_claims(motion: ToolMotion) -> Iterator[Claim]:
 def run_claims(scara: Scara, runs: Sequence[RecordedImpact]) -> Iterator[Claim]:
     """Yield the claims of Figs. 18 and 19; without `runs` they are not checked."""
     if not runs:
-        for statement in (REPEATED, GROWS, ORDERED, PROPORTIONAL):
-            yield statement.not_checked("needs recorded impacts, and there are none here")
+        for claim in (REPEATED, GROWS, ORDERED, PROPORTIONAL):
+            yield claim.not_checked("needs recorded impacts, and there are none here")
         return
     kind = f"{origin(runs)} impacts"
     peaks = mean_peaks(runs)
@@ -56,10 +55,10 @@ def run_claims(scara: Scara, runs: Sequence[RecordedImpact]) -> Iterator[Claim]:
     )
     by_point = [[peaks[point, mass] for mass in OBSTACLES_KG if (point, mass) in peaks] for point in points]
     by_mass = [[peaks[point, mass] for point in points if (point, mass) in peaks] for mass in OBSTACLES_KG]
-    for statement, series in ((GROWS, by_point), (ORDERED, by_mass)):
+    for claim, series in ((GROWS, by_point), (ORDERED, by_mass)):
         steps = np.concatenate([np.diff(forces) for forces in series])
         rising = int(np.sum(steps > 0.0))
-        yield statement.holds(
+        yield claim.holds(
             f"{rising} of {steps.size} steps rise", "every step rises", kind, met=rising == steps.size > 0
         )
     roots = np.array([root_reduced_mass(scara, *case) for case in peaks])

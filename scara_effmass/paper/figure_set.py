@@ -17,9 +17,8 @@ from scara_effmass.analysis.report import EmbeddedFigure
 from scara_effmass.paper.claim import Outcome
 from scara_effmass.paper.experiment_claims import motion_claims, run_claims
 from scara_effmass.paper.figure_specs import FIGURE_SPECS
-from scara_effmass.paper.mass_claims import mass_claims
+from scara_effmass.paper.mass_claims import mass_claims, reduced_mass_claims
 from scara_effmass.paper.page import page
-from scara_effmass.paper.reduced_mass_claims import reduced_mass_claims
 from scara_effmass.paper.robot_claims import robot_claims
 from scara_effmass.paper.scara import compare_models
 from scara_effmass.paper.workspace import equal_area_poses

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scara_effmass.iso15066 import reduced_mass
-from scara_effmass.paper.claim import Basis, Statement
+from scara_effmass.paper.claim import Basis, Claim
 from scara_effmass.paper.protocol import OBSTACLES_KG, SAMPLE_RATE, SAMPLES
 from scara_effmass.settings import DaqSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from scara_effmass.paper.claim import Claim
     from scara_effmass.paper.scara import Scara
 
 ROUNDING_KG = 0.005
@@ -29,34 +28,34 @@ def robot_claims(scara: Scara) -> Iterator[Claim]:
         ("m3", "M₃", 0.97, scara.m3),
         ("iso_mass", "m_R", 2.77, scara.iso_mass),
     ):
-        statement = Statement(key, "§4.1", f"{symbol} = {printed} kg", Basis.FITTED)
-        yield statement.near(value, printed, ROUNDING_KG, "kg")
+        claim = Claim(key, "§4.1", f"{symbol} = {printed} kg", Basis.FITTED)
+        yield claim.near(value, printed, ROUNDING_KG, "kg")
     for obstacle, printed in zip(OBSTACLES_KG, PRINTED_MU_ISO, strict=True):
         text = f"µ_ISO = {printed:g} kg for m_H = {obstacle:g} kg"
         value = reduced_mass(scara.iso_mass, obstacle)
-        yield Statement(f"mu_iso_{obstacle:g}", "§4.2", text).near(
+        yield Claim(f"mu_iso_{obstacle:g}", "§4.2", text).near(
             value, printed, ROUNDING_KG, "kg", "follows from m_R and m_H"
         )
     masses = ", ".join(f"{mass:.3f}" for mass in scara.aggregated)
     count = len(scara.aggregated)
-    yield Statement("lumped_masses", "§3.1", "five aggregated masses, the first one at rest, four moving").holds(
+    yield Claim("lumped_masses", "§3.1", "five aggregated masses, the first one at rest, four moving").holds(
         f"{count} masses, of which {count - 1} move: {masses} kg",
         "5 masses, none negative",
         "the count follows from the construction; the values of Table II are not in our copy of the paper",
         met=count == 5 and min(scara.aggregated) >= 0.0,
     )
-    yield Statement("lumped_masses_tm5", "Fig. 1", "seven aggregated masses for a six-axis TM5-700").not_checked(
+    yield Claim("lumped_masses_tm5", "Fig. 1", "seven aggregated masses for a six-axis TM5-700").not_checked(
         "the construction here covers parallel axes only, so this robot is not lumped"
     )
     for key, symbol, printed, limit in (
         ("q1_range", "q₁", 136.0, scara.q1_max),
         ("q2_range", "q₂", 148.0, scara.q2_max),
     ):
-        statement = Statement(key, "§4.1", f"{symbol} within ±{printed:g}°", Basis.GIVEN)
-        yield statement.near(float(np.degrees(limit)), printed, 0.01, "deg")
+        claim = Claim(key, "§4.1", f"{symbol} within ±{printed:g}°", Basis.GIVEN)
+        yield claim.near(float(np.degrees(limit)), printed, 0.01, "deg")
     settings = DaqSettings()
     text = "sensitivity of the force sensor 208C03: 2.224 mV/kN"
-    yield Statement("sensitivity", "§5", text, Basis.GIVEN).near(
+    yield Claim("sensitivity", "§5", text, Basis.GIVEN).near(
         1e3 * settings.sensor.sensitivity,
         PRINTED_SENSITIVITY,
         PRINTED_SENSITIVITY * settings.sensor.sensitivity_uncertainty,
@@ -64,6 +63,6 @@ def robot_claims(scara: Scara) -> Iterator[Claim]:
         "nominal is 10 mV/lbf = 2.248 mV/N; 2.224 is the sensor's range in kN, and tolerance is the maker's 15 %",
     )
     rate = settings.ni9230.sample_rate
-    yield Statement("sample_rate", "§5", "12 800 samples per second", Basis.GIVEN).near(rate, SAMPLE_RATE, 0.5, "Hz")
+    yield Claim("sample_rate", "§5", "12 800 samples per second", Basis.GIVEN).near(rate, SAMPLE_RATE, 0.5, "Hz")
     text = "10 000 samples per record (0.78125 s at 12 800 Hz)"
-    yield Statement("record_length", "§5", text, Basis.GIVEN).near(SAMPLES / rate, SAMPLES / SAMPLE_RATE, 1e-5, "s")
+    yield Claim("record_length", "§5", text, Basis.GIVEN).near(SAMPLES / rate, SAMPLES / SAMPLE_RATE, 1e-5, "s")

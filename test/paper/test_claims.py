@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.paper.claim import Basis, Outcome, Statement
+from scara_effmass.paper.claim import Basis, Claim, Outcome
 from scara_effmass.paper.experiment_claims import motion_claims, run_claims
-from scara_effmass.paper.mass_claims import mass_claims
-from scara_effmass.paper.reduced_mass_claims import reduced_mass_claims
+from scara_effmass.paper.mass_claims import mass_claims, reduced_mass_claims
 from scara_effmass.paper.robot_claims import robot_claims
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.paper.claim import Claim
     from scara_effmass.paper.motion import ToolMotion
     from scara_effmass.paper.recorded_impact import RecordedImpact
     from scara_effmass.paper.scara import Scara
@@ -122,6 +120,6 @@ def test_one_impact_is_not_checked(scara: Scara, runs: tuple[RecordedImpact, ...
 
 
 def test_nan_never_matches() -> None:
-    statement, nan = Statement("a", "", ""), float("nan")
-    for claim in (statement.near(nan, 1.0, 0.1), statement.at_most(nan, 1.0), statement.more_than(nan, 1.0)):
-        assert claim.outcome is Outcome.NO_MATCH
+    claim, nan = Claim("a", "", ""), float("nan")
+    for compared in (claim.near(nan, 1.0, 0.1), claim.at_most(nan, 1.0), claim.more_than(nan, 1.0)):
+        assert compared.outcome is Outcome.NO_MATCH
