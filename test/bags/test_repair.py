@@ -61,7 +61,7 @@ def write(
     chunked: bool = True,
     summary: bool = True,
 ) -> Path:
-    """Write with the library of the format; extras are in it that no recorder of ours makes."""
+    """Write with `mcap`, including an attachment and metadata, which `BagRecorder` never writes."""
     with path.open("wb") as file:
         writer = Writer(
             file,
@@ -78,8 +78,8 @@ def write(
         channels: dict[str, int] = {}
         for message in messages:
             if message.topic not in channels:
-                kind = STRING if message.topic == "/text" else FLOAT64
-                schema = writer.register_schema(kind, "ros2msg", DEFINITIONS[kind])
+                message_type = STRING if message.topic == "/text" else FLOAT64
+                schema = writer.register_schema(message_type, "ros2msg", DEFINITIONS[message_type])
                 channels[message.topic] = writer.register_channel(message.topic, "cdr", schema, {"mine": "yes"})
             number = channels[message.topic]
             writer.add_message(
@@ -90,22 +90,22 @@ def write(
 
 
 def indexed(path: Path) -> list[Message]:
-    """Read by the index, with the library of the format, which checks every checksum."""
+    """Read by the index with `mcap`, which checks the checksums."""
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
         assert summary is not None
         assert summary.statistics is not None
-        found = [
+        messages = [
             Message(channel.topic, message.log_time, message.data, message.publish_time, message.sequence)
             for _, channel, message in reader.iter_messages()
         ]
-        assert summary.statistics.message_count == len(found)
-    return found
+        assert summary.statistics.message_count == len(messages)
+    return messages
 
 
 def readable(path: Path) -> list[tuple[str, int, bytes]]:
-    """Read as it is."""
+    """Read without a repair; empty if nothing is readable."""
     try:
         with open_bag(path) as bag:
             return [(raw.topic, raw.log_time_ns, raw.data) for raw in bag.messages()]
@@ -113,11 +113,11 @@ def readable(path: Path) -> list[tuple[str, int, bytes]]:
         return []
 
 
-def recorded(folder: Path, parts: int = 3) -> Path:
-    """A complete recording of our own in `parts` files of four messages."""
+def recorded(folder: Path, files: int = 3) -> Path:
+    """Record a complete bag of `files` files of four messages."""
     with BagRecorder(folder, RecorderOptions(max_file_ns=4, reserve_bytes=0)) as recording:
         number = recording.add_topic("/text", STRING)
-        for i in range(4 * parts):
+        for i in range(4 * files):
             recording.write(number, T0 + i, text(i))
     return folder
 

@@ -1,4 +1,4 @@
-"""ForceBlock and Impact as CDR, against two other implementations of it: rosbags, and ROS itself."""
+"""The CDR of ForceBlock and Impact equals that of rosbags and rclpy."""
 
 from __future__ import annotations
 
@@ -66,75 +66,75 @@ IMPACTS = st.builds(
 )
 
 
-def told(value: ForceBlock | Impact) -> str:
-    """Return every field as text that tells any two floats apart, signed zeros too, but for NaNs."""
-    return repr([each.tolist() if isinstance(each, np.ndarray) else each for each in value])
+def fields_text(value: ForceBlock | Impact) -> str:
+    """Return all fields as text; different floats, also signed zeros, give different texts, NaNs equal ones."""
+    return repr([field.tolist() if isinstance(field, np.ndarray) else field for field in value])
 
 
-def fields(message: Any) -> dict[str, Any]:  # noqa: ANN401 - of two libraries
-    """Return a message of either library as the fields of our value."""
+def converted_fields(message: Any) -> dict[str, Any]:  # noqa: ANN401 - of rclpy or rosbags
+    """Return the fields of a message whose form differs from that of the value."""
 
     def stamp_ns(time: Any) -> int:  # noqa: ANN401
         return int(time.sec * NS + time.nanosec)
 
-    found = {"stamp_ns": stamp_ns(message.header.stamp), "frame_id": message.header.frame_id}
+    converted = {"stamp_ns": stamp_ns(message.header.stamp), "frame_id": message.header.frame_id}
     if hasattr(message, "force"):
-        found["tare_stamp_ns"] = stamp_ns(message.tare_stamp)
-        found["force"] = np.array(message.force, np.float64)
-        found["saturated_samples"] = np.array(message.saturated_samples, np.uint32)
-    return found
+        converted["tare_stamp_ns"] = stamp_ns(message.tare_stamp)
+        converted["force"] = np.array(message.force, np.float64)
+        converted["saturated_samples"] = np.array(message.saturated_samples, np.uint32)
+    return converted
 
 
-def read(message: Any, kind: type[ForceBlock | Impact]) -> ForceBlock | Impact:  # noqa: ANN401 - of two libraries
-    found = fields(message)
-    return kind(**{name: found[name] if name in found else getattr(message, name) for name in kind._fields})
+def read(message: Any, value_type: type[ForceBlock | Impact]) -> ForceBlock | Impact:  # noqa: ANN401 - of rclpy or rosbags
+    converted = converted_fields(message)
+    return value_type(**{n: converted[n] if n in converted else getattr(message, n) for n in value_type._fields})
 
 
 def by_rosbags(value: ForceBlock | Impact, *, little_endian: bool = True) -> bytes:
     types = known_types().types
-    make: dict[str, Callable[..., object]] = {name.rpartition("/")[2]: kind for name, kind in types.items()}
+    make: dict[str, Callable[..., object]] = {name.rpartition("/")[2]: message for name, message in types.items()}
 
     def time(stamp_ns: int) -> object:
         return make["Time"](*divmod(stamp_ns, NS))
 
-    given = value._asdict()
-    given["header"] = make["Header"](time(given.pop("stamp_ns")), given.pop("frame_id"))
+    fields = value._asdict()
+    fields["header"] = make["Header"](time(fields.pop("stamp_ns")), fields.pop("frame_id"))
     if isinstance(value, ForceBlock):
-        given["tare_stamp"] = time(given.pop("tare_stamp_ns"))
-        given["saturated"] = bool(len(value.saturated_samples))
-    kind = FORCE_BLOCK if isinstance(value, ForceBlock) else IMPACT
-    message: Any = types[kind]
-    return bytes(known_types().serialize_cdr(message(**given), kind, little_endian=little_endian))
+        fields["tare_stamp"] = time(fields.pop("tare_stamp_ns"))
+        fields["saturated"] = bool(len(value.saturated_samples))
+    message_type = FORCE_BLOCK if isinstance(value, ForceBlock) else IMPACT
+    message: Any = types[message_type]
+    return bytes(known_types().serialize_cdr(message(**fields), message_type, little_endian=little_endian))
 
 
 @given(blocks())
-def test_a_block_reads_back_in_every_field_by_ros_rosbags_and_here(block: ForceBlock) -> None:
+def test_block_is_decoded_by_rclpy_rosbags_and_this_package(block: ForceBlock) -> None:
     data = force_block_message(block)
     by_ros = deserialize_message(data, RosForceBlock)
     by_rosbags: Any = known_types().deserialize_cdr(data, FORCE_BLOCK)
     by_others = (by_ros, by_rosbags)
-    assert {told(read(message, ForceBlock)) for message in by_others} == {told(block)}
+    assert {fields_text(read(message, ForceBlock)) for message in by_others} == {fields_text(block)}
     assert {message.saturated for message in by_others} == {bool(len(block.saturated_samples))}
-    assert told(decode_force_block(data)) == told(block)
+    assert fields_text(decode_force_block(data)) == fields_text(block)
 
 
 @given(IMPACTS)
-def test_an_impact_reads_back_in_every_field_by_ros_rosbags_and_here(impact: Impact) -> None:
+def test_impact_is_decoded_by_rclpy_rosbags_and_this_package(impact: Impact) -> None:
     data = impact_message(impact)
-    assert told(read(deserialize_message(data, RosImpact), Impact)) == told(impact)
-    assert told(read(known_types().deserialize_cdr(data, IMPACT), Impact)) == told(impact)
-    assert told(decode_impact(data)) == told(impact)
+    assert fields_text(read(deserialize_message(data, RosImpact), Impact)) == fields_text(impact)
+    assert fields_text(read(known_types().deserialize_cdr(data, IMPACT), Impact)) == fields_text(impact)
+    assert fields_text(decode_impact(data)) == fields_text(impact)
 
 
 @given(block=blocks(), impact=IMPACTS, little_endian=FLAG)
-def test_what_others_serialise_is_decoded(block: ForceBlock, impact: Impact, *, little_endian: bool) -> None:
-    """ROS leaves arbitrary bytes in the padding, and some behind the end."""
+def test_messages_of_rclpy_and_rosbags_are_decoded(block: ForceBlock, impact: Impact, *, little_endian: bool) -> None:
+    """ROS does not clear the padding and appends bytes."""
     for data in (
         by_rosbags(block, little_endian=little_endian),
         bytes(serialize_message(deserialize_message(force_block_message(block), RosForceBlock))),
     ):
         decoded = decode_force_block(data)
-        assert told(decoded) == told(block)
+        assert fields_text(decoded) == fields_text(block)
         for array in (decoded.force, decoded.saturated_samples):
             assert array.dtype.isnative
             assert array.flags.aligned
@@ -143,16 +143,16 @@ def test_what_others_serialise_is_decoded(block: ForceBlock, impact: Impact, *, 
         by_rosbags(impact, little_endian=little_endian),
         bytes(serialize_message(deserialize_message(impact_message(impact), RosImpact))),
     ):
-        assert told(decode_impact(data)) == told(impact)
+        assert fields_text(decode_impact(data)) == fields_text(impact)
 
 
 @settings(max_examples=300)
 @given(blocks(), IMPACTS, st.data())
-def test_damaged_bytes_are_refused_in_one_line_or_read_within_the_buffer(
+def test_damaged_messages_are_refused_or_decoded_within_the_buffer(
     block: ForceBlock, impact: Impact, data: st.DataObject
 ) -> None:
-    for right in (force_block_message(block), impact_message(impact)):
-        damaged = bytearray(right[: data.draw(st.integers(0, len(right)))])
+    for intact in (force_block_message(block), impact_message(impact)):
+        damaged = bytearray(intact[: data.draw(st.integers(0, len(intact)))])
         for _ in range(data.draw(st.integers(0, 4))):
             if damaged:
                 damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
@@ -160,7 +160,7 @@ def test_damaged_bytes_are_refused_in_one_line_or_read_within_the_buffer(
 
 
 @given(st.binary(max_size=200))
-def test_garbage_is_refused_or_decoded_but_nothing_else(data: bytes) -> None:
+def test_random_bytes_are_refused_or_decoded(data: bytes) -> None:
     for encapsulation in (b"", b"\x00\x01\x00\x00"):
         assert_refused_or_within(encapsulation + data)
 
@@ -224,11 +224,11 @@ def test_trailing_bytes_are_refused() -> None:
         decode_force_block(force_block_message(SIMPLE) + bytes(16))
 
 
-def test_a_loss_beyond_the_field_is_as_large_as_it_can_be() -> None:
+def test_lost_samples_are_limited_to_the_range_of_the_field() -> None:
     assert decode_force_block(force_block_message(SIMPLE._replace(lost_samples=2**40))).lost_samples == 2**32 - 1
 
 
-def test_a_saturated_block_that_does_not_say_where_is_saturated_everywhere() -> None:
+def test_saturated_block_without_samples_is_saturated_everywhere() -> None:
     message = deserialize_message(force_block_message(SIMPLE), RosForceBlock)
     message.saturated_samples = []
     assert decode_force_block(bytes(serialize_message(message))).saturated_samples.tolist() == [0, 1]

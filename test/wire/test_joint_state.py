@@ -1,4 +1,4 @@
-"""JointState out of CDR, against two other implementations of it: rosbags, and ROS itself."""
+"""JointState messages of rosbags and rclpy are decoded."""
 
 from __future__ import annotations
 
@@ -61,22 +61,22 @@ def by_ros(fields: Fields) -> bytes:
 def assert_decoded(state: JointState, fields: Fields) -> None:
     assert state.stamp_ns == fields["sec"] * NS + fields["nanosec"]
     assert state.names == tuple(fields["names"])
-    for array, right in ((state.position, fields["position"]), (state.velocity, fields["velocity"])):
+    for array, expected in ((state.position, fields["position"]), (state.velocity, fields["velocity"])):
         assert array.dtype == np.float64
         assert array.dtype.isnative
         assert array.flags.aligned
         assert not array.flags.writeable
-        assert array.tobytes() == np.array(right, np.float64).tobytes()
+        assert array.tobytes() == np.array(expected, np.float64).tobytes()
 
 
 @given(fields=messages, little_endian=st.booleans())
-def test_decodes_what_rosbags_serialises_in_either_byte_order(fields: Fields, *, little_endian: bool) -> None:
+def test_messages_of_rosbags_are_decoded_in_either_byte_order(fields: Fields, *, little_endian: bool) -> None:
     assert_decoded(JointStateDecoder().decode(by_rosbags(fields, little_endian=little_endian)), fields)
 
 
 @given(messages)
-def test_decodes_what_ros_serialises(fields: Fields) -> None:
-    """ROS leaves arbitrary bytes in the padding, and some behind the end."""
+def test_messages_of_rclpy_are_decoded(fields: Fields) -> None:
+    """ROS does not clear the padding and appends bytes."""
     assert_decoded(JointStateDecoder().decode(by_ros(fields)), fields)
 
 
