@@ -410,3 +410,13 @@ def test_violation_with_a_low_mass_states_both_reasons(scara: RobotDynamics) -> 
     assert contact.verdict is Verdict.VIOLATION
     assert " m/s is above the 0.000 m/s that the " in contact.reason
     assert "; the iso mass of 2.77 kg is below the full model's " in contact.reason
+
+
+def test_scaling_at_rest_is_zero_if_nothing_is_allowed(scara: RobotDynamics) -> None:
+    monitor = Monitor(scara, settings_of(person_speed=5.0))
+    for now in (NOW, NOW + 100_000_000):
+        decision = monitor.assess(JointState(now, JOINTS, np.array([0.3, 1.2, 0.1, 0.0]), np.zeros(4)), now)
+    assert decision is not None
+    (contact,) = decision.contacts
+    assert (contact.verdict, contact.speed) == (Verdict.VIOLATION, 0.0)
+    assert decision.speed_scaling == 0.0
