@@ -243,3 +243,11 @@ def test_inertias_of_some_links_give_no_full_model(
     dynamics = RobotDynamics(load_rows(omron_rows))
     assert dynamics.full_reason == "no inertia tensor for link2, while other links have one"
     assert not dynamics.lumped_reason
+
+
+@pytest.mark.parametrize(("excess", "possible"), [(0.9e-3, True), (1.1e-3, False)])
+def test_triangle_inequality_has_a_tolerance_of_a_thousandth(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], excess: float, *, possible: bool
+) -> None:
+    omron_rows["links"][1]["inertia"] = [0.01, 0.01, 0.02 * (1.0 + excess), 0.0, 0.0, 0.0]
+    assert (load_rows(omron_rows).inertias_reason == "") == possible

@@ -248,3 +248,23 @@ def test_lumped_model_needs_no_inertias(
     assert math.isnan(masses.full)
     assert math.isnan(masses.worst_full)
     assert math.isfinite(masses.lumped)
+
+
+@pytest.mark.parametrize(("offset", "on_axes"), [(0.9e-4, True), (1.1e-4, False)])
+def test_tolerance_of_the_plane_of_the_axes_is_a_tenth_of_a_millimetre(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], offset: float, *, on_axes: bool
+) -> None:
+    omron_rows["links"][1]["com"][1] = offset
+    assert lump(load_rows(omron_rows)).links[1].on_axes == on_axes
+
+
+@pytest.mark.parametrize(("alpha", "parallel"), [(1.9e-3, True), (2.1e-3, False)])
+def test_axes_within_two_milliradians_are_parallel(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], alpha: float, *, parallel: bool
+) -> None:
+    omron_rows["joints"][0]["alpha"] = alpha
+    for body in (*omron_rows["links"], omron_rows["payload"]):
+        body["inertia"] = [body["inertia"]] * 3 + [0.0] * 3
+    robot = load_rows(omron_rows)
+    assert is_scara(robot) == parallel
+    assert bool(RobotDynamics(robot).lumped_reason) != parallel

@@ -15,11 +15,12 @@ from scara_effmass.errors import RobotError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.model.scara_closed_form import ScaraInertia, scara_full_mass
-from scara_effmass.model.urdf import parse_urdf
+from scara_effmass.model.urdf import load_urdf, parse_urdf
 from scara_effmass.settings import MonitorSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from scara_effmass.model.dynamics import EffectiveMasses
     from scara_effmass.model.robot import Robot
@@ -363,3 +364,19 @@ def test_inertias_of_some_links_give_no_full_model() -> None:
     text = SCARA.replace('izz="0.02272"', 'izz="0"').replace('ixx="0.02" iyy="0.02" izz="0"', 'ixx="0" iyy="0" izz="0"')
     assert text != SCARA
     assert RobotDynamics(parse(text)).full_reason == "no inertia tensor for fore, while other links have one"
+
+
+def test_branching_robot_has_no_lumped_model() -> None:
+    text = with_more(link("camera", 0.3), joint("pan", "fore", "camera"))
+    dynamics = RobotDynamics(parse(text, contact_points=("tip", "camera")))
+    assert dynamics.lumped_reason == "the joints must form a single chain"
+    assert dynamics.full_reason == ""
+
+
+def test_missing_or_binary_file_raises(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    with pytest.raises(RobotError, match=r"robot\.urdf: cannot be read"):
+        load_urdf(path, MonitorSettings())
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(RobotError, match=r"robot\.urdf: must be a URDF or a DH YAML file"):
+        load_urdf(path, MonitorSettings())
