@@ -382,7 +382,7 @@ def test_replay_starts_when_the_last_node_becomes_ready(bag: Path) -> None:
         assert len(receiver.states(100)) == 100
 
 
-def test_topics_of_missing_or_different_types_are_skipped_with_the_reason(tmp_path: Path) -> None:
+def test_topics_of_missing_different_or_mixed_types_are_skipped_with_the_reason(tmp_path: Path) -> None:
     types = get_typestore(Stores.ROS2_JAZZY)
     types.register(get_types_from_msg("float64 torque", "vendor_msgs/msg/Torque"))
     types.fielddefs.pop("geometry_msgs/msg/Point")
@@ -390,6 +390,8 @@ def test_topics_of_missing_or_different_types_are_skipped_with_the_reason(tmp_pa
     types.register(get_types_from_msg("float32 x\nfloat32 y", "geometry_msgs/msg/Point"))
     path = tmp_path / "bag"
     with BagWriter(path, types=types) as writer:
+        writer.write("/mixed", TEXT, START_NS, serialized(TEXT, {"data": "1"}))
+        writer.write("/mixed", "std_msgs/msg/Float64", START_NS, serialized("std_msgs/msg/Float64", {"data": 1.0}))
         for number in range(10):
             writer.write("/torque", "vendor_msgs/msg/Torque", START_NS + number * MS, bytes(12))
             writer.write("/point", "geometry_msgs/msg/Point", START_NS + number * MS, bytes(12))
@@ -399,6 +401,7 @@ def test_topics_of_missing_or_different_types_are_skipped_with_the_reason(tmp_pa
         assert len(receiver.states(10)) == 10
     assert report.sent == {"/joint_states": 10}
     assert report.skipped == {
+        "/mixed": "it holds messages of more than one type",
         "/point": "its definition of geometry_msgs/msg/Point is not the installed one",
         "/torque": "its type vendor_msgs/msg/Torque is not installed",
     }
@@ -406,18 +409,6 @@ def test_topics_of_missing_or_different_types_are_skipped_with_the_reason(tmp_pa
 
 def logged_joint_state(number: int) -> tuple[int, bytes]:
     return START_NS + number * MS, joint_state_message(state(number))
-
-
-def test_topic_of_two_types_is_skipped(tmp_path: Path) -> None:
-    path = tmp_path / "bag"
-    with BagWriter(path) as writer:
-        writer.write("/mixed", TEXT, START_NS, serialized(TEXT, {"data": "1"}))
-        writer.write("/mixed", "std_msgs/msg/Float64", START_NS, serialized("std_msgs/msg/Float64", {"data": 1.0}))
-        writer.write_joint_states("/joint_states", [state(1)])
-    with Receiver("/joint_states"):
-        report = play(path)
-    assert report.sent == {"/joint_states": 1}
-    assert report.skipped == {"/mixed": "it holds messages of more than one type"}
 
 
 def test_span_without_messages_moves_only_the_clock(tmp_path: Path) -> None:
