@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass import __version__
 from scara_effmass.analysis.report import render
 from scara_effmass.analysis.validation_scope import demands, limits, origin
-from scara_effmass.analysis.validation_truth import deviations, stated_stiffness
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -23,6 +23,17 @@ if TYPE_CHECKING:
 
 N_MM = 1e3
 """N/m in one N/mm."""
+LINEAR = 1.0
+"""Exponent of a linear spring."""
+
+
+class Deviation(NamedTuple):
+    """Estimate / true value - 1 of one quantity: mean over the `impacts`, and the value farthest from zero."""
+
+    quantity: str
+    impacts: int
+    mean: float
+    farthest: float
 
 
 def page(validation: Validation, figures: Sequence[EmbeddedFigure], settings: ValidationSettings, robot: Robot) -> str:
@@ -199,3 +210,41 @@ def _relative(share: float) -> str:
 
 def _interval(text: str, interval: tuple[float, float] | None, form: str, scale: float = 1.0) -> str:
     return text if interval is None else f"{text} ({interval[0] * scale:{form}} to {interval[1] * scale:{form}})"
+
+
+def deviations(validation: Validation) -> list[Deviation]:
+    """Return the deviations over all recordings of a single impact that state the true values."""
+    by_quantity: dict[str, list[float]] = {}
+    for recording in validation.recordings:
+        for quantity, deviation in _recording_deviations(recording):
+            by_quantity.setdefault(quantity, []).append(deviation)
+    return [
+        Deviation(quantity, len(values), sum(values) / len(values), max(values, key=abs))
+        for quantity, values in by_quantity.items()
+    ]
+
+
+def stated_stiffness(validation: Validation) -> float | None:
+    """Return the stiffness [N/m] of the simulated contact; None if unknown, not unique, or not a linear spring."""
+    infos = [info for recording in validation.recordings for info in recording.infos]
+    contacts = {(info.contact_stiffness, info.contact_exponent) for info in infos}
+    ((stiffness, exponent),) = contacts if len(contacts) == 1 else ((0.0, 0.0),)
+    return stiffness if exponent == LINEAR and 0.0 < stiffness < math.inf else None
+
+
+def _recording_deviations(recording: ValidatedRecording) -> Iterator[tuple[str, float]]:
+    if len(recording.impacts) != 1 or len(recording.infos) != 1:
+        return
+    info = recording.infos[0]
+    truth = (info.true_speed, info.true_effective_mass, info.true_peak_force)
+    if all(0.0 < value < math.inf for value in truth):
+        yield from _impact_deviations(recording.impacts[0], *truth)
+
+
+def _impact_deviations(
+    impact: ValidatedImpact, speed: float, effective_mass: float, peak_force: float
+) -> Iterator[tuple[str, float]]:
+    yield "speed at the onset", impact.speed / speed - 1.0
+    yield "peak force", impact.measured_force / peak_force - 1.0
+    for prediction in impact.predictions:
+        yield f"effective mass, {prediction.model}", prediction.effective_mass / effective_mass - 1.0

@@ -1,4 +1,4 @@
-"""Recordings give what the cores give; each recording's own mass holds for it; bad ones are told."""
+"""Validation of recordings: same result as the core classes, run information per recording, refusals."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def stated(path: Path) -> RunInfo:
     return info
 
 
-def by_hand(paths: list[Path], dynamics: RobotDynamics) -> Result:
+def result_of_cores(paths: list[Path], dynamics: RobotDynamics) -> Result:
     """Feed the cores, all joint states of a recording before all of its force."""
     validator = Validator(SETTINGS.validator)
     for path in paths:
@@ -79,12 +79,14 @@ def by_hand(paths: list[Path], dynamics: RobotDynamics) -> Result:
     return validator.result()
 
 
-def test_it_is_what_the_cores_say(campaign: list[Path], dynamics: RobotDynamics, validation: Validation) -> None:
+def test_result_equals_direct_use_of_the_validator(
+    campaign: list[Path], dynamics: RobotDynamics, validation: Validation
+) -> None:
     # As text, in which NaN equals itself.
-    assert repr(validation.result) == repr(by_hand(campaign, dynamics))
+    assert repr(validation.result) == repr(result_of_cores(campaign, dynamics))
 
 
-def test_the_campaign_comes_out_as_the_paper_has_it(validation: Validation) -> None:
+def test_campaign_reproduces_the_trends_of_the_paper(validation: Validation) -> None:
     result = validation.result
     assert (result.accepted, result.reason, result.clock, result.force_sign) == (True, "", "", "")
     lumped, full, iso = (model.overall for model in result.models)
@@ -119,13 +121,13 @@ def test_every_recording_has_its_own_impact(campaign: list[Path], validation: Va
     assert refused == len(validation.result.refused) == sum(validation.result.excluded.values()) > 0
 
 
-def test_progress_is_told(campaign: list[Path], dynamics: RobotDynamics) -> None:
+def test_progress_is_reported(campaign: list[Path], dynamics: RobotDynamics) -> None:
     shares: list[float] = []
     validate(campaign[:2], dynamics, SETTINGS, shares.append)
     assert sum(shares) == pytest.approx(2.0)
 
 
-def test_the_given_mass_goes_before_the_recorded_one(campaign: list[Path], dynamics: RobotDynamics) -> None:
+def test_obstacle_mass_setting_overrides_run_information(campaign: list[Path], dynamics: RobotDynamics) -> None:
     given = validate(campaign[:1], dynamics, replace(SETTINGS, obstacle_mass=3.0)).result
     assert [impact.obstacle_mass for impact in given.impacts] == [3.0]
     settings = replace(SETTINGS, validator=ValidatorSettings(obstacle_mass=3.0, configuration="mine"))
@@ -133,7 +135,7 @@ def test_the_given_mass_goes_before_the_recorded_one(campaign: list[Path], dynam
     assert [(impact.obstacle_mass, impact.configuration) for impact in recorded.impacts] == [(0.5, "300_200")]
 
 
-def test_recorded_impacts_serve_where_there_is_no_force(
+def test_recorded_impacts_replace_missing_force_blocks(
     campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path, validation: Validation
 ) -> None:
     path = tmp_path / "impacts"
@@ -178,14 +180,14 @@ def test_wrenches_are_imported_where_there_is_neither_force_nor_impact(
         assert getattr(impact, name) == pytest.approx(getattr(expected, name), rel=1e-3)
 
 
-def test_the_largest_mass_can_be_judged(campaign: list[Path], dynamics: RobotDynamics) -> None:
+def test_largest_model_can_be_selected(campaign: list[Path], dynamics: RobotDynamics) -> None:
     settings = replace(SETTINGS, validator=ValidatorSettings(effective_mass_model=MassModel.LARGEST))
     result = validate(campaign, dynamics, settings).result
     assert [model.model for model in result.models] == ["lumped", "full", "iso", "largest"]
     assert result.accepted
 
 
-# What is wrong with a series is said in its result.
+# Problems of a series are part of its result.
 
 
 def test_no_impacts(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
@@ -245,7 +247,7 @@ def test_the_wrong_sign_in_one_of_several_recordings(
         assert "compression is positive" in result.reason
 
 
-def test_a_missing_mass_is_not_that_of_the_recording_before(
+def test_missing_obstacle_mass_is_not_taken_from_previous_recording(
     campaign: list[Path], dynamics: RobotDynamics, altered: Altered
 ) -> None:
     nameless = altered(campaign[1], info={"obstacle_mass": 0.0, "configuration": ""})
@@ -257,7 +259,7 @@ def test_a_missing_mass_is_not_that_of_the_recording_before(
     assert [(each.obstacle_mass, each.configuration) for each in named.impacts] == [(0.5, "300_200"), (7.35, "")]
 
 
-# What cannot be validated at all is refused.
+# Unusable recordings are refused.
 
 
 def test_a_recording_without_joint_states(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
@@ -357,9 +359,7 @@ def test_older_recording_with_unusable_values_is_refused(
         validate([older(campaign[0], tmp_path / "older", text)], dynamics, SETTINGS)
 
 
-def test_of_several_force_topics_one_must_be_named(
-    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path
-) -> None:
+def test_several_force_topics_require_a_choice(campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path) -> None:
     path = tmp_path / "two_channels"
     with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
         for message in bag.messages():
@@ -374,7 +374,9 @@ def test_of_several_force_topics_one_must_be_named(
         validate([path], dynamics, replace(SETTINGS, force_topic="up"))
 
 
-def test_what_cannot_be_decoded_is_told(campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path) -> None:
+def test_undecodable_force_blocks_are_reported_as_losses(
+    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path
+) -> None:
     path = tmp_path / "cut"
     with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
         for message in bag.messages():

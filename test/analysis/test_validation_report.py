@@ -1,4 +1,4 @@
-"""The report of a validation: whole, self-contained, the same every time, and there also where little was found."""
+"""Validation report: complete, self-contained, reproducible, and valid with few or no impacts."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def numbers(value: Any) -> list[float]:  # noqa: ANN401 - whatever JSON holds
     return [value] if isinstance(value, float) else []
 
 
-def test_all_files_are_the_same_every_time(validation: Validation, dynamics: RobotDynamics, tmp_path: Path) -> None:
+def test_report_is_reproducible(validation: Validation, dynamics: RobotDynamics, tmp_path: Path) -> None:
     first, second = (written(validation, dynamics, tmp_path / folder) for folder in ("one", "two"))
     assert set(first) == set(NAMES)
     assert first == second
@@ -85,7 +85,9 @@ def test_all_files_are_the_same_every_time(validation: Validation, dynamics: Rob
             assert height > 500
 
 
-def test_the_page_is_whole_and_loads_nothing(validation: Validation, dynamics: RobotDynamics, tmp_path: Path) -> None:
+def test_page_is_well_formed_and_self_contained(
+    validation: Validation, dynamics: RobotDynamics, tmp_path: Path
+) -> None:
     text = written(validation, dynamics, tmp_path / "report")["report.html"].decode()
     page = Page(text)
     assert page.open == []
@@ -103,7 +105,7 @@ def test_a_configuration_may_have_any_name_that_can_be_printed(
     assert name in page.texts
 
 
-def test_the_page_says_what_it_is_worth(validation: Validation, dynamics: RobotDynamics, tmp_path: Path) -> None:
+def test_page_states_result_limits_and_origin(validation: Validation, dynamics: RobotDynamics, tmp_path: Path) -> None:
     texts = Page(written(validation, dynamics, tmp_path / "report")["report.html"].decode()).texts
     assert "Accepted." in texts
     assert "lumped model, simulated impacts; nothing was measured on a robot." in texts
@@ -119,24 +121,24 @@ def test_the_page_says_what_it_is_worth(validation: Validation, dynamics: RobotD
         assert any(text.startswith(f"{model.overall.correlation:.5f} (") for text in texts)
 
 
-def test_the_record_is_all_of_it_in_finite_numbers(
-    validation: Validation, dynamics: RobotDynamics, tmp_path: Path
-) -> None:
+def test_json_report_is_complete_and_finite(validation: Validation, dynamics: RobotDynamics, tmp_path: Path) -> None:
     files = written(validation, dynamics, tmp_path / "report")
-    said = json.loads(files["report.json"])
-    assert said == record(validation, SETTINGS, dynamics.robot)
-    assert all(map(math.isfinite, numbers(said)))
-    assert next(iter(said)) == "models"
-    lumped = said["models"][0]
+    report = json.loads(files["report.json"])
+    assert report == record(validation, SETTINGS, dynamics.robot)
+    assert all(map(math.isfinite, numbers(report)))
+    assert next(iter(report)) == "models"
+    lumped = report["models"][0]
     first = ["model", "count", "correlation", "fitted_stiffness", "exponent", "bias", "rmse", "non_conservative"]
     assert list(lumped)[:9] == [*first, "accepted"]
     assert lumped["by_obstacle_mass"].keys() == {"0.5", "7.35"}
-    assert [each["recording"] for each in said["impacts"]] == [r.path.name for r in validation.recordings]
-    assert said["settings"]["validator"]["clock_tolerance"] == SETTINGS.validator.clock_tolerance
-    assert set(said["excluded"]) == {"rebound of an earlier impact"}
+    assert [each["recording"] for each in report["impacts"]] == [r.path.name for r in validation.recordings]
+    assert report["settings"]["validator"]["clock_tolerance"] == SETTINGS.validator.clock_tolerance
+    assert set(report["excluded"]) == {"rebound of an earlier impact"}
 
 
-def test_a_report_of_nothing(campaign: list[Path], dynamics: RobotDynamics, altered: Altered, tmp_path: Path) -> None:
+def test_report_without_impacts(
+    campaign: list[Path], dynamics: RobotDynamics, altered: Altered, tmp_path: Path
+) -> None:
     quiet = altered(campaign[0], block=lambda block: block._replace(force=1e-3 * block.force))
     empty = validate([quiet], dynamics, SETTINGS)
     files = written(empty, dynamics, tmp_path / "report")
@@ -157,7 +159,7 @@ def test_a_report_of_one_impact(campaign: list[Path], dynamics: RobotDynamics, t
     assert "Not accepted: 1 impact, at least 3 are required." in texts
 
 
-def test_a_given_stiffness_is_said(campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path) -> None:
+def test_page_states_a_specified_stiffness(campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path) -> None:
     settings = ValidationSettings(validator=ValidatorSettings(stiffness=2000.0))
     found = validate(campaign, dynamics, settings)
     files = written(found, dynamics, tmp_path / "report", settings)

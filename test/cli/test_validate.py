@@ -35,17 +35,17 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_json_has_every_model_the_lumped_first(cli_process: Cli, campaign: Path, tmp_path: Path) -> None:
     done = cli_process("validate", campaign, "-o", "new/report", "--json")
     assert (done.returncode, done.stderr) == (0, "")  # and no progress bar in a pipe
-    said = json.loads(done.stdout)
+    report = json.loads(done.stdout)
     assert {path.name for path in (tmp_path / "new" / "report").iterdir()} == FILES
-    assert [model["model"] for model in said["models"]] == ["lumped", "full", "iso"]
-    for model in said["models"]:
+    assert [model["model"] for model in report["models"]] == ["lumped", "full", "iso"]
+    for model in report["models"]:
         assert model["count"] == 4
         for name in ("correlation", "fitted_stiffness", "exponent", "bias", "rmse"):
             assert isinstance(model[name], float)
         assert isinstance(model["non_conservative"], int)
-    assert [model["accepted"] for model in said["models"]] == [True, True, False]
-    assert said.pop("output") == "new/report"
-    assert said == json.loads((tmp_path / "new" / "report" / "report.json").read_text(encoding="utf-8"))
+    assert [model["accepted"] for model in report["models"]] == [True, True, False]
+    assert report.pop("output") == "new/report"
+    assert report == json.loads((tmp_path / "new" / "report" / "report.json").read_text(encoding="utf-8"))
 
 
 def test_the_summary_is_short(cli: Cli, campaign: Path) -> None:
@@ -69,7 +69,7 @@ def test_a_failed_criterion_exits_with_1_and_a_report(cli: Cli, campaign: Path, 
     assert {path.name for path in (tmp_path / "report").iterdir()} == FILES
 
 
-def test_without_impacts_there_are_no_numbers(cli: Cli, campaign: Path, tmp_path: Path) -> None:
+def test_no_impacts_gives_no_statistics(cli: Cli, campaign: Path, tmp_path: Path) -> None:
     done = cli("validate", campaign, "-o", "report", "--obstacle-mass", "0")
     assert done.returncode == 1
     assert "lumped          no impact\n" in done.stdout
@@ -77,12 +77,12 @@ def test_without_impacts_there_are_no_numbers(cli: Cli, campaign: Path, tmp_path
     assert "+0.00" not in page
 
 
-def test_mass_and_stiffness_can_be_given(cli: Cli, campaign: Path) -> None:
+def test_obstacle_mass_and_stiffness_options_apply(cli: Cli, campaign: Path) -> None:
     done = cli("validate", campaign, "-o", "report", "--obstacle-mass", "2", "--stiffness", "1000", "--json")
-    said = json.loads(done.stdout)
+    report = json.loads(done.stdout)
     assert done.returncode == 1
-    assert {impact["obstacle_mass"] for impact in said["impacts"]} == {2.0}
-    assert {model["stiffness"] for model in said["models"]} == {1e6}
+    assert {impact["obstacle_mass"] for impact in report["impacts"]} == {2.0}
+    assert {model["stiffness"] for model in report["models"]} == {1e6}
 
 
 def test_every_section_of_the_file_counts(cli: Cli, campaign: Path, tmp_path: Path) -> None:
@@ -92,12 +92,12 @@ def test_every_section_of_the_file_counts(cli: Cli, campaign: Path, tmp_path: Pa
         "/cell/daq: {ros__parameters: {source: bench, detection.threshold: 20.0}}\n"
     )
     done = cli("validate", campaign, "-o", "report", "--params", "cell.yaml", "--json")
-    said = json.loads(done.stdout)
+    report = json.loads(done.stdout)
     assert done.returncode == 1
-    assert said["reason"] == "4 impacts, at least 5 are required"
-    assert said["settings"]["monitor"]["timeout"] == 0.3
-    assert said["settings"]["detection"]["threshold"] == 20.0
-    assert all(each["peak_force"] >= 20.0 for each in said["refused"])
+    assert report["reason"] == "4 impacts, at least 5 are required"
+    assert report["settings"]["monitor"]["timeout"] == 0.3
+    assert report["settings"]["detection"]["threshold"] == 20.0
+    assert all(each["peak_force"] >= 20.0 for each in report["refused"])
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The state at the onset: between the neighbours, before the contact, or not at all and why."""
+"""Robot state at the onset: interpolated, extrapolated from before the contact, or rejected with a reason."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def refused(state: OnsetState | Rejection) -> Rejection:
 
 
 @given(st.floats(0.1, 0.4), st.floats(-0.2, 0.5), st.floats(0.5, 3.0), st.floats(-5.0, 5.0), st.integers(0, 10 * MS))
-def test_steady_changes_are_met_exactly(
+def test_linear_motion_is_interpolated_exactly(
     make_state: MakeState, speed: float, acceleration: float, mass: float, change: float, onset: int
 ) -> None:
     """Everything linear in time comes out exactly, wherever the onset lies between two states."""
@@ -79,7 +79,7 @@ def test_between_two_states_alone(make_state: MakeState) -> None:
 
 @pytest.mark.parametrize("step", [1, 5, 10, 20])
 @pytest.mark.parametrize("after", [(0.12, (1.0, 0.0, 0.0)), (0.25, (-1.0, 0.0, 0.0)), (0.0, STILL)])
-def test_never_a_state_that_the_contact_has_slowed(
+def test_states_slowed_by_the_contact_are_not_used(
     make_state: MakeState, step: int, after: tuple[float, Vector3]
 ) -> None:
     """Slowed, thrown back at the same speed, or stopped: the motion before the impact is what counts."""
@@ -136,7 +136,7 @@ def test_braking_before_the_impact_is_no_slowing_by_it(make_state: MakeState) ->
     assert not found.from_trend
 
 
-def test_noise_is_not_made_larger(make_state: MakeState) -> None:
+def test_velocity_noise_is_not_amplified(make_state: MakeState) -> None:
     """Velocities with 2 % of noise, which often looks like slowing, give the speed to about as much."""
     rng = np.random.default_rng(0)
     errors = []
@@ -158,13 +158,15 @@ def test_noise_is_not_made_larger(make_state: MakeState) -> None:
         ([-10, 60], "no contact state within 50 ms after the onset", "the nearest is 60 ms away"),
     ],
 )
-def test_no_state_near_enough(make_state: MakeState, stamps: list[int], reason: str, detail: str) -> None:
+def test_no_state_within_tolerance_is_rejected(
+    make_state: MakeState, stamps: list[int], reason: str, detail: str
+) -> None:
     history = history_of(make_state(START + ms * MS) for ms in sorted(stamps))
     assert refused(history.at(START, MS)) == Rejection(reason, detail)
 
 
 @pytest.mark.parametrize("side", [-5, 5])
-def test_unknown_without_numbers(
+def test_unknown_state_without_motion_is_rejected(
     make_state: MakeState, make_blank: Callable[[int, str], ContactAssessment], side: int
 ) -> None:
     states = [make_state(START + ms * MS) for ms in (-15, -10, -5, 5, 10)]
@@ -173,26 +175,26 @@ def test_unknown_without_numbers(
     assert why == Rejection("the contact state at the onset is UNKNOWN", "joint3 is missing")
 
 
-def test_unknown_with_numbers_will_do(make_state: MakeState) -> None:
+def test_unknown_verdict_with_motion_is_used(make_state: MakeState) -> None:
     """A verdict that is held, latched or without limits says nothing against speed and masses."""
     states = [make_state(START + ms * MS, verdict=Verdict.UNKNOWN, reason="latched until reset: x") for ms in (-5, 5)]
     assert usable(history_of(states).at(START, MS)).speed == 0.25
 
 
 @pytest.mark.parametrize(("speed", "direction"), [(0.0, STILL), (0.004, (1.0, 0.0, 0.0)), (NAN, (1.0, 0.0, 0.0))])
-def test_standing_still(make_state: MakeState, speed: float, direction: Vector3) -> None:
+def test_robot_at_standstill_is_rejected(make_state: MakeState, speed: float, direction: Vector3) -> None:
     states = [make_state(START + ms * MS, speed, direction) for ms in (-15, -10, -5, 5)]
     assert refused(history_of(states).at(START, MS)).reason == "the robot stands still at the onset"
     states[:3] = [make_state(START - 5 * MS)]
     assert refused(history_of(states).at(START, MS)).reason == "the robot stands still at the onset"
 
 
-def test_turning_back(make_state: MakeState) -> None:
+def test_reversal_at_the_onset_is_rejected(make_state: MakeState) -> None:
     states = [make_state(START - 5 * MS), make_state(START + 5 * MS, direction=(-1.0, 0.0, 0.0))]
     assert refused(history_of(states).at(START, MS)).reason == "the direction of motion turns over at the onset"
 
 
-def test_a_model_without_a_mass_does_not_spoil_the_others(make_state: MakeState) -> None:
+def test_missing_mass_of_one_model_leaves_the_others(make_state: MakeState) -> None:
     states = [make_state(START + ms * MS, full=NAN) for ms in (-5, 5)]
     lumped, full, iso = usable(history_of(states).at(START, MS)).masses
     assert (lumped, iso) == (1.0, 2.77)
@@ -217,13 +219,13 @@ def test_history_is_bounded_and_long_enough(make_state: MakeState) -> None:
     assert not history.is_clock_reset(START + 9500 * MS)
 
 
-def test_only_what_had_arrived(make_state: MakeState) -> None:
+def test_states_after_the_deadline_are_not_used(make_state: MakeState) -> None:
     history = history_of(make_state(START + ms * MS) for ms in (-10, -5, 5))
     assert isinstance(history.at(START, MS, START + 6 * MS), OnsetState)
     assert refused(history.at(START, MS, START + 5 * MS)).reason == "no contact state within 50 ms after the onset"
 
 
-def test_a_trend_of_long_ago_is_none(make_state: MakeState) -> None:
+def test_old_states_are_not_part_of_the_trend(make_state: MakeState) -> None:
     states = [make_state(START + ms * MS, 0.1) for ms in (-400, -390, -380)]
     states += [make_state(START - 5 * MS, 0.25), make_state(START + 5 * MS, 0.2)]
     found = usable(history_of(states).at(START, MS))
