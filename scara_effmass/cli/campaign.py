@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -109,15 +110,11 @@ def _campaign(args: argparse.Namespace) -> Campaign:
 
 
 def _as_dict(output: Path, campaign: Campaign, steps: Sequence[CampaignStep]) -> dict[str, Any]:
-    contact = campaign.contact
     return {
         "output": str(output),
         "simulated": True,
         "seed": campaign.seed,
-        "stiffness": contact.stiffness,
-        "exponent": contact.exponent,
-        "damping": contact.damping,
-        "friction": contact.friction,
+        **asdict(campaign.contact),
         "made": sum(not step.kept for step in steps),
         "kept": sum(step.kept for step in steps),
         "runs": [
