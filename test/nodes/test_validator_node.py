@@ -66,10 +66,10 @@ class Bench:
 
     def __init__(self, harness: NodeHarness) -> None:
         self.harness = harness
-        self.heard: list[ImpactValidation] = []
+        self.received: list[ImpactValidation] = []
         node = harness.node
         # Before the diagnostics, of which a test waits for one: the validator has found this one too by then.
-        node.create_subscription(ImpactValidation, "impact_validation", self.heard.append, DEEP)
+        node.create_subscription(ImpactValidation, "impact_validation", self.received.append, DEEP)
         harness.subscribe()
         self.states = node.create_publisher(ContactState, "contact_state", DEEP)
         self.impacts = node.create_publisher(Impact, "impact", DEEP)
@@ -115,7 +115,7 @@ def bench(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> Bench:
 def test_what_it_publishes_is_what_the_core_gives_offline(bench: Bench) -> None:
     masses = (0.5, 2.39, 3.72, 7.35)
     bench.run(*masses)
-    bench.harness.spin_until(lambda: len(bench.heard) == 4)
+    bench.harness.spin_until(lambda: len(bench.received) == 4)
     validator = Validator(ValidatorSettings.model_validate({"criterion": {"least_count": 2}}))
     expected = []
     for number, (mass, peak) in enumerate(zip(masses, PEAKS, strict=True)):
@@ -125,7 +125,7 @@ def test_what_it_publishes_is_what_the_core_gives_offline(bench: Bench) -> None:
         expected += validator.add_impact(impact(number, peak), 0)
     assert len(expected) == 4
     names = set(ImpactValidation.get_fields_and_field_types()) - {"header"}
-    for message, one in zip(bench.heard, expected, strict=True):
+    for message, one in zip(bench.received, expected, strict=True):
         assert message.header.stamp.sec * S + message.header.stamp.nanosec == one.stamp_ns
         assert {name: getattr(message, name) for name in names} == {name: getattr(one, name) for name in names}
 
@@ -135,7 +135,7 @@ def test_without_a_mass_an_impact_is_counted_and_not_predicted(bench: Bench) -> 
     report = bench.harness.diagnostic("validator: series", "not paired: obstacle_mass is not given", "4".__eq__)
     assert report.startswith("4 impacts could not be paired")
     bench.harness.diagnostic("validator: series", "correlation", lambda value: not value.startswith("0."))
-    assert not bench.heard
+    assert not bench.received
     assert bench.harness.set_parameters(obstacle_mass=-1.0)
     assert bench.harness.set_parameters(obstacle_mass=2.39) == ""
 
@@ -159,14 +159,14 @@ def test_malformed_run_information_makes_the_obstacle_mass_unknown(
     assert bench.harness.set_parameters(obstacle_mass=2.39) == ""
     bench.state_run(2.39, "[" * 100_000)  # no JSON object: ignored
     bench.run(0.0)
-    bench.harness.spin_until(lambda: len(bench.heard) == 1)
+    bench.harness.spin_until(lambda: len(bench.received) == 1)
     bench.state_run(0.0, malformed)
     bench.run(0.0, first=1)
     not_paired = "not paired: obstacle_mass is not given"
     assert bench.harness.diagnostic("validator: series", not_paired, bool).endswith("| 1")
     bench.state_run(0.5, '{"obstacle_mass": 0.5, "configuration": [1]}')
     bench.run(0.0, first=2)
-    bench.harness.spin_until(lambda: len(bench.heard) == 2)
+    bench.harness.spin_until(lambda: len(bench.received) == 2)
 
 
 def test_run_information_without_a_mass_leaves_that_of_the_parameter(bench: Bench) -> None:
@@ -179,26 +179,26 @@ def test_configuration_parameter_leaves_the_stated_mass(bench: Bench) -> None:
     bench.state_run(0.5, RunInfoValue(obstacle_mass=0.5))
     assert bench.harness.set_parameters(configuration="elbow up") == ""
     bench.run(0.0)
-    bench.harness.spin_until(lambda: len(bench.heard) == 1)
-    mass = bench.heard[0].effective_mass
-    assert bench.heard[0].reduced_mass == pytest.approx(mass * 0.5 / (mass + 0.5))
+    bench.harness.spin_until(lambda: len(bench.received) == 1)
+    mass = bench.received[0].effective_mass
+    assert bench.received[0].reduced_mass == pytest.approx(mass * 0.5 / (mass + 0.5))
 
 
-def test_a_report_of_the_series_is_written_on_demand(bench: Bench) -> None:
+def test_write_report_service_writes_the_report(bench: Bench) -> None:
     bench.run(0.5, 2.39, 3.72, 7.35)
-    bench.harness.spin_until(lambda: len(bench.heard) == 4)
+    bench.harness.spin_until(lambda: len(bench.received) == 4)
     answer: Any = bench.harness.call_service(Trigger, "write_report", Trigger.Request())
     assert answer.success, answer.message
     page = Path(answer.message)
     assert page.name == "report.html"
     record = json.loads(page.with_name("report.json").read_text(encoding="utf-8"))
     assert record["models"][0]["count"] == 4
-    assert record["models"][0]["correlation"] == bench.heard[-1].correlation
+    assert record["models"][0]["correlation"] == bench.received[-1].correlation
 
 
 def test_reset_begins_a_new_series(bench: Bench) -> None:
     bench.run(0.5, 2.39, 3.72, 7.35)
-    bench.harness.spin_until(lambda: len(bench.heard) == 4)
+    bench.harness.spin_until(lambda: len(bench.received) == 4)
     answer: Any = bench.harness.call_service(Trigger, "reset", Trigger.Request())
     assert answer.success
     assert answer.message == "new series started; the previous one had 4 impacts"
@@ -217,11 +217,11 @@ def test_reset_begins_a_new_series(bench: Bench) -> None:
         ("effective_mass_model:=none", "validator: effective_mass_model = 'none': Input should be 'lumped', "),
     ],
 )
-def test_a_parameter_it_cannot_use_is_named(refusal_of: Callable[..., str], argument: str, line: str) -> None:
+def test_invalid_parameter_is_refused(refusal_of: Callable[..., str], argument: str, line: str) -> None:
     assert refusal_of(ValidatorNode, argument).startswith(line)
 
 
-def test_ends_with_0_when_told_to(bench: Bench) -> None:
+def test_sigint_ends_with_status_0(bench: Bench) -> None:
     process = bench.harness.process
     assert process is not None
     process.send_signal(signal.SIGINT)

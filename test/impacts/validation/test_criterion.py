@@ -1,4 +1,4 @@
-"""The criterion: what fails is named with its value and its limit."""
+"""Acceptance criterion: the first unmet condition is reported with its value and limit."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_accepted_without_a_reason() -> None:
         (replace(GOOD, shortfalls=2), 0, "2 of 20 impacts predicted more than 10% too low, at most 5% may be"),
     ],
 )
-def test_the_first_figure_that_fails(found: Agreement, unpaired: int, reason: str) -> None:
+def test_first_unmet_condition_is_reported(found: Agreement, unpaired: int, reason: str) -> None:
     assert unmet_criterion(CriterionSettings(), found, unpaired) == reason
 
 
@@ -51,7 +51,7 @@ def test_limits_are_inclusive() -> None:
     assert unmet_criterion(CriterionSettings(), found, 20) == ""
 
 
-def test_a_stiffness_that_is_too_small_fails_by_its_shortfalls() -> None:
+def test_too_small_stiffness_fails_by_shortfalls() -> None:
     """15 % too little force everywhere: the correlation cannot see it."""
     found = agreement(X, 450.0 * X, (0.85 * 450.0) ** 2)
     assert found.correlation == pytest.approx(1.0)
@@ -59,14 +59,14 @@ def test_a_stiffness_that_is_too_small_fails_by_its_shortfalls() -> None:
     assert unmet_criterion(lenient, found, 0) == "20 of 20 impacts predicted more than 10% too low, at most 5% may be"
 
 
-def test_half_of_a_fitted_series_is_non_conservative_and_may_be() -> None:
+def test_non_conservative_half_of_a_fitted_series_is_accepted() -> None:
     rng = np.random.default_rng(0)
     found = agreement(X, 450.0 * X * (1.0 + rng.normal(0.0, 0.01, X.size)))
     assert found.non_conservative >= 5
     assert unmet_criterion(CriterionSettings(), found, 0) == ""
 
 
-def test_the_hash_is_that_of_the_values() -> None:
+def test_hash_is_of_the_canonical_json() -> None:
     text = (
         '{"largest_relative_rmse":0.1,"largest_shortfall_share":0.05,"least_correlation":0.95,"least_count":3,'
         '"least_paired_share":0.5,"shortfall_tolerance":0.1}'
@@ -82,7 +82,7 @@ def test_settings_in_groups_are_checked() -> None:
         checked(ValidatorSettings, {"criterion.least_correlation": 2.0}, "params.yaml")
 
 
-def test_the_best_model_first_with_numbers() -> None:
+def test_best_model_is_first() -> None:
     wrong = agreement(X, 450.0 * X[::-1])
     comparison = compare({"iso": wrong, "lumped": GOOD}, same_mass=False)
     assert [fit.model for fit in comparison.order] == ["lumped", "iso"]
@@ -90,7 +90,7 @@ def test_the_best_model_first_with_numbers() -> None:
     assert comparison.count == 20
 
 
-def test_models_that_are_as_good_as_each_other() -> None:
+def test_equally_good_models_are_both_named() -> None:
     rng = np.random.default_rng(0)
     one = agreement(X, 450.0 * X * (1.0 + rng.normal(0.0, 0.02, X.size)))
     both = compare({"lumped": replace(one, relative_rmse=one.relative_rmse * 1.05), "full": one}, same_mass=False)
@@ -99,7 +99,7 @@ def test_models_that_are_as_good_as_each_other() -> None:
 
 
 @pytest.mark.parametrize("count", [3, 12, 36])
-def test_chance_makes_no_model_the_best(count: int) -> None:
+def test_random_errors_rarely_prefer_a_model(count: int) -> None:
     """Two models with independent errors of one size: one of 20 series may tell them apart."""
     rng = np.random.default_rng(count)
     x = np.linspace(0.1, 0.4, count)

@@ -1,4 +1,4 @@
-"""From contact states and impacts to a judged series."""
+"""Validator: from contact states and impacts to the result of a series."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def campaign(make_cell: MakeCell) -> Cell:
     return make_cell()
 
 
-def test_the_campaign_gives_back_what_went_into_it(campaign: Cell) -> None:
+def test_campaign_returns_its_input_parameters(campaign: Cell) -> None:
     found, result = run(campaign, ValidatorSettings(history=60.0))
     assert balanced(result)
     assert (result.seen, result.waiting, result.simulated, len(found)) == (12, 0, 12, 12)
@@ -90,7 +90,7 @@ def test_the_campaign_gives_back_what_went_into_it(campaign: Cell) -> None:
         assert [p.model for p in impact.predictions] == ["lumped", "full", "iso"]
 
 
-def test_every_figure_of_an_impact(campaign: Cell) -> None:
+def test_statistics_of_each_impact(campaign: Cell) -> None:
     """Recomputed from the message's own fields, with a stiffness that is too small."""
     found, result = run(campaign, ValidatorSettings(history=60.0, stiffness=180.0))
     n = 0
@@ -125,7 +125,7 @@ def test_groups_by_configuration_and_by_obstacle(campaign: Cell) -> None:
     assert {group.stiffness for group in iso.by_obstacle_mass.values()} == {iso.overall.stiffness}
 
 
-def test_groups_at_one_reduced_mass_say_so(make_cell: MakeCell) -> None:
+def test_single_reduced_mass_gives_no_correlation(make_cell: MakeCell) -> None:
     cell = make_cell(repetitions=3)
     one = cell._replace(states=cell.states[:600], impacts=cell.impacts[:3])
     _, result = run(one, ValidatorSettings(history=60.0))
@@ -180,7 +180,7 @@ def test_scaled_forces_scale_the_stiffness_by_the_square(make_cell: MakeCell) ->
         assert (a.accepted, a.overall.non_conservative) == (b.accepted, b.overall.non_conservative)
 
 
-def test_an_impact_waits_for_the_state_after_it(make_state: MakeState, make_impact: MakeImpact) -> None:
+def test_impact_waits_for_the_state_after_it(make_state: MakeState, make_impact: MakeImpact) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     for ms in (0, 10, 20):
         assert not validator.add_state(make_state(START + ms * MS), START + ms * MS)
@@ -274,7 +274,7 @@ def test_clocks_apart(make_cell: MakeCell, ahead_s: float) -> None:
     assert not any(model.accepted for model in result.models)
 
 
-def test_blocks_tell_the_clocks_better(campaign: Cell) -> None:
+def test_force_blocks_detect_smaller_clock_offsets(campaign: Cell) -> None:
     """Half a second and more, which an impact's own arrival cannot tell from a late report."""
     validator = Validator(ValidatorSettings(history=60.0))
     for state in campaign.states:
@@ -304,7 +304,7 @@ def test_clocks_that_share_no_time_without_arrivals(campaign: Cell, days: int) -
     assert result.unpaired == {"no contact state within 50 ms before the onset": 12}
 
 
-def test_without_arrivals_stamps_alone_pair(campaign: Cell) -> None:
+def test_impacts_without_arrival_times_are_matched_by_stamp(campaign: Cell) -> None:
     cell = campaign._replace(
         states=[(state, 0) for state, _ in campaign.states], impacts=[(impact, 0) for impact, _ in campaign.impacts]
     )
@@ -343,7 +343,7 @@ def block(force: Sequence[float], stamp_ns: int = START) -> ForceBlock:
         ([NAN], ""),
     ],
 )
-def test_force_of_the_wrong_sign(campaign: Cell, force: list[float], text: str) -> None:
+def test_inverted_force_is_reported(campaign: Cell, force: list[float], text: str) -> None:
     validator = Validator(ValidatorSettings())
     for state in campaign.states:
         validator.add_state(*state)
@@ -381,7 +381,7 @@ def test_the_first_contact_point_where_none_is_chosen(make_state: MakeState) -> 
         (MassModel.LUMPED, (1.0, NAN), 1.0),
     ],
 )
-def test_the_judged_model(
+def test_selected_model(
     make_state: MakeState,
     make_impact: MakeImpact,
     model: MassModel,
@@ -398,7 +398,9 @@ def test_the_judged_model(
 
 
 @pytest.mark.parametrize("model", [MassModel.FULL, MassModel.LARGEST])
-def test_a_judged_model_without_a_mass(make_state: MakeState, make_impact: MakeImpact, model: MassModel) -> None:
+def test_selected_model_without_a_mass_is_rejected(
+    make_state: MakeState, make_impact: MakeImpact, model: MassModel
+) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0, effective_mass_model=model))
     for ms in (0, 10):
         validator.add_state(make_state(START + ms * MS, full=NAN), 0)
@@ -406,7 +408,7 @@ def test_a_judged_model_without_a_mass(make_state: MakeState, make_impact: MakeI
     assert validator.result().unpaired == {f"no {model.value} mass": 1}
 
 
-def test_the_obstacle_at_the_onset_counts(make_state: MakeState, make_impact: MakeImpact) -> None:
+def test_obstacle_mass_at_the_onset_applies(make_state: MakeState, make_impact: MakeImpact) -> None:
     """Changed between impacts, also while one still waits."""
     validator = Validator(ValidatorSettings(obstacle_mass=1.0, configuration="near"))
     found = []
@@ -424,7 +426,7 @@ def test_the_obstacle_at_the_onset_counts(make_state: MakeState, make_impact: Ma
 
 
 @pytest.mark.parametrize("mass", [-1.0, NAN, math.inf, 1001.0])
-def test_a_mass_that_cannot_be(mass: float) -> None:
+def test_invalid_obstacle_mass_is_refused(mass: float) -> None:
     validator = Validator(ValidatorSettings())
     with pytest.raises(SettingsError, match=r"^obstacle_mass = .*: must be 0 \(not stated\) to 1000 kg"):
         validator.set_run(0, obstacle_mass=mass)
