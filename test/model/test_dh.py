@@ -251,3 +251,29 @@ def test_triangle_inequality_has_a_tolerance_of_a_thousandth(
 ) -> None:
     omron_rows["links"][1]["inertia"] = [0.01, 0.01, 0.02 * (1.0 + excess), 0.0, 0.0, 0.0]
     assert (load_rows(omron_rows).inertias_reason == "") == possible
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_numbers_up_to_a_million_are_valid(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], sign: float
+) -> None:
+    omron_rows["joints"][1]["d"] = sign * 1e6
+    load_rows(omron_rows)
+    omron_rows["joints"][1]["d"] = sign * 1.01e6
+    with pytest.raises(RobotError, match=r"joints\.1\.d = "):
+        load_rows(omron_rows)
+
+
+def test_single_inertia_of_zero_is_valid_for_any_axes(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+) -> None:
+    omron_rows["joints"][0]["alpha"] = 1.1
+    for body in (*omron_rows["links"], omron_rows["payload"]):
+        body["inertia"] = 0.0
+    assert load_rows(omron_rows).inertias_reason == "the file gives no inertia tensors"
+
+
+def test_very_light_robot_has_a_lumped_model(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
+    for body in (*omron_rows["links"], omron_rows["payload"]):
+        body["mass"] *= 1e-9
+    assert RobotDynamics(load_rows(omron_rows)).lumped_reason == ""

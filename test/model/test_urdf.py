@@ -228,6 +228,7 @@ class TestFixedJoints:
         ('velocity="3"', "", "joint j1: <limit velocity> = '': must be 1 finite number"),
         ('<limit lower="-2" upper="2" effort="1" velocity="3"/>', "", "joint j1: must have <limit>"),
         ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint j1: axis = '0 0 0': must have a direction"),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 9e-10"/>', "joint j1: axis = '0 0 9e-10': must have a direction"),
         ('<axis xyz="0 0 1"/>', '<axis xyz="0 1"/>', "joint j1: <axis xyz> = '0 1': must be 3 finite numbers"),
         ('type="revolute"', 'type="floating"', "joint j1: type = 'floating': must be"),
         ('type="revolute"', 'type="ball"', "joint j1: type = 'ball': must be"),
