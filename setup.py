@@ -3,6 +3,7 @@
 Both files are found beside the real path of this one, because colcon may run it from a build folder of symlinks.
 Everything else stands in setup.cfg.
 """
+# colcon reads setup.cfg only if the text of this file contains the call `setup()` without arguments; keep it here.
 
 from pathlib import Path
 from xml.etree import ElementTree as ET
