@@ -17,6 +17,10 @@ BoolArray = NDArray[np.bool_]
 Vector3 = tuple[float, float, float]
 
 NAN = float("nan")
+RANGE_TOLERANCE = 1e-3
+"""Relative distance from the end of the range at which a sample counts as saturated: converter codes end before it."""
+MAX_LOST_SAMPLES = 2**32 - 1
+"""Largest value of `ForceBlock.lost_samples`."""
 ZERO_VECTOR: Vector3 = (0.0, 0.0, 0.0)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from scara_effmass.daq.clock_fit import ClockFit
 from scara_effmass.daq.tare import Tare
 from scara_effmass.settings import FilterKind
-from scara_effmass.values import ForceBlock
+from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, ForceBlock
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     from scara_effmass.values import BoolArray, FloatArray
 
 NS = 1e9
-RANGE_TOLERANCE = 1e-3
-"""Relative distance from the end of the range at which a sample counts as saturated: converter codes end before it."""
-MAX_LOST = 2**32 - 1
-"""Largest value of `ForceBlock.lost_samples`."""
 NO_FORCE: FloatArray = np.empty(0)
 NO_FORCE.flags.writeable = False
 NONE_SATURATED: NDArray[np.uint32] = np.empty(0, np.uint32)
@@ -193,7 +189,7 @@ class ForceChannel:
             stamp_ns=common.stamp_ns + round((start / common.sample_rate - self.lowpass_delay) * NS),
             first_sample=first,
             force=force - self.tare,
-            lost_samples=min(self._missing, MAX_LOST),
+            lost_samples=min(self._missing, MAX_LOST_SAMPLES),
             saturated_samples=marks,
             filter_delay=common.filter_delay + self.lowpass_delay,
             tare=self.tare,

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.daq.conditioning import MAX_LOST, RANGE_TOLERANCE
 from scara_effmass.errors import BagError
 from scara_effmass.importers import BAG_IMPORTER, IMPORTERS
 from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT
-from scara_effmass.values import ForceBlock
+from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, ForceBlock
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
@@ -123,7 +122,7 @@ def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iter
                 first_sample=first + int(run[0]),
                 sample_rate=file.sample_rate,
                 force=run_force,
-                lost_samples=min(lost, MAX_LOST),
+                lost_samples=min(lost, MAX_LOST_SAMPLES),
                 saturated_samples=np.flatnonzero(np.abs(run_force) >= saturation).astype(np.uint32),
                 clock_residual=block.clock_residual,
                 filter_delay=0.0,

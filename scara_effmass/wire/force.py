@@ -9,12 +9,11 @@ import struct
 
 import numpy as np
 
-from scara_effmass.values import ForceBlock, Impact
+from scara_effmass.values import MAX_LOST_SAMPLES, ForceBlock, Impact
 from scara_effmass.wire.cdr import LITTLE_ENDIAN, STAMP, Cursor, padded, sec_and_nanosec, with_text
 
 _BLOCK_START = struct.Struct("<QdI")
 """From first_sample to the length of force."""
-_MAX_LOST_SAMPLES = 2**32 - 1
 _BLOCK_LOSSES = struct.Struct("<I?3xI")
 """From lost_samples to the length of saturated_samples."""
 _BLOCK_CLOCK = struct.Struct("<dd")
@@ -30,7 +29,7 @@ def force_block_message(block: ForceBlock) -> bytes:
     saturated = np.ascontiguousarray(block.saturated_samples, "<u4").tobytes()
     start = _BLOCK_START.pack(block.first_sample, block.sample_rate, len(block.force))
     losses = _BLOCK_LOSSES.pack(
-        min(block.lost_samples, _MAX_LOST_SAMPLES), bool(saturated), len(block.saturated_samples)
+        min(block.lost_samples, MAX_LOST_SAMPLES), bool(saturated), len(block.saturated_samples)
     )
     clock = _BLOCK_CLOCK.pack(block.clock_residual, block.filter_delay)
     end = _BLOCK_END.pack(block.tare, *sec_and_nanosec(block.tare_stamp_ns), block.relative_uncertainty)
