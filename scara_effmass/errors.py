@@ -3,8 +3,6 @@
 A message is one line: `FILE: key = value: must be RULE`.
 """
 
-from __future__ import annotations
-
 
 class EffmassError(Exception):
     """Base of all errors of this package; the command line prints one line and exits with 2."""

@@ -1,7 +1,5 @@
 """Location of the files shipped with the package: `config/`, `launch/`, `bags/`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from scara_effmass.errors import EffmassError

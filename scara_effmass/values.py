@@ -3,8 +3,6 @@
 Most are named tuples because one is built per cycle, at a third of the cost of a dataclass.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple

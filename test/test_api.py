@@ -1,7 +1,5 @@
 """The public names of the package, and the example in the README."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,18 +1,13 @@
 """Assess every joint state of a recording; its log time replaces the clock of the live node."""
 
-from __future__ import annotations
+from collections.abc import Iterator
+from typing import NamedTuple
 
-from typing import TYPE_CHECKING, NamedTuple
-
+from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.run_info import first_run_info
 from scara_effmass.errors import BagError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from scara_effmass.bags.bag import Bag
-    from scara_effmass.safety import Monitor
-    from scara_effmass.values import Decision, JointState
+from scara_effmass.safety import Monitor
+from scara_effmass.values import Decision, JointState
 
 
 class AssessedState(NamedTuple):

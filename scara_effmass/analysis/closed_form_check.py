@@ -9,11 +9,11 @@ import numpy as np
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.scara_closed_form import scara_lumped_mass, scara_max_lumped_mass
+from scara_effmass.values import ContactAssessment, FloatArray, JointState
 
 if TYPE_CHECKING:
     from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.model.robot import Robot
-    from scara_effmass.values import ContactAssessment, FloatArray, JointState
 
 BATCH_SIZE = 20_000
 AXIS_TOLERANCE = 1e-9

@@ -1,27 +1,19 @@
 """Draw a run: verdict, speed and its limit, effective masses, and force over time."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from scara_effmass.analysis.time_series import decimate, verdict_spans
-from scara_effmass.values import Verdict
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from matplotlib.axes import Axes
-
-    from scara_effmass.analysis.forces import RecordedForce
-    from scara_effmass.analysis.time_series import TimeSeries
-    from scara_effmass.values import FloatArray
+from scara_effmass.analysis.forces import RecordedForce
+from scara_effmass.analysis.time_series import TimeSeries, decimate, verdict_spans
+from scara_effmass.values import FloatArray, Verdict
 
 COLUMNS = 1500
 """Approximate width of the data [pixel]; lines are decimated to it."""

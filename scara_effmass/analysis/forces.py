@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from scara_effmass.values import FloatArray, Impact
 from scara_effmass.wire.force import decode_impact
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from scara_effmass.bags.bag import Bag
-    from scara_effmass.values import FloatArray, Impact
 
 
 class RecordedForce(NamedTuple):

@@ -1,16 +1,11 @@
 """Output files that appear only when complete and never replace a file without permission."""
 
-from __future__ import annotations
-
 import os
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from scara_effmass.errors import OutputError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 
 def check_output_path(path: Path, *, overwrite: bool) -> None:

@@ -1,7 +1,5 @@
 """Style of the figures: colours, markers and matplotlib settings."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg

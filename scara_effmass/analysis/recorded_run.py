@@ -1,28 +1,23 @@
 """Joint states, measurements and run information of one recording, in the order of their log times."""
 
-from __future__ import annotations
-
+from collections import Counter
+from collections.abc import Iterator
 from heapq import merge
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from scara_effmass.analysis.assessment import AssessedState
 from scara_effmass.bags import run_info
+from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import check_definition
 from scara_effmass.errors import BagError, DecodeError, SettingsError
 from scara_effmass.impacts.run_info import check_run_info
 from scara_effmass.importers.force import import_force
 from scara_effmass.settings import ImportSettings
+from scara_effmass.values import ForceBlock, Impact, RunInfo
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.force import decode_force_block, decode_impact
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, WRENCH, WRENCH_STAMPED
-
-if TYPE_CHECKING:
-    from collections import Counter
-    from collections.abc import Iterator
-
-    from scara_effmass.analysis.assessment import AssessedState
-    from scara_effmass.bags.bag import Bag
-    from scara_effmass.bags.batches import Topic
-    from scara_effmass.values import ForceBlock, Impact, RunInfo
 
 USUAL = {FORCE_BLOCK: "force", IMPACT: "impact", WRENCH_STAMPED: "wrench", WRENCH: "wrench"}
 """Usual topic of each type of measurement, in the order of preference."""

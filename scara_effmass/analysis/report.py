@@ -1,7 +1,5 @@
 """Self-contained HTML reports from the Jinja2 templates in `templates/`."""
 
-from __future__ import annotations
-
 from base64 import b64encode
 from pathlib import Path
 from typing import NamedTuple

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from scara_effmass.analysis.figure import FORMATS, draw_run, write
+from scara_effmass.analysis.forces import RecordedForce
 from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.report import EmbeddedFigure, render
-from scara_effmass.analysis.time_series import episodes
+from scara_effmass.analysis.time_series import Episode, TimeSeries, episodes
+from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Verdict
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-    from pathlib import Path
-
-    from scara_effmass.analysis.forces import RecordedForce
-    from scara_effmass.analysis.time_series import Episode, TimeSeries
-    from scara_effmass.settings import MonitorSettings
 
 PAGE, SUMMARY = "report.html", "summary.json"
 CAPTION = (

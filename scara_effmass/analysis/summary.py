@@ -1,18 +1,12 @@
 """Summary of a run: cycles and time per verdict, the tightest margin, and the reasons of UNKNOWN."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 from scara_effmass.safety.debounce import severity
-from scara_effmass.values import Verdict
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from scara_effmass.values import ContactAssessment, JointState
+from scara_effmass.values import ContactAssessment, JointState, Verdict
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
 """Numbers in a reason, except digits in names; reasons are counted without them."""

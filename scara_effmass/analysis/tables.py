@@ -1,12 +1,11 @@
 """Write assessments: Parquet or CSV with a row per contact point and joint state, or a bag of ContactStates."""
 
-from __future__ import annotations
-
 import json
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import pyarrow as pa
 from pyarrow import csv, parquet
@@ -16,17 +15,12 @@ from scara_effmass.analysis.output import atomic_file
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
-from scara_effmass.values import RunInfo
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import ContactAssessment, RunInfo
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.message_types import CONTACT_STATE, RUN_INFO
 from scara_effmass.wire.run_info import run_info_message
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from scara_effmass.settings import MonitorSettings
-    from scara_effmass.values import ContactAssessment
 
 ROW_GROUP_SIZE = 50_000
 """Rows of a Parquet row group, which are held in memory."""

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from scara_effmass.values import NAN, Verdict
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from scara_effmass.values import ContactAssessment, FloatArray
+from scara_effmass.values import NAN, ContactAssessment, FloatArray, Verdict
 
 NO_JOINT_STATE = "no joint state"
 """Reason of the episodes in which no joint state arrived."""

@@ -6,7 +6,9 @@ The log time of a message replaces its arrival time at a node.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
@@ -17,21 +19,17 @@ from scara_effmass.analysis.recorded_run import (
     merge_by_log_time,
     run_infos,
 )
+from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
 from scara_effmass.impacts.detector import Detector
+from scara_effmass.impacts.result import Result
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings
-from scara_effmass.values import Impact
+from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo, ValidatedImpact
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from scara_effmass.bags.bag import Bag
-    from scara_effmass.impacts.result import Result
     from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.values import ForceBlock, RefusedImpact, RunInfo, ValidatedImpact
 
 
 @dataclass(frozen=True, slots=True)

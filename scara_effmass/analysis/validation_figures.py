@@ -1,26 +1,20 @@
 """Figures of the validation report."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 import matplotlib as mpl
 import matplotlib.ticker
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from scara_effmass.analysis.plot_style import INK, ISO_RED, new_figure
+from scara_effmass.impacts.result import ModelResult, Result
 from scara_effmass.iso15066 import force_per_root_stiffness
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from scara_effmass.impacts.result import ModelResult, Result
-    from scara_effmass.values import FloatArray, ValidatedImpact
+from scara_effmass.values import FloatArray, ValidatedImpact
 
 N_MM = 1e3
 EXPONENTS = {"0.5, linear spring": (0.5, "--"), "0.6, Hertz": (0.6, ":")}

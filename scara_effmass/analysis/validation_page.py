@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass import __version__
-from scara_effmass.analysis.report import render
+from scara_effmass.analysis.report import EmbeddedFigure, render
 from scara_effmass.analysis.validation_scope import demands, limits, origin
+from scara_effmass.impacts.result import ModelResult, Result
+from scara_effmass.values import ValidatedImpact
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from pydantic import BaseModel
 
-    from scara_effmass.analysis.report import EmbeddedFigure
     from scara_effmass.analysis.validation import ValidatedRecording, Validation, ValidationSettings
     from scara_effmass.impacts.agreement import Agreement
-    from scara_effmass.impacts.result import ModelResult, Result
     from scara_effmass.model.robot import Robot
-    from scara_effmass.values import ValidatedImpact
 
 N_MM = 1e3
 """N/m in one N/mm."""

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 from scara_effmass import __version__
+from scara_effmass.impacts.result import ModelResult
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from scara_effmass.analysis.validation import Validation, ValidationSettings
-    from scara_effmass.impacts.result import ModelResult
     from scara_effmass.model.robot import Robot
 
 UNITS = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
@@ -17,8 +18,6 @@ from scara_effmass.analysis.validation_page import page
 from scara_effmass.analysis.validation_record import record
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from scara_effmass.analysis.validation import Validation, ValidationSettings
     from scara_effmass.model.robot import Robot
 

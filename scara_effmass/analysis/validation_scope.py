@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+from scara_effmass.impacts.result import Result
+from scara_effmass.settings import CriterionSettings
 
+if TYPE_CHECKING:
     from scara_effmass.analysis.validation import Validation, ValidationSettings
-    from scara_effmass.impacts.result import Result
     from scara_effmass.model.robot import Robot
-    from scara_effmass.settings import CriterionSettings
 
 NO_PROOF = (
     "This report compares a model of the collision force with the impacts below. It is not a certified safety function "

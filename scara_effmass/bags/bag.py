@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, final
 
-from scara_effmass.bags.batches import MAX_TIME_NS
+from rosbags.typesys.store import Typestore
+
+from scara_effmass.bags.batches import MAX_TIME_NS, LossLog, Source, Topic
 from scara_effmass.bags.definitions import check_definition
-from scara_effmass.bags.joint_state_blocks import BlockDecoder
+from scara_effmass.bags.joint_state_blocks import BlockDecoder, JointStateBlock
 from scara_effmass.errors import BagError, DecodeError
+from scara_effmass.values import ForceBlock
 from scara_effmass.wire.force import decode_force_block
 from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
-    from pathlib import Path
-    from types import TracebackType
-
-    from rosbags.typesys.store import Typestore
-
-    from scara_effmass.bags.batches import LossLog, Source, Topic
-    from scara_effmass.bags.joint_state_blocks import JointStateBlock
-    from scara_effmass.values import ForceBlock
 
 
 class RawMessage(NamedTuple):

@@ -1,26 +1,20 @@
 """Message definitions: of a bag, of live publishers, of this package and of ROS 2 Jazzy."""
 
-from __future__ import annotations
-
 import os
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from rosbags.interfaces import MessageDefinitionFormat, Nodetype
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Nodetype
+from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from scara_effmass.errors import BagError
 from scara_effmass.share import share
 from scara_effmass.wire.message_types import HEADER, JOINT_STATE, OWN_PACKAGE, TIME
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from rosbags.interfaces import MessageDefinition
-    from rosbags.interfaces.typing import Typesdict
 
 IDL_SEPARATOR = "=" * 80 + "\n"
 UNSET_HASH = "RIHS01_" + 64 * "0"

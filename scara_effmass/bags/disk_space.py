@@ -1,12 +1,8 @@
 """Free space on the disk of a recording."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, final
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from collections.abc import Callable
+from typing import final
 
 NS = 1_000_000_000
 MIN_RATE_SPAN_NS = 2 * NS

@@ -1,26 +1,20 @@
 """Bags on disk: find them at a path and open them."""
 
-from __future__ import annotations
-
 import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 
 from scara_effmass.bags.bag import Bag
-from scara_effmass.bags.batches import LossLog
+from scara_effmass.bags.batches import LossLog, Source
 from scara_effmass.bags.mcap_file import MAGIC
 from scara_effmass.bags.mcap_source import McapSource
 from scara_effmass.bags.rosbags_source import RosbagsSource
 from scara_effmass.errors import BagError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from scara_effmass.bags.batches import Source
 
 SUFFIXES = {".mcap", ".db3", ".bag"}
 METADATA = "metadata.yaml"

@@ -1,27 +1,19 @@
 """JointState messages decoded in bulk: consecutive messages of equal layout become one array each."""
 
-from __future__ import annotations
-
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
+from scara_effmass.bags.batches import IntArray, LossLog, MessageBatch
 from scara_effmass.errors import DecodeError
-from scara_effmass.values import JointState
+from scara_effmass.values import FloatArray, JointState
 from scara_effmass.wire.cdr import NS, STAMP_AT
-from scara_effmass.wire.joint_state import joint_state_layout
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from scara_effmass.bags.batches import IntArray, LossLog, MessageBatch
-    from scara_effmass.values import FloatArray
-    from scara_effmass.wire.joint_state import JointStateLayout
+from scara_effmass.wire.joint_state import JointStateLayout, joint_state_layout
 
 MIN_WINDOW = 64
 WINDOW_GROWTH = 4

@@ -1,28 +1,20 @@
 """Copy the readable content of a damaged MCAP file to a new one."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import TYPE_CHECKING, BinaryIO
+from pathlib import Path
+from typing import BinaryIO
 
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from scara_effmass.bags.batches import MAX_TIME_NS, LossLog
-from scara_effmass.bags.mcap_file import DAMAGE, RECORD_HEAD, chunk_content, records
+from scara_effmass.bags.mcap_file import DAMAGE, RECORD_HEAD, Record, chunk_content, records
 from scara_effmass.errors import DecodeError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from mcap.records import McapRecord
-
-    from scara_effmass.bags.mcap_file import Record
 
 COMPRESSIONS = {"": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
 

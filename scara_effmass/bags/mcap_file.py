@@ -5,12 +5,12 @@ Format: https://mcap.dev/spec. A record is an opcode (1 byte), the length of its
 so records are stepped through here; `mcap` decodes them.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
+from collections.abc import Callable, Iterable, Iterator
 from io import BytesIO
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
@@ -19,21 +19,13 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, Footer, Schema
+from mcap.records import Channel, Chunk, Footer, Schema, Statistics
+from mcap.summary import Summary
+from numpy.typing import NDArray
 from rosbags.typesys.msg import normalize_msgtype
 
-from scara_effmass.bags.batches import MAX_TIME_NS, MessageBatch
+from scara_effmass.bags.batches import MAX_TIME_NS, IntArray, LossLog, MessageBatch
 from scara_effmass.errors import BagError, DecodeError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
-
-    from mcap.records import Statistics
-    from mcap.summary import Summary
-    from numpy.typing import NDArray
-
-    from scara_effmass.bags.batches import IntArray, LossLog
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")

@@ -1,25 +1,17 @@
 """The MCAP files of one bag, read as one."""
 
-from __future__ import annotations
-
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+from rosbags.typesys.store import Typestore
 
-from scara_effmass.bags.batches import Topic, in_log_time_order
+from scara_effmass.bags.batches import LossLog, MessageBatch, Topic, in_log_time_order
 from scara_effmass.bags.definitions import types_of
 from scara_effmass.bags.mcap_file import McapFile
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
-    from pathlib import Path
-
-    from rosbags.typesys.store import Typestore
-
-    from scara_effmass.bags.batches import LossLog, MessageBatch
 
 ENCODINGS = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionFormat.IDL}
 

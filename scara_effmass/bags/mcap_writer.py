@@ -1,25 +1,19 @@
 """The writer of MCAP files: profile, schemas, channels and messages as rosbag2 writes them."""
 
-from __future__ import annotations
-
 import fcntl
 import os
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import IO, TYPE_CHECKING, cast, final
+from pathlib import Path
+from typing import IO, cast, final
 
 from mcap.writer import CompressionType, Writer
 
-from scara_effmass.bags.batches import MAX_TIME_NS
+from scara_effmass.bags.batches import MAX_TIME_NS, Topic
 from scara_effmass.bags.rosbag2 import BagFile, metadata, yaml_text
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
-
-    from scara_effmass.bags.batches import Topic
-
-    FileOpener = Callable[[Path], IO[bytes]]
+FileOpener = Callable[[Path], IO[bytes]]
 
 PROFILE = "ros2"
 LIBRARY = "scara_effmass"

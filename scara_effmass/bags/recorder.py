@@ -6,26 +6,22 @@ import shutil
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from types import TracebackType
+from typing import final
+
+from rosbags.typesys.store import Typestore
 
 from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import definition_of, known_types
 from scara_effmass.bags.disk_space import DiskSpace
-from scara_effmass.bags.mcap_writer import open_unbuffered
+from scara_effmass.bags.mcap_writer import FileOpener, open_unbuffered
 from scara_effmass.bags.recording_report import RecordedTopic, RecordingReport, TopicReport
 from scara_effmass.bags.rosbag2 import check_output
 from scara_effmass.bags.split_writer import SplitWriter
 from scara_effmass.errors import OutputError, SettingsError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import TracebackType
-
-    from rosbags.typesys.store import Typestore
-
-    from scara_effmass.bags.mcap_writer import FileOpener
 
 NS = 1_000_000_000
 POLL_S = 0.05

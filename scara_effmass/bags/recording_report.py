@@ -1,16 +1,11 @@
 """Message counts of a recording: recorded and lost, by topic and cause."""
 
-from __future__ import annotations
-
 import json
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from pathlib import Path
-
-    from scara_effmass.bags.batches import Topic
+from scara_effmass.bags.batches import Topic
 
 LOSSES_RECORD = "scara_effmass/losses"
 """Name of the MCAP metadata record, and key in custom_data of metadata.yaml, with the lost messages."""

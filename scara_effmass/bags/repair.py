@@ -1,12 +1,11 @@
 """Repair of bags that were not completed: index, summary and metadata are made from the readable content."""
 
-from __future__ import annotations
-
 import json
 import os
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import yaml
 from mcap.opcode import Opcode
@@ -20,10 +19,6 @@ from scara_effmass.bags.mcap_writer import HASH_KEY, QOS_KEY
 from scara_effmass.bags.recording_report import LOSSES_RECORD, losses_custom_data
 from scara_effmass.bags.rosbag2 import BagFile, is_being_written, sync_folder, write_metadata
 from scara_effmass.errors import BagError, OutputError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
 
 DAMAGED_SUFFIX = ".damaged"
 """Suffix of an original that is kept because not all of its content could be copied."""

@@ -1,23 +1,18 @@
 """The rosbag2 format: metadata.yaml, QoS profiles and the checks of an output folder."""
 
-from __future__ import annotations
-
 import fcntl
 import os
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import yaml
 
+from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.files import METADATA, bag_files, is_rosbag2_folder
 from scara_effmass.errors import OutputError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from scara_effmass.bags.batches import Topic
 
 ROSBAG2_VERSION = 9
 """Metadata version of ROS 2 Jazzy."""

@@ -1,31 +1,22 @@
 """Bags that the rosbags library reads: SQLite, compressed rosbag2 and ROS 1."""
 
-from __future__ import annotations
-
 import heapq
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
 from functools import cached_property
 from operator import itemgetter
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag2 import Reader as Ros2Reader
+from rosbags.typesys.store import Typestore
 
-from scara_effmass.bags.batches import Topic, batch_of
+from scara_effmass.bags.batches import LossLog, MessageBatch, Topic, batch_of
 from scara_effmass.bags.definitions import types_of
 from scara_effmass.errors import BagError
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
-    from pathlib import Path
-
-    from rosbags.interfaces import Connection, MessageDefinition
-    from rosbags.rosbag2 import Reader as Ros2Reader
-    from rosbags.typesys.store import Typestore
-
-    from scara_effmass.bags.batches import LossLog, MessageBatch
-
-    Reader = Ros1Reader | Ros2Reader
+Reader = Ros1Reader | Ros2Reader
 
 BATCH_MESSAGES = 1000
 BATCH_BYTES = 1 << 20

@@ -1,21 +1,15 @@
 """Run information in a recording: `RunInfo` messages, or the JSON text of older recordings."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
+from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.definitions import check_definition
 from scara_effmass.errors import BagError, DecodeError
+from scara_effmass.values import RunInfo
 from scara_effmass.wire.message_types import RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_from_json
 from scara_effmass.wire.topics import RECORDING_INFO
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from scara_effmass.bags.bag import Bag
-    from scara_effmass.values import RunInfo
 
 
 def run_infos(bag: Bag) -> Iterator[tuple[int, RunInfo]]:

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, final
 
-from scara_effmass.bags.mcap_writer import CHUNK_BYTES, McapFileWriter
-from scara_effmass.bags.recording_report import LOSSES_RECORD, losses_custom_data, losses_record
-from scara_effmass.bags.rosbag2 import sync_folder, write_metadata
+from scara_effmass.bags.disk_space import DiskSpace
+from scara_effmass.bags.mcap_writer import CHUNK_BYTES, FileOpener, McapFileWriter
+from scara_effmass.bags.recording_report import LOSSES_RECORD, RecordedTopic, losses_custom_data, losses_record
+from scara_effmass.bags.rosbag2 import BagFile, sync_folder, write_metadata
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from scara_effmass.bags.disk_space import DiskSpace
-    from scara_effmass.bags.mcap_writer import FileOpener
     from scara_effmass.bags.recorder import RecorderOptions
-    from scara_effmass.bags.recording_report import RecordedTopic
-    from scara_effmass.bags.rosbag2 import BagFile
 
 
 @final

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from types import TracebackType
+from typing import final
+
+from rosbags.typesys.store import Typestore
 
 from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import definition_of, known_types
 from scara_effmass.bags.mcap_writer import CHUNK_BYTES, McapFileWriter
 from scara_effmass.bags.rosbag2 import check_output, write_metadata
 from scara_effmass.errors import OutputError
+from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import JOINT_STATE
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from types import TracebackType
-
-    from rosbags.typesys.store import Typestore
-
-    from scara_effmass.values import JointState
 
 
 @final

@@ -1,20 +1,16 @@
 """Command line. The module of a command is imported only when the command runs."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import signal
 import sys
+from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, NoReturn
+from types import FrameType
+from typing import NoReturn
 
 from scara_effmass import __version__
 from scara_effmass.errors import EffmassError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from types import FrameType
 
 COMMANDS = {
     "demo": "run all nodes on the simulated cell or on a recording, and write a report",

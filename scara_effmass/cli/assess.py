@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scara_effmass.analysis.closed_form_check import ClosedFormCheck
+from scara_effmass.analysis.time_series import TimeSeriesBuilder
 from scara_effmass.cli.console import print_json, print_lines, progress_bar
 from scara_effmass.cli.options import (
     add_force,
@@ -19,18 +23,13 @@ from scara_effmass.cli.options import (
 )
 from scara_effmass.cli.report import summary_lines
 from scara_effmass.errors import RobotError
+from scara_effmass.settings import MonitorSettings
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Mapping
-
-    from scara_effmass.analysis.closed_form_check import ClosedFormCheck
     from scara_effmass.analysis.run_report import RunReport
     from scara_effmass.analysis.tables import AssessmentWriter
-    from scara_effmass.analysis.time_series import TimeSeriesBuilder
     from scara_effmass.bags.bag import Bag
     from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.settings import MonitorSettings
 
 EXAMPLES = """\
 FILE must end in .parquet, .csv or .mcap. Each bag is assessed by a fresh monitor, whose clock is the log time of the

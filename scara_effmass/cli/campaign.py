@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,8 +13,6 @@ from scara_effmass.cli.console import print_json, print_lines, progress_bar
 from scara_effmass.cli.options import add_force, add_json
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from scara_effmass.sim.campaign import Campaign, CampaignStep
 
 EXAMPLES = """\

@@ -1,20 +1,13 @@
 """Print the results of commands: lines of subject and text, tables, JSON, and progress."""
 
-from __future__ import annotations
-
 import json
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import Progress, ProgressColumn
 from rich.table import Table
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from rich.progress import ProgressColumn
 
 PIPE_WIDTH = 160
 """Width of the output without a terminal [columns]."""

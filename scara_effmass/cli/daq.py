@@ -1,14 +1,9 @@
 """`scara-effmass daq`."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+import argparse
 
 from scara_effmass.cli.options import add_params, node_arguments
 from scara_effmass.settings import ForceSourceKind, load_settings
-
-if TYPE_CHECKING:
-    import argparse
 
 EXAMPLES = """\
 ROS arguments follow -- or --ros-args and override the options. Force is positive in compression. Force from CSV and

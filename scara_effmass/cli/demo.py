@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,13 +19,10 @@ from scara_effmass.cli.options import (
 )
 from scara_effmass.cli.processes import RECORDING
 from scara_effmass.errors import SettingsError
-from scara_effmass.settings import MassModel
+from scara_effmass.settings import MassModel, MonitorSettings
 
 if TYPE_CHECKING:
-    import argparse
-
     from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.settings import MonitorSettings
 
 EXAMPLES = """\
 Without --bag: a simulated robot drives into simulated carts. The monitor, force and validator nodes watch it over DDS,

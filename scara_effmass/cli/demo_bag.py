@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
+from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from scara_effmass.cli.console import print_json, print_lines, printer
@@ -22,15 +25,11 @@ from scara_effmass.cli.processes import (
 )
 from scara_effmass.cli.report import force_lines, force_record, summary_lines
 from scara_effmass.errors import EffmassError
+from scara_effmass.values import ContactAssessment
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
-    from pathlib import Path
-
     from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.settings import MonitorSettings
-    from scara_effmass.values import ContactAssessment
 
 ANSWER_TIMEOUT_S = 10.0
 """Maximum wait for the last messages of the monitor after the end of the replay."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 from contextlib import ExitStack
@@ -22,16 +23,13 @@ from scara_effmass.cli.processes import (
 )
 from scara_effmass.cli.report import validation_lines
 from scara_effmass.errors import EffmassError
-from scara_effmass.settings import ValidatorSettings
+from scara_effmass.settings import MonitorSettings, ValidatorSettings
+from scara_effmass.values import ContactAssessment
 
 if TYPE_CHECKING:
-    import argparse
-
     from scara_effmass_msgs.msg import ImpactValidation
 
     from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.settings import MonitorSettings
-    from scara_effmass.values import ContactAssessment
 
 MAX_SLOWDOWN = 10.0
 """Longest run in times its simulated duration: the simulation waits for nodes that fall behind."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 import platform
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from scara_effmass import __version__
@@ -15,15 +18,10 @@ from scara_effmass.cli.console import print_json, print_table, printer
 from scara_effmass.cli.options import add_json, add_params, add_robot, load_dynamics, settings_from
 from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
-from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, load_settings
+from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, MonitorSettings, load_settings
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
     from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.settings import MonitorSettings
 
 EXAMPLES = """\
 Exit code 0: a monitor can run with this robot; 1: something that it needs is wrong.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,9 +13,6 @@ from scara_effmass.settings import DetectionSettings, MonitorSettings
 from scara_effmass.share import share
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
-
     from scara_effmass.paper.figure_set import FigureSet
     from scara_effmass.paper.figure_specs import FigureInputs
 

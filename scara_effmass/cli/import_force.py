@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,9 +13,6 @@ from scara_effmass.cli.options import add_force, add_json
 from scara_effmass.settings import ImportSettings, checked
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator, Sequence
-
     from scara_effmass.importers.force import ImportedTopic
 
 EXAMPLES = """\

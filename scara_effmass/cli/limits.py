@@ -1,10 +1,9 @@
 """`scara-effmass limits`."""
 
-from __future__ import annotations
-
+import argparse
 import math
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from scara_effmass.cli.console import print_json, print_table, printer
 from scara_effmass.cli.options import add_json, add_limits, add_params, number, settings_from
@@ -14,15 +13,11 @@ from scara_effmass.iso15066 import (
     EDITION,
     MIN_EFFECTIVE_MASS,
     TABLE_HASH,
+    Limit,
     SpeedLimits,
     limits_for,
     transferred_energy,
 )
-
-if TYPE_CHECKING:
-    import argparse
-
-    from scara_effmass.iso15066 import Limit
 
 EXAMPLES = """\
 Speeds are relative speeds at nominal values; the monitor adds its uncertainty margins.

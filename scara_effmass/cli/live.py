@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import time
 from itertools import chain
-from typing import TYPE_CHECKING, final
+from types import TracebackType
+from typing import final
 
-from rich.console import Group
+from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from scara_effmass.values import Verdict
-
-if TYPE_CHECKING:
-    from types import TracebackType
-
-    from rich.console import Console
-
-    from scara_effmass.values import ContactAssessment
+from scara_effmass.values import ContactAssessment, Verdict
 
 PIPE_PERIOD_S = 2.0
 TERMINAL_PERIOD_S = 0.125

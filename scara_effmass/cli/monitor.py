@@ -1,14 +1,9 @@
 """`scara-effmass monitor`."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+import argparse
 
 from scara_effmass.cli.options import add_params, add_robot, node_arguments
 from scara_effmass.settings import load_settings
-
-if TYPE_CHECKING:
-    import argparse
 
 EXAMPLES = """\
 ROS arguments follow -- or --ros-args and take precedence over the options.

@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scara_effmass.settings import ContactType, MassModel, MonitorSettings, checked, load_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-
     from scara_effmass.model.dynamics import RobotDynamics
 
 

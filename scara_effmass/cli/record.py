@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import math
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,16 +12,13 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.status import Status
 
+from scara_effmass.bags.recording_report import RecordingReport
 from scara_effmass.cli.console import print_json, print_lines
 from scara_effmass.cli.options import add_force, add_json
 from scara_effmass.errors import SettingsError
 from scara_effmass.wire.topics import RECORDED
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
-
-    from scara_effmass.bags.recording_report import RecordingReport
     from scara_effmass.bags.repair import RepairReport
     from scara_effmass.nodes.record import RecordReport
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import math
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,9 +15,6 @@ from scara_effmass.cli.console import print_json, print_lines, progress_bar
 from scara_effmass.cli.options import add_json
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
-
     from scara_effmass.nodes.replay import ReplayProgress, ReplayReport
 
 EXAMPLES = """\

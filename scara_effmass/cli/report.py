@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from scara_effmass.analysis.forces import RecordedForce
 from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from scara_effmass.analysis.forces import RecordedForce
     from scara_effmass.analysis.summary import Summary, TightestMargin
     from scara_effmass.analysis.validation import Validation
 

@@ -1,13 +1,8 @@
 """`scara-effmass sim`."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+import argparse
 
 from scara_effmass.cli.options import node_arguments
-
-if TYPE_CHECKING:
-    import argparse
 
 EXAMPLES = """\
 A simulated robot repeatedly hits simulated carts. The node publishes joint states at 1 kHz and, on run_info, the

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -14,9 +16,6 @@ from scara_effmass.errors import SettingsError
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings, checked, load_settings
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Sequence
-
     from scara_effmass.analysis.validation import ValidationSettings
 
 EXAMPLES = """\

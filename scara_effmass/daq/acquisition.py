@@ -1,22 +1,17 @@
 """Read a force source in a thread of its own."""
 
-from __future__ import annotations
-
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, final
+from typing import final
 
 from scara_effmass.daq.read_latency import ReadLatency
 from scara_effmass.daq.sample_queue import SampleQueue
+from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import DaqError, DeviceLostError, DeviceMissingError, OverrunError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.daq.source import ForceSource, Reading
-    from scara_effmass.settings import DaqSettings
+from scara_effmass.settings import DaqSettings
 
 NS = 1_000_000_000
 

@@ -1,26 +1,20 @@
 """Read the ForceBlocks of a bag and count the samples that are missing between them."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError
 from scara_effmass.importers import IMPORTERS
+from scara_effmass.settings import BagSettings
+from scara_effmass.values import ForceBlock
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import FORCE_BLOCK
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from scara_effmass.bags.bag import Bag
-    from scara_effmass.bags.batches import Topic
-    from scara_effmass.settings import BagSettings
-    from scara_effmass.values import ForceBlock
 
 MAX_RATE_DRIFT = 0.01
 """Largest relative difference between the sample rates of two blocks of one recording."""

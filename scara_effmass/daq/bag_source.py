@@ -1,25 +1,18 @@
 """Force from a bag, played at its own pace."""
 
-from __future__ import annotations
-
 import threading
 import time
-from typing import TYPE_CHECKING, final
+from collections.abc import Callable
+from typing import final
 
 import numpy as np
 
-from scara_effmass.daq.bag_blocks import open_blocks
+from scara_effmass.daq.bag_blocks import BagBlocks, open_blocks
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import SettingsError
-from scara_effmass.settings import Stamps
+from scara_effmass.settings import DaqSettings, Stamps
+from scara_effmass.values import ForceBlock
 from scara_effmass.wire.cdr import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.daq.bag_blocks import BagBlocks
-    from scara_effmass.settings import DaqSettings
-    from scara_effmass.values import ForceBlock
 
 POLL_S = 0.005
 """Polling period of the clock, which may be simulated."""

@@ -1,7 +1,5 @@
 """Fit the sample numbers of a device to ROS time."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from statistics import median

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scara_effmass.daq.clock_fit import ClockFit
+from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.daq.tare import Tare
-from scara_effmass.settings import FilterKind
-from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, ForceBlock
+from scara_effmass.settings import DaqSettings, FilterKind
+from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, BoolArray, FloatArray, ForceBlock
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
     from scara_effmass.daq.lowpass import Lowpass
-    from scara_effmass.daq.source import ForceSource, Reading
-    from scara_effmass.settings import DaqSettings
-    from scara_effmass.values import BoolArray, FloatArray
 
 NS = 1e9
 NO_FORCE: FloatArray = np.empty(0)

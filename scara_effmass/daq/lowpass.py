@@ -1,21 +1,15 @@
 """Optional low-pass filters that state their delay. Importing this module loads scipy: import it only when needed."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from scipy import optimize, signal
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.settings import FilterKind
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.settings import FilterSettings
-    from scara_effmass.values import FloatArray
+from scara_effmass.settings import FilterKind, FilterSettings
+from scara_effmass.values import FloatArray
 
 NEGLIGIBLE = 1e-3
 """Remaining fraction of a sample's influence on the output that is neglected."""

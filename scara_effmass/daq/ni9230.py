@@ -1,12 +1,11 @@
 """The source `ni9230`: IEPE force sensors on an NI-9230 or another module that supplies them, through NI-DAQmx."""
 
-from __future__ import annotations
-
 import math
 import re
 import threading
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
 
@@ -21,13 +20,9 @@ from scara_effmass.daq.ni_driver import (
     translated,
 )
 from scara_effmass.daq.source import ForceSource, Reading
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.errors import DaqError
-    from scara_effmass.settings import DaqSettings
-    from scara_effmass.values import BoolArray, FloatArray
+from scara_effmass.errors import DaqError
+from scara_effmass.settings import DaqSettings
+from scara_effmass.values import BoolArray, FloatArray
 
 BUFFER_TIME_S = 10.0
 """Buffer of the driver: how long reading may pause without a loss."""

@@ -3,11 +3,9 @@
 Only this module imports NI's Python client, which can be imported without the driver.
 """
 
-from __future__ import annotations
-
 import math
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from scara_effmass.errors import (
     DaqError,
@@ -26,9 +24,7 @@ except ImportError as error:
     raise DriverMissingError(
         f"the Python client of NI-DAQmx cannot be used: install it with pip install nidaqmx ({error})"
     ) from error
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from collections.abc import Iterator
 
 __all__ = [
     "SAMPLES_NOT_YET_AVAILABLE",

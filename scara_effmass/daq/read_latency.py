@@ -1,7 +1,5 @@
 """Latency of reads, measured on the steady clock of the host."""
 
-from __future__ import annotations
-
 from collections import deque
 from statistics import median
 from typing import final

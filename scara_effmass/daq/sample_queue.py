@@ -1,13 +1,10 @@
 """Queue of readings between the acquisition thread and its consumer."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
-from typing import TYPE_CHECKING, final
+from typing import final
 
-if TYPE_CHECKING:
-    from scara_effmass.daq.source import Reading
+from scara_effmass.daq.source import Reading
 
 
 @final

@@ -1,23 +1,16 @@
 """The source `sim` with the scene `cell`: force from the simulated cell, live."""
 
-from __future__ import annotations
-
 import threading
-from typing import TYPE_CHECKING, final
+from collections.abc import Callable
+from typing import final
 
 import numpy as np
 
 from scara_effmass.daq.sim_source import simulated_reading
-from scara_effmass.daq.source import ForceSource
+from scara_effmass.daq.source import ForceSource, Reading
+from scara_effmass.settings import DaqSettings
 from scara_effmass.sim.adc import ForceSensor
-from scara_effmass.sim.live import LiveSettings, LiveSim
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.daq.source import Reading
-    from scara_effmass.settings import DaqSettings
-    from scara_effmass.sim.live import LiveOutput
+from scara_effmass.sim.live import LiveOutput, LiveSettings, LiveSim
 
 NS = 1_000_000_000
 MS = 1_000_000

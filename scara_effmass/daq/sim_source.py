@@ -1,23 +1,17 @@
 """The source `sim`: simulated force at the pace of a converter with a clock of its own."""
 
-from __future__ import annotations
-
 import threading
 import time
+from collections.abc import Callable
 from importlib import import_module
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 
 from scara_effmass.daq.source import ForceSource, Reading
-from scara_effmass.settings import SimScene
+from scara_effmass.settings import DaqSettings, SimScene
 from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.settings import DaqSettings
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 NS = 1_000_000_000
 

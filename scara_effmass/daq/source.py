@@ -1,17 +1,11 @@
 """The interface of all force sources."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
-from scara_effmass.settings import ForceSourceKind
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.settings import DaqSettings
-    from scara_effmass.values import BoolArray, FloatArray
+from scara_effmass.settings import DaqSettings, ForceSourceKind
+from scara_effmass.values import BoolArray, FloatArray
 
 
 class Reading(NamedTuple):

@@ -1,16 +1,10 @@
 """Measure the force of the unloaded sensor."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from scara_effmass.settings import TareSettings
-    from scara_effmass.values import FloatArray
+from scara_effmass.settings import TareSettings
+from scara_effmass.values import FloatArray
 
 PARTS = 10
 """Parts of a tare; a short disturbance affects one or two of them."""

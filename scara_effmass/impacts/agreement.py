@@ -4,17 +4,14 @@ The model is F = x sqrt(k), x = v sqrt(mu) (ISO/TS 15066, Annex A: E = mu v^2 / 
 the whole series, with exactly rounded sums (`math.fsum`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit  # scipy.stats takes a second to import
 
-if TYPE_CHECKING:
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 CONFIDENCE = 0.95
 LIMITS = 1.96

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterable
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from scara_effmass.settings import DetectionSettings
-    from scara_effmass.values import FloatArray
+from scara_effmass.settings import DetectionSettings
+from scara_effmass.values import FloatArray
 
 BASELINE_FRAMES = 5
 """Number of quiet frames that define a baseline."""

@@ -4,18 +4,13 @@ Both carry ROS time and arrive soon after, so their lags (arrival - stamp) may d
 arrival times, only stamps without any overlap show different clocks.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from statistics import median
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from scara_effmass.impacts.state_history import NANOSECONDS
-
-if TYPE_CHECKING:
-    from scara_effmass.impacts.state_history import StateHistory
-    from scara_effmass.settings import ValidatorSettings
-    from scara_effmass.values import ForceBlock, Impact
+from scara_effmass.impacts.state_history import NANOSECONDS, StateHistory
+from scara_effmass.settings import ValidatorSettings
+from scara_effmass.values import ForceBlock, Impact
 
 MAX_LAGS = 1000
 """Maximum number of lags kept, for force blocks and impacts each."""

@@ -1,22 +1,16 @@
 """Acceptance criterion, and comparison of the effective-mass models."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from scipy.special import fdtri
 
-from scara_effmass.impacts.agreement import CONFIDENCE
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from scara_effmass.impacts.agreement import Agreement
-    from scara_effmass.settings import CriterionSettings
+from scara_effmass.impacts.agreement import CONFIDENCE, Agreement
+from scara_effmass.settings import CriterionSettings
 
 
 def criterion_hash(criterion: CriterionSettings) -> str:

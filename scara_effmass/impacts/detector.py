@@ -5,25 +5,17 @@ matters. Quiet frames define the baseline. The first other frame starts a segmen
 segment is then classified as a whole.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
 import numpy as np
 
 from scara_effmass.impacts.baseline import BASELINE_FRAMES, Baseline, Frame, median
 from scara_effmass.impacts.sample_buffer import SampleBuffer, finite_parts
-from scara_effmass.impacts.segment import classify
-from scara_effmass.values import Impact
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from scara_effmass.impacts.segment import DetectedContact, Segment
-    from scara_effmass.settings import DetectionSettings
-    from scara_effmass.values import FloatArray, ForceBlock
+from scara_effmass.impacts.segment import DetectedContact, Segment, classify
+from scara_effmass.settings import DetectionSettings
+from scara_effmass.values import FloatArray, ForceBlock, Impact
 
 FRAME_TIME = 0.05
 """Approximate length of a frame [s]: long against an impact, short against the start of a recording."""

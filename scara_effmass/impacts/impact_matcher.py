@@ -4,25 +4,18 @@ Impacts are matched in the order of arrival, each as soon as the states around i
 depends on stamps and arrival times only, not on how the two streams interleave.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from collections import deque
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.clocks import ForceClock
 from scara_effmass.impacts.run_info import check_obstacle_mass, check_run_info
-from scara_effmass.impacts.state_history import NANOSECONDS, Rejection, StateHistory
-from scara_effmass.values import RefusedImpact
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from scara_effmass.impacts.state_history import OnsetState
-    from scara_effmass.settings import ValidatorSettings
-    from scara_effmass.values import Impact, RunInfo
+from scara_effmass.impacts.state_history import NANOSECONDS, OnsetState, Rejection, StateHistory
+from scara_effmass.settings import ValidatorSettings
+from scara_effmass.values import Impact, RefusedImpact, RunInfo
 
 CLOCKS_DIFFER = "force and contact states are seconds apart: their clocks differ"
 NO_OBSTACLE = "obstacle_mass is not given"

@@ -1,25 +1,17 @@
 """Predicted peak force of matched impacts, and agreement of each effective-mass model over a series."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from scara_effmass.impacts.agreement import MIN_RELATIVE_RANGE, agreement, is_conservative
-from scara_effmass.impacts.criterion import compare
+from scara_effmass.impacts.agreement import MIN_RELATIVE_RANGE, Agreement, agreement, is_conservative
+from scara_effmass.impacts.criterion import Comparison, compare
+from scara_effmass.impacts.impact_matcher import MatchedImpact
 from scara_effmass.impacts.state_history import MODELS
 from scara_effmass.iso15066 import force_per_root_stiffness, peak_force, reduced_mass
 from scara_effmass.settings import MassModel
 from scara_effmass.values import Prediction
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from scara_effmass.impacts.agreement import Agreement
-    from scara_effmass.impacts.criterion import Comparison
-    from scara_effmass.impacts.impact_matcher import MatchedImpact
 
 
 def effective_mass(model: str, match: MatchedImpact) -> float:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from scara_effmass.values import RefusedImpact, ValidatedImpact
 
+if TYPE_CHECKING:
     from scara_effmass.impacts.agreement import Agreement
     from scara_effmass.impacts.criterion import Comparison
-    from scara_effmass.values import RefusedImpact, ValidatedImpact
 
 
 class ModelResult(NamedTuple):

@@ -1,14 +1,8 @@
 """Checks of the RunInfo values that predictions depend on."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings.validator import MAX_OBSTACLE_MASS
-
-if TYPE_CHECKING:
-    from scara_effmass.values import RunInfo
+from scara_effmass.values import RunInfo
 
 MAX_STAMP_NS = 2**63 - 1
 

@@ -1,16 +1,11 @@
 """Buffer of the latest samples of a stream of force blocks, addressed by sample number."""
 
-from __future__ import annotations
-
 from collections import deque
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from scara_effmass.impacts.segment import runs
-
-if TYPE_CHECKING:
-    from scara_effmass.values import BoolArray, FloatArray, ForceBlock
+from scara_effmass.values import BoolArray, FloatArray, ForceBlock
 
 
 class SampleBuffer:

@@ -3,20 +3,14 @@
 Forces are in [N], positions and durations in samples.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from scara_effmass.impacts.baseline import median_and_deviation
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from scara_effmass.impacts.baseline import Baseline
-    from scara_effmass.values import BoolArray, FloatArray
+from scara_effmass.impacts.baseline import Baseline, median_and_deviation
+from scara_effmass.values import BoolArray, FloatArray
 
 FLANK_LOW = 0.1
 """A flank is extrapolated from this share of the peak ..."""

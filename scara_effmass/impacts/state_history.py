@@ -4,20 +4,15 @@ The contact changes the robot's velocity from the onset on. A state after the on
 motion before the onset.
 """
 
-from __future__ import annotations
-
 import math
 from array import array
 from bisect import bisect_left, bisect_right
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from scara_effmass.values import Verdict
-
-if TYPE_CHECKING:
-    from scara_effmass.settings import ValidatorSettings
-    from scara_effmass.values import BoolArray, ContactAssessment, FloatArray, Vector3
+from scara_effmass.settings import ValidatorSettings
+from scara_effmass.values import BoolArray, ContactAssessment, FloatArray, Vector3, Verdict
 
 NANOSECONDS = 1e9
 MODELS = ("lumped", "full", "iso")

@@ -1,26 +1,19 @@
 """Validation of predicted peak forces against measured impacts, live and offline."""
 
-from __future__ import annotations
-
 from collections import Counter
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Callable, Iterable, Mapping
+from typing import TypeVar
 
 import numpy as np
 
+from scara_effmass.impacts.agreement import Agreement
 from scara_effmass.impacts.criterion import criterion_hash, unmet_criterion
-from scara_effmass.impacts.impact_matcher import ImpactMatcher
+from scara_effmass.impacts.impact_matcher import ImpactMatcher, MatchedImpact
 from scara_effmass.impacts.prediction import compare_models, has_mass, model_agreement, predict
 from scara_effmass.impacts.result import ModelResult, Result
 from scara_effmass.impacts.state_history import MODELS, Rejection
-from scara_effmass.values import ValidatedImpact
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
-    from scara_effmass.impacts.agreement import Agreement
-    from scara_effmass.impacts.impact_matcher import MatchedImpact
-    from scara_effmass.settings import ValidatorSettings
-    from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RunInfo
+from scara_effmass.settings import ValidatorSettings
+from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RunInfo, ValidatedImpact
 
 Key = TypeVar("Key", str, float)
 

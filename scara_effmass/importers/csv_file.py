@@ -1,28 +1,22 @@
 """Force from a CSV file: a header row, a column of times and a column of force."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re
 from array import array
+from collections.abc import Iterator, Sequence
 from itertools import chain
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.force_file import UNITS, ForceFile, select_unit
 from scara_effmass.importers.uniform_sampling import uniform_samples
+from scara_effmass.settings import ImportSettings
 from scara_effmass.wire.cdr import MAX_SEC, NS
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from scara_effmass.settings import ImportSettings
-
-    Rows = Iterator[tuple[int, list[str]]]
+Rows = Iterator[tuple[int, list[str]]]
 
 DELIMITERS = ",;\t"
 NS_PER_UNIT = {"s": NS, "sec": NS, "ms": 1_000_000, "us": 1000, "µs": 1000, "ns": 1}

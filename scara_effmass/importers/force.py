@@ -1,28 +1,21 @@
 """Force recordings of other programs as ForceBlocks, one by one or written to a bag."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.importers import BAG_IMPORTER, IMPORTERS
-from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT
+from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT, ForceFile
+from scara_effmass.settings import ImportSettings
 from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, ForceBlock
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from scara_effmass.importers.force_file import ForceFile
-    from scara_effmass.settings import ImportSettings
 
 MAX_VALUE = 1e9
 """[N] or [V]; no sensor measures more."""

@@ -1,16 +1,11 @@
 """A force recording in the unit of its file: what every importer returns."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from scara_effmass.errors import SettingsError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 NEWTON_PER_UNIT = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
 """NIST SP 811, Appendix B.8."""

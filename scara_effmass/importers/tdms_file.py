@@ -1,9 +1,9 @@
 """Force from a TDMS file of LabVIEW or NI-DAQmx: a channel with waveform timing."""
 
-from __future__ import annotations
-
 import logging
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from nptdms import TdmsFile
@@ -11,14 +11,9 @@ from nptdms.log import log_manager
 
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.force_file import BLOCK_TIME_S, UNITS, ForceFile, SampleBlock, select_unit
+from scara_effmass.settings import ImportSettings
+from scara_effmass.values import FloatArray
 from scara_effmass.wire.cdr import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from scara_effmass.settings import ImportSettings
-    from scara_effmass.values import FloatArray
 
 MAX_SPAN_S = 1e9
 

@@ -5,25 +5,19 @@ sample shifts its own stamp; a missing sample shifts all stamps after it. The mi
 samples tells the two apart.
 """
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from scara_effmass.importers.force_file import BLOCK_TIME_S, SampleBlock
+from scara_effmass.values import FloatArray
 from scara_effmass.wire.cdr import NS
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from scara_effmass.values import FloatArray
-
-    IntArray = NDArray[np.int64]
+IntArray = NDArray[np.int64]
 
 HEAD = 4096
 """Samples that determine the rate."""

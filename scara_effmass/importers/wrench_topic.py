@@ -1,29 +1,23 @@
 """Force from a topic of wrenches or numbers in a bag, one sample per message."""
 
-from __future__ import annotations
-
 from array import array
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.run_info import first_run_info
 from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.importers.force_file import ForceFile
 from scara_effmass.importers.uniform_sampling import uniform_samples
+from scara_effmass.settings import ImportSettings
+from scara_effmass.values import FloatArray
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from scara_effmass.bags.bag import Bag
-    from scara_effmass.bags.batches import Topic
-    from scara_effmass.settings import ImportSettings
-    from scara_effmass.values import FloatArray
 
 TYPES = (WRENCH_STAMPED, WRENCH, FLOAT64)
 """Message types that can hold force; the first type with a topic is taken."""

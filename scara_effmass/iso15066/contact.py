@@ -3,8 +3,6 @@
 The only implementation of these formulas; v_max, their inverse, is in `speed_limit`.
 """
 
-from __future__ import annotations
-
 import math
 from typing import TypeVar
 

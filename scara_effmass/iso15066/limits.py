@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from scara_effmass.errors import LimitError
 from scara_effmass.iso15066.table import BODY_POINTS, BODY_REGIONS
-from scara_effmass.settings import ContactType
+from scara_effmass.settings import ContactType, MonitorSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from scara_effmass.iso15066.table import BodyPoint, BodyRegion
-    from scara_effmass.settings import MonitorSettings
 
 _N_M_PER_N_MM = 1e3
 

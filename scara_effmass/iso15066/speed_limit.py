@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.errors import LimitError
 from scara_effmass.iso15066.contact import reduced_mass
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from scara_effmass.iso15066.limits import Criterion, Limit
 
 MIN_EFFECTIVE_MASS = 1e-6

@@ -1,15 +1,10 @@
 """Biomechanical limits of ISO/TS 15066:2016, Annex A: body points (Table A.2) and body regions (Table A.3)."""
 
-from __future__ import annotations
-
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 EDITION = "ISO/TS 15066:2016, Annex A (carried into ISO 10218-2:2025; changes of numbers there unconfirmed)"
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import reprlib
-from typing import TYPE_CHECKING, Annotated, Literal
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -13,15 +15,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.inertial_check import StatedLink, principal_moments
-from scara_effmass.model.robot import PARALLEL, build_robot
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from scara_effmass.model.robot import Robot
-    from scara_effmass.settings import MonitorSettings
-    from scara_effmass.values import FloatArray
+from scara_effmass.model.robot import PARALLEL, Robot, build_robot
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import FloatArray
 
 
 def _no_bool(value: object) -> object:

@@ -8,22 +8,16 @@ The mass of the worst direction is the inverse of A's smallest eigenvalue within
 can move in. The paper is cited in `scara_effmass.model`.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.lumping import lump
-from scara_effmass.values import NAN, ZERO_VECTOR
-
-if TYPE_CHECKING:
-    from scara_effmass.model.lumping import LumpedModel
-    from scara_effmass.model.robot import Robot
-    from scara_effmass.values import FloatArray, Vector3
+from scara_effmass.model.lumping import LumpedModel, lump
+from scara_effmass.model.robot import Robot
+from scara_effmass.values import NAN, ZERO_VECTOR, FloatArray, Vector3
 
 RANK_TOLERANCE = 1e-9
 """Fraction of the largest singular value of J_v below which a direction counts as unreachable."""

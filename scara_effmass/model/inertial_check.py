@@ -1,15 +1,11 @@
 """Plausibility check of the inertial data that a robot file states."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 _TRIANGLE = 1e-3
 """Relative tolerance of the triangle inequality, for values rounded in the file."""

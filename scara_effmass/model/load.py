@@ -1,17 +1,12 @@
 """Load a robot from a file of any format."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Protocol
+from pathlib import Path
+from typing import Protocol
 
 from scara_effmass.model.dh import load_dh
+from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import load_urdf
 from scara_effmass.settings import MonitorSettings
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from scara_effmass.model.robot import Robot
 
 
 class RobotFormat(Protocol):

@@ -8,20 +8,14 @@ Masses of neighbouring links on the same axis add up, so n joints leave n + 1 ma
 `scara_effmass.model`). Supported: parallel and coincident axes, and prismatic axes, of which only the direction counts.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.robot import PARALLEL
-
-if TYPE_CHECKING:
-    from scara_effmass.model.robot import Robot
-    from scara_effmass.values import FloatArray, Vector3
+from scara_effmass.model.robot import PARALLEL, Robot
+from scara_effmass.values import FloatArray, Vector3
 
 ON_AXIS_M = 1e-4
 """Distance [m] below which axes coincide, or a centre of mass lies in their plane: finer than CAD data."""

@@ -1,22 +1,15 @@
 """Serial robot, independent of its file format."""
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
 from scara_effmass.iso15066 import robot_mass
-from scara_effmass.model.inertial_check import check_inertials
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from scara_effmass.model.inertial_check import StatedLink
-    from scara_effmass.values import FloatArray, Vector3
+from scara_effmass.model.inertial_check import StatedLink, check_inertials
+from scara_effmass.values import FloatArray, Vector3
 
 PARALLEL = 2e-3
 """Sine of the angle below which two axes count as parallel, because some files write pi as 3.14."""

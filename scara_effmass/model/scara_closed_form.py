@@ -5,17 +5,12 @@ masses in [kg]; all arguments broadcast. phi is the angle of the normal n = (cos
 The results do not depend on q3, q4 and R_x. The paper is cited in `scara_effmass.model`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 
 def scara_lumped_mass(q1: ArrayLike, q2: ArrayLike, phi: ArrayLike, m2: float, m3: float) -> FloatArray:

@@ -1,26 +1,18 @@
 """Load a robot from URDF with Pinocchio's parser."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.robot import build_robot
-from scara_effmass.model.urdf_tree import read_urdf
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from scara_effmass.model.robot import Robot
-    from scara_effmass.model.urdf_tree import UrdfTree
-    from scara_effmass.settings import MonitorSettings
-    from scara_effmass.values import FloatArray
+from scara_effmass.model.robot import Robot, build_robot
+from scara_effmass.model.urdf_tree import UrdfTree, read_urdf
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import FloatArray
 
 
 def load_urdf(path: Path, settings: MonitorSettings) -> Robot:

@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.inertial_check import StatedLink, principal_moments
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 MOVING = ("revolute", "continuous", "prismatic")
 _CONTINUOUS_LIMIT = 1e6

@@ -1,21 +1,14 @@
 """Diagnostic statuses of the force measurement."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterable
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from scara_effmass.daq.acquisition import AcquisitionState
+from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
+from scara_effmass.daq.conditioning import ForceChannel, SignalConditioner
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes.diagnostics import status
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
-
-    from scara_effmass.daq.acquisition import Acquisition
-    from scara_effmass.daq.conditioning import ForceChannel, SignalConditioner
-    from scara_effmass.impacts.detector import Detector
 
 _LEVELS = {
     AcquisitionState.RUNNING: DiagnosticStatus.OK,

@@ -1,24 +1,25 @@
 """`daq_node`: publish force blocks and impacts. A thread of its own reads the source."""
 
-from __future__ import annotations
-
 import time
 import traceback
+from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from pydantic import Field
 from rclpy.duration import Duration
+from rclpy.lifecycle import LifecyclePublisher
 from rclpy.parameter import Parameter
 from scara_effmass_msgs.msg import ForceBlock, Impact
 from std_srvs.srv import Trigger
 
+from scara_effmass import values
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.conditioning import SignalConditioner
-from scara_effmass.daq.source import make_source
+from scara_effmass.daq.source import ForceSource, make_source
 from scara_effmass.errors import DaqError, EffmassError, SettingsError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes import parameters
@@ -28,15 +29,6 @@ from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.settings import READ_ONLY, DaqSettings, FilterKind, checked
 from scara_effmass.wire import topics
 from scara_effmass.wire.force import force_block_message, impact_message
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from diagnostic_msgs.msg import DiagnosticStatus
-    from rclpy.lifecycle import LifecyclePublisher
-
-    from scara_effmass import values
-    from scara_effmass.daq.source import ForceSource
 
 _POLL_S = 0.01
 _ACK_TIMEOUT_S = 5.0

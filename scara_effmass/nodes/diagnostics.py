@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from scara_effmass.nodes.lifecycle import LifecycleBase
 
 _PERIOD_S = 1.0

@@ -7,6 +7,7 @@ import gc
 import signal
 import sys
 import time
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,35 +15,29 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.exceptions import ROSInterruptException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, State, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.readiness import report_readiness
+from scara_effmass.wire.topics import Qos
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from lifecycle_msgs.srv import ChangeState
-    from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo
-    from rclpy.executors import Executor
-    from rclpy.lifecycle import LifecyclePublisher, State
-    from rclpy.parameter import Parameter
-    from rclpy.subscription import Subscription
-    from rclpy.timer import Timer
-
-    from scara_effmass.wire.topics import Qos
 
 Entity = TypeVar("Entity")
 

@@ -5,14 +5,13 @@ recording, however slow it is. A joint state of another device gets no answer: a
 the same names are sent without waiting.
 """
 
-from __future__ import annotations
-
 import struct
 import time
 from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
 from scara_effmass_msgs.msg import ContactState
 
 from scara_effmass.errors import DecodeError, EffmassError
@@ -20,13 +19,7 @@ from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.wire.joint_state import JointStateDecoder
 from scara_effmass.wire.topics import CONTACT_STATE, STREAM_QOS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rclpy.event_handler import QoSSubscriptionMatchedInfo
-    from rclpy.node import Node
-
-    JointNames = tuple[str, ...]
+JointNames = tuple[str, ...]
 
 MAX_UNANSWERED = 3
 """Unanswered joint states after which those with the same names are sent without waiting."""

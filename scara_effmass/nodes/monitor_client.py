@@ -4,27 +4,22 @@ from __future__ import annotations
 
 import signal
 import time
-from typing import TYPE_CHECKING, Any, final
+from collections.abc import Callable, Sequence
+from types import FrameType
+from typing import Any, final
 
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from scara_effmass_msgs.msg import ContactState, ImpactValidation
 from std_msgs.msg import Float64
 
 from scara_effmass.nodes.lifecycle import ClientNode
 from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.values import ContactAssessment
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import contact_from
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from types import FrameType
-
-    from rclpy.event_handler import QoSSubscriptionMatchedInfo
-
-    from scara_effmass.values import ContactAssessment
-
-    OnCycle = Callable[[tuple[ContactAssessment, ...], int], None]
+OnCycle = Callable[[tuple[ContactAssessment, ...], int], None]
 
 _SPIN_SLICE_S = 0.05
 """Maximum delay of the reaction to a signal."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,14 +10,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.nodes.diagnostics import status
-from scara_effmass.values import Verdict
+from scara_effmass.safety import Monitor
+from scara_effmass.values import ContactAssessment, Decision, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.safety import Monitor
-    from scara_effmass.values import ContactAssessment, Decision
 
 _LEVELS = {
     Verdict.OK: DiagnosticStatus.OK,

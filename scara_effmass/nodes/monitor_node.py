@@ -1,13 +1,16 @@
 """`monitor_node`: decode joint states, call `safety.Monitor`, publish its verdicts."""
 
-from __future__ import annotations
-
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from pydantic import Field
-from rclpy.clock import JumpHandle, JumpThreshold
+from rclpy.clock import JumpHandle, JumpThreshold, TimeJump
 from rclpy.duration import Duration
+from rclpy.event_handler import QoSMessageLostInfo, QoSSubscriptionMatchedInfo
+from rclpy.timer import Timer
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
@@ -17,6 +20,7 @@ from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
@@ -24,21 +28,10 @@ from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.monitor_health import MonitorHealth
 from scara_effmass.safety import Monitor, no_robot_decision
 from scara_effmass.settings import READ_ONLY, MonitorSettings, checked
+from scara_effmass.values import Decision, Verdict
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message
 from scara_effmass.wire.joint_state import JointStateDecoder
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from collections.abc import Set as AbstractSet
-
-    from diagnostic_msgs.msg import DiagnosticStatus
-    from rclpy.clock import TimeJump
-    from rclpy.event_handler import QoSMessageLostInfo, QoSSubscriptionMatchedInfo
-    from rclpy.timer import Timer
-
-    from scara_effmass.model.robot import Robot
-    from scara_effmass.values import Decision, Verdict
 
 _NO_ROBOT = ContactStateEncoder("", "")
 _WATCHDOG_CHECKS_PER_TIMEOUT = 4

@@ -1,27 +1,20 @@
 """ROS parameters declared from a settings model, which states names, types, ranges and descriptions."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
+from collections.abc import Set as AbstractSet
 from enum import Enum
-from typing import TYPE_CHECKING, Any, get_origin
+from typing import Any, get_origin
 
 import annotated_types
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterValueException
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from scara_effmass.errors import EffmassError, SettingsError
-from scara_effmass.settings.loading import checked, flat_fields, nearest
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from collections.abc import Set as AbstractSet
-
-    from pydantic import BaseModel
-    from pydantic.fields import FieldInfo
-    from rclpy.node import Node
-
-    from scara_effmass.settings.loading import Settings
+from scara_effmass.settings.loading import Settings, checked, flat_fields, nearest
 
 _ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 

@@ -1,13 +1,8 @@
 """QoS profiles of rclpy."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-if TYPE_CHECKING:
-    from scara_effmass.wire.topics import Qos
+from scara_effmass.wire.topics import Qos
 
 
 def qos_profile(qos: Qos) -> QoSProfile:

@@ -7,20 +7,18 @@ nodes that its sender has discovered.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from scara_effmass_msgs.msg import NodeReadiness
 
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.wire.topics import CLIENT_QOS, READINESS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from rclpy.node import Node
-    from rclpy.topic_endpoint_info import TopicEndpointInfo
-
     from scara_effmass.nodes.lifecycle import LifecycleBase
 
 _PERIOD_S = 0.1

@@ -3,15 +3,15 @@
 The log time of a message is its receive time on the node's clock: system time, or /clock with `use_sim_time`.
 """
 
-from __future__ import annotations
-
 import math
 import signal
 import threading
 import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
+from types import FrameType
 
 import rclpy
 from pydantic import BaseModel
@@ -22,18 +22,12 @@ from rclpy.signals import SignalHandlerOptions
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
+from scara_effmass.bags.recording_report import RecordingReport
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import spin_for
 from scara_effmass.nodes.topic_recorder import TopicRecorder, resolve_topic
 from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
-    from types import FrameType
-
-    from scara_effmass.bags.recording_report import RecordingReport
 
 _PERIOD_S = 0.1
 """Period of topic discovery and of the check for a stop signal."""

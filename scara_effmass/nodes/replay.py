@@ -5,18 +5,19 @@ at least every 10 ms of recorded time. Clock and messages travel on different to
 clock and then seems up to 10 ms newer than the clock; the monitor's `future_tolerance` covers this.
 """
 
-from __future__ import annotations
-
 import math
 import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import chain, islice
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 
+from scara_effmass.bags.bag import Bag, RawMessage
 from scara_effmass.bags.batches import MAX_TIME_NS
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import EffmassError, SettingsError
@@ -31,12 +32,6 @@ from scara_effmass.nodes.replay_node import (
     settling_time_ns,
 )
 from scara_effmass.wire.topics import CLOCK
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-    from pathlib import Path
-
-    from scara_effmass.bags.bag import Bag, RawMessage
 
 CLOCK_STEP_NS = 10_000_000
 """Maximum recorded time between two clock messages."""

@@ -5,11 +5,14 @@ from __future__ import annotations
 import signal
 import threading
 import time
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import TYPE_CHECKING, Any, final
 
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions, get_current_signal_handlers_options
 
 from scara_effmass.errors import BagError, SettingsError
@@ -29,12 +32,6 @@ from scara_effmass.wire.topics import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
-    from types import FrameType
-
-    from rclpy.event_handler import QoSPublisherMatchedInfo
-    from rclpy.node import Node
-
     from scara_effmass.bags.bag import Bag
 
 JOINT_STATES = f"/{wire_topics.JOINT_STATES}"

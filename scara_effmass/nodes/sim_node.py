@@ -1,13 +1,11 @@
 """`sim_node`: the robot of the simulated cell; `daq_node` with the scene `cell` publishes its force."""
 
-from __future__ import annotations
-
 import struct
 import time
 from array import array
 from collections import deque
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, Field
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -20,14 +18,9 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.settings import READ_ONLY, checked
-from scara_effmass.sim.live import LiveSettings, LiveSim
+from scara_effmass.sim.live import CartPlacement, LiveSettings, LiveSim
 from scara_effmass.wire import topics
 from scara_effmass.wire.run_info import run_info_message
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from scara_effmass.sim.live import CartPlacement
 
 _NS = 1_000_000_000
 _MS = 1_000_000

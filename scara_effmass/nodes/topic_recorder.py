@@ -1,30 +1,23 @@
 """Subscriptions of the recorder: topics are subscribed as they appear, with the QoS of their publishers."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidTopicNameException
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from scara_effmass.bags.definitions import published_types
+from scara_effmass.bags.recorder import BagRecorder
 from scara_effmass.bags.rosbag2 import qos_yaml
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.wire.message_types import message_class, message_definition
 from scara_effmass.wire.topics import STREAM_QOS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
-
-    from rclpy.duration import Duration
-    from rclpy.event_handler import QoSMessageLostInfo
-    from rclpy.node import Node
-    from rclpy.topic_endpoint_info import TopicEndpointInfo
-
-    from scara_effmass.bags.recorder import BagRecorder
 
 _CLOCK_WARNING_AFTER = 20
 """Discoveries without /clock before a warning."""

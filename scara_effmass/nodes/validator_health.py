@@ -1,16 +1,11 @@
 """Diagnostics of the validation: state of the series, and impacts and messages that are not part of it."""
 
-from __future__ import annotations
-
 from collections import Counter
-from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from scara_effmass.impacts.result import Result
 from scara_effmass.nodes.diagnostics import status
-
-if TYPE_CHECKING:
-    from scara_effmass.impacts.result import Result
 
 
 class ValidatorHealth:

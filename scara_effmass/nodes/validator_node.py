@@ -1,18 +1,21 @@
 """`validator_node`: compare measured impacts with predictions from the contact states at their onsets."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Set as AbstractSet
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from pydantic import Field
+from rclpy.event_handler import QoSMessageLostInfo
 from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from scara_effmass import values
 from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.impacts.detector import Detector
+from scara_effmass.impacts.result import Result
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
@@ -20,23 +23,13 @@ from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.validator_health import ValidatorHealth
 from scara_effmass.settings import READ_ONLY, DetectionSettings, ValidatorSettings, checked
+from scara_effmass.values import ValidatedImpact
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import contact_from
 from scara_effmass.wire.force import decode_force_block, decode_impact
 from scara_effmass.wire.run_info import decode_run_info, run_info_from_json
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-    from collections.abc import Set as AbstractSet
-
-    from diagnostic_msgs.msg import DiagnosticStatus
-    from rclpy.event_handler import QoSMessageLostInfo
-
-    from scara_effmass import values
-    from scara_effmass.impacts.result import Result
-    from scara_effmass.values import ValidatedImpact
-
-    WriteReport = Callable[[Result, "NodeSettings", Path], Path]
+WriteReport = Callable[[Result, "NodeSettings", Path], Path]
 
 _NS = 1_000_000_000
 _COMMON_FIELDS = (

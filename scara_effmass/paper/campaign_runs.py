@@ -1,28 +1,21 @@
 """Impacts and tool motions of a campaign, from its recordings: one bag per run."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 from scara_effmass.analysis.forces import read_force
 from scara_effmass.analysis.recorded_run import run_infos
+from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.paper.motion import tool_motion
-from scara_effmass.paper.recorded_impact import RecordedImpact
+from scara_effmass.paper.motion import ToolMotion, tool_motion
+from scara_effmass.paper.recorded_impact import Point, RecordedImpact
+from scara_effmass.paper.scara import Scara
+from scara_effmass.settings import DetectionSettings
+from scara_effmass.values import Impact
 from scara_effmass.wire.message_types import FORCE_BLOCK
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from scara_effmass.bags.bag import Bag
-    from scara_effmass.paper.motion import ToolMotion
-    from scara_effmass.paper.recorded_impact import Point
-    from scara_effmass.paper.scara import Scara
-    from scara_effmass.settings import DetectionSettings
-    from scara_effmass.values import Impact
 
 BEFORE_ONSET_S, AFTER_ONSET_S = 0.5e-3, 5e-3
 """Interval of the force around the onset."""

@@ -5,16 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from scara_effmass.analysis.plot_style import CYCLE, INK, ISO_RED, new_figure
+from scara_effmass.paper.scara import Scara
 from scara_effmass.paper.workspace import equal_area_poses
+from scara_effmass.values import FloatArray
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from scara_effmass.paper.figure_specs import FigureInputs
-    from scara_effmass.paper.scara import Scara
-    from scara_effmass.values import FloatArray
 
 FINE_GRID = 1500
 """Values of each angle for the whole workspace: accurate to 1e-3 for shares and median, to 1e-3 kg for the mean."""

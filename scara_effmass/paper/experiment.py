@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from scara_effmass.analysis.plot_style import CYCLE, ISO_RED, MARKERS, new_figure
 from scara_effmass.paper.protocol import OBSTACLES_KG, POINTS, SHOWN_OBSTACLE_KG, point_name
 from scara_effmass.paper.recorded_impact import mass_at, mean_peaks, origin, points_by_mass, root_reduced_mass
+from scara_effmass.paper.scara import Scara
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from scara_effmass.paper.figure_specs import FigureInputs
-    from scara_effmass.paper.scara import Scara
 
 
 def figure_17(inputs: FigureInputs) -> Figure:

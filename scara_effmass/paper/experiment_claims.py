@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from scara_effmass.paper.claim import Basis, Claim
 from scara_effmass.paper.protocol import OBSTACLES_KG, REPETITIONS, SPEED
-from scara_effmass.paper.recorded_impact import mean_peaks, origin, points_by_mass, root_reduced_mass
+from scara_effmass.paper.recorded_impact import RecordedImpact, mean_peaks, origin, points_by_mass, root_reduced_mass
+from scara_effmass.paper.scara import Scara
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from scara_effmass.paper.motion import ToolMotion
-    from scara_effmass.paper.recorded_impact import RecordedImpact
-    from scara_effmass.paper.scara import Scara
 
 MIN_CORRELATION = 0.99
 """Pearson's r of an agreement, chosen here: the paper shows curves and prints no number."""

@@ -1,11 +1,11 @@
 """Write all figures, the page and the claims, or nothing."""
 
-from __future__ import annotations
-
 import json
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 
@@ -14,22 +14,14 @@ from scara_effmass.analysis.figure import FORMATS, write
 from scara_effmass.analysis.output import atomic_file
 from scara_effmass.analysis.plot_style import STYLE
 from scara_effmass.analysis.report import EmbeddedFigure
-from scara_effmass.paper.claim import Outcome
+from scara_effmass.paper.claim import Claim, Outcome
 from scara_effmass.paper.experiment_claims import motion_claims, run_claims
-from scara_effmass.paper.figure_specs import FIGURE_SPECS
+from scara_effmass.paper.figure_specs import FIGURE_SPECS, FigureInputs, FigureSpec
 from scara_effmass.paper.mass_claims import mass_claims, reduced_mass_claims
 from scara_effmass.paper.page import page
 from scara_effmass.paper.robot_claims import robot_claims
-from scara_effmass.paper.scara import compare_models
+from scara_effmass.paper.scara import ModelAgreement, compare_models
 from scara_effmass.paper.workspace import equal_area_poses
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from scara_effmass.paper.claim import Claim
-    from scara_effmass.paper.figure_specs import FigureInputs, FigureSpec
-    from scara_effmass.paper.scara import ModelAgreement
 
 PAGE, CLAIMS = "index.html", "claims.json"
 STEPS = len(FIGURE_SPECS) + 1

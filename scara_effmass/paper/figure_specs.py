@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
+
+from matplotlib.figure import Figure
 
 from scara_effmass.paper.density import figure_8
 from scara_effmass.paper.experiment import figure_17, figure_18, figure_19
 from scara_effmass.paper.mass_maps import figure_6, figure_9, figure_12, figure_14, figure_15
 from scara_effmass.paper.protocol import SHOWN_OBSTACLE_KG
+from scara_effmass.paper.recorded_impact import RecordedImpact
+from scara_effmass.paper.scara import Scara
 from scara_effmass.paper.schematic import figure_7
 from scara_effmass.paper.slices import figure_10, figure_11
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from matplotlib.figure import Figure
-
     from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.paper.motion import ToolMotion
-    from scara_effmass.paper.recorded_impact import RecordedImpact
-    from scara_effmass.paper.scara import Scara
 
 
 @dataclass(frozen=True, slots=True)

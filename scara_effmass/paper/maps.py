@@ -1,28 +1,21 @@
 """Contour maps of one quantity over the workspace or over q1 and q2, with the standard's value in red."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import BoundaryNorm
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, Normalize
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import Stroke, withStroke
 
 from scara_effmass.analysis.plot_style import ISO_RED
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.axes import Axes
-    from matplotlib.colors import Normalize
-    from matplotlib.figure import Figure
-
-    from scara_effmass.paper.scara import Scara
-    from scara_effmass.paper.workspace import JointAngles
-    from scara_effmass.values import FloatArray
+from scara_effmass.paper.scara import Scara
+from scara_effmass.paper.workspace import JointAngles
+from scara_effmass.values import FloatArray
 
 TICKS_M = np.arange(-0.5, 0.51, 0.25)
 

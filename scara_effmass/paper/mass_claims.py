@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,19 +10,15 @@ import numpy as np
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.model.scara_closed_form import scara_max_lumped_mass
 from scara_effmass.paper.claim import Basis, Claim
-from scara_effmass.paper.density import density_peaks, sampled_distribution, workspace_distribution
+from scara_effmass.paper.density import MassDistribution, density_peaks, sampled_distribution, workspace_distribution
 from scara_effmass.paper.protocol import ALONG_X, ALONG_Y, OBLIQUE, OBSTACLES_KG, SHOWN_OBSTACLE_KG
-from scara_effmass.paper.scara import matrix_masses, relative_error
+from scara_effmass.paper.scara import Scara, matrix_masses, relative_error
 from scara_effmass.paper.workspace import equal_area_poses, joint_grid
 from scara_effmass.sim.scara_kinematics import ElbowConfig
+from scara_effmass.values import FloatArray
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.paper.density import MassDistribution
-    from scara_effmass.paper.scara import Scara
-    from scara_effmass.values import FloatArray
 
 EQUAL = 1e-9
 """Relative rounding error between two ways to the same number."""

@@ -5,23 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from scara_effmass.analysis.plot_style import new_figure
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.paper.maps import ColorScale, draw_iso, draw_map, iso_handle, label_angles, label_workspace
 from scara_effmass.paper.protocol import ALONG_X, ALONG_Y, OBLIQUE, SHOWN_OBSTACLE_KG
-from scara_effmass.paper.scara import relative_error
-from scara_effmass.paper.workspace import joint_grid, polar_grid
+from scara_effmass.paper.scara import Scara, relative_error
+from scara_effmass.paper.workspace import JointAngles, joint_grid, polar_grid
 from scara_effmass.sim.scara_kinematics import ElbowConfig
+from scara_effmass.values import FloatArray
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from scara_effmass.paper.figure_specs import FigureInputs
-    from scara_effmass.paper.scara import Scara
-    from scara_effmass.paper.workspace import JointAngles
-    from scara_effmass.values import FloatArray
 
 EFFECTIVE = ColorScale("effective mass $m_{x,s}$ [kg]", np.arange(0.75, 6.01, 0.25), np.arange(1.0, 6.1, 1.0), "max")
 REDUCED = ColorScale(r"reduced mass $\mu_{n,s}$ [kg]", np.arange(0.6, 2.41, 0.1), np.arange(0.6, 2.41, 0.2))

@@ -1,21 +1,15 @@
 """Motion of the tool along x during a run, from recorded joint states."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from scara_effmass.analysis.assessment import joint_state_topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from scara_effmass.paper.scara import Scara
-    from scara_effmass.values import FloatArray
+from scara_effmass.paper.scara import Scara
+from scara_effmass.values import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from scara_effmass import __version__
-from scara_effmass.analysis.report import render
+from scara_effmass.analysis.report import EmbeddedFigure, render
 from scara_effmass.paper.claim import Basis, Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from scara_effmass.analysis.report import EmbeddedFigure
     from scara_effmass.paper.figure_set import FigureSet
 
 SIGNS = {Outcome.MATCH: "✓", Outcome.NO_MATCH: "✗", Outcome.NOT_CHECKED: "○"}

@@ -1,7 +1,5 @@
 """Conditions of the paper's comparison and experiment. Masses [kg], positions [m], speeds [m/s]."""
 
-from __future__ import annotations
-
 import math
 
 OBSTACLES_KG = (0.50, 2.39, 3.72, 7.35)

@@ -1,21 +1,15 @@
 """One impact of the experiment, measured or simulated."""
 
-from __future__ import annotations
-
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.paper.protocol import ALONG_X
+from scara_effmass.paper.scara import Scara
 from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse_kinematics
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from scara_effmass.paper.scara import Scara
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 Point = tuple[float, float]
 

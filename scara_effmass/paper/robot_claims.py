@@ -1,20 +1,14 @@
 """Claims about robot and equipment: masses, joint ranges, sensor settings."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
 
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.paper.claim import Basis, Claim
 from scara_effmass.paper.protocol import OBSTACLES_KG, SAMPLE_RATE, SAMPLES
+from scara_effmass.paper.scara import Scara
 from scara_effmass.settings import DaqSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from scara_effmass.paper.scara import Scara
 
 ROUNDING_KG = 0.005
 PRINTED_MU_ISO = (0.42, 1.28, 1.59, 2.01)

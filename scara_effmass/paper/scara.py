@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.scara_closed_form import ScaraInertia, scara_full_mass, scara_lumped_mass
+from scara_effmass.values import FloatArray
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.values import FloatArray
 
 MIN_SPEED = 1e-6
 """Lower speed limit for a direction [m/s]; the effective mass does not depend on the speed."""

@@ -6,16 +6,15 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from scara_effmass.analysis.plot_style import CYCLE, INK, ISO_RED, new_figure
 from scara_effmass.model.scara_closed_form import scara_max_lumped_mass
+from scara_effmass.paper.scara import Scara
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from scara_effmass.paper.figure_specs import FigureInputs
-    from scara_effmass.paper.scara import Scara
 
 LIGHT_Q1, HEAVY_Q1 = math.radians(25.0), math.radians(-50.0)
 """Chosen here: the text of the paper does not give the angles of its two poses."""

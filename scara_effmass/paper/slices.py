@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from scara_effmass.analysis.plot_style import ISO_RED, new_figure
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.paper.maps import ColorScale, iso_handle
 from scara_effmass.paper.protocol import OBSTACLES_KG
-from scara_effmass.paper.scara import relative_error
+from scara_effmass.paper.scara import Scara, relative_error
 from scara_effmass.paper.workspace import joint_grid
+from scara_effmass.values import FloatArray
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
     from scara_effmass.paper.figure_specs import FigureInputs
-    from scara_effmass.paper.scara import Scara
-    from scara_effmass.values import FloatArray
 
 TICKS_M = (-0.4, 0.0, 0.4)
 REDUCED = ColorScale(r"reduced mass $\mu_{n,s}$ [kg]", np.arange(0.3, 4.01, 0.1), np.arange(0.5, 4.01, 0.5), "max")

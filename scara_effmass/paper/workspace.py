@@ -1,16 +1,12 @@
 """Poses of the comparison: the paper's joint grid, poses of equal area, and a polar grid for both arms."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from scara_effmass.paper.scara import Scara
 from scara_effmass.sim.scara_kinematics import ElbowConfig
-
-if TYPE_CHECKING:
-    from scara_effmass.paper.scara import Scara
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 GRID = 50
 """Values of each angle, as in the paper. The number is even, so that no pose is exactly singular."""

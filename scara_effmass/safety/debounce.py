@@ -1,7 +1,5 @@
 """Debounce verdicts: a worse one shows at once, a better one after the release time."""
 
-from __future__ import annotations
-
 from scara_effmass.values import Verdict
 
 _SEVERITY = {Verdict.OK: 0, Verdict.WARN: 1, Verdict.VIOLATION: 2, Verdict.UNKNOWN: 3}

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import FloatArray, JointState
+
 if TYPE_CHECKING:
     from scara_effmass.model.robot import Robot
-    from scara_effmass.settings import MonitorSettings
-    from scara_effmass.values import FloatArray, JointState
 
 IndexArray = NDArray[np.intp]
 

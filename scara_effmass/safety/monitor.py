@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, SpeedLimits, limits_for, peak_force, reduced_mass
+from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, SpeedLimit, SpeedLimits, limits_for, peak_force, reduced_mass
 from scara_effmass.safety.debounce import VerdictDebouncer, severity
 from scara_effmass.safety.joint_state_validator import NANOSECONDS, JointStateValidator, OtherDevice
-from scara_effmass.settings import MassModel
-from scara_effmass.values import NAN, ZERO_VECTOR, ContactAssessment, Decision, Verdict
+from scara_effmass.settings import MassModel, MonitorSettings
+from scara_effmass.values import NAN, ZERO_VECTOR, ContactAssessment, Decision, JointState, Verdict
 
 if TYPE_CHECKING:
-    from scara_effmass.iso15066 import SpeedLimit
     from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
-    from scara_effmass.settings import MonitorSettings
-    from scara_effmass.values import JointState
 
 
 class Cause(NamedTuple):

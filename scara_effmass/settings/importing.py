@@ -1,7 +1,5 @@
 """Settings of the force import."""
 
-from __future__ import annotations
-
 from pydantic import BaseModel, ConfigDict, Field
 
 from scara_effmass.settings.daq import SensorSettings

@@ -1,20 +1,15 @@
 """Load and check settings from files and parameters; an error is one line."""
 
-from __future__ import annotations
-
+from collections.abc import Collection, Iterable, Mapping
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from scara_effmass.errors import SettingsError
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
-    from pathlib import Path
-
-    from pydantic.fields import FieldInfo
 
 Settings = TypeVar("Settings", bound=BaseModel)
 

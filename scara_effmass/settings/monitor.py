@@ -1,7 +1,5 @@
 """Settings of the monitor."""
 
-from __future__ import annotations
-
 from enum import Enum
 from pathlib import Path
 from typing import Annotated

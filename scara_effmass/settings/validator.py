@@ -1,7 +1,5 @@
 """Settings of the validator: matching of impacts and contact states, and the acceptance criterion."""
 
-from __future__ import annotations
-
 from pydantic import BaseModel, ConfigDict, Field
 
 from scara_effmass.settings.loading import READ_ONLY

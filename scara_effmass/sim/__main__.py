@@ -1,7 +1,5 @@
 """`python -m scara_effmass.sim -o bags`: generate the shipped recordings."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

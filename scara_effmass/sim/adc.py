@@ -9,18 +9,17 @@ from 0.5465, and delays by 38 samples. The converter runs on its own clock.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from scara_effmass.sim.rng import normal
+from scara_effmass.values import FloatArray
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from scara_effmass.sim.collision_sim import ContactSample
-    from scara_effmass.values import FloatArray
 
 FULL_SCALE = 30.0
 """Range of the converter, of either sign [V]."""

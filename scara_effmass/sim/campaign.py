@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.sim.adc import ForceSensor
-from scara_effmass.sim.controller import DEFAULT_GAINS
-from scara_effmass.sim.experiment import run_impact
-from scara_effmass.sim.impact_setup import CONFIGURATIONS, DWELL_S, OBSTACLE_MASSES, ImpactSetup
+from scara_effmass.sim.controller import DEFAULT_GAINS, ServoGains
+from scara_effmass.sim.experiment import ImpactRun, ImpactTruth, run_impact
+from scara_effmass.sim.impact_setup import CONFIGURATIONS, DWELL_S, OBSTACLE_MASSES, Configuration, ImpactSetup
 from scara_effmass.sim.recording_writer import write_recording
 from scara_effmass.sim.recordings import EPOCH_NS, SEED
 from scara_effmass.sim.rng import uniform
-from scara_effmass.sim.spring_contact import POLYETHYLENE
-from scara_effmass.values import RunInfo
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from scara_effmass.sim.controller import ServoGains
-    from scara_effmass.sim.experiment import ImpactRun, ImpactTruth
-    from scara_effmass.sim.impact_setup import Configuration
-    from scara_effmass.sim.spring_contact import SpringContact
-    from scara_effmass.values import ForceBlock
+from scara_effmass.sim.spring_contact import POLYETHYLENE, SpringContact
+from scara_effmass.values import ForceBlock, RunInfo
 
 REVISION = 2
 """Increase it when the recordings change."""

@@ -1,15 +1,10 @@
 """The cart that the robot hits: position, mass, guide friction and brake."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from scara_effmass.errors import SettingsError
-
-if TYPE_CHECKING:
-    from scara_effmass.values import Vector3
+from scara_effmass.values import Vector3
 
 UNIT_LENGTH_TOLERANCE = 1e-6
 VISCOUS_SPEED_MPS = 1e-3

@@ -5,21 +5,16 @@ stiffness scales with inertia, so the k of ISO/TS 15066 would not be known. Grav
 brake carry it, and it does no work in the horizontal plane.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple, final
+from pathlib import Path
+from typing import NamedTuple, final
 
 import mujoco
 import numpy as np
 
+from scara_effmass.sim.cart import Cart
 from scara_effmass.sim.mjcf import TOOL, sim_mjcf
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from scara_effmass.sim.cart import Cart
-    from scara_effmass.sim.spring_contact import SpringContact
-    from scara_effmass.values import FloatArray
+from scara_effmass.sim.spring_contact import SpringContact
+from scara_effmass.values import FloatArray
 
 CONTROL_PERIOD_NS = 1_000_000
 """Period of the robot controller; the torque is constant for one period."""

@@ -6,24 +6,17 @@ I is the inertia that the joint's drive sees at the point of impact, w the bandw
 once per control period and holds the torque until the next one.
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.sim.collision_sim import CONTROL_PERIOD_NS
-from scara_effmass.sim.motion import sample_moves
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from scara_effmass.sim.collision_sim import CollisionSim, ContactSample
-    from scara_effmass.sim.motion import Move
-    from scara_effmass.values import FloatArray
+from scara_effmass.sim.collision_sim import CONTROL_PERIOD_NS, CollisionSim, ContactSample
+from scara_effmass.sim.motion import Move, sample_moves
+from scara_effmass.values import FloatArray
 
 CONTROL_RATE_HZ = 1e9 / CONTROL_PERIOD_NS
 _STABLE_RANGES = {

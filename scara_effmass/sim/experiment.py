@@ -3,30 +3,21 @@
 The robot follows its planned path after the impact, so it often catches up with the cart and hits it again, weaker.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from scara_effmass.errors import RobotError, SettingsError
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.share import share
-from scara_effmass.sim.collision_sim import CONTROL_PERIOD_NS, FINE_STEP_NS, CollisionSim
-from scara_effmass.sim.controller import JointController, JointTrajectory
-from scara_effmass.sim.ground_truth import find_contacts
-from scara_effmass.sim.impact_setup import Q3
+from scara_effmass.sim.collision_sim import CONTROL_PERIOD_NS, FINE_STEP_NS, CollisionSim, ContactSample
+from scara_effmass.sim.controller import EncoderReading, JointController, JointTrajectory
+from scara_effmass.sim.ground_truth import TrueContact, find_contacts
+from scara_effmass.sim.impact_setup import Q3, ImpactSetup
 from scara_effmass.sim.measurement import measure_force, measure_joint_states
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from scara_effmass.sim.collision_sim import ContactSample
-    from scara_effmass.sim.controller import EncoderReading
-    from scara_effmass.sim.ground_truth import TrueContact
-    from scara_effmass.sim.impact_setup import ImpactSetup
-    from scara_effmass.values import ForceBlock, JointState
+from scara_effmass.values import ForceBlock, JointState
 
 MIN_CONTACT_STEPS = 40
 """Steps in the shortest contact; the peak is then 0.1 % off."""

@@ -1,21 +1,14 @@
 """Generate the shipped recordings: the reference recordings and one repetition of the campaign."""
 
-from __future__ import annotations
-
 import hashlib
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from scara_effmass.errors import OutputError
 from scara_effmass.sim.campaign import Campaign, run_campaign
 from scara_effmass.sim.recording_writer import write_recording
-from scara_effmass.sim.recordings import EPOCH_NS, RECORDINGS, REVISION, SEED
+from scara_effmass.sim.recordings import EPOCH_NS, RECORDINGS, REVISION, SEED, ReferenceRecording
 from scara_effmass.sim.synthetic_force import BLOCK_NS
 from scara_effmass.values import RunInfo
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from scara_effmass.sim.recordings import ReferenceRecording
 
 CHECKSUMS = "SHA256SUMS"
 CAMPAIGN = Campaign(repetitions=1)

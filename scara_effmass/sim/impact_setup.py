@@ -1,26 +1,24 @@
 """Parameters of one impact in the paper's experiment: configuration, cart, tip, speed, controller and force sensor."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.sim.adc import FORCE_SENSOR
+from scara_effmass.sim.adc import FORCE_SENSOR, ForceSensor
 from scara_effmass.sim.cart import Cart
-from scara_effmass.sim.controller import DEFAULT_GAINS
-from scara_effmass.sim.motion import LinearMove, QuinticScaling, TrapezoidalScaling, joint_positions_at
+from scara_effmass.sim.controller import DEFAULT_GAINS, ServoGains
+from scara_effmass.sim.motion import (
+    JointPositions,
+    LinearMove,
+    Move,
+    QuinticScaling,
+    TrapezoidalScaling,
+    joint_positions_at,
+)
 from scara_effmass.sim.recordings import EPOCH_NS
 from scara_effmass.sim.scara_kinematics import ElbowConfig
-from scara_effmass.sim.spring_contact import POLYETHYLENE
-
-if TYPE_CHECKING:
-    from scara_effmass.sim.adc import ForceSensor
-    from scara_effmass.sim.controller import ServoGains
-    from scara_effmass.sim.motion import JointPositions, Move
-    from scara_effmass.sim.spring_contact import SpringContact
-    from scara_effmass.values import Vector3
+from scara_effmass.sim.spring_contact import POLYETHYLENE, SpringContact
+from scara_effmass.values import Vector3
 
 PATH_M = 0.2
 ACCELERATION = 2.5

@@ -1,36 +1,32 @@
 """Run the simulation continuously: one impact after the other, with a fresh cart for each."""
 
-from __future__ import annotations
-
 import random
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import cycle, product
-from typing import TYPE_CHECKING, NamedTuple, final
+from pathlib import Path
+from typing import NamedTuple, final
 
 import numpy as np
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.sim.adc import FORCE_SENSOR, Adc
-from scara_effmass.sim.collision_sim import CONTROL_PERIOD_NS
-from scara_effmass.sim.controller import DEFAULT_GAINS, JointTrajectory
+from scara_effmass.sim.adc import FORCE_SENSOR, Adc, ForceSensor
+from scara_effmass.sim.collision_sim import CONTROL_PERIOD_NS, CollisionSim, ContactSample
+from scara_effmass.sim.controller import DEFAULT_GAINS, EncoderReading, JointTrajectory, ServoGains
 from scara_effmass.sim.experiment import build_sim
-from scara_effmass.sim.impact_setup import CONFIGURATIONS, DWELL_S, OBSTACLE_MASSES, PATH_M, Q3, ImpactSetup
-from scara_effmass.sim.motion import LinearMove, QuinticScaling
+from scara_effmass.sim.impact_setup import (
+    CONFIGURATIONS,
+    DWELL_S,
+    OBSTACLE_MASSES,
+    PATH_M,
+    Q3,
+    Configuration,
+    ImpactSetup,
+)
+from scara_effmass.sim.motion import LinearMove, Move, QuinticScaling
 from scara_effmass.sim.recordings import quantize
-from scara_effmass.sim.spring_contact import POLYETHYLENE
-from scara_effmass.values import JointState
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from scara_effmass.sim.adc import ForceSensor
-    from scara_effmass.sim.collision_sim import CollisionSim, ContactSample
-    from scara_effmass.sim.controller import EncoderReading, ServoGains
-    from scara_effmass.sim.impact_setup import Configuration
-    from scara_effmass.sim.motion import Move
-    from scara_effmass.sim.spring_contact import SpringContact
-    from scara_effmass.values import FloatArray
+from scara_effmass.sim.spring_contact import POLYETHYLENE, SpringContact
+from scara_effmass.values import FloatArray, JointState
 
 FORCE_PERIODS = 10
 """Control periods per portion of force samples."""

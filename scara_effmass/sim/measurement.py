@@ -1,26 +1,19 @@
 """What the suite would record of a simulated run: joint states from encoders, and force blocks."""
 
-from __future__ import annotations
-
 import math
 import random
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
 from scara_effmass.sim.adc import Adc
-from scara_effmass.sim.collision_sim import CONTROL_PERIOD_NS
+from scara_effmass.sim.collision_sim import CONTROL_PERIOD_NS, ContactSample
+from scara_effmass.sim.controller import EncoderReading
+from scara_effmass.sim.impact_setup import ImpactSetup
 from scara_effmass.sim.recordings import quantize
 from scara_effmass.sim.rng import uniform
 from scara_effmass.sim.synthetic_force import FRAME_ID
 from scara_effmass.values import ForceBlock, JointState
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from scara_effmass.sim.collision_sim import ContactSample
-    from scara_effmass.sim.controller import EncoderReading
-    from scara_effmass.sim.impact_setup import ImpactSetup
 
 SOURCE = "simulated force: MuJoCo cell, sensor 208C03 on NI-9230, AC coupled"
 TARE_S = 0.5

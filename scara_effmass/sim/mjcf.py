@@ -1,19 +1,14 @@
 """The simulated cell as MJCF, from the robot's Denavit-Hartenberg file; independent of the room `model`."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import yaml
 
 from scara_effmass.errors import RobotError
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from scara_effmass.sim.cart import Cart
+from scara_effmass.sim.cart import Cart
 
 TOOL = "tool"
 """Contact point of the robot file, and the MJCF site there."""

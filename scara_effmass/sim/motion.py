@@ -4,20 +4,14 @@ A move is a path q(s), s from 0 to 1, with a time scaling s(t). It gives positio
 move starts and ends at rest, so consecutive moves are continuous in position and velocity.
 """
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from scara_effmass.sim.scara_kinematics import inverse_kinematics, joint_rates
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from scara_effmass.sim.scara_kinematics import ElbowConfig
-    from scara_effmass.values import FloatArray
+from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse_kinematics, joint_rates
+from scara_effmass.values import FloatArray
 
 JointPositions = tuple[float, float, float, float]
 

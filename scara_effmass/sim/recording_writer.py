@@ -1,22 +1,16 @@
 """Write a simulated run as a bag, with the topics that the live suite would record."""
 
-from __future__ import annotations
-
+from collections.abc import Iterable
 from operator import itemgetter
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from scara_effmass.bags.writer import BagWriter
+from scara_effmass.values import ForceBlock, JointState, RunInfo
 from scara_effmass.wire import topics
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE, RUN_INFO
 from scara_effmass.wire.run_info import run_info_message
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from scara_effmass.values import ForceBlock, JointState, RunInfo
 
 JOINT_STATES_TOPIC = f"/{topics.JOINT_STATES}"
 FORCE_TOPIC = f"/{topics.FORCE}"

@@ -1,18 +1,18 @@
 """The reference recordings: their motion as joint states, and their synthetic force."""
 
-from __future__ import annotations
-
 import math
 import random
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from scara_effmass.sim.motion import (
     JointMove,
     LinearMove,
+    Move,
     QuinticScaling,
     TrapezoidalScaling,
     joint_positions_at,
@@ -20,13 +20,7 @@ from scara_effmass.sim.motion import (
 )
 from scara_effmass.sim.scara_kinematics import ElbowConfig
 from scara_effmass.sim.synthetic_force import Pulse, synthetic_force
-from scara_effmass.values import JointState
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from scara_effmass.sim.motion import Move
-    from scara_effmass.values import FloatArray, ForceBlock
+from scara_effmass.values import FloatArray, ForceBlock, JointState
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 EPOCH_NS = 1_767_225_600_000_000_000

@@ -3,16 +3,12 @@
 They use the raw bits of PCG64, which numpy keeps stable; its distributions may change.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import PCG64
 
-if TYPE_CHECKING:
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 _CHUNK = 4096
 

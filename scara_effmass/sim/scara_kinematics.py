@@ -6,17 +6,12 @@ The law of cosines gives q2 up to its sign, which is the elbow configuration. Th
 section 5, the right arm reaches (300, 200) mm with q = (-15.35, 98.08) deg.
 """
 
-from __future__ import annotations
-
 from enum import Enum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from scara_effmass.errors import RobotError
-
-if TYPE_CHECKING:
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 L1 = 0.275
 L2 = 0.275

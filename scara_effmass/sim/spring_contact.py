@@ -5,8 +5,6 @@
 n = 1 is a linear spring, n = 3/2 a Hertz contact; c is Kelvin-Voigt damping.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

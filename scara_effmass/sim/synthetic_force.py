@@ -3,25 +3,18 @@
 The same seed gives the same samples, for any block size and numpy version; see `rng`.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.random import PCG64
 
 from scara_effmass.sim.adc import MAX_COUNT, newtons_per_count
 from scara_effmass.sim.rng import next_uniform, normal_pair, uniform
-from scara_effmass.values import ForceBlock
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray, ForceBlock
 
 NOISE_SAMPLES = 2**21
 """Period of the noise: 164 s at 12.8 kS/s, 16 s at 128 kS/s; 17 MB, for any number of channels."""

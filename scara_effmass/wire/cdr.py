@@ -4,17 +4,13 @@ CDR (OMG DDSI-RTPS 10, XCDR version 1): two bytes of byte order and two of optio
 size, counted from byte 4; strings and sequences begin with their length as uint32. Padding bytes are arbitrary.
 """
 
-from __future__ import annotations
-
 import struct
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scara_effmass.errors import DecodeError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 BYTE_ORDERS: dict[bytes, Literal["<", ">"]] = {b"\x00\x00": ">", b"\x00\x01": "<"}

@@ -3,8 +3,6 @@
 Tests compare both layouts with rclpy and rosbags.
 """
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

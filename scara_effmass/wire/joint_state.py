@@ -1,7 +1,5 @@
 """Convert sensor_msgs/JointState messages to and from `JointState`."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Names of message types, and their installed classes and definitions."""
 
-from __future__ import annotations
-
 import re
 from importlib import import_module
 from importlib.util import find_spec

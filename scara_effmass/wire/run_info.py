@@ -1,17 +1,12 @@
 """Convert run information to and from CDR (`RunInfo.msg`), and from the JSON text of older recordings."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from scara_effmass.values import RunInfo
+from scara_effmass.values import RunInfo, Vector3
 from scara_effmass.wire.cdr import LITTLE_ENDIAN, STAMP, Cursor, padded, sec_and_nanosec, with_text
-
-if TYPE_CHECKING:
-    from scara_effmass.values import Vector3
 
 LATEST_NS = 2**63 - 1
 UNUSABLE_NS = LATEST_NS + 1

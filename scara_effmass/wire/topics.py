@@ -1,7 +1,5 @@
 """Names and quality of service of the suite's topics. Relative names follow the node's namespace."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 CLOCK = "/clock"

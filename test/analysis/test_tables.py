@@ -1,7 +1,5 @@
 """Columns of the tables."""
 
-from __future__ import annotations
-
 import re
 
 from scara_effmass.analysis.tables import SCHEMA

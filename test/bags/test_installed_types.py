@@ -1,7 +1,5 @@
 """The definition of a live topic is the published one; no other is recorded."""
 
-from __future__ import annotations
-
 import pytest
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore

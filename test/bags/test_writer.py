@@ -1,7 +1,5 @@
 """Written bags are read back by this package and others, never replace other files and are never incomplete."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`sim` and its former name."""
 
-from __future__ import annotations
-
 import pytest
 
 from scara_effmass.cli import main

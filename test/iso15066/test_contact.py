@@ -1,7 +1,5 @@
 """Contact formulas: limits of the reduced mass, energy balance, arrays and scalars."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Spinning of nodes."""
 
-from __future__ import annotations
-
 import rclpy
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor

@@ -1,7 +1,5 @@
 """The debounced verdict is the worst verdict within the release time."""
 
-from __future__ import annotations
-
 from itertools import accumulate
 
 from hypothesis import given

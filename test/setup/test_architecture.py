@@ -1,7 +1,5 @@
 """Every name in docs/architecture.md exists."""
 
-from __future__ import annotations
-
 import re
 from importlib import import_module
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A ROS workspace installs all shipped files, in the folders that they have in the tree."""
 
-from __future__ import annotations
-
 from configparser import ConfigParser
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The ROS manifests name exactly the packages that the code and the messages use."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

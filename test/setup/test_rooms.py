@@ -1,7 +1,5 @@
 """Import rules: a room imports only from rooms below it, and each foreign library has its rooms."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

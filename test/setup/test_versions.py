@@ -1,7 +1,5 @@
 """Version and description are stated once; the locked requirements satisfy pyproject.toml."""
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib.metadata import metadata, version

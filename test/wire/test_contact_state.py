@@ -1,7 +1,5 @@
 """The encoded messages of the monitor equal those of rclpy and rosbags."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from hypothesis import given

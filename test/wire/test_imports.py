@@ -1,7 +1,5 @@
 """The live nodes load no library for bag files."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """RunInfo as CDR, against ROS and rosbags; run information in the JSON of older recordings."""
 
-from __future__ import annotations
-
 import json
 import math
 from contextlib import suppress
