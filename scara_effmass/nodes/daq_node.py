@@ -14,7 +14,6 @@ from rclpy.duration import Duration
 from rclpy.lifecycle import LifecyclePublisher
 from rclpy.parameter import Parameter
 from scara_effmass_msgs.msg import ForceBlock, Impact
-from std_srvs.srv import Trigger
 
 from scara_effmass import values
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
@@ -26,7 +25,7 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.daq_health import daq_statuses
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
-from scara_effmass.settings import READ_ONLY, DaqSettings, FilterKind, checked
+from scara_effmass.settings import READ_ONLY, DaqSettings, FilterKind
 from scara_effmass.wire import topics
 from scara_effmass.wire.force import force_block_message, impact_message
 
@@ -58,10 +57,8 @@ class DaqNode(LifecycleBase):
             former = self._parameter_overrides.pop(name)
             renamed = name.replace("bench.", "sim.", 1)
             self._parameter_overrides.setdefault(renamed, Parameter(renamed, former.type_, former.value))
-        values = parameters.declare(self, NodeSettings)
-        settings = checked(NodeSettings, values, self.get_name())
-        self.autostart = settings.autostart
-        self._settings = settings
+        self._settings = parameters.declare(self, NodeSettings)
+        self.autostart = self._settings.autostart
         self._outputs: list[_Output] = []
         self._acquisition: Acquisition | None = None
         self._state: AcquisitionState | None = None
@@ -70,17 +67,16 @@ class DaqNode(LifecycleBase):
     def configure(self) -> None:
         """Create the source and the endpoints. Raises EffmassError."""
         settings = self._settings
-        self._source: ForceSource = make_source(settings, self._now_ns)
+        self._source: ForceSource = make_source(settings, self.now_ns)
         if self.get_parameter("use_sim_time").value and not self._source.uses_ros_time:
             kind = settings.source.value
             raise SettingsError(f"{self.get_name()}: use_sim_time = true: must be false, {kind} measures in real time")
         if settings.filter.kind is not FilterKind.NONE:
             import_module("scara_effmass.daq.lowpass")  # takes seconds, so not after the start
-        self._incompatible_qos: set[str] = set()
         for number, name in enumerate(self._source.channels):
             suffix = f"/{name}" if number else ""
             force, impact, wrench = (
-                self.create_owned_publisher(message_type, f"{topic}{suffix}", qos, self._incompatible_qos.add)
+                self.create_owned_publisher(message_type, f"{topic}{suffix}", qos)
                 for message_type, topic, qos in (
                     (ForceBlock, topics.FORCE, topics.FORCE_QOS),
                     (Impact, topics.IMPACT, topics.STREAM_QOS),
@@ -90,7 +86,7 @@ class DaqNode(LifecycleBase):
             self._outputs.append(_Output(force, impact, wrench, settings))
         self.own(self._outputs, list.clear)
         self._diagnostics = Diagnostics(self, self._statuses)
-        self.own(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
+        self.create_owned_trigger("~/reset", self._reset)
 
     def activate(self) -> None:
         """Start the acquisition. Raises DaqError, BagError or SettingsError."""
@@ -122,9 +118,6 @@ class DaqNode(LifecycleBase):
         if self._acquisition is not None:
             self._acquisition.stop()
             self._acquisition = None
-
-    def _now_ns(self) -> int:
-        return int(self.get_clock().now().nanoseconds)
 
     def _wake(self) -> None:
         """Schedule `_drain` in the executor; called in the acquisition thread."""
@@ -182,16 +175,13 @@ class DaqNode(LifecycleBase):
         if self._acquisition is None:
             return []
         detections = [(output.detector, output.impacts) for output in self._outputs]
-        return daq_statuses(self.get_name(), self._acquisition, self._signal, detections, self._incompatible_qos)
+        return daq_statuses(self._acquisition, self._signal, detections, self.incompatible_qos)
 
-    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> str:
         if self._acquisition is None or self._state is not AcquisitionState.RUNNING:
-            response.message = "refused: no acquisition is running"
-        else:
-            self._signal.begin_tare()
-            response.success = True
-            response.message = f"taring over the next {self._settings.tare.time:g} s"
-        return response
+            raise DaqError("refused: no acquisition is running")
+        self._signal.begin_tare()
+        return f"taring over the next {self._settings.tare.time:g} s"
 
 
 class _Output:

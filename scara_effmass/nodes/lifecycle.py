@@ -6,30 +6,32 @@ import argparse
 import gc
 import signal
 import sys
-import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.context import Context
-from rclpy.event_handler import PublisherEventCallbacks, QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.event_handler import (
+    PublisherEventCallbacks,
+    QoSMessageLostInfo,
+    QoSRequestedIncompatibleQoSInfo,
+    QoSSubscriptionMatchedInfo,
+    SubscriptionEventCallbacks,
+)
 from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, State, TransitionCallbackReturn
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
+from std_srvs.srv import Trigger
 
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.qos import qos_profile
@@ -46,57 +48,12 @@ RCLError = rclpy_implementation.RCLError
 _SPIN_S = 1e6
 """Timeout of each spin [s]: without one, EventsExecutor.spin() keeps a core busy in rclpy 7.1."""
 
-_SPIN_SLICE_S = 0.1
-
-
-def spin_for(executor: Executor, seconds: float, done: Callable[[], bool] = bool) -> None:
-    """Handle events for `seconds` or until `done`, which is called after each event.
-
-    EventsExecutor applies its timeout to each wait for an event, so spinning it under constant load has no end in
-    rclpy 7.1. It does not notice signals; Python handles them between two slices.
-    """
-    end_ns = time.monotonic_ns() + round(seconds * 1e9)
-    while not done() and (left_ns := end_ns - time.monotonic_ns()) > 0:
-        executor.spin_once(timeout_sec=min(left_ns / 1e9, _SPIN_SLICE_S))
-
-
-class ClientNode:
-    """Plain node with its own ROS context and executor, all in the calling thread; call `close` at the end.
-
-    It has no services and no log topic, and rclpy does not handle signals for it.
-    """
-
-    def __init__(self, name: str, parameters: list[Parameter] | None = None) -> None:
-        """Create the node; `parameters` override its defaults."""
-        self._stack = ExitStack()
-        context = Context()
-        rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-        self._stack.callback(context.try_shutdown)
-        self.node = Node(
-            name,
-            context=context,
-            start_parameter_services=False,
-            enable_rosout=False,
-            parameter_overrides=parameters,
-        )
-        self._stack.callback(self.node.destroy_node)
-        self._executor = EventsExecutor(context=context)
-        self._executor.add_node(self.node)
-        self._stack.callback(self._executor.shutdown)
-
-    def spin_for(self, seconds: float, done: Callable[[], bool] = bool) -> None:
-        """Handle events for `seconds` or until `done`."""
-        spin_for(self._executor, seconds, done)
-
-    def close(self) -> None:
-        """Destroy the node and its context."""
-        self._stack.close()
-
 
 class LifecycleBase(LifecycleNode):
     """Lifecycle node that logs why a transition failed, can bring itself up, and can end the process with an error.
 
-    Subclasses implement `configure`, `activate` and `deactivate`. Entities passed to `own` are destroyed at clean-up.
+    Subclasses implement `configure`, `activate` and `deactivate`. Entities that `own` or a method `create_owned_*`
+    returns are destroyed at clean-up.
     """
 
     def __init__(self, name: str) -> None:
@@ -104,6 +61,10 @@ class LifecycleBase(LifecycleNode):
         super().__init__(name)
         self.autostart = True
         self.active = False
+        self.incompatible_qos: set[str] = set()
+        """One line for each endpoint that cannot be connected, and its QoS policy that does not fit."""
+        self.lost: dict[str, int] = {}
+        """Messages that the middleware lost, by topic."""
         self._abort_error: EffmassError | None = None
         self._owned = ExitStack()
         self._transition_error: Exception | None = None
@@ -152,16 +113,14 @@ class LifecycleBase(LifecycleNode):
         self._owned.callback(destroy, entity)
         return entity
 
-    def create_owned_publisher(
-        self, message_type: type, topic: str, qos: Qos, on_incompatible: Callable[[str], None]
-    ) -> LifecyclePublisher:
-        """Return a publisher whose QoS parameters may override; report incompatible subscribers in one line."""
+    def create_owned_publisher(self, message_type: type, topic: str, qos: Qos) -> LifecyclePublisher:
+        """Return a publisher whose QoS parameters may override."""
         publisher: LifecyclePublisher = self.create_lifecycle_publisher(
             message_type,
             topic,
             qos_profile(qos),
             event_callbacks=PublisherEventCallbacks(
-                incompatible_qos=partial(_report_incompatible, f"a subscriber of {topic}", on_incompatible)
+                incompatible_qos=partial(self._on_incompatible, f"a subscriber of {topic}")
             ),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
@@ -173,15 +132,15 @@ class LifecycleBase(LifecycleNode):
         topic: str,
         callback: Callable[..., None],
         qos: Qos,
-        on_incompatible: Callable[[str], None],
         *,
         raw: bool = False,
-        **events: Any,  # noqa: ANN401
+        matched: Callable[[QoSSubscriptionMatchedInfo], None] | None = None,
     ) -> Subscription:
-        """Return a subscription whose QoS parameters may override; report incompatible publishers in one line.
+        """Return a subscription whose QoS parameters may override and whose losses are counted in `lost`."""
 
-        `events` are further arguments of SubscriptionEventCallbacks.
-        """
+        def on_lost(info: QoSMessageLostInfo) -> None:
+            self.lost[topic] = info.total_count
+
         subscription = self.create_subscription(
             message_type,
             topic,
@@ -189,16 +148,34 @@ class LifecycleBase(LifecycleNode):
             qos_profile(qos),
             raw=raw,
             event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=partial(_report_incompatible, f"a publisher of {topic}", on_incompatible), **events
+                incompatible_qos=partial(self._on_incompatible, f"a publisher of {topic}"),
+                message_lost=on_lost,
+                matched=matched,
             ),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         return self.own(subscription, self.destroy_subscription)
 
+    def create_owned_trigger(self, name: str, action: Callable[[], str]) -> None:
+        """Offer a Trigger service that returns the text of `action`, or refuses with the text of its EffmassError."""
+
+        def respond(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                response.message, response.success = action(), True
+            except EffmassError as error:
+                response.message = str(error)
+            return response
+
+        self.own(self.create_service(Trigger, name, respond), self.destroy_service)
+
     def create_steady_timer(self, period_s: float, callback: Callable[[], None]) -> Timer:
         """Return a timer in steady time, which runs even if /clock stands still or jumps."""
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         return self.own(self.create_timer(period_s, callback, clock=steady), self.destroy_timer)
+
+    def now_ns(self) -> int:
+        """Return the time of the node's clock [ns]."""
+        return int(self.get_clock().now().nanoseconds)
 
     def abort(self, error: EffmassError) -> None:
         """End the process; `run` prints `error` and returns 2."""
@@ -238,6 +215,13 @@ class LifecycleBase(LifecycleNode):
         self.active = False
         self.deactivate()
         self._owned.close()
+        self.incompatible_qos.clear()
+        self.lost.clear()
+
+    def _on_incompatible(self, endpoint: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        line = f"{endpoint} cannot be connected: its {qos_policy_name_from_kind(event.last_policy_kind)} does not fit"
+        self.incompatible_qos.add(line)
+        self.get_logger().warning(line)
 
     def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
         """Refuse a transition that the state does not allow; rclpy would raise and end the process."""
@@ -251,11 +235,6 @@ class LifecycleBase(LifecycleNode):
             self.get_logger().error(str(self._transition_error))
             self._transition_error = None
         return response
-
-
-def _report_incompatible(endpoint: str, report: Callable[[str], None], event: QoSRequestedIncompatibleQoSInfo) -> None:
-    """Report in one line that `endpoint` is not connected, and for which QoS policy."""
-    report(f"{endpoint} cannot be connected: its {qos_policy_name_from_kind(event.last_policy_kind)} does not fit")
 
 
 def run(node_class: Callable[[], LifecycleBase], args: Sequence[str] | None) -> int:

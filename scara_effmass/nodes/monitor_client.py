@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 from scara_effmass_msgs.msg import ContactState, ImpactValidation
 from std_msgs.msg import Float64
 
-from scara_effmass.nodes.lifecycle import ClientNode
+from scara_effmass.nodes.client import ClientNode
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.values import ContactAssessment
 from scara_effmass.wire import topics

@@ -9,12 +9,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from pydantic import Field
 from rclpy.clock import JumpHandle, JumpThreshold, TimeJump
 from rclpy.duration import Duration
-from rclpy.event_handler import QoSMessageLostInfo, QoSSubscriptionMatchedInfo
+from rclpy.event_handler import QoSSubscriptionMatchedInfo
 from rclpy.timer import Timer
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
-from std_srvs.srv import Trigger
 
 from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.iso15066 import limits_for
@@ -25,9 +24,9 @@ from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
-from scara_effmass.nodes.monitor_health import MonitorHealth
+from scara_effmass.nodes.monitor_health import input_status, missing_models, monitor_statuses
 from scara_effmass.safety import Monitor, no_robot_decision
-from scara_effmass.settings import READ_ONLY, MonitorSettings, checked
+from scara_effmass.settings import READ_ONLY, MonitorSettings
 from scara_effmass.values import Decision, Verdict
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message
@@ -51,7 +50,7 @@ class MonitorNode(LifecycleBase):
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for an invalid one."""
         super().__init__("monitor")
-        self._settings = checked(NodeSettings, parameters.declare(self, NodeSettings), self.get_name())
+        self._settings = parameters.declare(self, NodeSettings)
         self.autostart = self._settings.autostart
         limits_for(self._settings)
         parameters.on_parameters_changed(self, lambda: self._settings, self._apply_settings, limits_for)
@@ -65,7 +64,8 @@ class MonitorNode(LifecycleBase):
         """Load the robot and create the endpoints. Raises EffmassError."""
         self.own(self, MonitorNode._forget_robot)
         self._decoder = JointStateDecoder()
-        self._health = MonitorHealth(self.get_name())
+        self._received = 0
+        self._processing_ns: list[int] = []
         self._decision: Decision | None = None
         self._reported_verdicts: list[Verdict] = []
         self._reported_ns = 0
@@ -75,11 +75,7 @@ class MonitorNode(LifecycleBase):
                 raise SettingsError(f"{self.get_name()}: robot = {robot!r}: must be empty with await_robot_description")
             self._no_robot_reason = "no robot_description yet"
             self.create_owned_subscription(
-                String,
-                topics.ROBOT_DESCRIPTION,
-                self._on_robot_description,
-                topics.DESCRIPTION_QOS,
-                self._on_incompatible,
+                String, topics.ROBOT_DESCRIPTION, self._on_robot_description, topics.DESCRIPTION_QOS
             )
         else:
             self._use_robot(load_robot(self._settings.robot_path, self._settings))
@@ -88,21 +84,17 @@ class MonitorNode(LifecycleBase):
             (Float64, topics.ALLOWABLE_SPEED),
             (Float64, topics.SPEED_SCALING),
         ):
-            self._outputs[topic] = self.create_owned_publisher(
-                message_type, topic, topics.STREAM_QOS, self._on_incompatible
-            )
+            self._outputs[topic] = self.create_owned_publisher(message_type, topic, topics.STREAM_QOS)
         self._diagnostics = Diagnostics(self, self._statuses)
         self._joint_states = self.create_owned_subscription(
             JointState,
             topics.JOINT_STATES,
             self._on_joint_state,
             topics.JOINT_STATES_INPUT_QOS,
-            self._on_incompatible,
             raw=True,
             matched=self._on_matched,
-            message_lost=self._on_lost,
         )
-        self.own(self.create_service(Trigger, "~/reset", self._on_reset), self.destroy_service)
+        self.create_owned_trigger("~/reset", self._reset)
         self._watchdog = self.create_steady_timer(self._watchdog_period_s(), self._on_watchdog)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         jump = self.get_clock().create_jump_callback(backwards, post_callback=self._on_clock_jump)
@@ -124,26 +116,26 @@ class MonitorNode(LifecycleBase):
         self._encoders = [ContactStateEncoder(name, robot.base_frame) for name in dynamics.contact_points]
         self._no_robot_reason = ""
         self.get_logger().info(f"monitoring {robot.name} ({robot.origin}) at {', '.join(dynamics.contact_points)}")
-        for line in (*robot.notes, *(f"no {line}" for line in self._health.missing_models(dynamics))):
+        for line in (*robot.notes, *missing_models(dynamics)):
             self.get_logger().info(line)
 
     def _on_joint_state(self, data: bytes) -> None:
         if not self.active:
             return
         start_ns = time.monotonic_ns()
-        self._health.received += 1
+        self._received += 1
         monitor = self._monitor
         if monitor is None:
             self._publish(no_robot_decision(self._no_robot_reason))
             return
         try:
-            decision = monitor.assess(self._decoder.decode(data), self._clock.now().nanoseconds)
+            decision = monitor.assess(self._decoder.decode(data), self.now_ns())
         except DecodeError as error:
             decision = monitor.reject(str(error))
         if decision is not None:
             self._last_answer_ns = start_ns
             self._publish(decision)
-            self._health.add_processing_time(time.monotonic_ns() - start_ns)
+            self._processing_ns.append(time.monotonic_ns() - start_ns)
 
     def _watchdog_period_s(self) -> float:
         return max(self._settings.timeout / _WATCHDOG_CHECKS_PER_TIMEOUT, _MIN_WATCHDOG_PERIOD_S)
@@ -171,8 +163,16 @@ class MonitorNode(LifecycleBase):
 
     def _statuses(self) -> list[DiagnosticStatus]:
         self._reported_ns = time.monotonic_ns()
-        publishers = self.count_publishers(self._joint_states.topic_name)
-        return self._health.statuses(self._monitor, self._decision, publishers)
+        processing_ns, self._processing_ns = self._processing_ns, []
+        joint_states = input_status(
+            self._monitor,
+            publishers=self.count_publishers(self._joint_states.topic_name),
+            received=self._received,
+            lost=self.lost.get(topics.JOINT_STATES, 0),
+            incompatible_qos=self.incompatible_qos,
+            processing_ns=processing_ns,
+        )
+        return monitor_statuses(self._monitor, self._decision, joint_states)
 
     def _on_robot_description(self, message: String) -> None:
         try:
@@ -183,15 +183,12 @@ class MonitorNode(LifecycleBase):
             self._no_robot_reason = str(error)
             self.get_logger().error(self._no_robot_reason)
 
-    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> str:
         if self._monitor is None:
-            response.message = self._no_robot_reason
-        else:
-            cause = self._monitor.first_cause
-            self._monitor.reset()
-            response.success = True
-            response.message = f"cleared: {cause.verdict.name}: {cause.reason}" if cause else "nothing was latched"
-        return response
+            raise SettingsError(self._no_robot_reason)
+        cause = self._monitor.first_cause
+        self._monitor.reset()
+        return f"cleared: {cause.verdict.name}: {cause.reason}" if cause else "nothing was latched"
 
     def _on_clock_jump(self, _: TimeJump) -> None:
         if self._monitor is not None:
@@ -203,13 +200,6 @@ class MonitorNode(LifecycleBase):
             self.get_logger().warning(
                 f"{matched.current_count} publishers on {self._joint_states.topic_name}: handled as one stream"
             )
-
-    def _on_lost(self, lost: QoSMessageLostInfo) -> None:
-        self._health.lost = lost.total_count
-
-    def _on_incompatible(self, line: str) -> None:
-        self._health.incompatible(line)
-        self.get_logger().warning(line)
 
     def _apply_settings(self, settings: NodeSettings, _: AbstractSet[str]) -> None:
         self._settings = settings

@@ -6,7 +6,6 @@ from enum import Enum
 from typing import Any, get_origin
 
 import annotated_types
-from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterValueException
@@ -19,8 +18,8 @@ from scara_effmass.settings.loading import Settings, checked, flat_fields, neare
 _ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
-def declare(node: Node, settings: type[BaseModel]) -> dict[str, Any]:
-    """Declare every field of `settings` on `node` and return the values by name: overrides or defaults.
+def declare(node: Node, settings: type[Settings]) -> Settings:
+    """Declare every field of `settings` on `node` and return the settings: overrides or defaults.
 
     Raises SettingsError for an unknown parameter and for a value of the wrong type or range.
     """
@@ -30,7 +29,8 @@ def declare(node: Node, settings: type[BaseModel]) -> dict[str, Any]:
     unknown = [name for name in sorted(overrides) if name not in fields and not name.startswith(_ROS_PARAMETERS)]
     if unknown:
         raise SettingsError(f"{node.get_name()}: no parameter {unknown[0]!r}: {nearest(unknown[0], fields)}")
-    return {name: from_ros(_declared(node, name, field, overrides.get(name))) for name, field in fields.items()}
+    values = {name: from_ros(_declared(node, name, field, overrides.get(name))) for name, field in fields.items()}
+    return checked(settings, values, node.get_name())
 
 
 def on_parameters_changed(

@@ -25,7 +25,7 @@ from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
 from scara_effmass.bags.recording_report import RecordingReport
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.lifecycle import spin_for
+from scara_effmass.nodes.client import spin_for
 from scara_effmass.nodes.topic_recorder import TopicRecorder, resolve_topic
 from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED
 

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions, get_current_signal_handlers_options
 
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.nodes.lifecycle import ClientNode
+from scara_effmass.nodes.client import ClientNode
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.wire import topics as wire_topics
 from scara_effmass.wire.message_types import message_class

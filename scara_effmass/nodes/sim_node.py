@@ -17,7 +17,7 @@ from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.qos import qos_profile
-from scara_effmass.settings import READ_ONLY, checked
+from scara_effmass.settings import READ_ONLY
 from scara_effmass.sim.live import CartPlacement, LiveSettings, LiveSim
 from scara_effmass.wire import topics
 from scara_effmass.wire.run_info import run_info_message
@@ -70,7 +70,7 @@ class SimNode(LifecycleBase):
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for an invalid one."""
         super().__init__("sim")
-        self._settings = checked(NodeSettings, parameters.declare(self, NodeSettings), self.get_name())
+        self._settings = parameters.declare(self, NodeSettings)
         self.autostart = self._settings.autostart
         if self._settings.clock and self.get_parameter("use_sim_time").value:
             raise SettingsError(f"{self.get_name()}: clock = true: use_sim_time must be false")
@@ -79,15 +79,14 @@ class SimNode(LifecycleBase):
 
     def configure(self) -> None:
         """Create the endpoints."""
-        warn = self.get_logger().warning
-        self._joint_states = self.create_owned_publisher(JointState, topics.JOINT_STATES, topics.STREAM_QOS, warn)
-        self._info = self.create_owned_publisher(RunInfo, topics.RUN_INFO, topics.INFO_QOS, warn)
+        self._joint_states = self.create_owned_publisher(JointState, topics.JOINT_STATES, topics.STREAM_QOS)
+        self._info = self.create_owned_publisher(RunInfo, topics.RUN_INFO, topics.INFO_QOS)
         self._sim_clock = SimClock(self) if self._settings.clock else None
         self.create_steady_timer(_PERIOD_S, self._publish_due)
 
     def activate(self) -> None:
         """Move the robot to its start."""
-        start_ns = round(self._settings.start * 1e3) * _MS or int(self.get_clock().now().nanoseconds)
+        start_ns = round(self._settings.start * 1e3) * _MS or self.now_ns()
         self._sim = LiveSim(LiveSettings(seed=self._settings.seed), start_ns)
         self._states.clear()
         self._carts.clear()
@@ -98,7 +97,7 @@ class SimNode(LifecycleBase):
         if not self.active:
             return
         if self._sim_clock is None:
-            now_ns = int(self.get_clock().now().nanoseconds)
+            now_ns = self.now_ns()
         elif self._joint_states.get_subscription_count() >= self._settings.listeners:
             now_ns = self._sim_clock.advance()
         else:

@@ -24,7 +24,7 @@ WAIT_S = 20.0
 
 
 def statuses(acquisition: Acquisition, signal: SignalConditioner, settings: DaqSettings) -> list[DiagnosticStatus]:
-    return daq_statuses("daq", acquisition, signal, [(Detector(settings.detection), 0)])
+    return daq_statuses(acquisition, signal, [(Detector(settings.detection), 0)])
 
 
 def test_channel_status_has_the_filter_delay_of_the_blocks() -> None:

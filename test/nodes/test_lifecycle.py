@@ -5,7 +5,7 @@ from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from scara_effmass.nodes.lifecycle import spin_for
+from scara_effmass.nodes.client import spin_for
 
 
 def test_spinning_ends_under_constant_load(own_domain: int) -> None:
