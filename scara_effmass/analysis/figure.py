@@ -1,26 +1,23 @@
 """Draw a run: verdict, speed and its limit, effective masses, and force over time."""
 
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from scara_effmass.analysis.forces import RecordedForce
-from scara_effmass.analysis.time_series import TimeSeries, decimate, verdict_spans
+from scara_effmass.analysis.recorded_run import RecordedForce
+from scara_effmass.analysis.time_series import Episode, TimeSeries, decimate, intervals
 from scara_effmass.values import FloatArray, Verdict
 
 COLUMNS = 1500
 """Approximate width of the data [pixel]; lines are decimated to it."""
 SUBTITLE_IN = 0.44
 """Distance of the subtitle from the upper edge [inch]."""
-FORMATS = (".png", ".svg")
-DPI = 140
 MAX_LINEAR_RATIO = 12.0
 """Maximum ratio of the masses on a linear axis; beyond it the axis is logarithmic."""
 
@@ -36,7 +33,6 @@ _STYLE: dict[Any, Any] = {
     "axes.grid": True,
     "grid.alpha": 0.3,
     "hatch.linewidth": 0.6,
-    "svg.hashsalt": "scara_effmass",
 }
 
 
@@ -60,7 +56,8 @@ def draw_run(
         rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
         band, speeds, masses = rows[:3]
         series = series.with_gaps(timeout)
-        _draw_verdicts(band, series, timeout)
+        episodes = list(intervals(series, timeout))
+        _draw_verdicts(band, episodes, min_width=float(series.time[-1]) / COLUMNS)
         _draw_speeds(speeds, series)
         _draw_masses(masses, series, mass_model)
         if forces:
@@ -68,10 +65,10 @@ def draw_run(
         rows[-1].set_xlabel("time since the first joint state [s]")
         masses.set_xlim(0.0, max(float(series.time[-1]), 1e-3))
         for axes in (speeds, masses):
-            for start, stop, verdict in verdict_spans(series, timeout):
-                if verdict is Verdict.UNKNOWN:
+            for episode in episodes:
+                if episode.verdict is Verdict.UNKNOWN:
                     style = {"facecolor": "none", "edgecolor": "#BBBBBB", "hatch": "////", "linewidth": 0.0}
-                    axes.axvspan(start, stop, zorder=0, **style)
+                    axes.axvspan(episode.start, episode.stop, zorder=0, **style)
         figure.suptitle(f"{title}\n", fontsize=13.0, fontweight="bold", x=0.01, ha="left")
         below_title = 1.0 - SUBTITLE_IN / figure.get_figheight()
         figure.text(0.01, below_title, subtitle, fontsize=9.5, color="#444444", va="center")
@@ -79,24 +76,12 @@ def draw_run(
     return figure
 
 
-def write(figure: Figure, png: Path, svg: Path) -> None:
-    """Write `figure` as PNG and SVG, byte for byte the same every time.
-
-    The layout is computed once; `savefig` would compute it twice per format.
-    """
-    figure.set_dpi(DPI)
-    FigureCanvasAgg(figure).print_png(png)  # type: ignore[no-untyped-call]
-    figure.set_layout_engine("none")
-    FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})  # type: ignore[no-untyped-call]
-
-
-def _draw_verdicts(axes: Axes, series: TimeSeries, timeout: float) -> None:
-    spans = verdict_spans(series, timeout)
-    min_width = float(series.time[-1]) / COLUMNS
+def _draw_verdicts(axes: Axes, episodes: Sequence[Episode], min_width: float) -> None:
+    """Draw the band of verdicts; `min_width` [s] keeps the verdict of a single cycle visible."""
     patches = []
     for verdict, style in _VERDICT_STYLES.items():
-        # The minimum width keeps the verdict of a single cycle visible.
-        bars = [(start, max(stop - start, min_width)) for start, stop, other in spans if other is verdict]
+        own = [episode for episode in episodes if episode.verdict is verdict]
+        bars = [(episode.start, max(episode.stop - episode.start, min_width)) for episode in own]
         axes.broken_barh(bars, (0.0, 1.0), **style)
         if bars:
             patches.append(Patch(label=verdict.name, **style))

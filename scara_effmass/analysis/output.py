@@ -1,8 +1,8 @@
 """Output files that appear only when complete and never replace a file without permission."""
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from scara_effmass.errors import OutputError
@@ -14,6 +14,14 @@ def check_output_path(path: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{path}: is a folder; must be a file")
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: already exists; use --force to replace it")
+
+
+def check_output_files(folder: Path, names: Iterable[str], *, overwrite: bool) -> None:
+    """Raise OutputError if `folder` is a file, or one of the files `names` in it must not be replaced."""
+    if folder.exists() and not folder.is_dir():
+        check_output_path(folder, overwrite=False)
+    for name in names:
+        check_output_path(folder / name, overwrite=overwrite)
 
 
 @contextmanager
@@ -37,3 +45,10 @@ def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             unfinished.unlink()
+
+
+def write_files(folder: Path, files: Mapping[str, bytes], *, overwrite: bool) -> None:
+    """Write `files` by name into `folder`: all, or none after an error. Raises OutputError."""
+    with ExitStack() as stack:
+        for name, content in files.items():
+            stack.enter_context(atomic_file(folder / name, overwrite=overwrite)).write_bytes(content)

@@ -12,7 +12,6 @@ STYLE: dict[Any, Any] = {
     "figure.titlesize": 12.0,
     "legend.frameon": False,
     "image.cmap": "cividis",  # readable with colour blindness, and red is visible on all of it
-    "svg.hashsalt": "scara_effmass",
 }
 ISO_RED = "#D00000"
 INK = "#222222"

@@ -1,11 +1,12 @@
-"""Joint states, measurements and run information of one recording, in the order of their log times."""
+"""Run information, force and impacts of one recording."""
 
 from collections import Counter
 from collections.abc import Iterator
-from heapq import merge
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from scara_effmass.analysis.assessment import AssessedState
+import numpy as np
+from numpy.typing import NDArray
+
 from scara_effmass.bags import run_info
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.batches import Topic
@@ -14,7 +15,7 @@ from scara_effmass.errors import BagError, DecodeError, SettingsError
 from scara_effmass.impacts.run_info import check_run_info
 from scara_effmass.importers.force import import_force
 from scara_effmass.settings import ImportSettings
-from scara_effmass.values import ForceBlock, Impact, RunInfo
+from scara_effmass.values import NAN, FloatArray, ForceBlock, Impact, RunInfo
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.force import decode_force_block, decode_impact
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, WRENCH, WRENCH_STAMPED
@@ -30,6 +31,39 @@ class Measurement(NamedTuple):
     value: ForceBlock | Impact
 
 
+class RecordedForce(NamedTuple):
+    """Force (n,) [N] at the ROS times `stamp_ns` (n,), with one NaN in each gap, and the impacts detected live."""
+
+    stamp_ns: NDArray[np.int64]
+    force: FloatArray
+    blocks: int
+    lost: int
+    simulated: bool
+    source: str
+    impacts: tuple[Impact, ...]
+
+    def lines(self) -> Iterator[tuple[str, str]]:
+        """Yield subject and text of the force and of each impact."""
+        samples = np.isfinite(self.force).sum()
+        origin = "simulated, not measured" if self.simulated else "as recorded"
+        yield "force", f"{self.blocks} blocks, {samples} samples, {self.lost} lost; {origin}: {self.source}"
+        for impact in self.impacts:
+            marks = [f"rebound {impact.rebound}"] * bool(impact.rebound)
+            marks += ["clipped"] * impact.clipped + ["incomplete"] * impact.incomplete
+            text = f"{impact.peak_force:.1f} N, {1e3 * impact.duration:.2f} ms, {impact.impulse:.4f} N s"
+            yield "  impact", f"at stamp {impact.stamp_ns / NS:.5f} s: {', '.join((text, *marks))}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the force and its impacts for JSON."""
+        return {
+            "source": self.source,
+            "simulated": self.simulated,
+            "blocks": self.blocks,
+            "lost_samples": self.lost,
+            "impacts": [impact._asdict() for impact in self.impacts],
+        }
+
+
 def run_infos(bag: Bag) -> list[RunInfo]:
     """Return the run information in `bag`; a missing stamp becomes the log time, or 0 in the first one.
 
@@ -43,6 +77,34 @@ def run_infos(bag: Bag) -> list[RunInfo]:
             raise BagError(f"{bag.path}: run information: {error}") from None
         infos.append(info._replace(stamp_ns=info.stamp_ns or (log_time_ns if infos else 0)))
     return infos
+
+
+def read_force(bag: Bag) -> RecordedForce | None:
+    """Return the first force topic of `bag`, or None without force. Raises BagError and DecodeError."""
+    topic, impact_topic = (
+        next((topic.name for topic in bag.topics if topic.type == kind), "") for kind in (FORCE_BLOCK, IMPACT)
+    )
+    blocks = list(bag.force_blocks(topic)) if topic else []
+    if not blocks:
+        return None
+    stamps: list[NDArray[np.int64]] = []
+    forces: list[FloatArray] = []
+    for number, block in enumerate(blocks):
+        # The first block may count samples lost before the recording began.
+        if block.lost_samples and number:
+            stamps.append(np.array([block.stamp_ns], np.int64))
+            forces.append(np.array([NAN]))
+        stamps.append(block.stamp_ns + np.rint(np.arange(len(block.force)) / block.sample_rate * NS).astype(np.int64))
+        forces.append(block.force)
+    return RecordedForce(
+        stamp_ns=np.concatenate(stamps),
+        force=np.concatenate(forces),
+        blocks=len(blocks),
+        lost=sum(block.lost_samples for block in blocks[1:]),
+        simulated=blocks[-1].simulated,
+        source=blocks[-1].source,
+        impacts=tuple(decode_impact(message.data) for message in bag.messages([impact_topic])) if impact_topic else (),
+    )
 
 
 def measurement_topic(bag: Bag, name: str | None) -> Topic:
@@ -75,14 +137,13 @@ def measurements(bag: Bag, topic: Topic, unreadable: Counter[str]) -> Iterator[M
         yield from _import_wrenches(bag, topic)
         return
     check_definition(bag.types, topic.type, str(bag.path))
+    decode = decode_force_block if topic.type == FORCE_BLOCK else decode_impact
     for message in bag.messages([topic.name]):
-        if message.type != topic.type:
-            continue
-        try:
-            decode = decode_force_block if topic.type == FORCE_BLOCK else decode_impact
-            yield Measurement(message.log_time_ns, decode(message.data))
-        except DecodeError as error:
-            unreadable[f"{bag.path}: {topic.name}: left out: {error}"] += 1
+        if message.type == topic.type:
+            try:
+                yield Measurement(message.log_time_ns, decode(message.data))
+            except DecodeError as error:
+                unreadable[f"{bag.path}: {topic.name}: left out: {error}"] += 1
 
 
 def _import_wrenches(bag: Bag, topic: Topic) -> Iterator[Measurement]:
@@ -93,10 +154,3 @@ def _import_wrenches(bag: Bag, topic: Topic) -> Iterator[Measurement]:
         first_stamp_ns = block.stamp_ns if first_stamp_ns is None else first_stamp_ns
         end_ns = block.stamp_ns + round(len(block.force) / block.sample_rate * NS)
         yield Measurement(first_log_ns + end_ns - first_stamp_ns, block)
-
-
-def merge_by_log_time(
-    states: Iterator[AssessedState], forces: Iterator[Measurement]
-) -> Iterator[AssessedState | Measurement]:
-    """Yield both in the order of their log times."""
-    return merge(forces, states, key=lambda record: record.log_time_ns)

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 from scara_effmass.safety.debounce import severity
@@ -13,6 +13,7 @@ NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
 MAX_REASONS = 200
 """Maximum number of different reasons; further ones count as `OTHER_REASONS`, which bounds the memory."""
 OTHER_REASONS = "other reasons"
+REASONS_SHOWN = 5
 
 
 class TightestMargin(NamedTuple):
@@ -21,6 +22,38 @@ class TightestMargin(NamedTuple):
     contact: ContactAssessment
     source: str
     positions: dict[str, float]
+
+    def lines(self) -> Iterator[tuple[str, str]]:
+        """Yield subject and text of each line."""
+        contact = self.contact
+        speeds = f"{contact.speed:.3f} m/s where {contact.allowable_speed:.3f} m/s is allowable"
+        yield "tightest margin", f"{contact.margin:+.3f} m/s ({contact.verdict.name}): {speeds}"
+        source = f" in {self.source}" if self.source else ""
+        yield "  where", f"{contact.contact_point} at stamp {contact.stamp_ns / 1e9:.3f} s{source}"
+        if self.positions:
+            yield "  pose", ", ".join(f"{name} {position:.3f}" for name, position in self.positions.items())
+        components = ", ".join(f"{round(component, 2) + 0.0:.2f}" for component in contact.direction)
+        direction = "in its worst direction" if contact.worst_direction_used else f"along ({components})"
+        mass = f"{contact.effective_mass:.3g} kg {direction}"
+        yield "  why", f"{contact.criterion} limit of {contact.body_region}; {mass}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the margin for JSON, units in the names."""
+        contact = self.contact
+        return {
+            "margin_m_s": contact.margin,
+            "speed_m_s": contact.speed,
+            "allowable_speed_m_s": contact.allowable_speed,
+            "effective_mass_kg": contact.effective_mass,
+            "stamp_ns": contact.stamp_ns,
+            "contact_point": contact.contact_point,
+            "direction": list(contact.direction),
+            "criterion": contact.criterion,
+            "body_region": contact.body_region,
+            "verdict": contact.verdict.name,
+            "bag": self.source,
+            "positions": self.positions,
+        }
 
 
 class Summary:
@@ -55,7 +88,9 @@ class Summary:
                 self.tightest = TightestMargin(contact, source, positions)
         self.cycles[worst.verdict] += 1
         if worst.verdict is Verdict.UNKNOWN:
-            self._count_reason(NUMBER.sub("…", worst.reason))
+            reason = NUMBER.sub("…", worst.reason)
+            known = reason in self.reasons or len(self.reasons) < MAX_REASONS
+            self.reasons[reason if known else OTHER_REASONS] += 1
         self._pass_time(at_ns)
         self._last = (at_ns, worst.verdict)
 
@@ -72,8 +107,26 @@ class Summary:
             "gaps": self.gaps,
             "longest_gap_s": self.max_gap_ns / 1e9,
             "unknown_reasons": dict(self.reasons.most_common()),
-            "tightest": None if self.tightest is None else _as_dict(self.tightest),
+            "tightest": self.tightest and self.tightest.as_dict(),
         }
+
+    def lines(self) -> Iterator[tuple[str, str]]:
+        """Yield subject and text of each line."""
+        cycles = sum(self.cycles.values())
+        total_ns = sum(self.time_ns.values())
+        for verdict in (Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN):
+            if count := self.cycles[verdict]:
+                share = self.time_ns[verdict] / total_ns if total_ns else count / cycles
+                yield verdict.name, f"{count} cycles, {self.time_ns[verdict] / 1e9:.2f} s ({share:.1%})"
+        if self.gaps:
+            yield "gaps", f"{self.gaps} longer than the timeout, the longest {self.max_gap_ns / 1e9:.3f} s"
+        if self.tightest is not None:
+            yield from self.tightest.lines()
+        reasons = self.reasons.most_common()
+        for reason, count in reasons[:REASONS_SHOWN]:
+            yield "UNKNOWN because", f"{reason} ({count} cycles)"
+        if reasons[REASONS_SHOWN:]:
+            yield "UNKNOWN because", f"{len(reasons) - REASONS_SHOWN} other reasons (--json lists them)"
 
     def _pass_time(self, at_ns: int) -> None:
         if self._last is None:
@@ -86,25 +139,3 @@ class Summary:
             self.time_ns[Verdict.UNKNOWN] += elapsed_ns - self._timeout_ns
             self.gaps += 1
             self.max_gap_ns = max(self.max_gap_ns, elapsed_ns)
-
-    def _count_reason(self, reason: str) -> None:
-        known = reason in self.reasons or len(self.reasons) < MAX_REASONS
-        self.reasons[reason if known else OTHER_REASONS] += 1
-
-
-def _as_dict(tightest: TightestMargin) -> dict[str, Any]:
-    contact = tightest.contact
-    return {
-        "margin_m_s": contact.margin,
-        "speed_m_s": contact.speed,
-        "allowable_speed_m_s": contact.allowable_speed,
-        "effective_mass_kg": contact.effective_mass,
-        "stamp_ns": contact.stamp_ns,
-        "contact_point": contact.contact_point,
-        "direction": list(contact.direction),
-        "criterion": contact.criterion,
-        "body_region": contact.body_region,
-        "verdict": contact.verdict.name,
-        "bag": tightest.source,
-        "positions": tightest.positions,
-    }

@@ -136,24 +136,8 @@ def decimate(time: FloatArray, values: FloatArray, columns: int) -> tuple[FloatA
     return time[indices], values[indices]
 
 
-def verdict_spans(series: TimeSeries, timeout: float) -> list[tuple[float, float, Verdict]]:
-    """Return intervals of equal verdict as (start, stop, verdict) [s]; a silence beyond `timeout` [s] is UNKNOWN."""
-    spans: list[tuple[float, float, Verdict]] = []
-    for interval in _intervals(series, timeout):
-        if spans and spans[-1][2] is interval.verdict:
-            spans[-1] = (spans[-1][0], interval.stop, interval.verdict)
-        elif interval.stop > interval.start:
-            spans.append((interval.start, interval.stop, interval.verdict))
-    return spans
-
-
-def episodes(series: TimeSeries, timeout: float) -> list[Episode]:
-    """Return the intervals without verdict OK, in order; a silence beyond `timeout` [s] is UNKNOWN."""
-    return [interval for interval in _intervals(series, timeout) if interval.verdict is not Verdict.OK]
-
-
-def _intervals(series: TimeSeries, timeout: float) -> Iterator[Episode]:
-    """Yield the intervals of equal verdict, and of each silence beyond `timeout` [s], in order."""
+def intervals(series: TimeSeries, timeout: float) -> Iterator[Episode]:
+    """Yield the intervals of equal verdict in order; a silence beyond `timeout` [s] is UNKNOWN."""
     time, verdict = series.time, series.verdict
     if not len(time):
         return

@@ -6,19 +6,14 @@ The log time of a message replaces its arrival time at a node.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from heapq import merge
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
-from scara_effmass.analysis.recorded_run import (
-    Measurement,
-    measurement_topic,
-    measurements,
-    merge_by_log_time,
-    run_infos,
-)
+from scara_effmass.analysis.assessment import AssessedState, assess_joint_states, joint_state_topic
+from scara_effmass.analysis.recorded_run import Measurement, measurement_topic, measurements, run_infos
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
 from scara_effmass.impacts.detector import Detector
@@ -47,8 +42,9 @@ class ValidationSettings:
     force_topic: str | None = None
 
 
-class ValidatedRecording(NamedTuple):
-    """Result of one recording: its part of the `impacts` and `refused` of the whole result.
+@dataclass(slots=True)
+class ValidatedRecording:
+    """Contents of one recording, and its part of the `impacts` and `refused` of the whole result.
 
     `dropouts` and `glitches` (single samples), and `pushes` (contacts too long for impacts) are counted in force
     blocks; 0 if `force_topic` holds impacts. `relative_uncertainty` is the maximum stated for the force. `losses`
@@ -56,21 +52,31 @@ class ValidatedRecording(NamedTuple):
     """
 
     path: Path
-    joint_states: int
     joint_state_topic: str
     force_topic: str
-    force_blocks: int
-    lost_samples: int
-    dropouts: int
-    glitches: int
-    pushes: int
-    simulated: bool
-    sources: tuple[str, ...]
-    relative_uncertainty: float
     infos: tuple[RunInfo, ...]
-    impacts: tuple[ValidatedImpact, ...]
-    refused: tuple[RefusedImpact, ...]
-    losses: tuple[str, ...]
+    simulated: bool
+    joint_states: int = 0
+    force_blocks: int = 0
+    lost_samples: int = 0
+    dropouts: int = 0
+    glitches: int = 0
+    pushes: int = 0
+    sources: tuple[str, ...] = ()
+    relative_uncertainty: float = 0.0
+    impacts: tuple[ValidatedImpact, ...] = ()
+    refused: tuple[RefusedImpact, ...] = ()
+    losses: tuple[str, ...] = ()
+
+    def count(self, value: ForceBlock | Impact) -> None:
+        """Count a force block or an impact."""
+        self.simulated |= value.simulated
+        self.sources = tuple(sorted({*self.sources, value.source}))
+        if isinstance(value, ForceBlock):
+            # The first block counts samples lost before the recording began.
+            self.lost_samples += value.lost_samples if self.force_blocks else 0
+            self.force_blocks += 1
+            self.relative_uncertainty = max(self.relative_uncertainty, value.relative_uncertainty)
 
 
 class Validation(NamedTuple):
@@ -98,102 +104,65 @@ def validate(
     LimitError.
     """
     validator = Validator(settings.validator)
-    readers: list[_RecordingReader] = []
+    recordings: list[ValidatedRecording] = []
     ends = [(0, 0)]
     for path in paths:
         validator.begin_recording()
         with open_bag(path) as bag:
-            reader = _RecordingReader(bag, Monitor(dynamics, settings.monitor), validator, settings)
-            reader.run(advance)
-        readers.append(reader)
+            recordings.append(_feed(bag, Monitor(dynamics, settings.monitor), validator, settings, advance))
         validator.finish()
         result = validator.result()
         ends.append((len(result.impacts), len(result.refused)))
     result = validator.result()
-    recordings = [
-        reader.recording(result.impacts[start[0] : stop[0]], result.refused[start[1] : stop[1]])
-        for reader, start, stop in zip(readers, ends, ends[1:], strict=False)
-    ]
+    for recording, start, stop in zip(recordings, ends, ends[1:], strict=False):
+        recording.impacts = result.impacts[start[0] : stop[0]]
+        recording.refused = result.refused[start[1] : stop[1]]
     return Validation(result, tuple(recordings))
 
 
-class _RecordingReader:
-    """Feed one recording into monitor, detector and validator, and count its contents."""
+def _feed(
+    bag: Bag, monitor: Monitor, validator: Validator, settings: ValidationSettings, advance: Callable[[float], object]
+) -> ValidatedRecording:
+    """Feed one recording into monitor, detector and validator, and return its contents."""
+    states = joint_state_topic(bag, settings.topic)
+    force = measurement_topic(bag, settings.force_topic)
+    infos = tuple(run_infos(bag))
+    _set_runs(validator, settings, infos)
+    recording = ValidatedRecording(bag.path, states, force.name, infos, any(info.simulated for info in infos))
+    detector = Detector(settings.detection)
+    unreadable: Counter[str] = Counter()
+    share = 1.0 / next(topic.count for topic in bag.topics if topic.name == states)
+    force_ns = 0
+    records: tuple[Iterator[AssessedState | Measurement], ...] = (
+        measurements(bag, force, unreadable),
+        assess_joint_states(bag, states, monitor),
+    )
+    for item in merge(*records, key=lambda record: record.log_time_ns):
+        if isinstance(item, AssessedState):
+            recording.joint_states += 1
+            advance(share)
+            for contact in item.decision.contacts if item.decision else ():
+                validator.add_state(contact, item.log_time_ns)
+            continue
+        value, force_ns = item.value, item.log_time_ns
+        recording.count(value)
+        if isinstance(value, ForceBlock):
+            validator.add_force(value, force_ns)
+        for impact in detector.feed(value) if isinstance(value, ForceBlock) else (value,):
+            validator.add_impact(impact, force_ns)
+    for impact in detector.finish():
+        validator.add_impact(impact, force_ns)
+    recording.dropouts, recording.glitches = detector.dropouts, detector.glitches
+    recording.pushes = detector.sustained_contacts
+    undecoded = (f"{line} ({count} times)" if count > 1 else line for line, count in unreadable.items())
+    recording.losses = (*bag.losses, *undecoded)
+    return recording
 
-    def __init__(self, bag: Bag, monitor: Monitor, validator: Validator, settings: ValidationSettings) -> None:
-        self._bag = bag
-        self._monitor = monitor
-        self._validator = validator
-        self._detector = Detector(settings.detection)
-        self._states = joint_state_topic(bag, settings.topic)
-        self._force = measurement_topic(bag, settings.force_topic)
-        self._infos = tuple(run_infos(bag))
-        self._joint_states = self._blocks = self._lost = self._last_force_ns = 0
-        self._simulated = any(info.simulated for info in self._infos)
-        self._sources: Counter[str] = Counter()
-        self._uncertainty = 0.0
-        self._unreadable: Counter[str] = Counter()
-        self._set_runs(settings)
 
-    def run(self, advance: Callable[[float], object]) -> None:
-        """Feed the whole recording."""
-        total = next(topic.count for topic in self._bag.topics if topic.name == self._states)
-        states = assess_joint_states(self._bag, self._states, self._monitor)
-        for record in merge_by_log_time(states, measurements(self._bag, self._force, self._unreadable)):
-            if isinstance(record, Measurement):
-                self._add_measurement(record)
-                continue
-            self._joint_states += 1
-            advance(1.0 / total)
-            for contact in record.decision.contacts if record.decision else ():
-                self._validator.add_state(contact, record.log_time_ns)
-        for impact in self._detector.finish():
-            self._validator.add_impact(impact, self._last_force_ns)
-
-    def recording(self, impacts: tuple[ValidatedImpact, ...], refused: tuple[RefusedImpact, ...]) -> ValidatedRecording:
-        """Return the result of this recording."""
-        unreadable = [f"{line} ({count} times)" if count > 1 else line for line, count in self._unreadable.items()]
-        return ValidatedRecording(
-            path=self._bag.path,
-            joint_states=self._joint_states,
-            joint_state_topic=self._states,
-            force_topic=self._force.name,
-            force_blocks=self._blocks,
-            lost_samples=self._lost,
-            dropouts=self._detector.dropouts,
-            glitches=self._detector.glitches,
-            pushes=self._detector.sustained_contacts,
-            simulated=self._simulated,
-            sources=tuple(sorted(self._sources)),
-            relative_uncertainty=self._uncertainty,
-            infos=self._infos,
-            impacts=impacts,
-            refused=refused,
-            losses=(*self._bag.losses, *unreadable),
-        )
-
-    def _set_runs(self, settings: ValidationSettings) -> None:
-        defaults, mass = settings.validator, settings.obstacle_mass
-        # Replaces the run of the previous recording.
-        initial_mass = defaults.obstacle_mass if mass is None else mass
-        self._validator.set_run(0, obstacle_mass=initial_mass, configuration=defaults.configuration)
-        for info in self._infos:
-            self._validator.set_run_info(info if mass is None else info._replace(obstacle_mass=mass), 0)
-
-    def _add_measurement(self, measurement: Measurement) -> None:
-        value, self._last_force_ns = measurement.value, measurement.log_time_ns
-        self._sources[value.source] += 1
-        self._simulated |= value.simulated
-        if isinstance(value, Impact):
-            self._validator.add_impact(value, measurement.log_time_ns)
-            return
-        self._add_block(value, measurement.log_time_ns)
-
-    def _add_block(self, block: ForceBlock, received_ns: int) -> None:
-        # The first block counts samples lost before the recording began.
-        self._lost += block.lost_samples if self._blocks else 0
-        self._blocks += 1
-        self._uncertainty = max(self._uncertainty, block.relative_uncertainty)
-        self._validator.add_force(block, received_ns)
-        for impact in self._detector.feed(block):
-            self._validator.add_impact(impact, received_ns)
+def _set_runs(validator: Validator, settings: ValidationSettings, infos: Sequence[RunInfo]) -> None:
+    """Set the obstacle masses and configurations of a recording, in place of those of the previous one."""
+    defaults, mass = settings.validator, settings.obstacle_mass
+    initial_mass = defaults.obstacle_mass if mass is None else mass
+    validator.set_run(0, obstacle_mass=initial_mass, configuration=defaults.configuration)
+    for info in infos:
+        validator.set_run_info(info if mass is None else info._replace(obstacle_mass=mass), 0)

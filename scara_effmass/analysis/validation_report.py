@@ -1,52 +1,187 @@
-"""Write the validation report (page, figures, JSON) completely or not at all."""
+"""Report of a validation: a page, figures, and all results as JSON, written completely or not at all."""
 
 from __future__ import annotations
 
 import json
-from contextlib import ExitStack
+import math
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib as mpl
 
-from scara_effmass.analysis.figure import FORMATS, write
-from scara_effmass.analysis.output import atomic_file, check_output_path
+from scara_effmass import __version__
+from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.plot_style import STYLE
-from scara_effmass.analysis.report import EmbeddedFigure
+from scara_effmass.analysis.report import ReportFigure, figure_files, render, report_figure, write_report_files
 from scara_effmass.analysis.validation_figures import PLOTS
-from scara_effmass.analysis.validation_page import page
-from scara_effmass.analysis.validation_record import record
 
 if TYPE_CHECKING:
-    from scara_effmass.analysis.validation import Validation, ValidationSettings
+    from scara_effmass.analysis.validation import ValidatedRecording, Validation, ValidationSettings
     from scara_effmass.model.robot import Robot
 
 PAGE, RECORD = "report.html", "report.json"
-NAMES = (PAGE, RECORD, *(f"{plot.name}{suffix}" for plot in PLOTS for suffix in FORMATS))
+FILES = (PAGE, RECORD, *figure_files(plot.name for plot in PLOTS))
 """Names of all files of a report."""
+UNITS = {
+    "force": "N",
+    "mass": "kg",
+    "speed": "m/s",
+    "stiffness": "N/m",
+    "bias": "N",
+    "rmse": "N",
+    "limits": "N",
+    "spread": "unit of the quantity",
+    "stamp_ns": "ns, ROS time",
+}
+LINEAR = 1.0
+"""Exponent of a linear spring."""
 
 
 def check_report_folder(folder: Path, *, overwrite: bool) -> None:
     """Raise OutputError if a file of the report cannot be written into `folder`."""
-    if folder.exists() and not folder.is_dir():
-        check_output_path(folder, overwrite=False)
-    for name in NAMES:
-        check_output_path(folder / name, overwrite=overwrite)
+    check_output_files(folder, FILES, overwrite=overwrite)
 
 
 def write_report(
     validation: Validation, settings: ValidationSettings, robot: Robot, folder: Path, *, overwrite: bool
-) -> None:
-    """Write `NAMES` into `folder`. Raises OutputError."""
-    with ExitStack() as stack:
-        paths = {name: stack.enter_context(atomic_file(folder / name, overwrite=overwrite)) for name in NAMES}
-        for plot in PLOTS:
-            with mpl.rc_context(STYLE):
-                write(plot.draw(validation.result), *(paths[f"{plot.name}{suffix}"] for suffix in FORMATS))
-        pictures = [
-            EmbeddedFigure(plot.name, plot.title, plot.caption, paths[f"{plot.name}.png"].read_bytes())
-            for plot in PLOTS
-        ]
-        paths[PAGE].write_text(page(validation, pictures, settings, robot), encoding="utf-8")
-        numbers = json.dumps(record(validation, settings, robot), indent=1, ensure_ascii=False, allow_nan=False)
-        paths[RECORD].write_text(f"{numbers}\n", encoding="utf-8")
+) -> dict[str, Any]:
+    """Write `FILES` into `folder`; return the content of `RECORD`. Raises OutputError."""
+    figures = []
+    for plot in PLOTS:
+        with mpl.rc_context(STYLE):
+            figures.append(report_figure(plot.name, plot.title, plot.caption, plot.draw(validation.result)))
+    results = record(validation, settings, robot)
+    numbers = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False)
+    texts = {PAGE: _page(validation, figures, settings, robot), RECORD: f"{numbers}\n"}
+    write_report_files(folder, texts, figures, overwrite=overwrite)
+    return results
+
+
+def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
+    """Yield subject and text of each line of a summary."""
+    result = validation.result
+    yield "result", "accepted" if result.accepted else f"not accepted: {result.reason}"
+    simulated = f", {result.simulated} of them simulated" if result.simulated else ""
+    yield "impacts", f"{result.seen} detected, {len(result.impacts)} in the series{simulated}"
+    for model in result.models:
+        series = model.overall
+        if not series.count:
+            yield model.model, "no impact"
+            continue
+        r = "r undefined" if series.correlation_reason else f"r {series.correlation:.5f}"
+        exponent = "" if series.exponent is None else f", exponent {series.exponent:.3f}"
+        error = f"bias {series.bias:+.2f} N, RMSE {series.rmse:.2f} N ({series.relative_rmse:.2%})"
+        safe = f"{series.non_conservative} of {series.count} not conservative"
+        yield model.model, f"{r}, k {series.stiffness / 1e3:.4g} N/mm{exponent}, {error}, {safe}"
+    yield "comparison", result.comparison.text
+    for subject, counts in (("excluded", result.excluded), ("not paired", result.unpaired)):
+        for reason, count in counts.items():
+            yield subject, f"{count}: {reason}"
+    for recording in validation.recordings:
+        for loss in recording.losses:
+            yield "not read", loss
+
+
+def record(validation: Validation, settings: ValidationSettings, robot: Robot) -> dict[str, Any]:
+    """Return all results with settings and robot as JSON types, in SI units; numbers are finite or null."""
+    result = _plain(validation.result)
+    return {
+        "models": [{"model": model.pop("model"), **model.pop("overall"), **model} for model in result.pop("models")],
+        "judged_model": result.pop("model"),
+        **result,
+        "impacts": [
+            {"recording": name, **impact} for name, impact in zip(validation.names(), result["impacts"], strict=True)
+        ],
+        "recordings": [_plain(recording, without="impacts") for recording in validation.recordings],
+        "criterion": settings.validator.criterion.model_dump(mode="json"),
+        "settings": {
+            "monitor": settings.monitor.model_dump(mode="json"),
+            "validator": settings.validator.model_dump(mode="json"),
+            "detection": settings.detection.model_dump(mode="json"),
+            "obstacle_mass": settings.obstacle_mass,
+        },
+        "robot": {"name": robot.name, "origin": robot.origin, "notes": list(robot.notes)},
+        "units": UNITS,
+        "scara_effmass": __version__,
+    }
+
+
+class Deviation(NamedTuple):
+    """Estimate / true value - 1 of one quantity: mean over the `impacts`, and the value farthest from zero."""
+
+    quantity: str
+    impacts: int
+    mean: float
+    farthest: float
+
+
+def deviations(validation: Validation) -> list[Deviation]:
+    """Return the deviations over all recordings of a single impact that state the true values."""
+    by_quantity: dict[str, list[float]] = {}
+    for recording in validation.recordings:
+        for quantity, deviation in _recording_deviations(recording):
+            by_quantity.setdefault(quantity, []).append(deviation)
+    return [
+        Deviation(quantity, len(values), sum(values) / len(values), max(values, key=abs))
+        for quantity, values in by_quantity.items()
+    ]
+
+
+def _recording_deviations(recording: ValidatedRecording) -> Iterator[tuple[str, float]]:
+    if len(recording.impacts) != 1 or len(recording.infos) != 1:
+        return
+    impact, info = recording.impacts[0], recording.infos[0]
+    if all(0.0 < value < math.inf for value in (info.true_speed, info.true_effective_mass, info.true_peak_force)):
+        yield "speed at the onset", impact.speed / info.true_speed - 1.0
+        yield "peak force", impact.measured_force / info.true_peak_force - 1.0
+        for prediction in impact.predictions:
+            deviation = prediction.effective_mass / info.true_effective_mass - 1.0
+            yield f"effective mass, {prediction.model}", deviation
+
+
+def stated_stiffness(validation: Validation) -> float | None:
+    """Return the stiffness [N/m] of the simulated contact; None if unknown, not unique, or not a linear spring."""
+    infos = [info for recording in validation.recordings for info in recording.infos]
+    contacts = {(info.contact_stiffness, info.contact_exponent) for info in infos}
+    ((stiffness, exponent),) = contacts if len(contacts) == 1 else ((0.0, 0.0),)
+    return stiffness if exponent == LINEAR and 0.0 < stiffness < math.inf else None
+
+
+def _page(validation: Validation, figures: list[ReportFigure], settings: ValidationSettings, robot: Robot) -> str:
+    result = validation.result
+    models = [model.model for model in result.models]
+    predictions = [{item.model: item for item in impact.predictions} for impact in result.impacts]
+    return render(
+        "validation.html",
+        validation=validation,
+        settings=settings,
+        robot=robot,
+        figures=figures,
+        mass_heads=[f"m_n {model} [kg]" for model in models],
+        error_heads=[f"error {model}" for model in models],
+        impacts=[
+            (name, impact, [by_model.get(model) for model in models])
+            for name, impact, by_model in zip(validation.names(), result.impacts, predictions, strict=True)
+        ],
+        deviations=deviations(validation),
+        stated_stiffness=stated_stiffness(validation),
+        version=__version__,
+    )
+
+
+def _plain(value: Any, without: str = "") -> Any:  # noqa: ANN401 - any part of a result
+    """Return `value` as JSON types; fields of tuples and dataclasses, but the one named `without`, become keys."""
+    if is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    elif hasattr(value, "_asdict"):
+        value = value._asdict()
+    if isinstance(value, dict):
+        named = ((f"{key:g}" if isinstance(key, float) else str(key), item) for key, item in value.items())
+        return {key: _plain(item) for key, item in named if key != without}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)

@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scara_effmass.analysis.closed_form_check import ClosedFormCheck
 from scara_effmass.analysis.time_series import TimeSeriesBuilder
 from scara_effmass.cli.console import print_json, print_lines, progress_bar
 from scara_effmass.cli.options import (
@@ -21,8 +20,6 @@ from scara_effmass.cli.options import (
     load_dynamics,
     settings_from,
 )
-from scara_effmass.cli.report import summary_lines
-from scara_effmass.errors import RobotError
 from scara_effmass.settings import MonitorSettings
 
 if TYPE_CHECKING:
@@ -46,19 +43,12 @@ class Assessor:
     """Assesses recordings in turn and sums up the results."""
 
     def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
-        """Prepare; only a SCARA has closed forms for the check."""
-        from scara_effmass.analysis.closed_form_check import ClosedFormCheck  # noqa: PLC0415 - not needed for --help
-        from scara_effmass.analysis.summary import Summary  # noqa: PLC0415
+        """Start without a recording."""
+        from scara_effmass.analysis.summary import Summary  # noqa: PLC0415 - not needed for --help
 
         self.dynamics = dynamics
         self.settings = settings
         self.summary = Summary(round(settings.timeout * 1e9))
-        self.check: ClosedFormCheck | None = None
-        self.check_reason = ""
-        try:
-            self.check = ClosedFormCheck(dynamics, settings.mass_cap)
-        except RobotError as error:
-            self.check_reason = str(error)
         self.joint_states = self.foreign = self.rejected = 0
         self.losses: list[str] = []
 
@@ -87,8 +77,6 @@ class Assessor:
                 continue
             table.add(name, log_time_ns, decision.contacts)
             self.summary.add(decision.contacts, log_time_ns, state, name)
-            if self.check is not None and state is not None:
-                self.check.add(state, decision.contacts)
             if series:
                 for contact in decision.contacts:
                     series[contact.contact_point].add(contact, log_time_ns)
@@ -98,25 +86,20 @@ class Assessor:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result for JSON."""
-        rows, difference = (0, None) if self.check is None else self.check.result()
         return {
             "joint_states": self.joint_states,
             "foreign": self.foreign,
             "refused": self.rejected,
             **self.summary.as_dict(),
             "losses": self.losses,
-            "closed_form_check": {"rows": rows, "worst_relative_difference": difference, "reason": self.check_reason},
         }
 
     def lines(self) -> list[tuple[str, str]]:
         """Return the result as subjects and texts."""
         foreign = f", {self.foreign} of other devices ignored" if self.foreign else ""
-        lines = [("joint states", f"{self.joint_states}{foreign}"), *summary_lines(self.summary)]
+        lines = [("joint states", f"{self.joint_states}{foreign}"), *self.summary.lines()]
         if self.rejected:
             lines.append(("rejected", f"{self.rejected} joint states (UNKNOWN)"))
-        if self.check is not None and (result := self.check.result())[0]:
-            text = f"lumped masses of {result[0]} rows against Eqs. 28 and 30: max. relative difference {result[1]:.1e}"
-            lines.append(("check", text))
         return lines + [("not read", loss) for loss in self.losses]
 
 
@@ -152,10 +135,9 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         report = None
         if args.report:
-            from scara_effmass.analysis.run_report import run_report  # noqa: PLC0415 - loads matplotlib
+            from scara_effmass.analysis.run_report import RunReport  # noqa: PLC0415 - loads matplotlib
 
-            figures = len(paths) * len(dynamics.contact_points)
-            report = stack.enter_context(run_report(args.report, figures, settings, overwrite=args.force))
+            report = RunReport(args.report, len(paths) * len(dynamics.contact_points), settings, overwrite=args.force)
         table = stack.enter_context(open_writer(args.output, origin, dynamics.robot.base_frame, overwrite=args.force))
         progress = stack.enter_context(progress_bar())
         for path in paths:
@@ -169,7 +151,7 @@ def run(args: argparse.Namespace) -> int:
                     _add_to_report(report, bag, dynamics.robot.name, series)
         result = {"output": str(args.output), **assessor.as_dict()}
         if report:
-            result = report.finish(f"{dynamics.robot.name}: assessment", assessor.lines(), result)
+            result = report.write(f"{dynamics.robot.name}: assessment", assessor.lines(), result)
     written = [("written", args.output), *([("open", args.report / "report.html")] if report else [])]
     if args.json:
         print_json(result)
@@ -180,7 +162,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _add_to_report(report: RunReport, bag: Bag, robot: str, series: Mapping[str, TimeSeriesBuilder]) -> None:
     from scara_effmass.analysis.assessment import generated_description  # noqa: PLC0415
-    from scara_effmass.analysis.forces import read_force  # noqa: PLC0415
+    from scara_effmass.analysis.recorded_run import read_force  # noqa: PLC0415
 
     forces = read_force(bag)
     generated = bool(generated_description(bag))

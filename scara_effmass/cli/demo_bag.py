@@ -23,7 +23,6 @@ from scara_effmass.cli.processes import (
     removed_on_failure,
     require_running,
 )
-from scara_effmass.cli.report import force_lines, force_record, summary_lines
 from scara_effmass.errors import EffmassError
 from scara_effmass.values import ContactAssessment
 
@@ -128,16 +127,14 @@ class LiveRun:
 
 def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings, note: str) -> int:
     """Replay the recording live and write the report; `note` states why another mass model is used."""
-    from scara_effmass.analysis.forces import read_force  # noqa: PLC0415 - not needed for --help
-    from scara_effmass.analysis.run_report import PAGE, run_report  # noqa: PLC0415
+    from scara_effmass.analysis.recorded_run import read_force  # noqa: PLC0415 - not needed for --help
+    from scara_effmass.analysis.run_report import PAGE, RunReport  # noqa: PLC0415
     from scara_effmass.bags.files import open_bag  # noqa: PLC0415
 
     bag = _inspect(args)
     live = LiveRun(dynamics, settings)
-    with (
-        run_report(args.out, len(dynamics.contact_points), settings, overwrite=args.force) as report,
-        removed_on_failure(args.out / RECORDING),
-    ):
+    report = RunReport(args.out, len(dynamics.contact_points), settings, overwrite=args.force)
+    with removed_on_failure(args.out / RECORDING):
         introduction = _introduction(bag, dynamics, note or settings.effective_mass_model.value, args.rate)
         if not args.json:
             print_lines(introduction)
@@ -150,8 +147,8 @@ def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
         title = f"{dynamics.robot.name}: {bag.path.name} through the live monitor"
         for point, builder in live.series.items():
             report.add(builder.build(), point, title, generated=bool(bag.description), forces=forces)
-        lines = [*_lines(live), *summary_lines(live.summary), *force_lines(forces), *_process_lines(live)]
-        result = report.finish(
+        lines = [*_lines(live), *live.summary.lines(), *(forces.lines() if forces else ()), *_process_lines(live)]
+        result = report.write(
             title,
             [*introduction, *lines],
             {
@@ -167,7 +164,7 @@ def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
                 "watchdog_messages": live.watchdog_messages,
                 **live.summary.as_dict(),
                 **{key: live.replay_report[key] for key in ("late", "worst_lateness_s", "warnings")},
-                "force": force_record(forces),
+                "force": forces and forces.as_dict(),
                 "recording": live.record_report,
             },
         )

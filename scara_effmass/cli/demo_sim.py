@@ -21,7 +21,6 @@ from scara_effmass.cli.processes import (
     removed_on_failure,
     require_running,
 )
-from scara_effmass.cli.report import validation_lines
 from scara_effmass.errors import EffmassError
 from scara_effmass.settings import MonitorSettings, ValidatorSettings
 from scara_effmass.values import ContactAssessment
@@ -54,8 +53,12 @@ INTRODUCTION = (
 def run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings) -> int:
     """Run the simulated cell; return 0 when the series of impacts is accepted, else 1. Raises EffmassError."""
     from scara_effmass.analysis.validation import ValidationSettings, validate  # noqa: PLC0415 - not for --help
-    from scara_effmass.analysis.validation_record import record  # noqa: PLC0415
-    from scara_effmass.analysis.validation_report import PAGE, check_report_folder, write_report  # noqa: PLC0415
+    from scara_effmass.analysis.validation_report import (  # noqa: PLC0415
+        PAGE,
+        check_report_folder,
+        summary_lines,
+        write_report,
+    )
 
     check_report_folder(args.out, overwrite=args.force)
     if not args.json:
@@ -67,19 +70,19 @@ def run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
             validator=ValidatorSettings(clock_tolerance=RECORDER_DELAY_S),
         )
         validation = validate([args.out / RECORDING], dynamics, validation_settings)
-        write_report(validation, validation_settings, dynamics.robot, args.out, overwrite=args.force)
+        results = write_report(validation, validation_settings, dynamics.robot, args.out, overwrite=args.force)
     result = validation.result
     live = {_stamp_ns(message) for message in validations}
     offline = {impact.stamp_ns for impact in result.impacts}
     counts = {"live": len(live), "offline": len(offline), "both": len(live & offline)}
     if args.json:
-        print_json({**counts, "recording": record_report, **record(validation, validation_settings, dynamics.robot)})
+        print_json({**counts, "recording": record_report, **results})
     else:
         recorded = f"{record_report['messages']} messages, {record_report['lost']} lost: {record_report['bag']}"
         print_lines(
             [
                 ("impacts", f"{len(live)} validated live, {len(offline)} offline, {len(live & offline)} the same"),
-                *validation_lines(validation),
+                *summary_lines(validation),
                 ("recorded", recorded),
                 ("open", args.out / PAGE),
             ]

@@ -11,7 +11,6 @@ from pydantic import BaseModel
 
 from scara_effmass.cli.console import print_json, print_lines, progress_bar
 from scara_effmass.cli.options import add_force, add_json, add_params, add_robot, add_topic, load_dynamics
-from scara_effmass.cli.report import validation_lines
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings, checked, load_settings
 
@@ -70,8 +69,12 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Validate the recordings, write the report and print a summary."""
     from scara_effmass.analysis.validation import validate  # noqa: PLC0415 - not needed for --help
-    from scara_effmass.analysis.validation_record import record  # noqa: PLC0415
-    from scara_effmass.analysis.validation_report import PAGE, check_report_folder, write_report  # noqa: PLC0415
+    from scara_effmass.analysis.validation_report import (  # noqa: PLC0415
+        PAGE,
+        check_report_folder,
+        summary_lines,
+        write_report,
+    )
     from scara_effmass.bags.files import find_bags  # noqa: PLC0415
 
     settings = validation_settings(args)
@@ -82,11 +85,11 @@ def run(args: argparse.Namespace) -> int:
     with progress_bar() as progress:
         task = progress.add_task("recordings", total=len(paths))
         validation = validate(paths, dynamics, settings, lambda share: progress.advance(task, share))
-    write_report(validation, settings, dynamics.robot, args.output, overwrite=args.force)
+    result = write_report(validation, settings, dynamics.robot, args.output, overwrite=args.force)
     if args.json:
-        print_json({**record(validation, settings, dynamics.robot), "output": str(args.output)})
+        print_json({**result, "output": str(args.output)})
     else:
-        print_lines([*validation_lines(validation), ("written", args.output / PAGE)])
+        print_lines([*summary_lines(validation), ("written", args.output / PAGE)])
     return 0 if validation.result.accepted else NOT_ACCEPTED
 
 

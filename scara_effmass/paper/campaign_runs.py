@@ -4,8 +4,7 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from scara_effmass.analysis.forces import read_force
-from scara_effmass.analysis.recorded_run import run_infos
+from scara_effmass.analysis.recorded_run import read_force, run_infos
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -10,10 +9,9 @@ from typing import Any
 import matplotlib as mpl
 
 from scara_effmass import __version__
-from scara_effmass.analysis.figure import FORMATS, write
-from scara_effmass.analysis.output import atomic_file
+from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.plot_style import STYLE
-from scara_effmass.analysis.report import EmbeddedFigure
+from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
 from scara_effmass.paper.claim import Claim, Outcome
 from scara_effmass.paper.experiment_claims import motion_claims, run_claims
 from scara_effmass.paper.figure_specs import FIGURE_SPECS, FigureInputs, FigureSpec
@@ -77,24 +75,19 @@ def make_figure_set(
     left_out = [f"Fig. {spec.number}: {reason}" for spec in specs if (reason := spec.missing(inputs))]
     specs = [spec for spec in specs if not spec.missing(inputs)]
     left_out += [f"Fig. {spec.number} {reason}" for spec in specs if (reason := spec.part_missing(inputs))]
-    names = [f"{spec.name}{suffix}" for spec in specs for suffix in FORMATS] + [PAGE, CLAIMS]
-    with ExitStack() as stack:
-        paths = {name: stack.enter_context(atomic_file(folder / name, overwrite=overwrite)) for name in names}
-        for spec in specs:
-            with mpl.rc_context(STYLE):
-                write(spec.draw(inputs), *(paths[f"{spec.name}{suffix}"] for suffix in FORMATS))
-            advance()
-        # Not on the joint grid: its stretched arm has no velocity along n.
-        agreement = compare_models(inputs.dynamics, inputs.scara, *equal_area_poses(inputs.scara))
-        figure_set = FigureSet(tuple(spec.name for spec in specs), tuple(left_out), _claims(inputs), agreement)
+    check_output_files(folder, [PAGE, CLAIMS, *figure_files(spec.name for spec in specs)], overwrite=overwrite)
+    figures = []
+    for spec in specs:
+        with mpl.rc_context(STYLE):
+            figures.append(report_figure(spec.name, f"Fig. {spec.number}", spec.caption, spec.draw(inputs)))
         advance()
-        figures = [
-            EmbeddedFigure(spec.name, f"Fig. {spec.number}", spec.caption, paths[f"{spec.name}.png"].read_bytes())
-            for spec in specs
-        ]
-        paths[PAGE].write_text(page(figures, figure_set), encoding="utf-8")
-        text = json.dumps(figure_set.as_dict(), indent=1, ensure_ascii=False)
-        paths[CLAIMS].write_text(text + "\n", encoding="utf-8")
+    # Not on the joint grid: its stretched arm has no velocity along n.
+    agreement = compare_models(inputs.dynamics, inputs.scara, *equal_area_poses(inputs.scara))
+    figure_set = FigureSet(tuple(spec.name for spec in specs), tuple(left_out), _claims(inputs), agreement)
+    advance()
+    claims = json.dumps(figure_set.as_dict(), indent=1, ensure_ascii=False)
+    texts = {PAGE: page(figures, figure_set), CLAIMS: f"{claims}\n"}
+    write_report_files(folder, texts, figures, overwrite=overwrite)
     return figure_set
 
 

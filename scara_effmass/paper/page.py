@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from scara_effmass import __version__
-from scara_effmass.analysis.report import EmbeddedFigure, render
+from scara_effmass.analysis.report import ReportFigure, render
 from scara_effmass.paper.claim import Basis, Outcome
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ CITATION = (
 )
 
 
-def page(figures: Sequence[EmbeddedFigure], figure_set: FigureSet) -> str:
+def page(figures: Sequence[ReportFigure], figure_set: FigureSet) -> str:
     """Return the page as HTML."""
     return render(
         "paper.html",

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
+from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.model.dynamics import RobotDynamics
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from scara_effmass.analysis.validation import Validation
     from scara_effmass.values import ForceBlock
 
 MASSES = (0.5, 7.35)
@@ -47,6 +49,11 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 @pytest.fixture(scope="session")
 def dynamics() -> RobotDynamics:
     return RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
+
+
+@pytest.fixture(scope="session")
+def validation(campaign: list[Path], dynamics: RobotDynamics) -> Validation:
+    return validate(campaign, dynamics, ValidationSettings())
 
 
 @pytest.fixture

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.image import imread
 
-from scara_effmass.analysis.figure import draw_run, write
-from scara_effmass.analysis.forces import RecordedForce
+from scara_effmass.analysis.figure import draw_run
+from scara_effmass.analysis.recorded_run import RecordedForce
+from scara_effmass.analysis.report import report_figure
 from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Impact, Verdict
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.figure import Figure
 
 
@@ -85,14 +85,14 @@ def test_missing_mass_model_is_not_in_the_legend() -> None:
     assert "larger of both (decides)" in lines(draw(run(), "largest"), 2)
 
 
-def test_single_unknown_cycle_is_drawn(tmp_path: Path) -> None:
+def test_single_unknown_cycle_is_drawn() -> None:
     builder = TimeSeriesBuilder()
     builder.add(unknown_contact("tool", "the header stamp is zero", 0, 0.0), 1)
-    write(draw(builder.build()), tmp_path / "run.png", tmp_path / "run.svg")
-    height, width, _ = imread(tmp_path / "run.png").shape
+    figure = report_figure("run", "", "", draw(builder.build()))
+    height, width, _ = imread(BytesIO(figure.png)).shape
     assert width > 1500
     assert height > 900
-    assert "</svg>" in (tmp_path / "run.svg").read_text(encoding="utf-8")
+    assert figure.svg.rstrip().endswith(b"</svg>")
 
 
 def test_force_panel_shows_force_and_impacts() -> None:

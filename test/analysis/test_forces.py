@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scara_effmass.analysis.forces import read_force
+from scara_effmass.analysis.recorded_run import read_force
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.share import share

@@ -14,8 +14,7 @@ from scara_effmass.analysis.time_series import (
     NO_JOINT_STATE,
     TimeSeriesBuilder,
     decimate,
-    episodes,
-    verdict_spans,
+    intervals,
 )
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
@@ -66,10 +65,10 @@ def test_unknown_values_are_nan() -> None:
     assert np.isnan(kept.margin).all()
 
 
-def test_an_empty_time_series_has_no_episodes() -> None:
+def test_an_empty_time_series_has_no_intervals() -> None:
     empty = TimeSeriesBuilder().build()
     assert len(empty.time) == 0
-    assert episodes(empty, TIMEOUT) == []
+    assert list(intervals(empty, TIMEOUT)) == []
 
 
 @given(st.lists(st.one_of(st.floats(-1e3, 1e3), st.just(float("nan"))), min_size=1, max_size=400), st.integers(1, 20))
@@ -100,39 +99,28 @@ def test_a_single_peak_among_a_million_points_stays() -> None:
     assert len(few) < 7500
 
 
-def test_verdict_spans_join_equal_verdicts_and_show_silence_as_unknown() -> None:
-    spans = verdict_spans(series([0.0, 0.1, 0.2, 1.0, 1.1], [OK, OK, WARN, WARN, OK]), TIMEOUT)
-    expected = [(0.0, 0.2, OK), (0.2, 0.4, WARN), (0.4, 1.0, UNKNOWN), (1.0, 1.1, WARN)]
-    assert [span[2] for span in spans] == [span[2] for span in expected]
-    assert np.array([span[:2] for span in spans]) == pytest.approx(np.array([span[:2] for span in expected]))
-
-
-def test_episodes_have_interval_margin_and_reason() -> None:
+def test_intervals_have_verdict_margin_and_reason_and_silence_is_unknown() -> None:
     run = series([0.0, 0.1, 0.2, 0.3, 1.0, 1.1, 1.2], [OK, WARN, VIOLATION, VIOLATION, VIOLATION, OK, WARN])
-    rows = episodes(run, TIMEOUT)
-    assert [(row.verdict, round(row.start, 3), round(row.stop, 3)) for row in rows] == [
-        (WARN, 0.1, 0.2),
-        (VIOLATION, 0.2, 0.5),
-        (UNKNOWN, 0.5, 1.0),
-        (VIOLATION, 1.0, 1.1),
-        (WARN, 1.2, 1.2),
+    rows = list(intervals(run, TIMEOUT))
+    assert [(row.verdict, round(row.start, 3), round(row.stop, 3), row.reason) for row in rows] == [
+        (OK, 0.0, 0.1, "row 0"),
+        (WARN, 0.1, 0.2, "row 1"),
+        (VIOLATION, 0.2, 0.5, "row 2"),
+        (UNKNOWN, 0.5, 1.0, NO_JOINT_STATE),
+        (VIOLATION, 1.0, 1.1, "row 2"),
+        (OK, 1.1, 1.2, "row 5"),
+        (WARN, 1.2, 1.2, "row 6"),
     ]
-    assert [row.min_margin for row in rows[:2]] == pytest.approx([0.0, -0.2])
-    assert [row.reason for row in rows] == ["row 1", "row 2", NO_JOINT_STATE, "row 2", "row 6"]
+    assert [row.min_margin for row in rows[1:3]] == pytest.approx([0.0, -0.2])
 
 
 steps = st.lists(st.tuples(st.floats(0.001, 1.0), st.sampled_from(list(Verdict))), min_size=2, max_size=40)
 
 
 @given(steps)
-def test_spans_and_episodes_cover_the_whole_time_once(steps: list[tuple[float, Verdict]]) -> None:
+def test_intervals_cover_the_whole_time_once(steps: list[tuple[float, Verdict]]) -> None:
     times = np.cumsum([step for step, _ in steps])
-    run = series((times - times[0]).tolist(), [verdict for _, verdict in steps])
-    spans = verdict_spans(run, TIMEOUT)
-    assert spans[0][0] == 0.0
-    assert spans[-1][1] == pytest.approx(times[-1] - times[0])
-    assert all(first[1] == second[0] for first, second in pairwise(spans))
-    assert all(first[2] is not second[2] for first, second in pairwise(spans))
-    for verdict in (WARN, VIOLATION, UNKNOWN):
-        duration = sum(stop - start for start, stop, other in spans if other is verdict)
-        assert sum(e.stop - e.start for e in episodes(run, TIMEOUT) if e.verdict is verdict) == pytest.approx(duration)
+    rows = list(intervals(series((times - times[0]).tolist(), [verdict for _, verdict in steps]), TIMEOUT))
+    assert rows[0].start == 0.0
+    assert rows[-1].stop == pytest.approx(times[-1] - times[0])
+    assert all(first.stop == second.start for first, second in pairwise(rows))

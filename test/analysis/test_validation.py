@@ -43,11 +43,6 @@ SETTINGS = ValidationSettings()
 S = 1_000_000_000
 
 
-@pytest.fixture(scope="session")
-def validation(campaign: list[Path], dynamics: RobotDynamics) -> Validation:
-    return validate(campaign, dynamics, SETTINGS)
-
-
 def stated(path: Path) -> RunInfo:
     with open_bag(path) as bag:
         ((_, info),) = run_infos(bag)

@@ -146,9 +146,6 @@ def test_summary_matches_the_rows(swing_bag: Path, cli: Cli, tmp_path: Path) -> 
     assert set(result["tightest"]["positions"]) == {"joint1", "joint2", "joint3", "joint4"}
     assert sum(result["seconds_by_verdict"].values()) == pytest.approx(999 * 0.002)
     assert sum(result["unknown_reasons"].values()) == counts[Verdict.UNKNOWN]
-    check = result["closed_form_check"]
-    assert check["rows"] == sum(not math.isnan(contact.lumped_mass) for contact in contacts)
-    assert check["worst_relative_difference"] < 1e-9
 
 
 def test_several_bags_share_a_table_with_one_monitor_per_bag(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
