@@ -23,6 +23,7 @@ RANK_TOLERANCE = 1e-9
 """Fraction of the largest singular value of J_v below which a direction counts as unreachable."""
 MIN_LEVER_M = 1e-9
 """Lever [m] below which a joint does not move the contact point."""
+_WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 _THIRD_TURN = 2.0 * math.pi / 3.0
 
 
@@ -78,13 +79,14 @@ class RobotDynamics:
 
         A contact point slower than `speed_threshold` [m/s] has no direction; its masses are of the worst direction.
         """
-        inverses = [pin.computeMinverse(model, data, q) for model, data in zip(self._models, self._data, strict=True)]
-        return [self._at_contact(q, qd, frame, rank, inverses, speed_threshold) for _, frame, rank in self._contacts]
+        pin.computeJointJacobians(self.robot.model, self._kinematics, q)
+        inverses = [self._inverse(model, data, q) for model, data in zip(self._models, self._data, strict=True)]
+        return [self._at_contact(qd, frame, rank, inverses, speed_threshold) for _, frame, rank in self._contacts]
 
     def _at_contact(
-        self, q: FloatArray, qd: FloatArray, frame: int, rank: int, inverses: list[FloatArray], speed_threshold: float
+        self, qd: FloatArray, frame: int, rank: int, inverses: list[FloatArray], speed_threshold: float
     ) -> EffectiveMasses:
-        jacobian = self.jacobian(q, frame)
+        jacobian = self._jacobian(frame)
         transposed = jacobian.T
         vx, vy, vz = jacobian.dot(qd).tolist()
         speed = math.sqrt(vx * vx + vy * vy + vz * vz)
@@ -112,11 +114,19 @@ class RobotDynamics:
 
     def jacobian(self, q: FloatArray, frame: int) -> FloatArray:
         """Return J_v (3, n): linear velocity of Pinocchio's `frame` in base axes, per joint velocity."""
-        full: FloatArray = pin.computeFrameJacobian(
-            self.robot.model, self._kinematics, q, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        )
-        linear = full[:3]
+        pin.computeJointJacobians(self.robot.model, self._kinematics, q)
+        return self._jacobian(frame)
+
+    def _jacobian(self, frame: int) -> FloatArray:
+        """Return J_v (3, n) at the configuration of the latest `computeJointJacobians`."""
+        jacobian: FloatArray = pin.getFrameJacobian(self.robot.model, self._kinematics, frame, _WORLD_AXES)
+        linear = jacobian[:3]
         return linear if linear.ndim > 1 else linear[:, None]  # Pinocchio returns a vector for a single joint
+
+    def _inverse(self, model: pin.Model, data: pin.Data, q: FloatArray) -> FloatArray:
+        """Return the inverse (n, n) of the mass matrix of `model`, this robot's or its lumped copy."""
+        inverse: FloatArray = pin.computeMinverse(model, data, q)
+        return inverse
 
     def _rank(self, name: str, frame: int) -> int:
         """Return in how many dimensions the contact point can move outside singular poses."""
