@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from itertools import product
 
-from scara_effmass.sim.experiment import run_impact
-from scara_effmass.sim.impact_setup import CONFIGURATIONS, ImpactSetup
+from scara_effmass.sim.experiment import CONFIGURATIONS, ImpactSetup, run_impact
 
 OBSTACLE_KG = 2.39
 PLATES = {
@@ -30,11 +29,11 @@ def main() -> None:
         a, b = math.radians(turned), math.radians(tilted)
         surface = (math.cos(b) * math.cos(a), math.cos(b) * math.sin(a), math.sin(b))
         setup = ImpactSetup(configuration, OBSTACLE_KG, surface=surface)
-        truth = run_impact(setup).truth
-        impact = truth.impact
+        run = run_impact(setup)
+        impact = run.impact
         cell_share = math.cos(a) * math.cos(b)
-        expected = impact.speed * math.sqrt(truth.reduced_mass * setup.contact.stiffness) * cell_share
-        numbers = f"{impact.speed:7.4f}{truth.effective_mass:7.3f}{truth.reduced_mass:7.3f}{impact.peak_force:8.1f}"
+        expected = impact.speed * math.sqrt(run.reduced_mass * setup.contact.stiffness) * cell_share
+        numbers = f"{impact.speed:7.4f}{run.effective_mass:7.3f}{run.reduced_mass:7.3f}{impact.peak_force:8.1f}"
         print(f"{name:<28}{configuration.name:<10}{numbers}{expected:10.1f}{impact.peak_force / expected - 1:+8.2%}")  # noqa: T201
 
 

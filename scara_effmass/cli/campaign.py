@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         task = progress.add_task("simulated impacts", total=len(campaign.runs))
         for step in run_campaign(args.output, campaign, overwrite=args.force):
             steps.append(step)
-            progress.update(task, completed=step.number, description=f"simulated {step.path.name}")
+            progress.update(task, completed=len(steps), description=f"simulated {step.path.name}")
     if args.json:
         print_json(_as_dict(args.output, campaign, steps))
     else:
@@ -83,9 +83,9 @@ def run(args: argparse.Namespace) -> int:
 def _campaign(args: argparse.Namespace) -> Campaign:
     from scara_effmass.errors import SettingsError  # noqa: PLC0415
     from scara_effmass.sim.campaign import Campaign  # noqa: PLC0415
-    from scara_effmass.sim.impact_setup import CONFIGURATIONS, OBSTACLE_MASSES  # noqa: PLC0415
+    from scara_effmass.sim.cart import HERTZ, LINEAR, POLYETHYLENE, SpringContact  # noqa: PLC0415
+    from scara_effmass.sim.experiment import CONFIGURATIONS, OBSTACLE_MASSES  # noqa: PLC0415
     from scara_effmass.sim.recordings import SEED  # noqa: PLC0415
-    from scara_effmass.sim.spring_contact import HERTZ, LINEAR, POLYETHYLENE, SpringContact  # noqa: PLC0415
 
     by_name = {configuration.name: configuration for configuration in CONFIGURATIONS}
     names = tuple(dict.fromkeys(args.configuration or by_name))

@@ -9,8 +9,8 @@ import numpy as np
 from scara_effmass.daq.sim_source import simulated_reading
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.settings import DaqSettings
-from scara_effmass.sim.adc import ForceSensor
-from scara_effmass.sim.live import LiveOutput, LiveSettings, LiveSim
+from scara_effmass.sim.live import LiveOutput, LiveSim
+from scara_effmass.sim.measurement import ForceSensor
 
 NS = 1_000_000_000
 MS = 1_000_000
@@ -54,7 +54,7 @@ class SimCellSource(ForceSource):
     def start(self) -> None:
         """Put the robot at its start, at `sim.start` or now."""
         start_ns = round(self._settings.sim.start * 1e3) * MS or self._now_ns()
-        self._simulation = LiveSim(LiveSettings(sensor=self._sensor, seed=self._settings.sim.seed), start_ns)
+        self._simulation = LiveSim(start_ns, seed=self._settings.sim.seed, sensor=self._sensor)
         self._due_ns = start_ns
         self._next_output = None
         self._closed.clear()

@@ -18,7 +18,8 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.settings import READ_ONLY
-from scara_effmass.sim.live import CartPlacement, LiveSettings, LiveSim
+from scara_effmass.sim.experiment import ImpactSetup
+from scara_effmass.sim.live import LiveSim
 from scara_effmass.wire import topics
 from scara_effmass.wire.run_info import run_info_message
 
@@ -75,7 +76,7 @@ class SimNode(LifecycleBase):
         if self._settings.clock and self.get_parameter("use_sim_time").value:
             raise SettingsError(f"{self.get_name()}: clock = true: use_sim_time must be false")
         self._states: deque[values.JointState] = deque()
-        self._carts: deque[CartPlacement] = deque()
+        self._carts: deque[ImpactSetup] = deque()
 
     def configure(self) -> None:
         """Create the endpoints."""
@@ -87,7 +88,7 @@ class SimNode(LifecycleBase):
     def activate(self) -> None:
         """Move the robot to its start."""
         start_ns = round(self._settings.start * 1e3) * _MS or self.now_ns()
-        self._sim = LiveSim(LiveSettings(seed=self._settings.seed), start_ns)
+        self._sim = LiveSim(start_ns, seed=self._settings.seed)
         self._states.clear()
         self._carts.clear()
         if self._sim_clock is not None:
@@ -106,8 +107,9 @@ class SimNode(LifecycleBase):
         output = self._sim.advance_to(now_ns + _AHEAD_NS)
         self._states += output.joint_states
         self._carts += output.carts
-        while self._carts and self._carts[0].stamp_ns <= now_ns:
-            self._info.publish(run_info_message(_run_info(self._carts.popleft(), self._settings.seed)))
+        while self._carts and self._carts[0].start_ns <= now_ns:
+            note = f"simulated (MuJoCo): the robot hits a cart\ngenerator = sim_node, seed = {self._settings.seed}"
+            self._info.publish(run_info_message(self._carts.popleft().run_info(note)))
         while self._states and self._states[0].stamp_ns <= now_ns:
             self._joint_states.publish(_message(self._states.popleft()))
 
@@ -160,22 +162,6 @@ class SimClock:
         # In both messages the stamp follows the 4 bytes of the encapsulation header.
         sec, nanosec = _STAMP.unpack_from(data, 4)
         self._done_ns[topic] = max(self._done_ns.get(topic, 0), sec * _NS + nanosec)
-
-
-def _run_info(cart: CartPlacement, seed: int) -> values.RunInfo:
-    setup = cart.setup
-    return values.RunInfo(
-        stamp_ns=cart.stamp_ns,
-        frame_id="base_link",
-        configuration=setup.configuration.name,
-        obstacle_mass=setup.obstacle_mass,
-        impact_position=setup.impact_position,
-        plate_normal=setup.plate_normal,
-        simulated=True,
-        note=f"simulated (MuJoCo): the robot hits a cart\ngenerator = sim_node, seed = {seed}",
-        contact_stiffness=setup.contact.stiffness,
-        contact_exponent=setup.contact.exponent,
-    )
 
 
 def _message(state: values.JointState) -> JointState:

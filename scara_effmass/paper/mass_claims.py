@@ -14,7 +14,7 @@ from scara_effmass.paper.density import MassDistribution, density_peaks, sampled
 from scara_effmass.paper.protocol import ALONG_X, ALONG_Y, OBLIQUE, OBSTACLES_KG, SHOWN_OBSTACLE_KG
 from scara_effmass.paper.scara import Scara, matrix_masses, relative_error
 from scara_effmass.paper.workspace import equal_area_poses, joint_grid
-from scara_effmass.sim.scara_kinematics import ElbowConfig
+from scara_effmass.sim.motion import ElbowConfig
 from scara_effmass.values import FloatArray
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from scara_effmass.paper.maps import ColorScale, draw_iso, draw_map, iso_handle,
 from scara_effmass.paper.protocol import ALONG_X, ALONG_Y, OBLIQUE, SHOWN_OBSTACLE_KG
 from scara_effmass.paper.scara import Scara, relative_error
 from scara_effmass.paper.workspace import JointAngles, joint_grid, polar_grid
-from scara_effmass.sim.scara_kinematics import ElbowConfig
+from scara_effmass.sim.motion import ElbowConfig
 from scara_effmass.values import FloatArray
 
 if TYPE_CHECKING:

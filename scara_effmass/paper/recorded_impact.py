@@ -8,7 +8,7 @@ import numpy as np
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.paper.protocol import ALONG_X
 from scara_effmass.paper.scara import Scara
-from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse_kinematics
+from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
 from scara_effmass.values import FloatArray
 
 Point = tuple[float, float]

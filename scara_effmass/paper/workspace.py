@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.paper.scara import Scara
-from scara_effmass.sim.scara_kinematics import ElbowConfig
+from scara_effmass.sim.motion import ElbowConfig
 from scara_effmass.values import FloatArray
 
 GRID = 50

@@ -1,11 +1,36 @@
-"""`python -m scara_effmass.sim -o bags`: generate the shipped recordings."""
+"""`python -m scara_effmass.sim -o bags`: generate the reference recordings and one repetition of the campaign."""
 
 import argparse
+import hashlib
 import sys
 from pathlib import Path
 
-from scara_effmass.errors import EffmassError
-from scara_effmass.sim.generate import generate
+from scara_effmass.errors import EffmassError, OutputError
+from scara_effmass.sim.campaign import Campaign, run_campaign
+from scara_effmass.sim.recordings import RECORDINGS
+
+CHECKSUMS = "SHA256SUMS"
+CAMPAIGN = Campaign(repetitions=1)
+CAMPAIGN_FOLDER = "campaign"
+
+
+def generate(folder: Path, *, overwrite: bool = False) -> tuple[Path, ...]:
+    """Write all shipped recordings into `folder`, with checksums; return the paths.
+
+    The same versions of the libraries give the same bytes. Raises OutputError.
+    """
+    checksums = folder / CHECKSUMS
+    if checksums.exists() and not overwrite:
+        raise OutputError(f"{checksums}: already exists; use --force to replace it")
+    bags = [recording.write(folder, overwrite=overwrite) for recording in RECORDINGS]
+    bags += [step.path for step in run_campaign(folder / CAMPAIGN_FOLDER, CAMPAIGN, overwrite=overwrite)]
+    files = sorted(file for bag in bags for file in bag.iterdir())
+    lines = [f"{hashlib.sha256(f.read_bytes()).hexdigest()}  {f.relative_to(folder).as_posix()}\n" for f in files]
+    try:
+        checksums.write_text("".join(lines), encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{checksums}: cannot be written: {error.strerror}") from None
+    return (*bags, checksums)
 
 
 def main() -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -12,14 +12,20 @@ from typing import NamedTuple
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.errors import BagError, OutputError
-from scara_effmass.sim.adc import ForceSensor
-from scara_effmass.sim.controller import DEFAULT_GAINS, ServoGains
-from scara_effmass.sim.experiment import ImpactRun, ImpactTruth, run_impact
-from scara_effmass.sim.impact_setup import CONFIGURATIONS, DWELL_S, OBSTACLE_MASSES, Configuration, ImpactSetup
-from scara_effmass.sim.recording_writer import write_recording
-from scara_effmass.sim.recordings import EPOCH_NS, SEED
+from scara_effmass.sim.cart import POLYETHYLENE, SpringContact
+from scara_effmass.sim.experiment import (
+    CONFIGURATIONS,
+    DWELL_S,
+    OBSTACLE_MASSES,
+    SPEED,
+    Configuration,
+    ImpactRun,
+    ImpactSetup,
+    run_impact,
+)
+from scara_effmass.sim.measurement import ForceSensor
+from scara_effmass.sim.recordings import EPOCH_NS, SEED, write_recording
 from scara_effmass.sim.rng import uniform
-from scara_effmass.sim.spring_contact import POLYETHYLENE, SpringContact
 from scara_effmass.values import ForceBlock, RunInfo
 
 REVISION = 2
@@ -47,16 +53,7 @@ class Campaign:
     configurations: tuple[Configuration, ...] = CONFIGURATIONS
     obstacle_masses: tuple[float, ...] = OBSTACLE_MASSES
     repetitions: int = 3
-    speed: float = 0.25
-    """[m/s]"""
     contact: SpringContact = POLYETHYLENE
-    servo: ServoGains = DEFAULT_GAINS
-    noise: float = 0.1
-    """standard deviation of the force [N]"""
-    tip_mass: float = 0.0
-    """[kg]"""
-    guide_friction: float = 0.5
-    """[N]"""
     seed: int = SEED
 
     @cached_property
@@ -71,14 +68,11 @@ class Campaign:
         setup = ImpactSetup(
             configuration=configuration,
             obstacle_mass=obstacle_mass,
-            speed=self.speed * (1.0 + SPEED_SPREAD * (2.0 * speed - 1.0)),
+            speed=SPEED * (1.0 + SPEED_SPREAD * (2.0 * speed - 1.0)),
             contact=self.contact,
-            servo=self.servo,
-            sensor=ForceSensor(clock_error=CLOCK_SPREAD * (2.0 * clock - 1.0), noise=self.noise, seed=seed),
+            sensor=ForceSensor(clock_error=CLOCK_SPREAD * (2.0 * clock - 1.0), seed=seed),
             offset=OFFSET_SPREAD_M * (2.0 * offset - 1.0),
             dwell=DWELL_S + START_SPREAD_S * start,
-            tip_mass=self.tip_mass,
-            guide_friction=self.guide_friction,
             seed=seed,
             start_ns=EPOCH_NS + number * RUN_SPACING_NS,
         )
@@ -104,35 +98,22 @@ class Run(NamedTuple):
             "obstacle_mass": setup.obstacle_mass,
             "repetition": self.repetition,
             "speed": setup.speed,
-            "stiffness": setup.contact.stiffness,
-            "exponent": setup.contact.exponent,
-            "damping": setup.contact.damping,
-            "friction": setup.contact.friction,
-            "tip_mass": setup.tip_mass,
-            "guide_friction": setup.guide_friction,
+            **asdict(setup.contact),
+            "tip_mass": setup.cart.tip_mass,
+            "guide_friction": setup.cart.guide_friction,
             "noise": setup.sensor.noise,
             "servo_bandwidth": setup.servo.bandwidth,
             "servo_damping_ratio": setup.servo.damping_ratio,
         }
         return "\n".join([SUMMARY, *(f"{name} = {value}" for name, value in settings.items())])
 
-    def info(self, truth: ImpactTruth) -> RunInfo:
-        """Return the run information of its recording."""
-        setup, impact = self.setup, truth.impact
-        return RunInfo(
-            stamp_ns=setup.start_ns,
-            frame_id="base_link",
-            configuration=setup.configuration.name,
-            obstacle_mass=setup.obstacle_mass,
-            impact_position=setup.impact_position,
-            plate_normal=setup.plate_normal,
-            simulated=True,
-            note=self.note,
-            contact_stiffness=setup.contact.stiffness,
-            contact_exponent=setup.contact.exponent,
+    def info(self, result: ImpactRun) -> RunInfo:
+        """Return the run information of its recording, with the ground truth."""
+        impact = result.impact
+        return self.setup.run_info(self.note)._replace(
             true_onset_ns=impact.onset_ns,
             true_speed=impact.speed,
-            true_effective_mass=truth.effective_mass,
+            true_effective_mass=result.effective_mass,
             true_peak_force=impact.peak_force,
             true_duration=impact.duration,
             true_impulse=impact.impulse,
@@ -140,10 +121,8 @@ class Run(NamedTuple):
 
 
 class CampaignStep(NamedTuple):
-    """A recorded run, number `number` of `total`; `kept` if its recording existed already."""
+    """A recorded run; `kept` if its recording existed already."""
 
-    number: int
-    total: int
     path: Path
     kept: bool
 
@@ -155,23 +134,16 @@ def run_campaign(folder: Path, campaign: Campaign, *, overwrite: bool = False) -
     runs are recorded again. The same versions of the libraries give the same bytes. Raises OutputError where
     something else exists, or when the disk is full.
     """
-    runs = campaign.runs
-    for number, run in enumerate(runs, 1):
+    for run in campaign.runs:
         path = folder / run.name
         kept = not overwrite and path.exists()
         if kept and _recorded_note(path) != run.note:
             raise OutputError(f"{path}: exists and is not of this run; choose another folder or replace it")
         if not kept:
-            record(path, run, overwrite=overwrite)
-        yield CampaignStep(number, len(runs), path, kept)
-
-
-def record(path: Path, run: Run, *, overwrite: bool = False) -> ImpactRun:
-    """Simulate a run and record it as the live suite would. Raises OutputError."""
-    result = run_impact(run.setup)
-    blocks = ((_publish_time_ns(block), block) for block in result.force_blocks)
-    write_recording(path, run.info(result.truth), result.joint_states, blocks, overwrite=overwrite)
-    return result
+            result = run_impact(run.setup)
+            blocks = ((_publish_time_ns(block), block) for block in result.force_blocks)
+            write_recording(path, run.info(result), result.joint_states, blocks, overwrite=overwrite)
+        yield CampaignStep(path, kept)
 
 
 def _publish_time_ns(block: ForceBlock) -> int:

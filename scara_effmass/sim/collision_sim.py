@@ -5,15 +5,15 @@ stiffness scales with inertia, so the k of ISO/TS 15066 would not be known. Grav
 brake carry it, and it does no work in the horizontal plane.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple, final
 
 import mujoco
 import numpy as np
 
-from scara_effmass.sim.cart import Cart
+from scara_effmass.sim.cart import Cart, SpringContact
 from scara_effmass.sim.mjcf import TOOL, sim_mjcf
-from scara_effmass.sim.spring_contact import SpringContact
 from scara_effmass.values import FloatArray
 
 CONTROL_PERIOD_NS = 1_000_000
@@ -42,6 +42,40 @@ class ContactSample(NamedTuple):
     """at the force cell, along the guide [N]"""
 
 
+class TrueContact(NamedTuple):
+    """One contact, in the axis of the force cell: `peak_force` [N], `impulse` [N s], `duration` [s].
+
+    `speed` is the closing speed of tip and plate along the normal of the plate [m/s].
+    """
+
+    onset_ns: int
+    speed: float
+    peak_force: float
+    duration: float
+    impulse: float
+
+
+def find_contacts(samples: Sequence[ContactSample]) -> tuple[TrueContact, ...]:
+    """Return the complete contacts in `samples`, which are in time order."""
+    pressed = np.array([False, *(sample.force > 0.0 for sample in samples), False])
+    begins, ends = np.flatnonzero(pressed[:-1] != pressed[1:]).reshape(-1, 2).T.tolist()
+    return tuple(
+        _contact(samples[begin - 1 : end + 1])
+        for begin, end in zip(begins, ends, strict=True)
+        if begin > 0 and end < len(samples)
+    )
+
+
+def _contact(samples: Sequence[ContactSample]) -> TrueContact:
+    """Return the contact that fills `samples` except for the first and the last one."""
+    before, first, last = samples[0], samples[1], samples[-1]
+    step_s = (first.time_ns - before.time_ns) / 1e9
+    speed = (first.depth - before.depth) / step_s
+    onset_ns = first.time_ns - round(first.depth / speed * 1e9)
+    forces = [sample.measured for sample in samples]
+    return TrueContact(onset_ns, speed, max(forces), (last.time_ns - onset_ns) / 1e9, sum(forces) * step_s)
+
+
 @final
 class CollisionSim:
     """Robot and cart. The cart takes part in contact only after `place_cart`."""
@@ -62,10 +96,9 @@ class CollisionSim:
         self._applied = self.data.qfrc_applied
         self._jacobian = np.zeros((3, self.model.nv))
         self._guide = np.array(cart.direction)
-        self._normal = self._guide if cart.surface is None else np.array(cart.surface)
+        self._normal = np.array(cart.normal)
         self._plane = (*self._normal.tolist(), float(self._normal @ np.array(cart.tip)))
         self._normal_on_guide = float(self._normal @ self._guide)
-        self._step_ns = 0
         mujoco.mj_forward(self.model, self.data)
 
     @property
@@ -145,39 +178,28 @@ class CollisionSim:
 
     def advance(self, torque: FloatArray) -> list[ContactSample]:
         """Advance by one control period with joint torques `torque` (n,) [N m, N]; return the contact, if close."""
-        if self._close_to_contact():
-            return [self.step(torque, FINE_STEP_NS) for _ in range(CONTROL_PERIOD_NS // FINE_STEP_NS)]
-        for _ in range(CONTROL_PERIOD_NS // COARSE_STEP_NS):
-            self._begin_step(torque, COARSE_STEP_NS)
-            self._end_step(self.cart.resistance(self.cart_position, self.cart_speed), COARSE_STEP_NS)
-        return []
+        close = self._close_to_contact()
+        step_ns = FINE_STEP_NS if close else COARSE_STEP_NS
+        samples = [self.step(torque, step_ns) for _ in range(CONTROL_PERIOD_NS // step_ns)]
+        return samples if close else []
 
     def step(self, torque: FloatArray, step_ns: int) -> ContactSample:
         """Advance by `step_ns` with joint torques `torque` (n,); return the contact at the beginning."""
-        self._begin_step(torque, step_ns)
+        self.model.opt.timestep = step_ns / 1e9
+        mujoco.mj_step1(self.model, self.data)
+        self._applied[: self._n] = torque
         push = force = 0.0
         depth = self._depth()
         if self.cart_placed and depth > 0.0:
             push, force = self._apply_contact(depth)
         cart_force = push + self.cart.resistance(self.cart_position, self.cart_speed)
+        self._applied[self._n] = cart_force
         # The force cell does not feel the force that accelerates the tip in front of it.
         measured = push - self.cart.tip_mass * cart_force / self.cart.mass
         sample = ContactSample(self.time_ns, depth, force, measured)
-        self._end_step(cart_force, step_ns)
-        return sample
-
-    def _begin_step(self, torque: FloatArray, step_ns: int) -> None:
-        if step_ns != self._step_ns:
-            self.model.opt.timestep = step_ns / 1e9
-            self._step_ns = step_ns
-        mujoco.mj_step1(self.model, self.data)
-        self._applied[: self._n] = torque
-
-    def _end_step(self, cart_force: float, step_ns: int) -> None:
-        """Integrate, with `cart_force` [N] on the cart along its guide."""
-        self._applied[self._n] = cart_force
         mujoco.mj_step2(self.model, self.data)
         self.time_ns += step_ns
+        return sample
 
     def _apply_contact(self, depth: float) -> tuple[float, float]:
         """Apply the contact to the robot; return its force along the guide and along the normal [N]."""

@@ -12,7 +12,6 @@ from scara_effmass.sim.cart import Cart
 
 TOOL = "tool"
 """Contact point of the robot file, and the MJCF site there."""
-EXAMPLE = "config/omron_i4_550l.yaml is an example"
 _DISABLED = ("contact", "constraint", "gravity", "sensor", "actuation", "limit")
 _JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
 _TENSOR_SIZE = 6
@@ -23,33 +22,22 @@ def sim_mjcf(robot: Path, cart: Cart) -> tuple[str, tuple[str, ...]]:
 
     The cart's joint comes last. Raises RobotError.
     """
-    robot_body, names = _load_robot(robot)
+    try:
+        body, names = _robot_body(yaml.safe_load(robot.read_text(encoding="utf-8")))
+    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise RobotError(f"{robot}: {reason}; must be as config/omron_i4_550l.yaml") from None
     root = ET.Element("mujoco", model="cell")
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
     option = ET.SubElement(root, "option", integrator="Euler", gravity="0 0 0")
     ET.SubElement(option, "flag", dict.fromkeys(_DISABLED, "disable"))
     world = ET.SubElement(root, "worldbody")
-    world.append(robot_body)
+    world.append(body)
     body = ET.SubElement(world, "body", name="cart", pos=_text(*cart.tip))
     ET.SubElement(body, "joint", name="guide", type="slide", axis=_text(*cart.direction))
     # The cart does not rotate: its moments of inertia have no effect.
     ET.SubElement(body, "inertial", pos="0 0 0", mass=_text(cart.mass), diaginertia="1e-3 1e-3 1e-3")
     return ET.tostring(root, encoding="unicode"), names
-
-
-def _load_robot(path: Path) -> tuple[ET.Element, tuple[str, ...]]:
-    """Return the robot's `body` element, with a site at the tool, and its joint names."""
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-        return _robot_body(document)
-    except OSError as error:
-        raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RobotError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
-    except KeyError as error:
-        raise RobotError(f"{path}: {error.args[0]} is missing; {EXAMPLE}") from None
-    except (TypeError, ValueError) as error:
-        raise RobotError(f"{path}: {error}; {EXAMPLE}") from None
 
 
 def _robot_body(document: dict[str, Any]) -> tuple[ET.Element, tuple[str, ...]]:

@@ -1,15 +1,17 @@
 """The reference recordings: their motion as joint states, and their synthetic force."""
 
-import math
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
+from operator import itemgetter
+from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
+from scara_effmass.bags.writer import BagWriter
+from scara_effmass.sim.measurement import quantize
 from scara_effmass.sim.motion import (
+    ElbowConfig,
     JointMove,
     LinearMove,
     Move,
@@ -18,9 +20,13 @@ from scara_effmass.sim.motion import (
     joint_positions_at,
     sample_moves,
 )
-from scara_effmass.sim.scara_kinematics import ElbowConfig
-from scara_effmass.sim.synthetic_force import Pulse, synthetic_force
-from scara_effmass.values import FloatArray, ForceBlock, JointState
+from scara_effmass.sim.synthetic_force import BLOCK_NS, Pulse, synthetic_force
+from scara_effmass.values import FloatArray, ForceBlock, JointState, RunInfo
+from scara_effmass.wire import topics
+from scara_effmass.wire.force import force_block_message
+from scara_effmass.wire.joint_state import joint_state_message
+from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE, RUN_INFO
+from scara_effmass.wire.run_info import run_info_message
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 EPOCH_NS = 1_767_225_600_000_000_000
@@ -28,11 +34,25 @@ EPOCH_NS = 1_767_225_600_000_000_000
 SEED = 550
 REVISION = 3
 """Increase it when a recording changes."""
+FORCE_TOPIC = f"/{topics.FORCE}"
 
-POSITION_STEP = np.array([2.0 * math.pi / 2**20, 2.0 * math.pi / 2**20, 1e-6, 2.0 * math.pi / 2**20])
-"""Resolution of the simulated encoders [rad, rad, m, rad]."""
-VELOCITY_STEP = np.array([1e-4, 1e-4, 1e-5, 1e-4])
-"""Resolution of the velocity estimates [rad/s, rad/s, m/s, rad/s]."""
+
+def write_recording(
+    path: Path,
+    info: RunInfo,
+    joint_states: Iterable[JointState],
+    force_blocks: Iterable[tuple[int, ForceBlock]],
+    *,
+    overwrite: bool,
+) -> None:
+    """Write a bag with the live suite's topics; force blocks come with their log time [ns]. Raises OutputError."""
+    states_topic = f"/{topics.JOINT_STATES}"
+    messages = [(state.stamp_ns, states_topic, JOINT_STATE, joint_state_message(state)) for state in joint_states]
+    messages += [(time_ns, FORCE_TOPIC, FORCE_BLOCK, force_block_message(block)) for time_ns, block in force_blocks]
+    with BagWriter(path, overwrite=overwrite) as bag:
+        bag.write(f"/{topics.RUN_INFO}", RUN_INFO, info.stamp_ns, run_info_message(info))
+        for time_ns, topic, message_type, data in sorted(messages, key=itemgetter(0)):
+            bag.write(topic, message_type, time_ns, data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,18 +68,26 @@ class ReferenceRecording:
     motion: Callable[[], tuple[FloatArray, FloatArray]]
     pulses: tuple[Pulse, ...] = ()
 
-    def states(self) -> Iterator[JointState]:
-        """Yield joint states at regular stamps from `EPOCH_NS` on."""
+    def write(self, folder: Path, *, overwrite: bool) -> Path:
+        """Write the recording as a bag in `folder`, with its pulses in the note; return its path."""
+        note = [
+            self.description,
+            f"generator = python -m scara_effmass.sim, revision = {REVISION}, seed = {SEED}",
+            *(
+                f"contact at {pulse.onset_s} s: peak {pulse.peak_force} N, duration {pulse.duration} s, "
+                f"impulse {pulse.impulse} N s, rebound {pulse.rebound}"
+                for pulse in self.pulses
+            ),
+        ]
+        info = RunInfo(stamp_ns=EPOCH_NS, simulated=True, note="\n".join(note))
+        rows = list(zip(*self.motion(), strict=True))
         period_ns = 1_000_000_000 // self.frequency
-        for number, (q, qd) in enumerate(zip(*self.motion(), strict=True)):
-            yield JointState(EPOCH_NS + number * period_ns, JOINTS, q, qd)
-
-    def force_blocks(self) -> Iterator[ForceBlock]:
-        """Yield force for the duration of the motion; nothing without pulses."""
-        if not self.pulses:
-            return iter(())
-        q, _ = self.motion()
-        return synthetic_force(self.pulses, len(q) / self.frequency, EPOCH_NS, SEED)
+        states = (JointState(EPOCH_NS + number * period_ns, JOINTS, *row) for number, row in enumerate(rows))
+        duration_s = len(rows) / self.frequency if self.pulses else 0.0
+        blocks = synthetic_force(self.pulses, duration_s, EPOCH_NS, SEED)
+        logged = ((block.stamp_ns + BLOCK_NS, block) for block in blocks)
+        write_recording(folder / self.name, info, states, logged, overwrite=overwrite)
+        return folder / self.name
 
 
 def straight() -> tuple[FloatArray, FloatArray]:
@@ -155,18 +183,6 @@ def tour_moves() -> tuple[Move, ...]:
             q_start, q_end = (joint_positions_at((p.x, p.y), p.elbow_config, p.q3) for p in (start, end))
             moves.append(JointMove(q_start, q_end, time_scaling))
     return tuple(moves)
-
-
-def quantize(q: FloatArray, qd: FloatArray, noise: random.Random) -> tuple[FloatArray, FloatArray]:
-    """Return `q` and `qd` (m, 4) in whole encoder counts, with triangular noise of up to one count."""
-
-    def round_to_counts(values: FloatArray, step: FloatArray) -> FloatArray:
-        # Python guarantees the sequence of random() only.
-        dither = np.array([noise.random() + noise.random() - 1.0 for _ in range(values.size)]).reshape(values.shape)
-        counts = np.rint(values / step + dither)
-        return np.asarray(counts * step + 0.0, np.float64)  # + 0.0 turns -0.0 into 0.0
-
-    return round_to_counts(q, POSITION_STEP), round_to_counts(qd, VELOCITY_STEP)
 
 
 RECORDINGS = (

@@ -4,23 +4,22 @@ The same seed gives the same samples, for any block size and numpy version; see 
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple, final
 
 import numpy as np
 from numpy.random import PCG64
 
-from scara_effmass.sim.adc import MAX_COUNT, newtons_per_count
-from scara_effmass.sim.rng import next_uniform, normal_pair, uniform
+from scara_effmass.sim.measurement import FRAME_ID, MAX_COUNT, newtons_per_count
+from scara_effmass.sim.rng import next_normal, uniform
 from scara_effmass.values import FloatArray, ForceBlock
 
 NOISE_SAMPLES = 2**21
 """Period of the noise: 164 s at 12.8 kS/s, 16 s at 128 kS/s; 17 MB, for any number of channels."""
 CHANNEL_SPACING = NOISE_SAMPLES // 8
 """Offset between the noise of consecutive channels."""
-_CHUNK = 2**15
+_CHUNK = 2**16
 
 PEAKS = (20.0, 800.0)
 """Range of random peak forces [N], log-uniform."""
@@ -32,8 +31,6 @@ REBOUND_PEAKS = (0.3, 0.6)
 """Range of a rebound's peak over the first one."""
 REBOUND_GAPS = (0.01, 0.03)
 """Range of the time from the end of the first contact to the rebound [s]."""
-MIN_PERIOD_S = 0.1
-"""Pulses might overlap with a shorter period."""
 _NOISE_STREAM, _PULSE_STREAM = 1, 2
 
 SAMPLE_RATE = 12_800.0
@@ -44,7 +41,6 @@ NOISE = 0.05
 """[N]"""
 SENSITIVITY = 2.248
 """Nominal, of a PCB 208C03 [mV/N]."""
-FRAME_ID = "force_sensor"
 SOURCE = "simulated force: noise and half-sine impacts at chosen times, not computed from the motion"
 
 
@@ -61,11 +57,6 @@ class Pulse(NamedTuple):
         """Integral of F [N s]."""
         return 2.0 / math.pi * self.peak_force * self.duration
 
-    def reaches_into(self, first: int, end: int, sample_rate: float) -> bool:
-        """Return whether the pulse reaches into the samples from `first` to before `end`."""
-        onset = self.onset_s * sample_rate
-        return onset < end and onset + self.duration * sample_rate >= first
-
     def sample(self, sample_rate: float) -> tuple[int, FloatArray]:
         """Return the number of the first sample in the pulse, and the force [N] from there to its end."""
         onset = self.onset_s * sample_rate
@@ -75,36 +66,39 @@ class Pulse(NamedTuple):
         return first, self.peak_force * np.sin(phase)
 
 
-PulseSchedule = Callable[[int, int, int], tuple[Pulse, ...]]
-"""(channel, first, end) -> the pulses of the channel that reach into the samples from `first` to before `end`."""
+PulseSchedule = Callable[[int, int, int], Iterable[Pulse]]
+"""(channel, first, end) -> all pulses of the channel in the samples from `first` to before `end`, perhaps more."""
 
 
 @dataclass(frozen=True, slots=True)
 class RandomPulses:
     """An endless `PulseSchedule`: one pulse per `period` [s], half to one and a half periods apart.
 
-    It has no state: the number of a pulse is its random key. Raises ValueError for too short a period.
+    It has no state: the number of a pulse is its random key. Pulses may overlap with a period below 0.1 s.
     """
 
     seed: int
     sample_rate: float
     period: float
 
-    def __post_init__(self) -> None:
-        if not self.period >= MIN_PERIOD_S:
-            raise ValueError(f"period = {self.period}: must be >= {MIN_PERIOD_S} s")
-
-    def __call__(self, channel: int, first: int, end: int) -> tuple[Pulse, ...]:
+    def __call__(self, channel: int, first: int, end: int) -> Iterator[Pulse]:
         """See `PulseSchedule`."""
         samples = self.period * self.sample_rate
         # Pulse k starts k + 1 periods after the start, +- a quarter, and ends before the next one can start.
-        numbers = range(max(0, math.floor(first / samples - 0.75)), max(0, math.ceil(end / samples - 0.75)))
-        return tuple(
-            pulse
-            for number in numbers
-            for pulse in _random_pulses(self, channel, number)
-            if pulse.reaches_into(first, end, self.sample_rate)
-        )
+        for number in range(max(0, math.floor(first / samples - 0.75)), max(0, math.ceil(end / samples - 0.75))):
+            key = (self.seed, _PULSE_STREAM, channel, number)
+            onset, peak, duration, rebounds, rebound_peak, gap = uniform(key, 6).tolist()
+            pulse = Pulse(
+                onset_s=(number + 0.75 + 0.5 * onset) * self.period,
+                peak_force=PEAKS[0] * (PEAKS[1] / PEAKS[0]) ** peak,
+                duration=_interpolate(DURATIONS, duration),
+            )
+            yield pulse
+            if rebounds < REBOUND_SHARE:
+                # A linear contact lasts equally long at any speed.
+                later_s = pulse.onset_s + pulse.duration + _interpolate(REBOUND_GAPS, gap)
+                force = pulse.peak_force * _interpolate(REBOUND_PEAKS, rebound_peak)
+                yield Pulse(later_s, force, pulse.duration, rebound=1)
 
 
 @final
@@ -131,33 +125,25 @@ class SyntheticSignal:
         """Resolution [N]."""
         self.limit = self.step * MAX_COUNT
         """Largest force that fits the converter [N]."""
-        self._channels = channels
-        self._noise = _normal(seed)
-        self._noise *= noise / self.step
-        np.rint(self._noise, out=self._noise)
+        self._starts = CHANNEL_SPACING * np.arange(channels)[:, np.newaxis]
+        self._noise = np.empty(NOISE_SAMPLES)
+        bits = PCG64([seed, _NOISE_STREAM])
+        for chunk in self._noise.reshape(-1, _CHUNK):
+            chunk[:] = np.rint(next_normal(bits, _CHUNK) * (noise / self.step))
 
     def samples(self, first: int, count: int) -> FloatArray:
         """Return the samples (channels, count) from number `first` on, read-only."""
-        counts = np.empty((self._channels, count))
+        counts = np.take(self._noise, self._starts + np.arange(first, first + count), mode="wrap")
         for channel, row in enumerate(counts):
-            self._copy_noise(row, first + channel * CHANNEL_SPACING)
             for pulse in self.pulses(channel, first, first + count):
-                onset, force = _pulse_counts(pulse, self.sample_rate, self.step)
+                onset, force = pulse.sample(self.sample_rate)
                 begin, end = max(onset, first), min(onset + len(force), first + count)
                 if begin < end:
-                    row[begin - first : end - first] += force[begin - onset : end - onset]
+                    row[begin - first : end - first] += np.rint(force[begin - onset : end - onset] / self.step)
         np.clip(counts, -MAX_COUNT, MAX_COUNT, out=counts)
         counts *= self.step
         counts.flags.writeable = False
         return counts
-
-    def _copy_noise(self, row: FloatArray, first: int) -> None:
-        done = 0
-        while done < len(row):
-            start = (first + done) % NOISE_SAMPLES
-            part = self._noise[start : start + len(row) - done]
-            row[done : done + len(part)] = part
-            done += len(part)
 
 
 def synthetic_force(pulses: Sequence[Pulse], duration_s: float, start_ns: int, seed: int) -> Iterator[ForceBlock]:
@@ -168,7 +154,7 @@ def synthetic_force(pulses: Sequence[Pulse], duration_s: float, start_ns: int, s
         noise=NOISE,
         seed=seed,
         sensitivity=SENSITIVITY,
-        pulses=lambda _channel, _first, _end: tuple(pulses),
+        pulses=lambda _channel, _first, _end: pulses,
     )
     none_saturated = np.empty(0, np.uint32)
     none_saturated.flags.writeable = False
@@ -190,42 +176,6 @@ def synthetic_force(pulses: Sequence[Pulse], duration_s: float, start_ns: int, s
             tare_stamp_ns=0,
             relative_uncertainty=0.0,
         )
-
-
-@lru_cache(maxsize=1024)
-def _random_pulses(schedule: RandomPulses, channel: int, number: int) -> tuple[Pulse, ...]:
-    """Return pulse `number` of a channel, and its rebound if it has one."""
-    key = (schedule.seed, _PULSE_STREAM, channel, number)
-    onset, peak, duration, rebounds, rebound_peak, gap = uniform(key, 6).tolist()
-    pulse = Pulse(
-        onset_s=(number + 0.75 + 0.5 * onset) * schedule.period,
-        peak_force=PEAKS[0] * (PEAKS[1] / PEAKS[0]) ** peak,
-        duration=_interpolate(DURATIONS, duration),
-    )
-    if rebounds >= REBOUND_SHARE:
-        return (pulse,)
-    # A linear contact lasts equally long at any speed.
-    later_s = pulse.onset_s + pulse.duration + _interpolate(REBOUND_GAPS, gap)
-    force = pulse.peak_force * _interpolate(REBOUND_PEAKS, rebound_peak)
-    return pulse, Pulse(later_s, force, pulse.duration, rebound=1)
-
-
-@lru_cache(maxsize=1024)
-def _pulse_counts(pulse: Pulse, sample_rate: float, step: float) -> tuple[int, FloatArray]:
-    """Return first sample and counts of a pulse, cached so that every block gets the same digits."""
-    first, force = pulse.sample(sample_rate)
-    counts = np.rint(force / step)
-    counts.flags.writeable = False
-    return first, counts
-
-
-def _normal(seed: int) -> FloatArray:
-    """Return NOISE_SAMPLES standard normal numbers, made in chunks to limit the memory."""
-    bits = PCG64([seed, _NOISE_STREAM])
-    normal = np.empty(NOISE_SAMPLES)
-    for pair in normal.reshape(-1, 2, _CHUNK):
-        pair[:] = normal_pair(next_uniform(bits, _CHUNK), next_uniform(bits, _CHUNK))
-    return normal
 
 
 def _interpolate(limits: tuple[float, float], share: float) -> float:

@@ -10,7 +10,7 @@ import pytest
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.sim.campaign import Campaign, run_campaign
-from scara_effmass.sim.impact_setup import CONFIGURATIONS
+from scara_effmass.sim.experiment import CONFIGURATIONS
 
 if TYPE_CHECKING:
     import subprocess

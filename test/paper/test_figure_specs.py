@@ -14,7 +14,7 @@ from matplotlib.contour import QuadContourSet
 from scara_effmass.analysis.plot_style import ISO_RED, STYLE
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.paper.figure_specs import FIGURE_SPECS
-from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse_kinematics
+from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

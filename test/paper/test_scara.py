@@ -16,7 +16,7 @@ from scara_effmass.paper.scara import compare_models, matrix_masses, scara_of
 from scara_effmass.paper.workspace import equal_area_poses
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
-from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse_kinematics
+from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from scara_effmass.paper.workspace import equal_area_poses, joint_grid, polar_grid
-from scara_effmass.sim.scara_kinematics import ElbowConfig
+from scara_effmass.sim.motion import ElbowConfig
 
 if TYPE_CHECKING:
     from scara_effmass.paper.scara import Scara

@@ -1,18 +1,16 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from scara_effmass.errors import SettingsError
 from scara_effmass.sim import live
-from scara_effmass.sim.adc import ForceSensor
-from scara_effmass.sim.impact_setup import CONFIGURATIONS
-from scara_effmass.sim.live import LiveSettings, LiveSim
-from scara_effmass.sim.scara_kinematics import ElbowConfig, inverse_kinematics
+from scara_effmass.sim.experiment import CONFIGURATIONS
+from scara_effmass.sim.live import LiveSim
+from scara_effmass.sim.measurement import ForceSensor
+from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
 
 if TYPE_CHECKING:
     from scara_effmass.sim.live import LiveOutput
@@ -20,24 +18,23 @@ if TYPE_CHECKING:
 
 START_NS = 1_800_000_000_123_456_789
 SECOND = 1_000_000_000
-FAST = LiveSettings(impacts=((CONFIGURATIONS[0], 0.5), (CONFIGURATIONS[1], 7.35)), sensor=ForceSensor(seed=4))
+SENSOR = ForceSensor(seed=4)
 SECONDS = 8
 
 
-def advance_in_steps(step_ns: int, seconds: float = SECONDS) -> list[LiveOutput]:
-    sim = LiveSim(FAST, START_NS)
-    times = range(step_ns, round(seconds * SECOND) + 1, step_ns)
-    return [sim.advance_to(START_NS + t) for t in times]
+def make_sim() -> LiveSim:
+    return LiveSim(START_NS, sensor=SENSOR, impacts=((CONFIGURATIONS[0], 0.5), (CONFIGURATIONS[1], 7.35)))
 
 
 @pytest.fixture(scope="module")
 def whole() -> LiveOutput:
-    return LiveSim(FAST, START_NS).advance_to(START_NS + SECONDS * SECOND)
+    return make_sim().advance_to(START_NS + SECONDS * SECOND)
 
 
 @pytest.mark.parametrize("step_ns", [1_000_000, 7_300_000, 100_000_000])
 def test_output_does_not_depend_on_the_time_steps(whole: LiveOutput, step_ns: int) -> None:
-    parts = advance_in_steps(step_ns, 1.2)
+    sim = make_sim()
+    parts = [sim.advance_to(START_NS + t) for t in range(step_ns, 1_200_000_001, step_ns)]
     force = np.concatenate([part.force for part in parts])
     assert np.array_equal(force, whole.force[: len(force)])
     assert len(force) > 1.15 * 12_800
@@ -54,7 +51,7 @@ def test_output_does_not_depend_on_the_time_steps(whole: LiveOutput, step_ns: in
 def test_states_are_at_1_khz_without_duplicates(whole: LiveOutput) -> None:
     stamps = [state.stamp_ns - START_NS for state in whole.joint_states]
     assert stamps == [i * 1_000_000 for i in range(SECONDS * 1000)]
-    sim = LiveSim(FAST, START_NS)
+    sim = make_sim()
     assert len(sim.advance_to(START_NS + SECOND).joint_states) == 1000
     for now_ns in (START_NS + SECOND, START_NS, START_NS + SECOND + 999_999):
         repeated = sim.advance_to(now_ns)
@@ -63,11 +60,11 @@ def test_states_are_at_1_khz_without_duplicates(whole: LiveOutput) -> None:
 
 def test_each_impact_uses_its_cart(whole: LiveOutput) -> None:
     first, second = whole.carts[:2]
-    assert (first.setup.configuration.name, first.setup.obstacle_mass) == ("300_200", 0.5)
-    assert (second.setup.configuration.name, second.setup.obstacle_mass) == ("300_0", 7.35)
+    assert (first.configuration.name, first.obstacle_mass) == ("300_200", 0.5)
+    assert (second.configuration.name, second.obstacle_mass) == ("300_0", 7.35)
     peaks = []
     for cart in whole.carts[:2]:
-        sample = round((cart.stamp_ns - START_NS) / 1e9 * 12_800)
+        sample = round((cart.start_ns - START_NS) / 1e9 * 12_800)
         peaks.append(float(whole.force[sample : sample + 12_800].max()))
     assert peaks == pytest.approx([202.4, 360.4], rel=0.01)
 
@@ -76,9 +73,9 @@ def test_force_does_not_depend_on_the_portion_length(monkeypatch: pytest.MonkeyP
     forces = []
     for periods in (1, 10):
         monkeypatch.setattr(live, "FORCE_PERIODS", periods)
-        forces.append(LiveSim(FAST, START_NS).advance_to(START_NS + 2_900_000_000).force)
+        forces.append(make_sim().advance_to(START_NS + 2_900_000_000).force)
     assert forces[0].max() > 200.0
-    assert np.abs(forces[0] - forces[1]).max() < 2 * FAST.sensor.step
+    assert np.abs(forces[0] - forces[1]).max() < 2 * SENSOR.step
 
 
 def positions(output: LiveOutput) -> FloatArray:
@@ -94,20 +91,13 @@ def test_motion_is_continuous_and_within_the_speed_limit(whole: LiveOutput) -> N
     # The cart pushes the robot back; while it catches up, it is faster than its path.
     assert steps.max() < 0.25 * 1.6
     for cart, configuration in zip(whole.carts, CONFIGURATIONS[:2], strict=False):
-        row = (cart.stamp_ns - START_NS) // 1_000_000
+        row = (cart.start_ns - START_NS) // 1_000_000
         start = inverse_kinematics(np.array(configuration.path_point(-0.1)), ElbowConfig.RIGHT)
         assert q[row, :2] == pytest.approx(start, abs=2e-4)
 
 
-def test_two_elbow_configurations_raise() -> None:
-    left = replace(CONFIGURATIONS[0], elbow_config=ElbowConfig.LEFT)
-    for impacts in (((left, 1.0), (CONFIGURATIONS[0], 1.0)), ()):
-        with pytest.raises(SettingsError, match="one elbow configuration"):
-            LiveSim(replace(FAST, impacts=impacts), START_NS)
-
-
 def test_simulation_is_faster_than_real_time() -> None:
-    sim = LiveSim(LiveSettings(), START_NS)
+    sim = LiveSim(START_NS)
     sim.advance_to(START_NS)
     started = time.process_time()
     sim.advance_to(START_NS + 6 * SECOND)

@@ -15,16 +15,21 @@ from hypothesis import strategies as st
 from scara_effmass.errors import RobotError
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
+from scara_effmass.sim.measurement import quantize
 from scara_effmass.sim.motion import (
+    L1,
+    L2,
+    ElbowConfig,
     JointMove,
     LinearMove,
     QuinticScaling,
     TrapezoidalScaling,
+    inverse_kinematics,
     joint_positions_at,
+    joint_rates,
     sample_moves,
 )
-from scara_effmass.sim.recordings import RECORDINGS, quantize, straight, tour_moves
-from scara_effmass.sim.scara_kinematics import L1, L2, ElbowConfig, inverse_kinematics, joint_rates
+from scara_effmass.sim.recordings import RECORDINGS, straight, tour_moves
 
 if TYPE_CHECKING:
     from scara_effmass.sim.motion import Move, TimeScaling
@@ -169,16 +174,11 @@ def test_straight_recording_is_the_papers_path() -> None:
 
 
 @pytest.mark.parametrize("recording", RECORDINGS, ids=lambda recording: recording.name)
-def test_recording_stays_within_the_joint_limits(recording: ReferenceRecording) -> None:
+def test_recording_is_continuous_within_the_joint_limits(recording: ReferenceRecording) -> None:
     q, qd = recording.motion()
     assert np.all(q >= ROBOT.model.lowerPositionLimit)
     assert np.all(q <= ROBOT.model.upperPositionLimit)
     assert np.all(np.abs(qd) <= ROBOT.model.velocityLimit)
-
-
-@pytest.mark.parametrize("recording", RECORDINGS, ids=lambda recording: recording.name)
-def test_recording_is_continuous(recording: ReferenceRecording) -> None:
-    q, qd = recording.motion()
     step = 1.0 / recording.frequency
     assert np.abs(np.diff(q, axis=0) - (qd[1:] + qd[:-1]) / 2.0 * step).max() < 5e-5
     assert np.abs(np.diff(qd, axis=0)).max() / step < 80.0

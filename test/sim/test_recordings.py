@@ -21,10 +21,9 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.sim.adc import FORCE_SENSOR
-from scara_effmass.sim.generate import CAMPAIGN, CHECKSUMS, generate
-from scara_effmass.sim.recording_writer import FORCE_TOPIC
-from scara_effmass.sim.recordings import EPOCH_NS, POSITION_STEP, RECORDINGS, SEED, TOUR_PULSES, VELOCITY_STEP
+from scara_effmass.sim.__main__ import CAMPAIGN, CHECKSUMS, generate
+from scara_effmass.sim.measurement import FORCE_SENSOR, POSITION_STEP, VELOCITY_STEP
+from scara_effmass.sim.recordings import EPOCH_NS, FORCE_TOPIC, RECORDINGS, SEED, TOUR_PULSES
 from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:

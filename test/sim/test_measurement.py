@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.sim.adc import FILTER_DELAY, Adc, ForceSensor
 from scara_effmass.sim.collision_sim import ContactSample
+from scara_effmass.sim.measurement import FILTER_DELAY, Adc, ForceSensor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
