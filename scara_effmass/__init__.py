@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from scara_effmass.errors import EffmassError
     from scara_effmass.impacts.detector import Detector
-    from scara_effmass.impacts.result import Result
-    from scara_effmass.impacts.validator import Validator
+    from scara_effmass.impacts.validator import Result, Validator
     from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
     from scara_effmass.model.load import load_robot
     from scara_effmass.model.robot import Robot
@@ -43,7 +42,7 @@ _MODULES = {
     "JointState": "values",
     "Monitor": "safety",
     "MonitorSettings": "settings",
-    "Result": "impacts.result",
+    "Result": "impacts.validator",
     "Robot": "model.robot",
     "RobotDynamics": "model.dynamics",
     "ValidatedImpact": "values",

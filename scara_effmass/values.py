@@ -134,14 +134,13 @@ class Impact(NamedTuple):
 class Prediction(NamedTuple):
     """Prediction of one impact by one model of the effective mass.
 
-    `model` is "lumped", "full", "iso" or "largest". `mass_spread` [kg] is its variation within the clock
-    uncertainty. `predicted_force` = v sqrt(mu k) [N] with mu = `reduced_mass` [kg] and k = `stiffness` [N/m];
-    `relative_error` = (predicted - measured) / measured, and `conservative` means not below the measured force.
+    `model` is "lumped", "full", "iso" or "largest". `predicted_force` = v sqrt(mu k) [N] with mu = `reduced_mass` [kg]
+    and k = `stiffness` [N/m]; `relative_error` = (predicted - measured) / measured, and `conservative` means not below
+    the measured force.
     """
 
     model: str
     effective_mass: float
-    mass_spread: float
     reduced_mass: float
     stiffness: float
     predicted_force: float
@@ -154,9 +153,8 @@ class ValidatedImpact:
     """Comparison of one impact with its prediction: `ImpactValidation.msg`, and its inputs.
 
     `count` to `reason` describe the agreement of the selected model over the series. Then: `predictions` of every
-    model that has a mass at the onset; `obstacle_mass` m_H [kg] and `configuration` of the run; `speed_spread` [m/s],
-    the variation of the speed within the clock uncertainty; `from_trend`, the state was extrapolated from before the
-    impact, because the contact had slowed the next one down.
+    model that has a mass at the onset; `obstacle_mass` m_H [kg] and `configuration` of the run; `from_trend`, the state
+    was extrapolated from before the impact, because the contact had slowed the next one down.
     """
 
     stamp_ns: int
@@ -182,7 +180,6 @@ class ValidatedImpact:
     direction: Vector3
     obstacle_mass: float
     configuration: str
-    speed_spread: float
     from_trend: bool
     simulated: bool
 
@@ -204,7 +201,7 @@ class RunInfo(NamedTuple):
     """What a recording or a simulation states about its run: `RunInfo.msg`, field by field.
 
     `stamp_ns` 0: from the arrival of the message on. Numbers that are 0, a zero `plate_normal` and an empty
-    `configuration` are not stated. Nothing has been checked; see `impacts.run_info`.
+    `configuration` are not stated. Nothing has been checked; see `impacts.impact_matcher`.
     """
 
     stamp_ns: int = 0

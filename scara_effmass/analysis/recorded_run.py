@@ -12,7 +12,7 @@ from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import check_definition
 from scara_effmass.errors import BagError, DecodeError, SettingsError
-from scara_effmass.impacts.run_info import check_run_info
+from scara_effmass.impacts.impact_matcher import check_run_info
 from scara_effmass.importers.force import import_force
 from scara_effmass.settings import ImportSettings
 from scara_effmass.values import NAN, FloatArray, ForceBlock, Impact, RunInfo

@@ -17,8 +17,7 @@ from scara_effmass.analysis.recorded_run import Measurement, measurement_topic, 
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.impacts.result import Result
-from scara_effmass.impacts.validator import Validator
+from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo, ValidatedImpact
@@ -163,6 +162,6 @@ def _set_runs(validator: Validator, settings: ValidationSettings, infos: Sequenc
     """Set the obstacle masses and configurations of a recording, in place of those of the previous one."""
     defaults, mass = settings.validator, settings.obstacle_mass
     initial_mass = defaults.obstacle_mass if mass is None else mass
-    validator.set_run(0, obstacle_mass=initial_mass, configuration=defaults.configuration)
+    validator.runs.set(0, initial_mass, defaults.configuration)
     for info in infos:
-        validator.set_run_info(info if mass is None else info._replace(obstacle_mass=mass), 0)
+        validator.runs.begin(info if mass is None else info._replace(obstacle_mass=mass), 0)

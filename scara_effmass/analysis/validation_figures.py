@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from scara_effmass.analysis.plot_style import INK, ISO_RED, new_figure
-from scara_effmass.impacts.result import ModelResult, Result
+from scara_effmass.impacts.validator import ModelResult, Result
 from scara_effmass.iso15066 import force_per_root_stiffness
 from scara_effmass.values import FloatArray, ValidatedImpact
 

@@ -32,7 +32,6 @@ UNITS = {
     "bias": "N",
     "rmse": "N",
     "limits": "N",
-    "spread": "unit of the quantity",
     "stamp_ns": "ns, ROS time",
 }
 LINEAR = 1.0

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scara_effmass.cli.options import add_params, node_arguments
-from scara_effmass.impacts.result import Result
 from scara_effmass.settings import MonitorSettings, ValidatorSettings, checked, load_settings
 
 if TYPE_CHECKING:
+    from scara_effmass.impacts.validator import Result
     from scara_effmass.nodes.validator_node import NodeSettings
 
 EXAMPLES = """\

@@ -1,9 +1,11 @@
-"""Agreement of predicted and measured peak forces over a series of impacts.
+"""Agreement of predicted and measured peak forces over a series of impacts, and the criterion to accept it.
 
 The model is F = x sqrt(k), x = v sqrt(mu) (ISO/TS 15066, Annex A: E = mu v^2 / 2 = F^2 / (2 k)). Every call recomputes
 the whole series, with exactly rounded sums (`math.fsum`).
 """
 
+import hashlib
+import json
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit  # scipy.stats takes a second to import
 
+from scara_effmass.settings import CriterionSettings
 from scara_effmass.values import FloatArray
 
 CONFIDENCE = 0.95
@@ -67,10 +70,8 @@ def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfal
     Both must be positive. `stiffness` [N/m] is used for the predictions; 0: the fitted stiffness.
     """
     n = x.size
-    slope = slope_through_origin(x, force)
-    used = stiffness or slope**2
-    predicted = math.sqrt(used) * x if stiffness else slope * x
-    difference = predicted - force
+    slope = math.fsum(x * force) / math.fsum(x * x) if n else 0.0
+    difference = (math.sqrt(stiffness) if stiffness else slope) * x - force
     mean_force = _mean(force)
     bias, rmse = _mean(difference), math.sqrt(_mean(difference**2))
     deviation = math.sqrt(math.fsum((difference - bias) ** 2) / (n - 1)) if n > 1 else 0.0
@@ -85,7 +86,7 @@ def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfal
         correlation_interval=line.correlation_interval if line else None,
         fitted_stiffness=slope**2 if n > 1 else 0.0,
         stiffness_interval=_stiffness_interval(x, force, slope),
-        stiffness=used,
+        stiffness=stiffness or slope**2,
         exponent=power.slope if power else None,
         exponent_interval=power.slope_interval if power else None,
         mean_force=mean_force,
@@ -99,14 +100,42 @@ def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfal
     )
 
 
-def slope_through_origin(x: FloatArray, force: FloatArray) -> float:
-    """Return sum(x F) / sum(x^2), the slope of the least-squares line F = slope x; 0 without impacts."""
-    return math.fsum(x * force) / math.fsum(x * x) if x.size else 0.0
-
-
 def is_conservative(predicted: float, measured: float) -> bool:
     """Return whether `predicted` is at least `measured`, within rounding."""
     return measured - predicted <= ROUNDING * measured
+
+
+def criterion_hash(criterion: CriterionSettings) -> str:
+    """Return 16 hexadecimal digits of the SHA-256 of the criterion as canonical JSON (sorted keys, no blanks)."""
+    text = json.dumps(criterion.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def unmet_criterion(criterion: CriterionSettings, agreement: Agreement, unmatched: int) -> str:
+    """Return the first unmet condition with value and limit; empty if the series is accepted."""
+    count, total = agreement.count, agreement.count + unmatched
+    too_low = (
+        f"{agreement.shortfalls} of {_impacts(count)} predicted more than {criterion.shortfall_tolerance:.0%} too low, "
+        f"at most {criterion.largest_shortfall_share:.0%} may be"
+    )
+    checks = (
+        (count < criterion.least_count, f"{_impacts(count)}, at least {criterion.least_count} are required"),
+        (
+            count < criterion.least_paired_share * total,
+            f"{_impacts(count)} of {total} paired with the robot, at least {criterion.least_paired_share:.0%} must be",
+        ),
+        (bool(agreement.correlation_reason), f"correlation undefined: {agreement.correlation_reason}"),
+        (
+            agreement.correlation < criterion.least_correlation,
+            f"correlation {agreement.correlation:.4f} is below {criterion.least_correlation:g}",
+        ),
+        (
+            agreement.relative_rmse > criterion.largest_relative_rmse,
+            f"relative RMSE {agreement.relative_rmse:.4f} is above {criterion.largest_relative_rmse:g}",
+        ),
+        (agreement.shortfalls > criterion.largest_shortfall_share * count, too_low),
+    )
+    return next((reason for fails, reason in checks if fails), "")
 
 
 class _LinearFit:
@@ -132,8 +161,10 @@ class _LinearFit:
     def correlation_interval(self) -> Interval | None:
         """Confidence interval of r (Fisher's z, standard deviation (n - 3)^-1/2)."""
         r = self.correlation
-        if self.n < 4 or abs(r) == 1.0:
-            return None if self.n < 4 else Interval(r, r)
+        if self.n < 4:
+            return None
+        if abs(r) == 1.0:
+            return Interval(r, r)
         z, half = math.atanh(r), _quantile(math.inf) / math.sqrt(self.n - 3)
         return Interval(math.tanh(z - half), math.tanh(z + half))
 
@@ -167,3 +198,7 @@ def _quantile(degrees: float) -> float:
 
 def _mean(values: FloatArray) -> float:
     return math.fsum(values) / values.size if values.size else 0.0
+
+
+def _impacts(count: int) -> str:
+    return "1 impact" if count == 1 else f"{count} impacts" if count else "no impacts"

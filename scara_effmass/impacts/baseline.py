@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scara_effmass.settings import DetectionSettings
-from scara_effmass.values import FloatArray
+from scara_effmass.values import BoolArray, FloatArray
 
 BASELINE_FRAMES = 5
 """Number of quiet frames that define a baseline."""
@@ -29,7 +30,7 @@ _ZERO_RUN_PROBABILITY = 1e-6
 
 
 class Frame:
-    """A frame of samples (n,) [N] with its extremes `low` and `high`."""
+    """A frame of `samples` (n,) [N] with its extremes `low` and `high`."""
 
     def __init__(self, samples: FloatArray) -> None:
         self.samples = samples
@@ -41,41 +42,17 @@ class Frame:
         """At most 128 evenly spaced samples."""
         return self.samples[:: -(-self.samples.size // _MAX_SUBSAMPLES)]
 
-    @property
-    def repeated(self) -> int:
-        """Number of samples equal to the previous one."""
-        return int(np.count_nonzero(self.samples[1:] == self.samples[:-1]))
-
-    @property
-    def zeros(self) -> int:
-        """Number of samples that are exactly zero."""
-        return self.samples.size - int(np.count_nonzero(self.samples))
-
-
-def median(samples: FloatArray) -> float:
-    """Return the median of `samples` (n,), which it reorders; several times faster than numpy's."""
-    middle = samples.size // 2
-    if samples.size % 2:
-        samples.partition(middle)
-        return float(samples[middle])
-    samples.partition((middle - 1, middle))
-    return 0.5 * float(samples[middle - 1] + samples[middle])
-
 
 def median_and_deviation(samples: FloatArray) -> tuple[float, float]:
-    """Return median and robust standard deviation of `samples` (n,), which it reorders.
-
-    The deviation is zero where more than half of the samples are equal.
-    """
-    centre = median(samples)
-    return centre, _GAUSSIAN * median(np.abs(samples - centre))
+    """Return median and robust standard deviation of `samples` (n,); zero where more than half are equal."""
+    centre = float(np.median(samples))
+    return centre, _GAUSSIAN * float(np.median(np.abs(samples - centre)))
 
 
 def quantisation_deviation(samples: FloatArray, centre: float) -> float:
     """Return the maximum standard deviation of noise that rounds more than half of `samples` (n,) to `centre`."""
     deviation = np.abs(samples - centre)
-    others = deviation[deviation > 0.0]
-    return _QUANTISED * float(others.min()) if others.size else 0.0
+    return _QUANTISED * float(deviation[deviation > 0.0].min()) if deviation.any() else 0.0
 
 
 def improbable_run_length(share: float, probability: float) -> int:
@@ -83,14 +60,16 @@ def improbable_run_length(share: float, probability: float) -> int:
     return math.ceil(math.log(probability) / math.log(share)) if share < 1.0 else sys.maxsize
 
 
-def has_flat_run(samples: FloatArray, length: int) -> bool:
-    """Return whether `samples` (n,) contain `length` or more equal consecutive samples."""
-    equal = samples[1:] == samples[:-1]
-    if length > 2 and not np.count_nonzero(equal[1:] & equal[:-1]):
-        return False  # fast path: usually no three samples are equal
-    index = equal.nonzero()[0]
-    steps = length - 2
-    return index.size > steps and bool((index[steps:] - index[: index.size - steps] == steps).any())
+def runs(mask: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return start and stop of each run of True in `mask` (n,)."""
+    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
+    return edges[::2], edges[1::2]
+
+
+def longest_flat_run(samples: FloatArray) -> int:
+    """Return the maximum number of equal consecutive `samples` (n,)."""
+    start, stop = runs(samples[1:] == samples[:-1])
+    return 1 + int((stop - start).max(initial=0))
 
 
 class Baseline:
@@ -122,15 +101,10 @@ class Baseline:
         """Force above the baseline that a contact exceeds."""
         return self.threshold_for(self.noise) if self._frames else math.inf
 
-    @property
-    def release(self) -> float:
-        """Force above the baseline below which a contact ends."""
-        return 0.5 * self.threshold
-
     @cached_property
     def flat_run(self) -> int:
         """Minimum length of a run of equal samples that is a dropout."""
-        share = self._share(frame.repeated for frame in self._frames)
+        share = self._share(lambda samples: samples[1:] == samples[:-1])
         return max(MIN_FLAT_RUN, improbable_run_length(share, _FLAT_RUN_PROBABILITY))
 
     @cached_property
@@ -138,7 +112,8 @@ class Baseline:
         """Minimum length of a run of exact zeros that is a dropout."""
         if abs(self.force) > self.threshold:
             return 2  # the sensor never reads zero without contact
-        return max(2, improbable_run_length(self._share(frame.zeros for frame in self._frames), _ZERO_RUN_PROBABILITY))
+        share = self._share(lambda samples: samples == 0.0)
+        return max(2, improbable_run_length(share, _ZERO_RUN_PROBABILITY))
 
     def threshold_for(self, noise: float) -> float:
         """Return the contact threshold in `noise` [N], at least that of the baseline."""
@@ -148,15 +123,16 @@ class Baseline:
         """Return whether `frame` contains neither a contact, nor a tensile pulse, nor a dropout."""
         if not self._is_within_threshold(frame):
             return False
-        return not (has_flat_run(frame.samples, MIN_FLAT_RUN) and has_flat_run(frame.samples, self.flat_run))
+        run = longest_flat_run(frame.samples)
+        return run < MIN_FLAT_RUN or run < self.flat_run
 
     def is_steady(self, frames: Iterable[Frame], share: float = 1.0) -> bool:
         """Return whether at least `share` of `frames` have about the same median.
 
         The tolerance follows from the noise within frames, so a ramp is not steady.
         """
-        centres, deviations = np.array([median_and_deviation(frame.subsamples.copy()) for frame in frames]).T
-        tolerance = max(self._settings.threshold, 3.0 * median(deviations))
+        centres, deviations = np.array([median_and_deviation(frame.subsamples) for frame in frames]).T
+        tolerance = max(self._settings.threshold, 3.0 * float(np.median(deviations)))
         return bool(np.mean(np.abs(centres - np.median(centres)) <= tolerance) >= share)
 
     def _is_within_threshold(self, frame: Frame) -> bool:
@@ -171,11 +147,13 @@ class Baseline:
     def _force_and_noise(self) -> tuple[float, float]:
         if not self._frames:
             return 0.0, 0.0
-        force, noise = median_and_deviation(np.concatenate([frame.subsamples for frame in self._frames]))
+        parts = [frame.subsamples for frame in self._frames]
+        force, noise = median_and_deviation(np.concatenate(parts))
         if noise == 0.0:  # frame by frame: a contact before the first baseline affects the minority of frames
-            noise = median(np.array([quantisation_deviation(frame.subsamples, force) for frame in self._frames]))
+            noise = float(np.median([quantisation_deviation(part, force) for part in parts]))
         return force, noise
 
-    def _share(self, counts: Iterable[int]) -> float:
-        """Return the share of the counted samples; counts one more, so that it is never zero."""
-        return (1 + sum(counts)) / (1 + sum(frame.samples.size for frame in self._frames))
+    def _share(self, mark: Callable[[FloatArray], BoolArray]) -> float:
+        """Return the share of samples that `mark` marks; counts one more, so that it is never zero."""
+        marked = sum(int(np.count_nonzero(mark(frame.samples))) for frame in self._frames)
+        return (1 + marked) / (1 + sum(frame.samples.size for frame in self._frames))

@@ -11,11 +11,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from scara_effmass.impacts.baseline import BASELINE_FRAMES, Baseline, Frame, median
+from scara_effmass.impacts.baseline import BASELINE_FRAMES, Baseline, Frame
 from scara_effmass.impacts.sample_buffer import SampleBuffer, finite_parts
-from scara_effmass.impacts.segment import DetectedContact, Segment, classify
+from scara_effmass.impacts.segment import DetectedContact, classify
 from scara_effmass.settings import DetectionSettings
-from scara_effmass.values import FloatArray, ForceBlock, Impact
+from scara_effmass.values import ForceBlock, Impact
 
 FRAME_TIME = 0.05
 """Approximate length of a frame [s]: long against an impact, short against the start of a recording."""
@@ -37,7 +37,10 @@ class Detector:
     """Detects impacts in the blocks of one channel, of any sample rate and block length.
 
     An impact is returned once a quiet frame has followed it; in a train of contacts that may take `settings.longest`.
-    `dropouts` and `glitches` (single samples) are counted from the beginning.
+    Counted from the beginning: `dropouts`; `glitches` (single samples); `sustained_contacts`, longer than
+    `settings.longest`; `tensile_pulses`, which would be impacts with the sign of the force inverted: `sensor.invert`
+    may be wrong. Pulses that follow a contact do not count: AC coupling and ringing respond to compression with
+    tension. Neither does force below the baseline for BASELINE_FRAMES frames, which is a load that was removed.
 
     Detectors that start at different samples of a stream return the same impacts to the last bit once they have
     settled: after SETTLING_FRAMES consecutive quiet frames (0.4 s at 12.8 kS/s) and `settings.rebound_time` without a
@@ -46,26 +49,11 @@ class Detector:
 
     def __init__(self, settings: DetectionSettings) -> None:
         self._settings = settings
-        self._impacts = _ImpactSequence(settings)
         self._rate = math.nan
-        self.dropouts = self.glitches = 0
+        self.dropouts = self.glitches = self.sustained_contacts = self.tensile_pulses = 0
         self.settled = False
         """Whether the baseline is known at the latest sample; impacts are detected only then."""
         self._restart()
-
-    @property
-    def sustained_contacts(self) -> int:
-        """Number of contacts longer than `settings.longest`."""
-        return self._impacts.sustained_contacts
-
-    @property
-    def tensile_pulses(self) -> int:
-        """Number of contacts that would be impacts with the sign of the force inverted: `sensor.invert` may be wrong.
-
-        Pulses that follow a contact do not count: AC coupling and ringing respond to compression with tension. Neither
-        does force below the baseline for BASELINE_FRAMES frames, which is a load that was removed.
-        """
-        return self._impacts.tensile_pulses
 
     def feed(self, block: ForceBlock) -> list[Impact]:
         """Return the impacts that end with `block`, in order.
@@ -94,7 +82,8 @@ class Detector:
     def _restart(self) -> None:
         self._baseline = Baseline(self._settings)
         self._settled = False
-        self._impacts.restart()
+        self._end = self._last = -math.inf  # of the latest impact, and of the latest contact
+        self._rebound = 0
         self._frame_size = MIN_FRAME_SAMPLES
         self._begin(0)
 
@@ -132,12 +121,12 @@ class Detector:
     def _advance(self) -> list[Impact]:
         impacts: list[Impact] = []
         while (stop := self._frame_end(self._processed)) <= self._buffer.end:  # the first frame may be incomplete
-            samples = self._buffer.samples(self._processed, stop)
+            frame = Frame(self._buffer.samples(self._processed, stop))
             self._processed = stop
             if self._settled:
-                impacts += self._process(samples)
+                impacts += self._process(frame)
             else:
-                self._search_baseline(Frame(samples))
+                self._search_baseline(frame)
         needed = self._processed - self._frame_size if self._settled else self._held_from - self._frame_size
         self._buffer.discard_before(needed if self._segment_start is None else min(needed, self._segment_start))
         return impacts
@@ -165,16 +154,15 @@ class Detector:
 
     def _lose_baseline(self, start: int) -> list[Impact]:
         """Report the segment from `start` and search another baseline from here on."""
-        impacts = self._report(self._classify(start, self._processed).contacts, start)
+        impacts = self._report(self._classify(start, self._processed), start)
         self._settled = self._first_search = False
         self._candidates.clear()
         self._held_from = self._processed
         self._segment_start = None
         return impacts
 
-    def _process(self, samples: FloatArray) -> list[Impact]:
-        """Process the next frame, `samples`."""
-        frame = Frame(samples)
+    def _process(self, frame: Frame) -> list[Impact]:
+        """Process the next frame."""
         quiet = self._baseline.is_quiet(frame)
         if quiet and self._segment_start is None:
             self._update_baseline(frame)
@@ -184,10 +172,10 @@ class Detector:
             self._segment_start = max(self._processed - 2 * self._frame_size, self._buffer.first)
             self._frames_below = 0
         if quiet:
-            impacts = self._report(self._classify(self._segment_start, self._processed).contacts, self._segment_start)
+            impacts = self._report(self._classify(self._segment_start, self._processed), self._segment_start)
             self._segment_start = None
             return impacts
-        below = median(samples.copy()) < self._baseline.force - self._baseline.threshold
+        below = np.median(frame.samples) < self._baseline.force - self._baseline.threshold
         self._frames_below = self._frames_below + 1 if below else 0
         if self._frames_below == BASELINE_FRAMES:
             return self._lose_baseline(self._segment_start)
@@ -205,9 +193,9 @@ class Detector:
 
     def _split(self, start: int) -> list[Impact]:
         """Report the finished contacts of a segment that is too long, and continue with the unfinished one."""
-        contacts = self._classify(start, self._processed).contacts
+        contacts = self._classify(start, self._processed)
         at_end = bool(contacts) and start + contacts[-1].last >= self._processed - self._frame_size
-        if not at_end or self._impacts.is_sustained(contacts[-1], start, self._buffer):
+        if not at_end or self._is_sustained(contacts[-1], start):
             return self._lose_baseline(start)
         unfinished, finished = contacts[-1], contacts[:-1]
         after_finished = finished[-1].last + 1 if finished else 0
@@ -230,72 +218,45 @@ class Detector:
             start = self._segment_start
             if start is None:
                 start = max(self._processed - self._frame_size, buffer.first)
-            impacts += self._report(self._classify(start, buffer.end).contacts, start)
+            impacts += self._report(self._classify(start, buffer.end), start)
         return impacts
 
-    def _classify(self, start: int, stop: int) -> Segment:
-        """Classify the samples in [start, stop) and count what was not counted before."""
+    def _classify(self, start: int, stop: int) -> list[DetectedContact]:
+        """Return the contacts in the samples [start, stop), and count what was not counted before."""
         buffer = self._buffer
-        samples, saturated = buffer.samples(start, stop), buffer.saturated(start, stop)
         gap = max(round(GAP_TIME * buffer.block_at(start).sample_rate), MIN_GAP_SAMPLES)
+        samples, saturated = buffer.samples(start, stop), buffer.saturated(start, stop)
         segment = classify(samples, saturated, self._baseline, gap, self._frame_size)
         self.dropouts += int(np.count_nonzero(segment.dropouts + start >= self._counted))
         self.glitches += int(np.count_nonzero(segment.glitches + start >= self._counted))
-        self._impacts.count_tensile_pulses(segment, start, self._counted, buffer)
+        for pulse in segment.tensile_pulses:
+            earlier = (start + contact.last for contact in segment.contacts if contact.first < pulse.first)
+            delay = start + pulse.first - max(earlier, default=self._last)
+            is_response = delay <= RESPONSE_TIME * buffer.block_at(start + pulse.first).sample_rate
+            is_new = start + pulse.last >= self._counted
+            is_impact = pulse.complete and not self._is_sustained(pulse, start)
+            self.tensile_pulses += is_impact and is_new and not is_response
         self._counted = stop
-        return segment
+        return segment.contacts
+
+    def _is_sustained(self, contact: DetectedContact, start: int) -> bool:
+        """Return whether `contact` of the segment that starts at sample `start` is too long for an impact."""
+        sample_rate = self._buffer.block_at(start + contact.first).sample_rate
+        return contact.last - contact.first >= round(self._settings.longest * sample_rate)
 
     def _report(self, contacts: Iterable[DetectedContact], start: int) -> list[Impact]:
-        return self._impacts.report(contacts, start, self._buffer, self._baseline)
-
-
-class _ImpactSequence:
-    """Turns contacts into impacts, numbers rebounds, and counts sustained contacts and tensile pulses."""
-
-    def __init__(self, settings: DetectionSettings) -> None:
-        self._settings = settings
-        self.sustained_contacts = self.tensile_pulses = 0
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget previous contacts: the next impact is no rebound."""
-        self._end = self._last = -math.inf
-        self._rebound = 0
-
-    def report(
-        self, contacts: Iterable[DetectedContact], start: int, buffer: SampleBuffer, baseline: Baseline
-    ) -> list[Impact]:
-        """Return the impacts among `contacts` of the segment that starts at sample `start`."""
+        """Return the impacts among `contacts` of the segment that starts at sample `start`; count the others."""
         impacts: list[Impact] = []
         for contact in contacts:
-            if self.is_sustained(contact, start, buffer):
+            if self._is_sustained(contact, start):
                 self.sustained_contacts += 1
             else:
-                impacts.append(self._impact(contact, start, buffer, baseline))
+                impacts.append(self._impact(contact, start))
             self._last = start + contact.last
         return impacts
 
-    def count_tensile_pulses(self, segment: Segment, start: int, since: int, buffer: SampleBuffer) -> None:
-        """Count the tensile pulses of `segment`, which starts at sample `start`, that end at sample `since` or later.
-
-        A pulse within RESPONSE_TIME after a contact does not count.
-        """
-        for pulse in segment.tensile_pulses:
-            if not pulse.complete or start + pulse.last < since:
-                continue
-            earlier = (start + contact.last for contact in segment.contacts if contact.first < pulse.first)
-            delay = start + pulse.first - max(earlier, default=self._last)
-            sample_rate = buffer.block_at(start + pulse.first).sample_rate
-            is_response = delay <= RESPONSE_TIME * sample_rate
-            self.tensile_pulses += not is_response and not self.is_sustained(pulse, start, buffer)
-
-    def is_sustained(self, contact: DetectedContact, start: int, buffer: SampleBuffer) -> bool:
-        """Return whether `contact` of the segment that starts at sample `start` is too long for an impact."""
-        sample_rate = buffer.block_at(start + contact.first).sample_rate
-        return contact.last - contact.first >= round(self._settings.longest * sample_rate)
-
-    def _impact(self, contact: DetectedContact, start: int, buffer: SampleBuffer, baseline: Baseline) -> Impact:
-        block = buffer.block_at(start + math.floor(contact.onset))
+    def _impact(self, contact: DetectedContact, start: int) -> Impact:
+        block = self._buffer.block_at(start + math.floor(contact.onset))
         onset = start + contact.onset
         is_rebound = onset - self._end <= self._settings.rebound_time * block.sample_rate
         self._rebound = self._rebound + 1 if is_rebound else 0
@@ -311,8 +272,8 @@ class _ImpactSequence:
             clipped=contact.clipped,
             incomplete=not contact.complete,
             rebound=self._rebound,
-            baseline=baseline.force - block.tare,
-            noise=baseline.noise,
+            baseline=self._baseline.force - block.tare,
+            noise=self._baseline.noise,
             clock_residual=block.clock_residual,
             source=block.source,
             simulated=block.simulated,

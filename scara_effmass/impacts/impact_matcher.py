@@ -5,20 +5,21 @@ depends on stamps and arrival times only, not on how the two streams interleave.
 """
 
 import math
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator
+from statistics import median
 from typing import Any, NamedTuple
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.impacts.clocks import ForceClock
-from scara_effmass.impacts.run_info import check_obstacle_mass, check_run_info
 from scara_effmass.impacts.state_history import NANOSECONDS, OnsetState, Rejection, StateHistory
+from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.settings import ValidatorSettings
-from scara_effmass.values import Impact, RefusedImpact, RunInfo
+from scara_effmass.settings.validator import MAX_OBSTACLE_MASS
+from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo
 
-CLOCKS_DIFFER = "force and contact states are seconds apart: their clocks differ"
-NO_OBSTACLE = "obstacle_mass is not given"
+MAX_STAMP_NS = 2**63 - 1
+MAX_LAGS = 1000
+"""Maximum number of lags kept, for force blocks and impacts each."""
 
 
 class Run(NamedTuple):
@@ -29,6 +30,17 @@ class Run(NamedTuple):
     configuration: str
 
 
+def check_run_info(info: RunInfo) -> None:
+    """Raise SettingsError for an invalid stamp, configuration or obstacle mass; an obstacle mass of 0 is not stated."""
+    if abs(info.stamp_ns) > MAX_STAMP_NS:
+        raise SettingsError(f"stamp = {info.stamp_ns} ns: must be ROS time")
+    if not info.configuration.isprintable():
+        raise SettingsError(f"configuration = {info.configuration!r}: must be printable")
+    if not 0.0 <= info.obstacle_mass <= MAX_OBSTACLE_MASS:
+        limits = f"0 (not stated) to {MAX_OBSTACLE_MASS:g} kg"
+        raise SettingsError(f"obstacle_mass = {info.obstacle_mass!r}: must be {limits}")
+
+
 class RunHistory:
     """Obstacle mass and robot configuration over time."""
 
@@ -36,12 +48,11 @@ class RunHistory:
         self._runs = [Run(0, obstacle_mass, configuration)]
         self._defaults = self._runs[0]
 
-    def set(self, since_ns: int, obstacle_mass: float | None, configuration: str | None) -> None:
+    def set(self, since_ns: int, obstacle_mass: float | None = None, configuration: str | None = None) -> None:
         """Begin a run with changed settings; None keeps the current value. Raises SettingsError."""
-        changes: dict[str, Any] = {} if configuration is None else {"configuration": configuration}
-        if obstacle_mass is not None:
-            check_obstacle_mass(obstacle_mass)
-            changes["obstacle_mass"] = float(obstacle_mass)
+        check_run_info(RunInfo(obstacle_mass=obstacle_mass or 0.0))
+        stated = {"obstacle_mass": obstacle_mass, "configuration": configuration}
+        changes: dict[str, Any] = {name: value for name, value in stated.items() if value is not None}
         self._defaults = self._defaults._replace(**changes)
         self._insert(self.at(since_ns)._replace(since_ns=since_ns, **changes))
 
@@ -62,14 +73,9 @@ class RunHistory:
         """Begin a run with unknown obstacle mass."""
         self._insert(self.at(since_ns)._replace(since_ns=since_ns, obstacle_mass=0.0))
 
-    def _insert(self, run: Run) -> None:
-        run = run._replace(since_ns=max(run.since_ns, 0))
-        self._runs = sorted([other for other in self._runs if other.since_ns != run.since_ns] + [run])
-
     def at(self, stamp_ns: int) -> Run:
         """Return the run at `stamp_ns`."""
-        i = bisect_right([run.since_ns for run in self._runs], stamp_ns)
-        return self._runs[max(i - 1, 0)]
+        return next((run for run in reversed(self._runs) if run.since_ns <= stamp_ns), self._runs[0])
 
     @property
     def latest(self) -> Run:
@@ -80,6 +86,65 @@ class RunHistory:
         """Keep only the latest run, valid from time 0: the clock restarts."""
         self._runs = [self._runs[-1]._replace(since_ns=0)]
 
+    def _insert(self, run: Run) -> None:
+        run = run._replace(since_ns=max(run.since_ns, 0))
+        self._runs = sorted([other for other in self._runs if other.since_ns != run.since_ns] + [run])
+
+
+class ForceClock:
+    """Detect force and contact states on different clocks.
+
+    Both carry ROS time and arrive soon after, so their lags (arrival - stamp) may differ only by a bounded delay.
+    Without arrival times, only stamps without any overlap show different clocks.
+    """
+
+    def __init__(self, settings: ValidatorSettings) -> None:
+        self._tolerance_ns = settings.clock_tolerance * NANOSECONDS
+        self._delay_ns = settings.impact_delay * NANOSECONDS
+        self.clear()
+
+    def clear(self) -> None:
+        """Drop all lags."""
+        self._block_lags: deque[float] = deque(maxlen=MAX_LAGS)
+        self._impact_lags: deque[float] = deque(maxlen=MAX_LAGS)
+        self._impact_stamps: list[int] = []  # first and last one
+
+    def add_block(self, block: ForceBlock, received_ns: int) -> None:
+        """Add the lag of a force block, which is complete at its last sample."""
+        if received_ns and block.sample_rate > 0.0:
+            self._block_lags.append(received_ns - block.stamp_ns - block.force.size / block.sample_rate * NANOSECONDS)
+
+    def add_impact(self, impact: Impact, received_ns: int) -> None:
+        """Add the lag of an impact, which arrives up to `settings.impact_delay` after its onset."""
+        stamps = [*self._impact_stamps, impact.stamp_ns]
+        self._impact_stamps = [min(stamps), max(stamps)]
+        if received_ns:
+            self._impact_lags.append(received_ns - impact.stamp_ns)
+
+    def offset_ns(self, impact: Impact, received_ns: int, state_lag_ns: int) -> int:
+        """Return the clock offset of `impact` to a state with that lag; 0: within tolerance."""
+        offset = received_ns - impact.stamp_ns - state_lag_ns
+        return 0 if -self._tolerance_ns <= offset <= self._delay_ns else offset
+
+    def problem(self, states: StateHistory) -> str:
+        """Return the clock problem in one sentence; empty if none is detected."""
+        lag = states.lag_ns
+        if lag is not None and (self._block_lags or self._impact_lags):
+            # Impacts arrive with an unknown delay, blocks do not.
+            offset = median(self._block_lags or self._impact_lags) - lag
+            max_delay_ns = self._tolerance_ns if self._block_lags else self._delay_ns
+            if not -self._tolerance_ns <= offset <= max_delay_ns:
+                return f"force and contact states are {abs(offset) / NANOSECONDS:.2f} s apart: their clocks differ"
+        if self._impact_stamps and len(states):
+            first_ns, last_ns = self._impact_stamps
+            gap = max(states.first_ns - last_ns, first_ns - states.last_ns)
+            if gap > self._tolerance_ns + self._delay_ns:
+                return (
+                    f"impacts and contact states are at least {gap / NANOSECONDS:.2f} s apart: "
+                    "their clocks differ, or they were not recorded together"
+                )
+        return ""
+
 
 class MatchedImpact(NamedTuple):
     """An impact, the robot state at its onset, and the run that it belongs to."""
@@ -87,6 +152,14 @@ class MatchedImpact(NamedTuple):
     impact: Impact
     state: OnsetState
     run: Run
+
+    def has_mass(self, model: str) -> bool:
+        """Return whether `model` has an effective mass at the onset."""
+        return 0.0 < self.state.masses[model] < math.inf
+
+    def reduced_mass(self, model: str) -> float:
+        """Return (1 / m_n + 1 / m_H)^-1 [kg]."""
+        return reduced_mass(self.state.masses[model], self.run.obstacle_mass)
 
 
 class ImpactMatcher:
@@ -153,7 +226,7 @@ class ImpactMatcher:
             if isinstance(state, Rejection):
                 self.refuse(impact, state)
             elif not run.obstacle_mass:
-                self.refuse(impact, Rejection(NO_OBSTACLE, "set it to the mass of the obstacle [kg]"))
+                self.refuse(impact, Rejection("obstacle_mass is not given", "set it to the mass of the obstacle [kg]"))
             else:
                 yield MatchedImpact(impact, state, run)
 
@@ -169,8 +242,10 @@ class ImpactMatcher:
         lag_ns = self.states.lag_at(onset_ns, deadline_ns)
         if lag_ns is None:
             return Rejection("no contact state")
-        if offset_ns := self.clock.offset_ns(impact, received_ns, lag_ns if deadline_ns else None):
-            return Rejection(CLOCKS_DIFFER, f"by {abs(offset_ns) / NANOSECONDS:.2f} s")
+        offset_ns = self.clock.offset_ns(impact, received_ns, lag_ns) if deadline_ns else 0
+        if offset_ns:
+            reason = "force and contact states are seconds apart: their clocks differ"
+            return Rejection(reason, f"by {abs(offset_ns) / NANOSECONDS:.2f} s")
         return self.states.at(onset_ns, self._uncertainty_ns(impact), deadline_ns)
 
     def _uncertainty_ns(self, impact: Impact) -> int:

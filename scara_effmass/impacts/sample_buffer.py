@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 
-from scara_effmass.impacts.segment import runs
+from scara_effmass.impacts.baseline import runs
 from scara_effmass.values import BoolArray, FloatArray, ForceBlock
 
 
@@ -27,39 +27,29 @@ class SampleBuffer:
             self._blocks.popleft()
 
     def samples(self, start: int, stop: int) -> FloatArray:
-        """Return the samples in [start, stop) [N], read-only; the newest are the fastest to get."""
-        parts: list[FloatArray] = []
-        for block in reversed(self._blocks):
-            first = block.first_sample
-            if first < stop:
-                force = block.force[max(start - first, 0) : stop - first]
-                parts.append(force + block.tare if block.tare else force)
-                if first <= start:
-                    break
-        return parts[0] if len(parts) == 1 else np.concatenate(parts[::-1] or [np.empty(0)])
+        """Return the samples in [start, stop) [N]."""
+        parts = [
+            block.force[max(start - block.first_sample, 0) : stop - block.first_sample] + block.tare
+            for block in self._blocks
+            if block.first_sample < stop
+        ]
+        return np.concatenate(parts or [np.empty(0)])
 
     def saturated(self, start: int, stop: int) -> BoolArray:
         """Return a mask of the samples in [start, stop) at the end of the measuring range."""
         mask = np.zeros(stop - start, dtype=np.bool_)
         for block in self._blocks:
-            if block.saturated_samples.size:
-                index = block.saturated_samples.astype(np.int64) + (block.first_sample - start)
-                mask[index[(index >= 0) & (index < mask.size)]] = True
+            index = block.saturated_samples.astype(np.int64) + (block.first_sample - start)
+            mask[index[(index >= 0) & (index < mask.size)]] = True
         return mask
 
     def block_at(self, index: int) -> ForceBlock:
         """Return the block that contains sample `index`, or the oldest one."""
-        for block in reversed(self._blocks):
-            if block.first_sample <= index:
-                return block
-        return self._blocks[0]
+        return next((block for block in reversed(self._blocks) if block.first_sample <= index), self._blocks[0])
 
 
 def finite_parts(block: ForceBlock) -> list[ForceBlock]:
     """Split `block` at samples that are not finite, which are left out."""
-    finite = np.isfinite(block.force)
-    if finite.all():
-        return [block] if block.force.size else []
     saturated = block.saturated_samples
     return [
         block._replace(
@@ -68,5 +58,5 @@ def finite_parts(block: ForceBlock) -> list[ForceBlock]:
             force=block.force[start:stop],
             saturated_samples=saturated[(saturated >= start) & (saturated < stop)] - np.uint32(start),
         )
-        for start, stop in zip(*runs(finite), strict=True)
+        for start, stop in zip(*runs(np.isfinite(block.force)), strict=True)
     ]

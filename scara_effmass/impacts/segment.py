@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.impacts.baseline import Baseline, median_and_deviation
+from scara_effmass.impacts.baseline import Baseline, median_and_deviation, runs
 from scara_effmass.values import BoolArray, FloatArray
 
 FLANK_LOW = 0.1
@@ -20,6 +20,8 @@ MIN_INCOMPLETE_SAMPLES = 3
 """Minimum number of samples of a contact that is not complete."""
 _GLITCH_SHARE = 0.25
 """The neighbours of a glitch are below this share of it, which excludes half-sines of 2.4 samples and more."""
+_RELEASE = 0.5
+"""A contact ends below this share of the threshold."""
 
 
 class DetectedContact(NamedTuple):
@@ -61,22 +63,16 @@ def classify(samples: FloatArray, saturated: BoolArray, baseline: Baseline, gap:
     for start, stop in zip(dropouts, dropout_ends, strict=True):
         valid[start:stop] = False
     force[~valid] = 0.0
-    threshold, release = _thresholds(force, valid, baseline, gap)
+    threshold = _threshold(force, valid, baseline, gap)
     glitches = lone_samples(force, threshold)
     force[glitches] = 0.5 * (force[glitches - 1] + force[glitches + 1])
 
-    contacts = _contacts(force, _Criteria(valid, saturated, threshold, release, gap, margin))
+    contacts = _contacts(force, valid, saturated, threshold, gap, margin)
     tensile_pulses: list[DetectedContact] = []
     if force.min() < -baseline.threshold:
-        threshold, release = _thresholds(-force, valid, baseline, gap)
-        tensile_pulses = _contacts(-force, _Criteria(valid, saturated, threshold, release, gap, margin))
+        threshold = _threshold(-force, valid, baseline, gap)
+        tensile_pulses = _contacts(-force, valid, saturated, threshold, gap, margin)
     return Segment(contacts, tensile_pulses, dropouts, glitches)
-
-
-def runs(mask: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return start and stop of each run of True in `mask` (n,)."""
-    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
-    return edges[::2], edges[1::2]
 
 
 def flat_runs(
@@ -105,24 +101,18 @@ def lone_samples(force: FloatArray, threshold: float) -> NDArray[np.intp]:
     return np.flatnonzero(spike | hole) + 1
 
 
-def separate(force: FloatArray, valid: BoolArray, threshold: float, release: float, gap: int) -> list[tuple[int, int]]:
+def separate(force: FloatArray, valid: BoolArray, threshold: float, gap: int) -> list[tuple[int, int]]:
     """Return first and last sample of each contact in `force` (n,) [N] above baseline.
 
-    A contact stays above `release` and exceeds `threshold` once. It ends after `gap` samples below `release`; samples
-    that are not `valid` (n,) do not count.
+    A contact exceeds `threshold` once and stays above half of it. It ends after `gap` samples below that; samples that
+    are not `valid` (n,) do not count.
     """
-    above = np.flatnonzero((force > release) & valid)
+    above = np.flatnonzero((force > _RELEASE * threshold) & valid)
     if not above.size:
         return []
-    if valid.all():
-        between = np.diff(above) - 1
-    else:
-        valid_count = np.cumsum(valid)
-        between = np.diff(valid_count[above]) - 1
-    parts = np.flatnonzero(between >= gap)
-    first = above[np.concatenate(([0], parts + 1))]
-    last = above[np.concatenate((parts, [above.size - 1]))]
-    return [(int(i), int(k)) for i, k in zip(first, last, strict=True) if force[i : k + 1].max() > threshold]
+    between = np.diff(np.cumsum(valid)[above]) - 1
+    parts = np.split(above, np.flatnonzero(between >= gap) + 1)
+    return [(int(part[0]), int(part[-1])) for part in parts if force[part].max() > threshold]
 
 
 def interpolated_peak(force: FloatArray, index: int) -> float:
@@ -185,21 +175,11 @@ def measure(force: FloatArray, first: int, last: int, earliest: int, latest: int
     )
 
 
-class _Criteria(NamedTuple):
-    """Masks (n,), levels [N] and numbers of samples by which contacts are found."""
-
-    valid: BoolArray
-    saturated: BoolArray
-    threshold: float
-    release: float
-    gap: int
-    margin: int
-
-
-def _contacts(force: FloatArray, criteria: _Criteria) -> list[DetectedContact]:
+def _contacts(
+    force: FloatArray, valid: BoolArray, saturated: BoolArray, threshold: float, gap: int, margin: int
+) -> list[DetectedContact]:
     """Return the contacts in `force` (n,) [N] above baseline."""
-    valid, saturated, threshold, release, gap, margin = criteria
-    spans = separate(force, valid, threshold, release, gap)
+    spans = separate(force, valid, threshold, gap)
     contacts: list[DetectedContact] = []
     for number, (first, last) in enumerate(spans):
         earliest = spans[number - 1][1] + 1 if number else 0
@@ -221,18 +201,17 @@ def _contacts(force: FloatArray, criteria: _Criteria) -> list[DetectedContact]:
     return contacts
 
 
-def _thresholds(force: FloatArray, valid: BoolArray, baseline: Baseline, gap: int) -> tuple[float, float]:
-    """Return the levels above which a contact starts and below which it ends [N].
+def _threshold(force: FloatArray, valid: BoolArray, baseline: Baseline, gap: int) -> float:
+    """Return the contact threshold [N].
 
-    They are those of the baseline, raised where the force outside the contacts is noisier than the baseline, as it is
-    while the structure rings.
+    It is that of the baseline, raised where the force outside the contacts is noisier than the baseline, as it is while
+    the structure rings.
     """
     outside = valid.copy()
-    for first, last in separate(force, valid, baseline.threshold, baseline.release, gap):
+    for first, last in separate(force, valid, baseline.threshold, gap):
         outside[first : last + 1] = False
     rest = force[outside]
-    factor = baseline.threshold_for(median_and_deviation(rest)[1]) / baseline.threshold if rest.size else 1.0
-    return factor * baseline.threshold, factor * baseline.release
+    return baseline.threshold_for(median_and_deviation(rest)[1]) if rest.size else baseline.threshold
 
 
 def _crossing(force: FloatArray, index: int, value: float) -> float:

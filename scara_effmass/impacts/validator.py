@@ -2,18 +2,16 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from scara_effmass.impacts.agreement import Agreement
-from scara_effmass.impacts.criterion import criterion_hash, unmet_criterion
+from scara_effmass.impacts.agreement import Agreement, criterion_hash, unmet_criterion
 from scara_effmass.impacts.impact_matcher import ImpactMatcher, MatchedImpact
-from scara_effmass.impacts.prediction import compare_models, has_mass, model_agreement, predict
-from scara_effmass.impacts.result import ModelResult, Result
+from scara_effmass.impacts.prediction import Comparison, compare_models, model_agreement, predict
 from scara_effmass.impacts.state_history import MODELS, Rejection
 from scara_effmass.settings import ValidatorSettings
-from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RunInfo, ValidatedImpact
+from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RefusedImpact, ValidatedImpact
 
 Key = TypeVar("Key", str, float)
 
@@ -24,11 +22,54 @@ WRONG_SIGN_FORCE = 10.0
 WRONG_SIGN_RATIO = 3.0
 
 
+class ModelResult(NamedTuple):
+    """Agreement of one effective-mass model with the series, overall and by group.
+
+    Group predictions use the stiffness of the whole series. `reason` states why the model is not accepted.
+    """
+
+    model: str
+    overall: Agreement
+    by_configuration: Mapping[str, Agreement]
+    by_obstacle_mass: Mapping[float, Agreement]
+    accepted: bool
+    reason: str
+
+
+class Result(NamedTuple):
+    """Whole series; `seen` = number of `impacts` + sums of `excluded` and `unpaired` + `waiting`.
+
+    `model` is the selected effective-mass model; `accepted` and `reason` refer to it. `models` are lumped, full, iso,
+    and largest if selected. Predictions in `impacts` use the stiffness of the whole series. `excluded` and `unpaired`
+    count by reason, `refused` lists each impact. `clock` and `force_sign` describe a problem with the clocks or the
+    sign of the force; empty: none detected.
+    """
+
+    model: str
+    contact_point: str
+    models: tuple[ModelResult, ...]
+    comparison: Comparison
+    impacts: tuple[ValidatedImpact, ...]
+    refused: tuple[RefusedImpact, ...]
+    seen: int
+    waiting: int
+    simulated: int
+    excluded: Mapping[str, int]
+    unpaired: Mapping[str, int]
+    other_contact_points: tuple[str, ...]
+    late_states: int
+    clock: str
+    force_sign: str
+    accepted: bool
+    reason: str
+    criterion_hash: str
+
+
 class Validator:
     """Validate the effective-mass models against measured impacts; the same live and offline.
 
     Contact states and impacts must each arrive in order. Their interleaving does not change the result if an impact
-    arrives within `settings.history` of the states around its onset.
+    arrives within `settings.history` of the states around its onset. `runs` holds the conditions of the impacts.
     """
 
     def __init__(self, settings: ValidatorSettings) -> None:
@@ -38,34 +79,12 @@ class Validator:
         self._models = (*MODELS, self._model) if self._model not in MODELS else MODELS
         self._stiffness = settings.stiffness * N_M
         self._matcher = ImpactMatcher(settings)
+        self.runs = self._matcher.runs
         self._contact_point = settings.contact_point
         self._other_contact_points: set[str] = set()
         self._matches: list[MatchedImpact] = []
         self._min_force = self._max_force = 0.0
         self._past_clock_problem = self._past_sign_problem = ""
-
-    @property
-    def obstacle_mass(self) -> float:
-        """Obstacle mass of the latest run [kg]; 0: unknown."""
-        return self._matcher.runs.latest.obstacle_mass
-
-    def set_run(self, since_ns: int, *, obstacle_mass: float | None = None, configuration: str | None = None) -> None:
-        """Set obstacle mass [kg] or configuration of impacts from `since_ns` on; None keeps the current value.
-
-        They also apply to later run information that does not state them. Raises SettingsError.
-        """
-        self._matcher.runs.set(since_ns, obstacle_mass, configuration)
-
-    def set_run_info(self, info: RunInfo, received_ns: int) -> None:
-        """Begin the run that `info` describes, at its stamp or else at `received_ns`.
-
-        Raises SettingsError for an invalid value; the obstacle mass is unknown from then on.
-        """
-        self._matcher.runs.begin(info, received_ns)
-
-    def forget_obstacle(self, received_ns: int) -> None:
-        """Set the obstacle mass to unknown from `received_ns` on: unreadable run information arrived."""
-        self._matcher.runs.forget_obstacle(received_ns)
 
     def add_state(self, contact: ContactAssessment, received_ns: int) -> list[ValidatedImpact]:
         """Add a contact state that arrived at `received_ns` (0: unknown); return newly validated impacts."""
@@ -156,7 +175,7 @@ class Validator:
     def _validate(self, *, flush: bool = False) -> list[ValidatedImpact]:
         validated = []
         for match in self._matcher.matches(flush=flush):
-            if not has_mass(self._model, match):
+            if not match.has_mass(self._model):
                 detail = "choose an effective_mass_model that the robot description allows"
                 self._matcher.refuse(match.impact, Rejection(f"no {self._model} mass", detail))
                 continue
@@ -183,7 +202,7 @@ class Validator:
         predictions = {
             model: predict(model, match, agreement.stiffness)
             for model, agreement in agreements.items()
-            if has_mass(model, match)
+            if match.has_mass(model)
         }
         selected, agreement = predictions[self._model], agreements[self._model]
         return ValidatedImpact(
@@ -210,7 +229,6 @@ class Validator:
             direction=state.direction,
             obstacle_mass=run.obstacle_mass,
             configuration=run.configuration,
-            speed_spread=state.speed_spread,
             from_trend=state.from_trend,
             simulated=impact.simulated,
         )

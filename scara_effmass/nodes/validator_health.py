@@ -28,7 +28,7 @@ def series_status(
     values: dict[str, object] = {
         "model": result.model,
         "contact point": result.contact_point,
-        "obstacle mass [kg]": f"{validator.obstacle_mass:.6g}",
+        "obstacle mass [kg]": f"{validator.runs.latest.obstacle_mass:.6g}",
         "impacts seen": result.seen,
         "impacts in the series": len(result.impacts),
         "impacts waiting": result.waiting,

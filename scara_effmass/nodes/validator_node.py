@@ -14,8 +14,7 @@ from std_msgs.msg import String
 from scara_effmass import values
 from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.impacts.result import Result
-from scara_effmass.impacts.validator import Validator
+from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
@@ -131,14 +130,14 @@ class ValidatorNode(LifecycleBase):
 
     def _begin_run(self, info: values.RunInfo) -> None:
         try:
-            self._validator.set_run_info(info, self.now_ns())
+            self._validator.runs.begin(info, self.now_ns())
         except SettingsError as error:
             self._refuse_run(error)
 
     def _refuse_run(self, error: EffmassError) -> None:
         """Set the obstacle mass to unknown, so that no prediction uses the mass of another run."""
         self.get_logger().error(f"{topics.RUN_INFO}: {error}; the obstacle mass is not known until the next RunInfo")
-        self._validator.forget_obstacle(self.now_ns())
+        self._validator.runs.forget_obstacle(self.now_ns())
 
     def _publish(self, impacts: Iterable[ValidatedImpact]) -> None:
         for impact in impacts:
@@ -166,7 +165,7 @@ class ValidatorNode(LifecycleBase):
         # Unchanged parameters must not override later run information.
         changes = {name: getattr(settings, name) for name in ("obstacle_mass", "configuration") if name in names}
         if changes:
-            self._validator.set_run(self.now_ns(), **changes)
+            self._validator.runs.set(self.now_ns(), **changes)
 
 
 def main(args: Sequence[str] | None = None, write_report: WriteReport | None = None) -> int:

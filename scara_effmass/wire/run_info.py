@@ -65,7 +65,7 @@ def decode_run_info(data: bytes) -> RunInfo:
 def run_info_from_json(text: str) -> RunInfo | None:
     """Return the run information in the JSON `text` of an older recording, None if it is not a JSON object.
 
-    A value of the wrong type becomes a value that `impacts.run_info.checked` refuses.
+    A value of the wrong type becomes a value that `impacts.impact_matcher.check_run_info` refuses.
     """
     try:
         fields = json.loads(text)

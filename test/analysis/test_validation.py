@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from typing import Protocol
 
     from scara_effmass.analysis.validation import Validation
-    from scara_effmass.impacts.result import Result
+    from scara_effmass.impacts.validator import Result
     from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.values import ForceBlock, RunInfo
 
@@ -54,7 +54,7 @@ def result_of_cores(paths: list[Path], dynamics: RobotDynamics) -> Result:
     validator = Validator(SETTINGS.validator)
     for path in paths:
         validator.begin_recording()
-        validator.set_run_info(stated(path), 0)
+        validator.runs.begin(stated(path), 0)
         monitor, detector = Monitor(dynamics, SETTINGS.monitor), Detector(SETTINGS.detection)
         with open_bag(path) as bag:
             for block in bag.joint_state_blocks():

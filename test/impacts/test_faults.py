@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.baseline import has_flat_run
-from scara_effmass.impacts.segment import flat_runs, lone_samples, runs
+from scara_effmass.impacts.baseline import longest_flat_run, runs
+from scara_effmass.impacts.segment import flat_runs, lone_samples
 
 
 @given(st.lists(st.booleans(), max_size=40))
@@ -22,7 +22,7 @@ def test_stuck_runs_are_those_of_groupby(values: list[int], flat_run: int, zero_
     expected = [group for value, group in groups if len(group) >= (zero_run if value == 0 else flat_run)]
     first, stop = flat_runs(samples, flat_run, zero_run, np.zeros(samples.size, dtype=np.bool_))
     assert [list(range(i, k)) for i, k in zip(first, stop, strict=True)] == expected
-    assert has_flat_run(samples, flat_run) == any(len(group) >= flat_run for _, group in groups)
+    assert longest_flat_run(samples) == max(len(group) for _, group in groups)
 
 
 def test_saturated_samples_are_not_stuck() -> None:

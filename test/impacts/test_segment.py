@@ -34,7 +34,7 @@ def test_a_triangle_is_exact(onset: float, up: float, down: float, peak: float) 
     up, onset = np.ceil(up) * 10, np.ceil(onset)
     down = np.ceil(down) * 10
     force = np.interp(np.arange(700), [onset, onset + up, onset + up + down], [0.0, peak, 0.0])
-    ((first, last),) = separate(force, np.ones(700, dtype=np.bool_), 0.5 * peak, 0.25 * peak, 2)
+    ((first, last),) = separate(force, np.ones(700, dtype=np.bool_), 0.5 * peak, 2)
     contact = measure(force, first, last, 0, 699, intact=False)
     assert contact.complete
     assert contact.peak == pytest.approx(peak)
@@ -81,10 +81,10 @@ def test_saturated_sample_beside_a_missing_one_stays(make_block: MakeBlock, inde
 
 
 def test_contacts_are_apart_after_a_gap() -> None:
-    force = np.array([0, 9, 9, 0, 9, 0, 0, 9, 0, 2, 2, 0, 0, 0, 9], dtype=float)
+    force = np.array([0, 9, 9, 0, 9, 0, 0, 9, 0, 3, 3, 0, 0, 0, 9], dtype=float)
     valid = np.ones(force.size, dtype=np.bool_)
-    assert separate(force, valid, 5.0, 1.0, 2) == [(1, 4), (7, 10), (14, 14)]
+    assert separate(force, valid, 5.0, 2) == [(1, 4), (7, 10), (14, 14)]
     valid[5:7] = False  # nothing is known of the gap
-    assert separate(force, valid, 5.0, 1.0, 2) == [(1, 10), (14, 14)]
-    assert separate(np.zeros(4), np.ones(4, dtype=np.bool_), 5.0, 1.0, 2) == []
-    assert separate(np.full(4, 2.0), np.ones(4, dtype=np.bool_), 5.0, 1.0, 2) == []
+    assert separate(force, valid, 5.0, 2) == [(1, 10), (14, 14)]
+    assert separate(np.zeros(4), np.ones(4, dtype=np.bool_), 5.0, 2) == []
+    assert separate(np.full(4, 2.0), np.ones(4, dtype=np.bool_), 5.0, 2) == []

@@ -119,7 +119,7 @@ def test_what_it_publishes_is_what_the_core_gives_offline(bench: Bench) -> None:
     validator = Validator(ValidatorSettings.model_validate({"criterion": {"least_count": 2}}))
     expected = []
     for number, (mass, peak) in enumerate(zip(masses, PEAKS, strict=True)):
-        validator.set_run(START_NS + number * S, obstacle_mass=mass)
+        validator.runs.set(START_NS + number * S, obstacle_mass=mass)
         for millisecond in range(number * 1000 + 400, number * 1000 + 600):
             expected += validator.add_state(contact(millisecond), 0)
         expected += validator.add_impact(impact(number, peak), 0)

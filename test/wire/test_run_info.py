@@ -13,7 +13,7 @@ from scara_effmass_msgs.msg import RunInfo as RosRunInfo
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.errors import DecodeError, SettingsError
-from scara_effmass.impacts.run_info import check_run_info
+from scara_effmass.impacts.impact_matcher import check_run_info
 from scara_effmass.values import RunInfo
 from scara_effmass.wire.message_types import RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_from_json, run_info_message
