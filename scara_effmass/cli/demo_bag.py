@@ -115,8 +115,8 @@ class LiveRun:
 
         tightest = self.summary.tightest
         with open_bag(bag.path) as opened:
-            stop_ns = opened.start_ns + round(duration_s * 1e9) if duration_s < math.inf else None
-            for block in opened.joint_state_blocks(bag.topic, None, stop_ns):
+            stop_ns = opened.start_ns + round(duration_s * 1e9) if duration_s < math.inf else opened.end_ns + 1
+            for block in opened.joint_state_blocks(bag.topic, stop_ns=stop_ns):
                 if block.names and self._joints.isdisjoint(block.names):
                     self.foreign += len(block)
                 elif tightest and (block.stamp_ns == tightest.contact.stamp_ns).any():
