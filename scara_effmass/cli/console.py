@@ -1,16 +1,31 @@
-"""Print the results of commands: lines of subject and text, tables, JSON, and progress."""
+"""Print results and the status of a live run: lines of subject and text, tables, JSON, and progress."""
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from itertools import chain
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
+from rich.console import Console, Group
+from rich.live import Live
 from rich.progress import Progress, ProgressColumn
 from rich.table import Table
+from rich.text import Text
+
+from scara_effmass.values import ContactAssessment, Verdict
 
 PIPE_WIDTH = 160
 """Width of the output without a terminal [columns]."""
+PIPE_PERIOD_S, TERMINAL_PERIOD_S = 2.0, 0.125
+"""Period of the status of a live run."""
+_STYLES = {
+    Verdict.OK: "bold green",
+    Verdict.WARN: "bold yellow",
+    Verdict.VIOLATION: "bold white on red",
+    Verdict.UNKNOWN: "bold black on white",
+}
 
 
 def printer() -> Console:
@@ -30,25 +45,62 @@ def print_json(result: object) -> None:
     printer().print_json(json.dumps(result, allow_nan=False, default=str))
 
 
-def progress_bar(*columns: ProgressColumn) -> Progress:
-    """Return a progress bar on stderr, to be used in a `with`; it is invisible unless stderr is a terminal."""
-    return Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
+def print_result(result: object, lines: Iterable[tuple[str, object]], *, as_json: bool) -> None:
+    """Print `result` as JSON, or else `lines` of subject and text."""
+    if as_json:
+        print_json(result)
+    else:
+        print_lines(lines)
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Print a table; numbers are aligned right and a missing number reads "none"."""
     table = Table(box=SIMPLE_HEAD, title=title or None, title_justify="left")
-    cells = [[_cell(value) for value in row] for row in rows]
-    numeric = [all(right for _, right in column) for column in zip(*cells, strict=True)]
-    for heading, right in zip(headings, numeric, strict=True):
-        table.add_column(heading, justify="right" if right else "left", overflow="fold")
-    for row in cells:
-        table.add_row(*(text for text, _ in row))
+    rows = list(rows)
+    for heading, column in zip(headings, zip(*rows, strict=True), strict=True):
+        is_numeric = all(value is None or isinstance(value, int | float) for value in column)
+        table.add_column(heading, justify="right" if is_numeric else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*("none" if v is None else f"{v:.4g}" if isinstance(v, int | float) else str(v) for v in row))
     printer().print(table)
 
 
-def _cell(value: object) -> tuple[str, bool]:
-    """Return the text of a cell and whether it is a number."""
-    if value is None or isinstance(value, int | float):
-        return "none" if value is None else f"{value:.4g}", True
-    return str(value), False
+def progress_bar(*columns: ProgressColumn) -> Progress:
+    """Return a progress bar on stderr, to be used in a `with`; it is invisible unless stderr is a terminal."""
+    return Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
+
+
+ShowStatus = Callable[[tuple[ContactAssessment, ...], float, float], None]
+
+
+@contextmanager
+def live_status(console: Console, *, visible: bool) -> Iterator[ShowStatus]:
+    """Give a function that shows assessments, the time of the run [s] and the speed scaling.
+
+    A terminal gets updating lines, a pipe a line every 2 s; an invisible status prints nothing.
+    """
+    live = Live(console=console, auto_refresh=False, transient=True) if visible and console.is_terminal else None
+    last_update_s = 0.0
+
+    def show(contacts: tuple[ContactAssessment, ...], time_s: float, speed_scaling: float) -> None:
+        nonlocal last_update_s
+        now_s = time.monotonic()
+        if not visible or now_s - last_update_s < (TERMINAL_PERIOD_S if live else PIPE_PERIOD_S):
+            return
+        last_update_s = now_s
+        lines = [_status_line(contact, time_s, speed_scaling) for contact in contacts]
+        if live is None:
+            console.print(*lines, sep="\n")
+        else:
+            reasons = [Text(f"  {contact.reason}", no_wrap=True, overflow="ellipsis") for contact in contacts]
+            live.update(Group(*chain.from_iterable(zip(lines, reasons, strict=True))), refresh=True)
+
+    with live or nullcontext():
+        yield show
+
+
+def _status_line(contact: ContactAssessment, time_s: float, speed_scaling: float) -> Text:
+    text = Text(f"{time_s:6.1f} s  {contact.contact_point}: ", no_wrap=True)
+    text.append(f"{contact.speed:5.3f} of {contact.allowable_speed:5.3f} m/s, {contact.effective_mass:6.3g} kg  ")
+    text.append(f"{contact.verdict.name:<9}", _STYLES[contact.verdict])
+    return text.append(f"  scaling {speed_scaling:.2f}")

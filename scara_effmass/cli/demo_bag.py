@@ -1,17 +1,21 @@
 """`scara-effmass demo --bag`: replay a recording to the live monitor and report its verdicts."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from scara_effmass.cli.console import print_json, print_lines, printer
-from scara_effmass.cli.live import StatusLine
+from scara_effmass.analysis.assessment import generated_description, joint_state_topic
+from scara_effmass.analysis.recorded_run import read_force
+from scara_effmass.analysis.run_report import PAGE, RunReport
+from scara_effmass.analysis.summary import Summary
+from scara_effmass.analysis.time_series import TimeSeriesBuilder
+from scara_effmass.bags.files import open_bag
+from scara_effmass.cli.console import live_status, print_lines, print_result, printer
 from scara_effmass.cli.processes import (
     RECORDING,
     SIM_TIME,
@@ -21,14 +25,14 @@ from scara_effmass.cli.processes import (
     monitor_command,
     record_command,
     removed_on_failure,
-    require_running,
+    spin_until,
 )
 from scara_effmass.errors import EffmassError
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.nodes.monitor_client import MonitorClient
+from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import ContactAssessment
-
-if TYPE_CHECKING:
-    from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.settings import MonitorSettings
+from scara_effmass.wire.message_types import FORCE_BLOCK
 
 ANSWER_TIMEOUT_S = 10.0
 """Maximum wait for the last messages of the monitor after the end of the replay."""
@@ -45,162 +49,152 @@ class ReplayedBag(NamedTuple):
     description: str
 
 
+@dataclass
 class LiveRun:
-    """One replay through the live monitor, and the messages of the monitor."""
+    """Verdicts of one replay through the live monitor, and the reports of replay and recorder.
 
-    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
-        """Prepare for the contact points of `dynamics`."""
-        from scara_effmass.analysis.summary import Summary  # noqa: PLC0415 - not needed for --help
-        from scara_effmass.analysis.time_series import TimeSeriesBuilder  # noqa: PLC0415
+    `foreign` counts joint states of other devices, `lost` those of this robot without an answer.
+    """
 
-        self._joints = frozenset(dynamics.robot.joint_names)
-        self._settings = settings
-        self.summary = Summary(round(settings.timeout * 1e9))
-        self.series = {name: TimeSeriesBuilder() for name in dynamics.contact_points}
-        self.sent = self.answered = self.foreign = self.watchdog_messages = 0
-        self.replay_report: dict[str, Any] = {}
-        self.record_report: dict[str, Any] = {}
+    summary: Summary
+    series: dict[str, TimeSeriesBuilder]
+    foreign: int = 0
+    answered: int = 0
+    watchdog_messages: int = 0
+    replayed: dict[str, Any] = field(default_factory=dict)
+    recorded: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def sent(self) -> int:
+        """Number of joint states sent."""
+        return sum(self.replayed["sent"].values())
 
     @property
     def lost(self) -> int:
         """Number of this robot's joint states that the monitor did not answer."""
         return self.sent - self.foreign - self.answered
 
-    def run(self, args: argparse.Namespace, bag: ReplayedBag) -> None:
-        """Start the nodes, replay, and receive until the end. Raises EffmassError when a process fails."""
-        isolate_ros_domain()
-        from scara_effmass.nodes.monitor_client import MonitorClient  # noqa: PLC0415 - reads the domain at import
-
-        with ExitStack() as stack:
-            monitor = stack.enter_context(ChildProcess(monitor_command(args, self._settings)))
-            force = stack.enter_context(ChildProcess(_force_command(bag))) if bag.force_topic else None
-            recorder = stack.enter_context(ChildProcess(record_command(args)))
-            nodes = [node for node in (monitor, force, recorder) if node]
-            status = StatusLine(printer(), visible=not args.json)
-            first_ns: list[int] = []
-
-            def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
-                if not first_ns:
-                    first_ns.append(at_ns)
-                self.summary.add(contacts, at_ns)
-                for contact in contacts:
-                    self.series[contact.contact_point].add(contact, at_ns)
-                status.show(contacts, (at_ns - first_ns[0]) / 1e9, client.speed_scaling)
-
-            def node_ended() -> bool:
-                return any(node.ended for node in nodes)
-
-            with MonitorClient(tuple(self.series), on_cycle) as client:
-                if not client.spin(START_TIMEOUT_S, lambda: client.connected or node_ended()):
-                    raise EffmassError(f"monitor: not running after {START_TIMEOUT_S:g} s")
-                require_running(nodes)
-                with ChildProcess(_replay_command(args, bag)) as replay, status:
-                    if force:
-                        nodes.remove(force)
-                    client.spin(math.inf, lambda: replay.ended or node_ended())
-                    require_running(nodes)
-                    self.replay_report = json.loads(replay.output())
-                    self.sent = sum(self.replay_report["sent"].values())
-                    self._read_back(bag, args.duration)
-                    client.spin(ANSWER_TIMEOUT_S, lambda: client.cycles >= self.sent - self.foreign)
-                    self.answered, self.watchdog_messages = client.cycles, client.watchdog_decisions
-                    if force:
-                        client.spin(FORCE_END_TIMEOUT_S, lambda: force.ended)
-                        force.finish()
-                    self.record_report = json.loads(recorder.finish())
-
-    def _read_back(self, bag: ReplayedBag, duration_s: float) -> None:
-        """Read from the bag the count of joint states of other devices and the pose of the tightest margin."""
-        from scara_effmass.bags.files import open_bag  # noqa: PLC0415
-
+    def read_back(self, bag: ReplayedBag, duration_s: float, joints: tuple[str, ...]) -> None:
+        """Read from `bag` the count of joint states of other devices and the pose of the tightest margin."""
         tightest = self.summary.tightest
         with open_bag(bag.path) as opened:
             stop_ns = opened.start_ns + round(duration_s * 1e9) if duration_s < math.inf else opened.end_ns + 1
             for block in opened.joint_state_blocks(bag.topic, stop_ns=stop_ns):
-                if block.names and self._joints.isdisjoint(block.names):
+                if block.names and set(block.names).isdisjoint(joints):
                     self.foreign += len(block)
                 elif tightest and (block.stamp_ns == tightest.contact.stamp_ns).any():
                     row = int((block.stamp_ns == tightest.contact.stamp_ns).argmax())
                     positions = dict(zip(block.names, block.position[row].tolist(), strict=True))
                     self.summary.tightest = tightest._replace(positions=positions)
 
+    def lines(self) -> Iterator[tuple[str, str]]:
+        """Yield subject and text of each line about recorder and replay."""
+        yield "recorded", f"{self.recorded['messages']} messages, {self.recorded['lost']} lost: {self.recorded['bag']}"
+        for name, topic in self.recorded["topics"].items():
+            yield "", f"{name}: {topic['recorded']}"
+        if self.replayed["late"]:
+            worst = f"at worst {self.replayed['worst_lateness_s']:.3f} s: this machine was too busy"
+            yield "late", f"{self.replayed['late']} messages were sent late, {worst}"
+        for warning in self.replayed["warnings"]:
+            yield "recording", warning
+
 
 def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings, note: str) -> int:
     """Replay the recording live and write the report; `note` states why another mass model is used."""
-    from scara_effmass.analysis.recorded_run import read_force  # noqa: PLC0415 - not needed for --help
-    from scara_effmass.analysis.run_report import PAGE, RunReport  # noqa: PLC0415
-    from scara_effmass.bags.files import open_bag  # noqa: PLC0415
-
-    bag = _inspect(args)
-    live = LiveRun(dynamics, settings)
+    robot = dynamics.robot
+    with open_bag(args.bag) as opened:
+        bag = ReplayedBag(
+            path=opened.path,
+            topic=joint_state_topic(opened, args.topic),
+            force_topic=next((topic.name for topic in opened.topics if topic.type == FORCE_BLOCK), ""),
+            duration_s=min(opened.duration_ns / 1e9, args.duration),
+            description=generated_description(opened),
+        )
     report = RunReport(args.out, len(dynamics.contact_points), settings, overwrite=args.force)
+    introduction = _introduction(bag, dynamics, note or settings.effective_mass_model.value, args.rate)
+    if not args.json:
+        print_lines(introduction)
     with removed_on_failure(args.out / RECORDING):
-        introduction = _introduction(bag, dynamics, note or settings.effective_mass_model.value, args.rate)
-        if not args.json:
-            print_lines(introduction)
-        live.run(args, bag)
+        live = _run_live(args, bag, dynamics, settings)
         if not live.answered:
-            hint = f"does {dynamics.robot.name} fit the recording?"
+            hint = f"does {robot.name} fit the recording?"
             raise EffmassError(f"{bag.path}: the monitor answered none of {live.sent} joint states; {hint}")
         with open_bag(args.out / RECORDING) as recording:
             forces = read_force(recording)
-        title = f"{dynamics.robot.name}: {bag.path.name} through the live monitor"
+        title = f"{robot.name}: {bag.path.name} through the live monitor"
         for point, builder in live.series.items():
             report.add(builder.build(), point, title, generated=bool(bag.description), forces=forces)
-        lines = [*_lines(live), *live.summary.lines(), *(forces.lines() if forces else ()), *_process_lines(live)]
-        result = report.write(
-            title,
-            [*introduction, *lines],
-            {
-                "bag": str(bag.path),
-                "topic": bag.topic,
-                "generated": bool(bag.description),
-                "robot": dynamics.robot.origin,
-                "effective_mass_model": settings.effective_mass_model.value,
-                "sent": live.sent,
-                "foreign": live.foreign,
-                "received": live.answered,
-                "lost": live.lost,
-                "watchdog_messages": live.watchdog_messages,
-                **live.summary.as_dict(),
-                **{key: live.replay_report[key] for key in ("late", "worst_lateness_s", "warnings")},
-                "force": forces and forces.as_dict(),
-                "recording": live.record_report,
-            },
-        )
-    if args.json:
-        print_json(result)
-    else:
-        print_lines([*lines, ("open", args.out / PAGE)])
+        ignored = f", {live.foreign} of other devices" if live.foreign else ""
+        counts = f"{live.sent} joint states sent{ignored}, {live.answered} answered, {live.lost} lost"
+        force_lines = forces.lines() if forces else ()
+        lines = [("joint states", counts), *live.summary.lines(), *force_lines, *live.lines()]
+        result = {
+            "bag": str(bag.path),
+            "topic": bag.topic,
+            "generated": bool(bag.description),
+            "robot": robot.origin,
+            "effective_mass_model": settings.effective_mass_model.value,
+            "sent": live.sent,
+            "foreign": live.foreign,
+            "received": live.answered,
+            "lost": live.lost,
+            "watchdog_messages": live.watchdog_messages,
+            **live.summary.as_dict(),
+            **{key: live.replayed[key] for key in ("late", "worst_lateness_s", "warnings")},
+            "force": forces and forces.as_dict(),
+            "recording": live.recorded,
+        }
+        result = report.write(title, [*introduction, *lines], result)
+    print_result(result, [*lines, ("open", args.out / PAGE)], as_json=args.json)
     return 0
 
 
-def _force_command(bag: ReplayedBag) -> list[str]:
-    """Return the command that plays the force on the clock of the replay and ends with it."""
-    command = ["daq", "--source", "bag", "--path", str(bag.path), "--topic", bag.force_topic]
-    return [*command, *SIM_TIME, "-p", "stop_at_end:=true"]
+def _run_live(
+    args: argparse.Namespace, bag: ReplayedBag, dynamics: RobotDynamics, settings: MonitorSettings
+) -> LiveRun:
+    """Start the nodes, replay, and receive until the end. Raises EffmassError when a process fails."""
+    live = LiveRun(
+        Summary(round(settings.timeout * 1e9)), {name: TimeSeriesBuilder() for name in dynamics.contact_points}
+    )
+    # Plays the force on the clock of the replay and ends with it.
+    force_command = ["daq", "--source", "bag", "--path", str(bag.path), "--topic", bag.force_topic]
+    force_command += [*SIM_TIME, "-p", "stop_at_end:=true"]
+    replay_command = ["replay", str(bag.path), "--topic", bag.topic, "--topics", bag.topic, "--rate", str(args.rate)]
+    replay_command += ["--duration", str(args.duration), "--wait", str(START_TIMEOUT_S), "--json"]
+    replay_command += ["--subscribers", "2"]  # monitor and recorder
+    first_ns: int | None = None
 
+    def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
+        nonlocal first_ns
+        first_ns = at_ns if first_ns is None else first_ns
+        live.summary.add(contacts, at_ns)
+        for contact in contacts:
+            live.series[contact.contact_point].add(contact, at_ns)
+        show_status(contacts, (at_ns - first_ns) / 1e9, client.speed_scaling)
 
-def _replay_command(args: argparse.Namespace, bag: ReplayedBag) -> list[str]:
-    """Return the command that replays the joint states once monitor and recorder subscribe."""
-    command = ["replay", str(bag.path), "--topic", bag.topic, "--topics", bag.topic]
-    command += ["--rate", str(args.rate), "--duration", str(args.duration)]
-    return [*command, "--subscribers", "2", "--wait", str(START_TIMEOUT_S), "--json"]
-
-
-def _inspect(args: argparse.Namespace) -> ReplayedBag:
-    from scara_effmass.analysis.assessment import generated_description, joint_state_topic  # noqa: PLC0415
-    from scara_effmass.bags.files import open_bag  # noqa: PLC0415
-    from scara_effmass.wire.message_types import FORCE_BLOCK  # noqa: PLC0415
-
-    with open_bag(args.bag) as bag:
-        return ReplayedBag(
-            path=bag.path,
-            topic=joint_state_topic(bag, args.topic),
-            force_topic=next((topic.name for topic in bag.topics if topic.type == FORCE_BLOCK), ""),
-            duration_s=min(bag.duration_ns / 1e9, args.duration),
-            description=generated_description(bag),
-        )
+    isolate_ros_domain()
+    with ExitStack() as stack:
+        nodes = [stack.enter_context(ChildProcess(monitor_command(args, settings)))]
+        force = stack.enter_context(ChildProcess(force_command)) if bag.force_topic else None
+        recorder = stack.enter_context(ChildProcess(record_command(args)))
+        nodes.append(recorder)
+        client = stack.enter_context(MonitorClient(tuple(live.series), on_cycle))
+        if not spin_until(lambda: client.connected, client, [*nodes, *([force] if force else [])], START_TIMEOUT_S):
+            raise EffmassError(f"monitor: not running after {START_TIMEOUT_S:g} s")
+        replay = stack.enter_context(ChildProcess(replay_command))
+        show_status = stack.enter_context(live_status(printer(), visible=not args.json))
+        spin_until(lambda: replay.ended, client, nodes, math.inf)
+        live.replayed = json.loads(replay.output())
+        live.read_back(bag, args.duration, dynamics.robot.joint_names)
+        client.spin(ANSWER_TIMEOUT_S, lambda: client.cycles >= live.sent - live.foreign)
+        live.answered, live.watchdog_messages = client.cycles, client.watchdog_decisions
+        if force:
+            client.spin(FORCE_END_TIMEOUT_S, lambda: force.ended)
+            force.interrupt()
+            force.output()
+        recorder.interrupt()
+        live.recorded = json.loads(recorder.output())
+    return live
 
 
 def _introduction(bag: ReplayedBag, dynamics: RobotDynamics, mass_model: str, rate: float) -> list[tuple[str, str]]:
@@ -215,21 +209,3 @@ def _introduction(bag: ReplayedBag, dynamics: RobotDynamics, mass_model: str, ra
         ("mass model", mass_model),
         *(("robot file", note) for note in dynamics.robot.notes),
     ]
-
-
-def _lines(live: LiveRun) -> Iterator[tuple[str, str]]:
-    ignored = f", {live.foreign} of other devices" if live.foreign else ""
-    yield "joint states", f"{live.sent} joint states sent{ignored}, {live.answered} answered, {live.lost} lost"
-
-
-def _process_lines(live: LiveRun) -> Iterator[tuple[str, str]]:
-    """Yield the results of the recorder and the replay."""
-    recorded, replayed = live.record_report, live.replay_report
-    yield "recorded", f"{recorded['messages']} messages, {recorded['lost']} lost: {recorded['bag']}"
-    for name, topic in recorded["topics"].items():
-        yield "", f"{name}: {topic['recorded']}"
-    if replayed["late"]:
-        worst = f"at worst {replayed['worst_lateness_s']:.3f} s: this machine was too busy"
-        yield "late", f"{replayed['late']} messages were sent late, {worst}"
-    for warning in replayed["warnings"]:
-        yield "recording", warning

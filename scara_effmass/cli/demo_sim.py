@@ -1,15 +1,16 @@
 """`scara-effmass demo`: run all nodes on the simulated cell and write the report of its impacts."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from scara_effmass.cli.console import print_json, print_lines, printer
-from scara_effmass.cli.live import StatusLine
+from scara_effmass_msgs.msg import ImpactValidation
+
+from scara_effmass.analysis.validation import ValidationSettings, validate
+from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
+from scara_effmass.cli.console import live_status, print_lines, print_result, printer
 from scara_effmass.cli.processes import (
     RECORDING,
     SIM_TIME,
@@ -19,16 +20,13 @@ from scara_effmass.cli.processes import (
     monitor_command,
     record_command,
     removed_on_failure,
-    require_running,
+    spin_until,
 )
 from scara_effmass.errors import EffmassError
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.nodes.monitor_client import MonitorClient
 from scara_effmass.settings import MonitorSettings, ValidatorSettings
 from scara_effmass.values import ContactAssessment
-
-if TYPE_CHECKING:
-    from scara_effmass_msgs.msg import ImpactValidation
-
-    from scara_effmass.model.dynamics import RobotDynamics
 
 MAX_SLOWDOWN = 10.0
 """Longest run in times its simulated duration: the simulation waits for nodes that fall behind."""
@@ -52,100 +50,81 @@ INTRODUCTION = (
 
 def run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings) -> int:
     """Run the simulated cell; return 0 when the series of impacts is accepted, else 1. Raises EffmassError."""
-    from scara_effmass.analysis.validation import ValidationSettings, validate  # noqa: PLC0415 - not for --help
-    from scara_effmass.analysis.validation_report import (  # noqa: PLC0415
-        PAGE,
-        check_report_folder,
-        summary_lines,
-        write_report,
-    )
-
     check_report_folder(args.out, overwrite=args.force)
     if not args.json:
         print_lines(INTRODUCTION)
     with removed_on_failure(args.out / RECORDING):
-        validations, record_report = _run_live(args, dynamics, settings)
+        live, recorded = _run_live(args, dynamics, settings)
         validation_settings = ValidationSettings(
             monitor=settings.model_copy(update={"timeout": RECORDER_DELAY_S}),
             validator=ValidatorSettings(clock_tolerance=RECORDER_DELAY_S),
         )
         validation = validate([args.out / RECORDING], dynamics, validation_settings)
         results = write_report(validation, validation_settings, dynamics.robot, args.out, overwrite=args.force)
-    result = validation.result
-    live = {_stamp_ns(message) for message in validations}
-    offline = {impact.stamp_ns for impact in result.impacts}
+    offline = {impact.stamp_ns for impact in validation.result.impacts}
     counts = {"live": len(live), "offline": len(offline), "both": len(live & offline)}
-    if args.json:
-        print_json({**counts, "recording": record_report, **results})
-    else:
-        recorded = f"{record_report['messages']} messages, {record_report['lost']} lost: {record_report['bag']}"
-        print_lines(
-            [
-                ("impacts", f"{len(live)} validated live, {len(offline)} offline, {len(live & offline)} the same"),
-                *summary_lines(validation),
-                ("recorded", recorded),
-                ("open", args.out / PAGE),
-            ]
-        )
-    return 0 if result.accepted else 1
+    lines = [
+        ("impacts", f"{len(live)} validated live, {len(offline)} offline, {len(live & offline)} the same"),
+        *summary_lines(validation),
+        ("recorded", f"{recorded['messages']} messages, {recorded['lost']} lost: {recorded['bag']}"),
+        ("open", args.out / PAGE),
+    ]
+    print_result({**counts, "recording": recorded, **results}, lines, as_json=args.json)
+    return 0 if validation.result.accepted else 1
 
 
 def _run_live(
     args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings
-) -> tuple[list[ImpactValidation], dict[str, Any]]:
-    """Start all nodes and receive until the last impact; return the validator's messages and the recorder's report."""
-    isolate_ros_domain()
-    from scara_effmass.nodes.monitor_client import MonitorClient  # noqa: PLC0415 - reads the domain when it is made
+) -> tuple[set[int], dict[str, Any]]:
+    """Start all nodes and receive until the last impact.
 
+    Returns the stamps of the impacts that the validator has answered, and the recorder's report.
+    """
     start_s = float(round(time.time()))
     duration_s = min(args.duration, FIRST_IMPACT_S + IMPACTS * IMPACT_PERIOD_S)
     cell = ["-p", "sim.scene:=cell", "-p", f"sim.start:={start_s}"]
     commands = (
+        record_command(args),
         ["daq", "--source", "sim", *SIM_TIME, *cell],
         ["validator", *SIM_TIME],
         monitor_command(args, settings),
     )
     sim_command = ["sim", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=2"]
-    validations: list[ImpactValidation] = []
+    stamps_ns: set[int] = set()
     console = printer()
+
+    def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
+        show_status(contacts, at_ns / 1e9 - start_s, client.speed_scaling)
+
+    def on_validation(message: ImpactValidation) -> None:
+        stamp = message.header.stamp
+        stamps_ns.add(stamp.sec * 1_000_000_000 + stamp.nanosec)
+        if not args.json:
+            console.print(
+                f"{stamp.sec + stamp.nanosec / 1e9 - start_s:6.1f} s  impact {message.count}: {message.speed:.3f} m/s, "
+                f"{message.reduced_mass:.3f} kg reduced mass: {message.measured_force:.1f} N simulated, "
+                f"{message.predicted_force:.1f} N predicted ({message.relative_error:+.1%})"
+            )
+
+    def finished() -> bool:
+        return len(stamps_ns) >= IMPACTS or client.now_ns / 1e9 > start_s + duration_s + VALIDATION_DELAY_S
+
+    isolate_ros_domain()
     with ExitStack() as stack:
-        recorder = stack.enter_context(ChildProcess(record_command(args)))
-        processes = [recorder, *(stack.enter_context(ChildProcess(command)) for command in commands)]
-        status = StatusLine(console, visible=not args.json)
-
-        def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
-            status.show(contacts, at_ns / 1e9 - start_s, client.speed_scaling)
-
-        def on_validation(message: ImpactValidation) -> None:
-            validations.append(message)
-            if not args.json:
-                console.print(_impact_line(message, start_s))
-
-        def finished() -> bool:
-            timed_out = client.now_ns / 1e9 > start_s + duration_s + VALIDATION_DELAY_S
-            return timed_out or len(validations) >= IMPACTS or any(process.ended for process in processes)
-
-        with MonitorClient(dynamics.contact_points, on_cycle, on_validation) as client, status:
-            if not client.spin(START_TIMEOUT_S, lambda: all(client.has_peers(*end) for end in ENDPOINTS) or finished()):
-                raise EffmassError(f"nodes: not running after {START_TIMEOUT_S:g} s")
-            require_running(processes)
-            # The recorder subscribes once it receives the first /clock message, which the simulation publishes.
-            processes.append(stack.enter_context(ChildProcess(sim_command)))
-            client.spin(START_TIMEOUT_S + MAX_SLOWDOWN * duration_s, finished)
-            require_running(processes)
-            record_report: dict[str, Any] = json.loads(recorder.finish())
-    if not validations:
+        processes = [stack.enter_context(ChildProcess(command)) for command in commands]
+        client = stack.enter_context(MonitorClient(dynamics.contact_points, on_cycle, on_validation))
+        show_status = stack.enter_context(live_status(console, visible=not args.json))
+        is_ready = spin_until(
+            lambda: all(client.has_peers(*end) for end in ENDPOINTS), client, processes, START_TIMEOUT_S
+        )
+        if not is_ready:
+            raise EffmassError(f"nodes: not running after {START_TIMEOUT_S:g} s")
+        # The recorder subscribes once it receives the first /clock message, which the simulation publishes.
+        processes.append(stack.enter_context(ChildProcess(sim_command)))
+        spin_until(finished, client, processes, START_TIMEOUT_S + MAX_SLOWDOWN * duration_s)
+        recorder = processes[0]
+        recorder.interrupt()
+        recorded: dict[str, Any] = json.loads(recorder.output())
+    if not stamps_ns:
         raise EffmassError("no impact was validated: this machine may be too busy for the simulation")
-    return validations, record_report
-
-
-def _impact_line(message: ImpactValidation, start_s: float) -> str:
-    return (
-        f"{_stamp_ns(message) / 1e9 - start_s:6.1f} s  impact {message.count}: {message.speed:.3f} m/s, "
-        f"{message.reduced_mass:.3f} kg reduced mass: {message.measured_force:.1f} N simulated, "
-        f"{message.predicted_force:.1f} N predicted ({message.relative_error:+.1%})"
-    )
-
-
-def _stamp_ns(message: ImpactValidation) -> int:
-    return int(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
+    return stamps_ns, recorded

@@ -15,22 +15,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from scara_effmass import __version__
 from scara_effmass.cli.console import print_json, print_table, printer
-from scara_effmass.cli.options import add_json, add_params, add_robot, load_dynamics, settings_from
+from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
 from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, MonitorSettings, load_settings
 
 if TYPE_CHECKING:
     from scara_effmass.model.dynamics import RobotDynamics
-
-EXAMPLES = """\
-Exit code 0: a monitor can run with this robot; 1: something that it needs is wrong.
-
-examples:
-  scara-effmass doctor
-  scara-effmass doctor --robot my_robot.urdf --model full
-  scara-effmass doctor --json
-"""
 
 
 class CheckResult(NamedTuple):
@@ -41,18 +32,9 @@ class CheckResult(NamedTuple):
     text: str
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
-    """Add the options."""
-    parser.epilog = EXAMPLES
-    add_robot(parser)
-    add_params(parser, "monitor_node and daq_node")
-    add_json(parser)
-    parser.set_defaults(run=run)
-
-
 def run(args: argparse.Namespace) -> int:
     """Check the installation, the environment, the DAQ device and the robot; return 1 if the monitor cannot run."""
-    settings = settings_from(args, others=("daq",))
+    settings = monitor_settings(args, others=("daq",))
     if not settings.robot_path.is_file():
         raise RobotError(f"{settings.robot_path}: no such file; must be a URDF or DH YAML file")
     results = [*_installation(), *_environment(), *_daq(args.params), *_limits(settings)]
@@ -66,7 +48,8 @@ def run(args: argparse.Namespace) -> int:
         joints = _joints(dynamics)
     healthy = all(result.level != "wrong" for result in results)
     if args.json:
-        print_json({"healthy": healthy, "findings": [result._asdict() for result in results], "joints": joints})
+        findings = [result._asdict() for result in results]
+        print_json({"healthy": healthy, "findings": findings, "joints": joints})
     else:
         print_table("", ("level", "subject", "result"), results)
         if joints:

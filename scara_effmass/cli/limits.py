@@ -6,12 +6,11 @@ from dataclasses import asdict
 from typing import Any
 
 from scara_effmass.cli.console import print_json, print_table, printer
-from scara_effmass.cli.options import add_json, add_limits, add_params, number, settings_from
+from scara_effmass.cli.settings import monitor_settings
 from scara_effmass.iso15066 import (
     BODY_POINTS,
     BODY_REGIONS,
     EDITION,
-    MIN_EFFECTIVE_MASS,
     TABLE_HASH,
     Limit,
     SpeedLimits,
@@ -19,42 +18,15 @@ from scara_effmass.iso15066 import (
     transferred_energy,
 )
 
-EXAMPLES = """\
-Speeds are relative speeds at nominal values; the monitor adds its uncertainty margins.
-
-examples:
-  scara-effmass limits
-  scara-effmass limits --mass 0.97 --mass 2.77 --region hand_fingers --region chest
-  scara-effmass limits --mass 2.77 --contact quasi_static --json
-"""
-
 POINT_COLUMNS = (
     *("clause", "name", "region", "quasi_static_force_n", "quasi_static_pressure_n_cm2"),
     *("transient_force_n", "transient_pressure_n_cm2"),
 )
 
 
-def add_to(parser: argparse.ArgumentParser) -> None:
-    """Add the options."""
-    parser.epilog = EXAMPLES
-    parser.add_argument(
-        "--mass",
-        dest="masses",
-        action="append",
-        type=number(minimum=MIN_EFFECTIVE_MASS, unit="kg"),
-        default=[],
-        metavar="KG",
-        help="effective mass to compute allowable speeds for; may be repeated",
-    )
-    add_limits(parser)
-    add_params(parser)
-    add_json(parser)
-    parser.set_defaults(run=run)
-
-
 def run(args: argparse.Namespace) -> int:
     """Print the rows of the chosen regions, and the allowable speeds of the masses."""
-    settings = settings_from(args)
+    settings = monitor_settings(args)
     limits = limits_for(settings)
     # Without --region the table also has the regions without a limit for this type of contact.
     regions = [BODY_REGIONS[limit.region] for limit in limits] if settings.body_regions else list(BODY_REGIONS.values())

@@ -1,113 +1,84 @@
-"""Options shared by several commands, and the settings made from them."""
-
-from __future__ import annotations
+"""Options of the commands, as arguments of `ArgumentParser.add_argument`."""
 
 import argparse
-import json
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
-from scara_effmass.settings import ContactType, MassModel, MonitorSettings, checked, load_settings
-
-if TYPE_CHECKING:
-    from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.settings import ContactType, MassModel
 
 
-def number(
-    *, minimum: float = -math.inf, above: float = -math.inf, finite: bool = True, unit: str = ""
-) -> Callable[[str], float]:
-    """Return an argparse type: a number of at least `minimum` and greater than `above`."""
-    rule = f"> {above:g}" if above > -math.inf else f">= {minimum:g}"
+class Option(NamedTuple):
+    """Arguments of `ArgumentParser.add_argument`."""
+
+    names: tuple[str, ...]
+    keywords: dict[str, Any]
+
+
+def option(
+    names: str,
+    text: str,
+    metavar: str | None = None,
+    kind: Callable[[str], object] | None = None,
+    **keywords: Any,  # noqa: ANN401 - those of add_argument
+) -> Option:
+    """Return the option or argument `names`, separated by a space, with its help `text`."""
+    return Option(tuple(names.split()), {"help": text, "metavar": metavar, "type": kind, **keywords})
+
+
+def flag(name: str, text: str, **keywords: Any) -> Option:  # noqa: ANN401 - those of add_argument
+    """Return an option without a value."""
+    return Option((name,), {"help": text, "action": "store_true", **keywords})
+
+
+def params(nodes: str) -> Option:
+    """Return --params, a parameter file that the other options override."""
+    return option("--params", f"YAML file with the parameters of {nodes}", "FILE", Path)
+
+
+def output(metavar: str, text: str) -> Option:
+    """Return -o."""
+    return option("-o --output", text, metavar, Path, required=True)
+
+
+def number(rule: str, is_valid: Callable[[float], bool], kind: type[float] = float) -> Callable[[str], float]:
+    """Return an argparse type: a number for which `is_valid` holds; `rule` says what it must be."""
 
     def parse(text: str) -> float:
         try:
-            value = float(text)
+            value = kind(text)
         except ValueError:
             value = math.nan
-        if not (value >= minimum and value > above) or (finite and math.isinf(value)):
-            raise argparse.ArgumentTypeError(f"{text}: must be a number {rule} {unit}".rstrip())
+        if not is_valid(value):
+            raise argparse.ArgumentTypeError(f"{text}: must be {rule}")
         return value
 
     return parse
 
 
-def add_params(parser: argparse.ArgumentParser, node: str = "monitor_node") -> None:
-    """Add --params, a parameter file that the other options override."""
-    parser.add_argument("--params", type=Path, metavar="FILE", help=f"YAML file with the parameters of {node}")
-
-
-def add_robot(parser: argparse.ArgumentParser) -> None:
-    """Add --robot and --model."""
-    parser.add_argument("--robot", metavar="FILE", help="robot: URDF or DH YAML (default: the shipped Omron i4-550L)")
-    parser.add_argument(
+FORCE = flag("--force", "replace existing output")
+JSON = flag("--json", "print the result as JSON")
+BAGS = option("bags", "recording, or folder of recordings", "BAG", Path, nargs="+")
+TOPIC = option("--topic", "topic of the joint states (default: joint_states, else the only one)")
+ROBOT = (
+    option("--robot", "robot: URDF or DH YAML (default: the shipped Omron i4-550L)", "FILE"),
+    option(
         "--model",
+        "effective mass that decides the verdict (default: lumped)",
         dest="effective_mass_model",
         choices=[model.value for model in MassModel],
-        help="effective mass that decides the verdict (default: lumped)",
-    )
-
-
-def add_limits(parser: argparse.ArgumentParser) -> None:
-    """Add --region and --contact."""
-    parser.add_argument(
+    ),
+)
+LIMITS = (
+    option(
         "--region",
+        "body region that the robot can hit; may be repeated (default: all with a limit)",
+        "NAME",
         dest="body_regions",
         action="append",
-        metavar="NAME",
-        help="body region that the robot can hit; may be repeated (default: all with a limit)",
-    )
-    parser.add_argument(
-        "--contact", choices=[contact.value for contact in ContactType], help="type of contact (default: transient)"
-    )
-
-
-def add_topic(parser: argparse.ArgumentParser) -> None:
-    """Add --topic."""
-    parser.add_argument("--topic", help="topic of the joint states (default: joint_states, else the only one)")
-
-
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add --json."""
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
-
-
-def add_force(parser: argparse.ArgumentParser) -> None:
-    """Add --force."""
-    parser.add_argument("--force", action="store_true", help="replace existing output")
-
-
-def settings_from(
-    args: argparse.Namespace,
-    others: Collection[str] = (),
-    **overrides: Any,  # noqa: ANN401 - any setting
-) -> MonitorSettings:
-    """Return the monitor's settings: those of --params, overridden by the other options and by `overrides`.
-
-    A parameter file for the nodes `others` alone leaves the defaults. Raises SettingsError.
-    """
-    settings = load_settings(MonitorSettings, args.params, "monitor", others) if args.params else MonitorSettings()
-    options = {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | overrides
-    changes = {name: value for name, value in options.items() if value is not None}
-    return checked(MonitorSettings, {**settings.model_dump(), **changes}, "options")
-
-
-def node_arguments(params: Path | None, parameters: Mapping[str, Any], ros_arguments: Sequence[str]) -> list[str]:
-    """Return ROS arguments: parameter file, `parameters`, and the arguments of the user, which override both."""
-    arguments = ["--ros-args"]
-    if params:
-        arguments += ["--params-file", str(params)]
-    for name, value in parameters.items():
-        if value is not None and value != "":
-            # ROS parses the value as YAML: unquoted, some file names would become numbers.
-            arguments += ["-p", f"{name}:={json.dumps(value)}"]
-    return [*arguments, "--", *ros_arguments]
-
-
-def load_dynamics(settings: MonitorSettings) -> RobotDynamics:
-    """Return the robot of `settings` with its mass models. Raises RobotError."""
-    from scara_effmass.model.dynamics import RobotDynamics  # noqa: PLC0415 - not needed for --help
-    from scara_effmass.model.load import load_robot  # noqa: PLC0415
-
-    return RobotDynamics(load_robot(settings.robot_path, settings))
+    ),
+    option("--contact", "type of contact (default: transient)", choices=[contact.value for contact in ContactType]),
+)
+MASS = number("a number from 0.001 to 1000", lambda mass: 1e-3 <= mass <= 1e3)
+REPEATED = "may be repeated (default: the paper's experiment)"

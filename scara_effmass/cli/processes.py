@@ -1,7 +1,5 @@
 """Child processes of a demo: commands of the suite in a ROS domain of their own."""
 
-from __future__ import annotations
-
 import argparse
 import ctypes
 import os
@@ -11,15 +9,14 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from scara_effmass.errors import EffmassError
-
-if TYPE_CHECKING:
-    from scara_effmass.settings import MonitorSettings
+from scara_effmass.nodes.monitor_client import MonitorClient
+from scara_effmass.settings import MonitorSettings
 
 RECORDING = "recording"
 """Folder of the recording below the output folder of a demo."""
@@ -39,22 +36,21 @@ class ChildProcess:
     def __init__(self, command: Sequence[str]) -> None:
         """Start the command in a new session, so that Ctrl-C at the terminal reaches this process only."""
         self._name = command[0]
-        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115
+        self._output, self._errors = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115 - until the end
         self._process = subprocess.Popen(  # noqa: S603 - starts this program
             [sys.executable, "-m", "scara_effmass", *command],
             stdin=subprocess.DEVNULL,
             stdout=self._output,
             stderr=self._errors,
             start_new_session=True,
-            preexec_fn=_end_with_parent,  # noqa: PLW1509 - no thread runs yet where commands are started
+            preexec_fn=_end_with_parent,  # noqa: PLW1509 - calls one function of the C library
         )
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        self._interrupt()
+        self.interrupt()
         self._output.close()
         self._errors.close()
 
@@ -63,27 +59,8 @@ class ChildProcess:
         """Whether the process has ended."""
         return self._process.poll() is not None
 
-    def output(self) -> str:
-        """Wait for the end of the process and return its stdout. Raises EffmassError if it failed."""
-        if self._process.wait() != 0:
-            self.fail()
-        self._output.seek(0)
-        return self._output.read().decode()
-
-    def finish(self) -> str:
-        """Interrupt the process and return its stdout. Raises EffmassError if it failed."""
-        self._interrupt()
-        return self.output()
-
-    def fail(self) -> None:
-        """Raise EffmassError with the last line that the process wrote to stderr."""
-        self._errors.seek(0)
-        lines = self._errors.read().decode(errors="replace").strip().splitlines()
-        reason = lines[-1] if lines else f"exit code {self._process.returncode}"
-        raise EffmassError(f"{self._name} has ended: {reason}")
-
-    def _interrupt(self) -> None:
-        """Interrupt the process, and kill it if it does not end in time."""
+    def interrupt(self) -> None:
+        """Interrupt the process if it runs, and kill it if it does not end in time."""
         if self.ended:
             return
         self._process.send_signal(signal.SIGINT)
@@ -93,17 +70,35 @@ class ChildProcess:
             self._process.kill()
             self._process.wait()
 
+    def output(self) -> str:
+        """Wait for the end of the process and return its stdout. Raises EffmassError if it failed."""
+        if self._process.wait() != 0:
+            self.fail()
+        self._output.seek(0)
+        return self._output.read().decode()
+
+    def fail(self) -> None:
+        """Raise EffmassError with the last line that the process wrote to stderr."""
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors="replace").strip().splitlines()
+        reason = lines[-1] if lines else f"exit code {self._process.returncode}"
+        raise EffmassError(f"{self._name} has ended: {reason}")
+
 
 def _end_with_parent() -> None:
     """Have Linux send SIGTERM to this process when its parent dies, even by SIGKILL: no node outlives a demo."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-def require_running(processes: Iterable[ChildProcess]) -> None:
-    """Raise EffmassError with the message of a process that has ended."""
+def spin_until(
+    done: Callable[[], bool], client: MonitorClient, processes: Sequence[ChildProcess], timeout_s: float
+) -> bool:
+    """Receive until `done` or the timeout; return whether it is done. Raises EffmassError if a process has ended."""
+    is_done = client.spin(timeout_s, lambda: done() or any(process.ended for process in processes))
     for process in processes:
         if process.ended:
             process.fail()
+    return is_done
 
 
 @contextmanager
@@ -118,10 +113,9 @@ def removed_on_failure(folder: Path) -> Iterator[None]:
 
 def monitor_command(args: argparse.Namespace, settings: MonitorSettings) -> list[str]:
     """Return the command that runs the monitor with the settings of the demo."""
-    command = ["monitor", "--robot", str(settings.robot_path), "--model", settings.effective_mass_model.value]
-    if args.params:
-        command += ["--params", str(args.params)]
-    return command + SIM_TIME
+    params = ["--params", str(args.params)] if args.params else []
+    model = settings.effective_mass_model.value
+    return ["monitor", "--robot", str(settings.robot_path), "--model", model, *params, *SIM_TIME]
 
 
 def record_command(args: argparse.Namespace) -> list[str]:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from scara_effmass import __version__
-from scara_effmass.cli import COMMANDS, main
+from scara_effmass.cli import main
+from scara_effmass.cli.commands import COMMANDS
 from scara_effmass.share import share
 
 if TYPE_CHECKING:
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 HEAVY = ("rclpy", "pinocchio", "matplotlib", "pyarrow", "rosbags", "scara_effmass_msgs")
 LOADED_BY_HELP = """
 import json, sys
-from scara_effmass.cli import COMMANDS, main
+from scara_effmass.cli import main
+from scara_effmass.cli.commands import COMMANDS
 for arguments in ["--help"], *([name, "--help"] for name in COMMANDS):
     try:
         main(arguments)

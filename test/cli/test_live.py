@@ -16,7 +16,7 @@ import pytest
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.cli import main
-from scara_effmass.cli.options import node_arguments
+from scara_effmass.cli.nodes import node_arguments
 from scara_effmass.cli.processes import isolate_ros_domain
 from scara_effmass.share import share
 

@@ -104,7 +104,7 @@ def test_misplaced_import_is_detected(room: str, source: str) -> None:
 
 
 @pytest.mark.live
-@pytest.mark.parametrize("module", ["nodes.monitor_node", "nodes.daq_node", "nodes.validator_node", "cli.validator"])
+@pytest.mark.parametrize("module", ["nodes.monitor_node", "nodes.daq_node", "nodes.validator_node", "cli.nodes"])
 def test_nodes_load_neither_simulator_nor_paper(module: str) -> None:
     rooms = "[name for name in sys.modules if name.startswith(('scara_effmass.sim', 'scara_effmass.paper', 'mujoco'))]"
     code = f"import sys, scara_effmass.{module}; print({rooms})"

@@ -1,0 +1,382 @@
+"""The commands and their options; the module of a command runs it."""
+
+import math
+from pathlib import Path
+
+from scara_effmass.cli.options import (
+    BAGS,
+    FORCE,
+    JSON,
+    LIMITS,
+    MASS,
+    REPEATED,
+    ROBOT,
+    TOPIC,
+    Option,
+    flag,
+    number,
+    option,
+    output,
+    params,
+)
+from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
+from scara_effmass.settings import ForceSourceKind
+from scara_effmass.wire.topics import RECORDED
+
+
+class Command:
+    """Help and options of one command. Of a tuple of options exactly one is required."""
+
+    def __init__(self, summary: str, epilog: str, *options: Option | tuple[Option, ...]) -> None:
+        self.summary = summary
+        self.epilog = epilog
+        self.options = options
+
+
+ROS_COMMANDS = {"monitor", "daq", "validator", "sim", "record"}
+"""Commands that take ROS arguments."""
+MODULES = {"import": "import_force"} | dict.fromkeys(("monitor", "daq", "validator", "sim"), "nodes")
+"""Modules of the commands that have no module of their name."""
+ALIASES = {"bench": "sim"}
+"""Former names of commands, still accepted."""
+
+COMMANDS = {
+    "demo": Command(
+        "run all nodes on the simulated cell or on a recording, and write a report",
+        """\
+Without --bag: a simulated robot drives into simulated carts. The monitor, force and validator nodes watch it over DDS,
+the recorder records it, and a report compares predicted with simulated forces. This takes about a minute.
+
+With --bag: the recording is replayed to the monitor, the force node plays its force if it has any, the run is recorded,
+and a report shows verdicts, speeds and masses over time.
+
+All nodes run as separate processes in a ROS domain of their own on this machine.
+
+examples:
+  scara-effmass demo
+  scara-effmass demo --bag bags/tour --rate 2 --duration 10 --out out/tour
+  scara-effmass demo --bag recording.bag --robot arm.urdf --topic /arm/joint_states --out out/arm
+""",
+        option("--bag", "recording to replay (default: run the simulated cell)", "BAG", Path),
+        TOPIC,
+        *ROBOT,
+        params("monitor_node"),
+        option(
+            "--rate",
+            "replay speed; 0: as fast as the monitor answers (default: 1)",
+            kind=number("a number >= 0", lambda rate: 0.0 <= rate < math.inf),
+            default=1.0,
+        ),
+        option(
+            "--duration",
+            "duration of the replay or simulation [s] (default: all)",
+            "S",
+            number("a number > 0 s", lambda duration: duration > 0.0),
+            default=math.inf,
+        ),
+        option("--out", "output folder (default: out/demo)", "DIR", Path, default=Path("out/demo")),
+        FORCE,
+        JSON,
+    ),
+    "monitor": Command(
+        "run the live monitor node",
+        """\
+ROS arguments follow -- or --ros-args and take precedence over the options.
+
+examples:
+  scara-effmass monitor
+  scara-effmass monitor --robot my_robot.urdf --model full
+  scara-effmass monitor --params my_cell.yaml -- -r joint_states:=/cell/joint_states -p timeout:=0.1
+""",
+        *ROBOT,
+        params("monitor_node"),
+    ),
+    "daq": Command(
+        "run the force node: an NI-9230, a recording, or simulated force",
+        """\
+ROS arguments follow -- or --ros-args and override the options. Force is positive in compression. Force from CSV and
+TDMS files and from wrench topics is converted to a bag first: see `scara-effmass import --help`.
+
+examples:
+  scara-effmass daq --sensitivity 2.31
+  scara-effmass daq --source bag --path recording.mcap
+  scara-effmass daq --source sim -- -p sim.impact_period:=1.0
+""",
+        option(
+            "--source",
+            "force source (default: ni9230); bag: a recording, sim: simulated force",
+            kind=lambda text: ALIASES.get(text, text),
+            choices=[kind.value for kind in ForceSourceKind],
+        ),
+        option("--path", "bag with ForceBlocks, for the source bag", "BAG", dest="bag.path"),
+        option("--topic", "topic of the ForceBlocks (default: the only one)", "TOPIC", dest="bag.topic"),
+        option(
+            "--sensitivity",
+            "from the sensor's certificate [mV/N] (default: 2.248)",
+            "MV_PER_N",
+            float,
+            dest="sensor.sensitivity",
+        ),
+        params("daq_node"),
+    ),
+    "validator": Command(
+        "run the node that compares impacts with their predictions",
+        """\
+ROS arguments follow -- or --ros-args and override the options. To change the obstacle mass at run time, set the
+parameter obstacle_mass; sim_node and replayed recordings publish it on run_info.
+
+examples:
+  scara-effmass validator --obstacle-mass 2.39
+  scara-effmass validator --params my_cell.yaml -- -p stiffness:=2000.0
+""",
+        option("--obstacle-mass", "mass of the obstacle, m_H [kg]", "KG", float),
+        params("validator_node"),
+    ),
+    "sim": Command(
+        "run the robot of the simulated cell",
+        """\
+A simulated robot repeatedly hits simulated carts. The node publishes joint states at 1 kHz and, on run_info, the
+cart in place. A force node with the same start publishes the force of the same impacts.
+
+examples:
+  scara-effmass sim --start 1800000000
+  scara-effmass daq --source sim -- -p sim.scene:=cell -p sim.start:=1800000000.0
+""",
+        option("--start", "ROS time of the start [s] (default: now)", "S", float),
+        option("--seed", "random seed of the noise (default: 0)", kind=int),
+        flag("--clock", "publish /clock and wait for nodes that fall behind", default=None),
+    ),
+    "import": Command(
+        "convert force from CSV and TDMS files and from wrench topics to a bag",
+        """\
+FILE is a CSV file (.csv, .tsv, .txt), a TDMS file, or a bag with a topic of WrenchStamped, Wrench or Float64. BAG is a
+rosbag2 folder, or a file if it ends in .mcap; it holds ForceBlocks for `daq --source bag` and `validate`. The first
+FILE is on the topic force, the next ones are on force/file1, force/file2 and so on.
+
+examples:
+  scara-effmass import load_cell.csv -o load_cell
+  scara-effmass import run.csv --topic "Force (lbf)" --time-column "Time (ms)" --invert -o run.mcap
+  scara-effmass import bridge.tdms --topic cell/ai0 --sensitivity 2.31 -o bridge
+  scara-effmass import wrist.mcap --topic /ft_sensor/wrench --axis x -o wrist_force
+""",
+        option("files", "CSV file, TDMS file or bag", "FILE", Path, nargs="+"),
+        output("BAG", "bag to write"),
+        option("--topic", "topic, CSV column or TDMS channel of the force (default: the only one)"),
+        option("--axis", "component of a wrench (default: z)", choices=["x", "y", "z"]),
+        option("--unit", "N, kN, lbf, kgf, V or mV (default: as the file states, N for messages)"),
+        option("--time-column", "CSV column of the times (default: the first one)", "NAME"),
+        option("--frame", "frame of the sensor (default: force_sensor)", dest="frame_id"),
+        flag("--invert", "compression is negative in the file", dest="sensor.invert", default=None),
+        option(
+            "--sensitivity",
+            "sensitivity behind V or mV [mV/N] (default: 2.248)",
+            "MV_PER_N",
+            float,
+            dest="sensor.sensitivity",
+        ),
+        option(
+            "--range", "end of the measuring range; marks saturation (default: 2224)", "N", float, dest="sensor.range"
+        ),
+        FORCE,
+        JSON,
+    ),
+    "replay": Command(
+        "replay a bag to the live nodes, with /clock",
+        """\
+The time of the recording is published on /clock: run the nodes with use_sim_time, or the monitor answers UNKNOWN to
+old joint states. The replay starts when every node of the suite that runs on /clock, or subscribes to a replayed topic,
+is active, has received the clock and has discovered the others. If that takes longer than --wait, it fails and names
+the nodes that are not ready.
+
+examples:
+  scara-effmass monitor -- -p use_sim_time:=true
+  scara-effmass replay bags/tour
+  scara-effmass replay bags/tour --start 10 --duration 5 --rate 0.5 --loop
+  scara-effmass replay recording.bag --topic /wx200/joint_states --rate 0
+""",
+        option("bag", "bag to replay", "BAG", Path),
+        option("--rate", "speed relative to the recording; 0: as fast as a monitor answers", kind=float, default=1.0),
+        option("--start", "start in the recording [s]", "S", float, default=0.0),
+        option("--duration", "recorded time to replay [s]", "S", float, default=math.inf),
+        flag("--loop", "repeat until interrupted"),
+        option("--topic", "topic to publish as /joint_states (default: every topic keeps its name)"),
+        option("--topics", "topics to replay (default: all but node outputs)", "TOPIC", nargs="+", default=()),
+        option(
+            "--subscribers",
+            "minimum number of subscribers of the joint states before the start (default: 1)",
+            "N",
+            int,
+            default=1,
+        ),
+        option("--wait", "maximum wait for the nodes [s] (default: 30)", "S", float, default=30.0),
+        JSON,
+    ),
+    "record": Command(
+        "record live topics to a bag that survives a crash; repair a bag",
+        f"""\
+Default topics: {", ".join(RECORDED)}.
+Recording ends on Ctrl-C or SIGTERM. All messages older than one second are on the disk and can be read; if the recorder
+is killed, its last file has no index until record --repair adds one. ROS arguments follow --.
+
+examples:
+  scara-effmass record -o run1
+  scara-effmass record -o run2 joint_states force /camera/info --max-size 500
+  scara-effmass record -o all --all --duration 60 -- -p use_sim_time:=true
+  scara-effmass record --repair run1
+""",
+        option("topics", "topics to record (default: the topics of the suite)", "TOPIC", nargs="*"),
+        (
+            option("-o --output", "output folder", "BAG", Path),
+            option("--repair", "complete a bag of a killed recorder: folder or MCAP file", "BAG", Path),
+        ),
+        flag("--all", "record all topics except hidden ones"),
+        option("--max-size", "start a new file at this size [MB]", "MB", float, default=0.0),
+        option("--max-duration", "start a new file after this time [s]", "S", float, default=0.0),
+        option("--duration", "duration of the recording [s]", "S", float, default=math.inf),
+        flag("--no-compression", "do not compress (default: zstd)"),
+        FORCE,
+        JSON,
+    ),
+    "assess": Command(
+        "assess every joint state of bags offline; write a table or a bag",
+        """\
+FILE must end in .parquet, .csv or .mcap. Each bag is assessed by a fresh monitor, whose clock is the log time of the
+joint states. DIR gets report.html, summary.json, and a figure of each bag and contact point as PNG and SVG.
+
+examples:
+  scara-effmass assess bags/tour -o tour.parquet --report out/tour
+  scara-effmass assess monday.mcap tuesday.mcap -o week.csv --robot my_robot.urdf --model full
+  scara-effmass assess bags/tour -o tour.mcap --region hand_fingers --json
+""",
+        BAGS,
+        output("FILE", ".parquet, .csv or .mcap"),
+        option("--report", "folder for figures, episodes and summary", "DIR", Path),
+        TOPIC,
+        *ROBOT,
+        *LIMITS,
+        params("monitor_node"),
+        FORCE,
+        JSON,
+    ),
+    "validate": Command(
+        "compare measured impacts with their predictions offline; write a report",
+        """\
+Impacts are detected in the force blocks of a recording; without force blocks, recorded impacts or wrenches are used.
+The obstacle mass is --obstacle-mass, else the run information of the recording, else obstacle_mass in section
+validator of FILE. All recordings form one series. DIR receives report.html, report.json, and figures as PNG and SVG.
+Exit status 1: the series does not meet the acceptance criterion; the report is written anyway.
+
+examples:
+  scara-effmass validate bags/campaign -o out/validation
+  scara-effmass validate monday.mcap -o out/monday --obstacle-mass 2.39 --model full
+  scara-effmass validate bags/campaign -o out/validation --params cell.yaml --force --json
+""",
+        BAGS,
+        output("DIR", "folder for the report"),
+        TOPIC,
+        option(
+            "--force-topic", "topic of force blocks, impacts or wrenches (default: force, or the only one)", "TOPIC"
+        ),
+        option("--obstacle-mass", "mass of the obstacle in all recordings", "KG", float),
+        option(
+            "--stiffness", "contact stiffness for the predictions (default: fitted to the series)", "N_PER_MM", float
+        ),
+        *ROBOT,
+        params("monitor_node, validator_node and daq_node (its detection)"),
+        FORCE,
+        JSON,
+    ),
+    "figures": Command(
+        "draw the figures of the paper again and compare its numbers",
+        """\
+DIR receives every figure as PNG and SVG, and the paper's claims beside this project's results in index.html and
+claims.json. The robot is the shipped Omron i4-550L. Forces are those of the shipped campaign, which is simulated,
+or of --campaign. A claim that does not match is not an error.
+
+examples:
+  scara-effmass figures -o out/figures
+  scara-effmass figures -o out/figures --campaign out/campaign --force --json
+""",
+        output("DIR", "folder for figures and page"),
+        option("--campaign", "recorded impacts, one bag per run (default: the shipped ones)", "DIR", Path),
+        FORCE,
+        JSON,
+    ),
+    "campaign": Command(
+        "simulate the impact experiment of the paper and record it to bags",
+        """\
+Robot, cart and force sensor are simulated (MuJoCo); nothing is measured, and every bag says so. DIR receives one bag
+per run with joint states, force and run information, as the nodes would record them. Existing bags of the same run
+are kept, so an interrupted campaign can be resumed.
+
+examples:
+  scara-effmass campaign -o out/campaign
+  scara-effmass campaign -o out/light --configuration 300_200 --mass 0.5 --mass 2.39 --repetitions 1
+  scara-effmass campaign -o out/hertz --hertz --stiffness 3400 --seed 1 --json
+""",
+        output("DIR", "folder for the bags"),
+        option(
+            "--repetitions",
+            "runs of each case (default: 3)",
+            "N",
+            number("a whole number from 1", lambda count: count >= 1, int),
+            default=3,
+        ),
+        option(
+            "--seed",
+            "random seed of variations and noise",
+            kind=number("a whole number from 0", lambda seed: seed >= 0, int),
+        ),
+        option("--configuration", f"impact point, as 300_200 for (300, 200) mm; {REPEATED}", "NAME", action="append"),
+        option("--mass", f"mass of the cart; {REPEATED}", "KG", MASS, action="append"),
+        option(
+            "--stiffness",
+            "of the tip [N/mm] (default: 2000), with --hertz [N/mm^1.5] (default: 3400)",
+            "N_PER_MM",
+            float,
+        ),
+        option("--damping", "of the tip (default: 0)", "N_S_PER_M", float, default=0.0),
+        option("--friction", "between tip and plate (default: 0)", "COEFFICIENT", float, default=0.0),
+        flag("--hertz", "use a Hertz contact, F = k d^1.5, not a linear spring"),
+        FORCE,
+        JSON,
+    ),
+    "limits": Command(
+        "print the body-region limits and the allowable speeds",
+        """\
+Speeds are relative speeds at nominal values; the monitor adds its uncertainty margins.
+
+examples:
+  scara-effmass limits
+  scara-effmass limits --mass 0.97 --mass 2.77 --region hand_fingers --region chest
+  scara-effmass limits --mass 2.77 --contact quasi_static --json
+""",
+        option(
+            "--mass",
+            "effective mass to compute allowable speeds for; may be repeated",
+            "KG",
+            number(f"a number >= {MIN_EFFECTIVE_MASS:g} kg", lambda mass: MIN_EFFECTIVE_MASS <= mass < math.inf),
+            dest="masses",
+            action="append",
+            default=[],
+        ),
+        *LIMITS,
+        params("monitor_node"),
+        JSON,
+    ),
+    "doctor": Command(
+        "check the installation, the DAQ device and a robot model",
+        """\
+Exit code 0: a monitor can run with this robot; 1: something that it needs is wrong.
+
+examples:
+  scara-effmass doctor
+  scara-effmass doctor --robot my_robot.urdf --model full
+  scara-effmass doctor --json
+""",
+        *ROBOT,
+        params("monitor_node and daq_node"),
+        JSON,
+    ),
+}
+"""Commands by name."""

@@ -1,0 +1,43 @@
+"""Settings and robot from the options of a command."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Collection
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from pydantic import BaseModel
+
+from scara_effmass.settings import MonitorSettings, checked, load_settings
+
+if TYPE_CHECKING:
+    from scara_effmass.model.dynamics import RobotDynamics
+
+Settings = TypeVar("Settings", bound=BaseModel)
+
+
+def monitor_settings(
+    args: argparse.Namespace,
+    others: Collection[str] = (),
+    **overrides: Any,  # noqa: ANN401 - any setting
+) -> MonitorSettings:
+    """Return the monitor's settings: those of --params, overridden by the other options and by `overrides`.
+
+    A parameter file for the nodes `others` alone leaves the defaults. Raises SettingsError.
+    """
+    settings = load_settings(MonitorSettings, args.params, "monitor", others) if args.params else MonitorSettings()
+    return override(settings, {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | overrides)
+
+
+def override(settings: Settings, options: dict[str, Any]) -> Settings:
+    """Return `settings` with those `options` that are not None. Raises SettingsError."""
+    changes = {name: value for name, value in options.items() if value is not None}
+    return checked(type(settings), {**settings.model_dump(), **changes}, "options")
+
+
+def load_dynamics(settings: MonitorSettings) -> RobotDynamics:
+    """Return the robot of `settings` with its mass models. Raises RobotError."""
+    from scara_effmass.model.dynamics import RobotDynamics  # noqa: PLC0415 - loads Pinocchio
+    from scara_effmass.model.load import load_robot  # noqa: PLC0415
+
+    return RobotDynamics(load_robot(settings.robot_path, settings))
