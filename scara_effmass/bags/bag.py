@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rosbags.interfaces import MessageDefinition
 from rosbags.typesys.store import Typestore
 
-from scara_effmass.bags.batches import MAX_TIME_NS, LossLog, Source, Topic
-from scara_effmass.bags.definitions import check_definition
+from scara_effmass.bags.batches import MAX_TIME_NS, LossLog, MessageBatch, Topic, merged_topics
+from scara_effmass.bags.definitions import check_definition, types_of
 from scara_effmass.bags.joint_state_blocks import BlockDecoder, JointStateBlock
 from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.force import decode_force_block
 from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE
+
+if TYPE_CHECKING:
+    from typing import Self
 
 
 class RawMessage(NamedTuple):
@@ -28,20 +34,47 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
-@final
-class Bag:
+class StoredTopic(NamedTuple):
+    """A topic in one file of a bag, and the definition of its type if the file has one."""
+
+    path: Path
+    topic: Topic
+    encoding: str
+    definition: MessageDefinition | None
+
+
+class Bag(ABC):
     """An open bag. Times are log times [ns] of the recorder's clock; messages come in log-time order.
 
     Data that cannot be read is skipped and listed in `losses`, partly only after the messages have been read.
     """
 
-    def __init__(self, path: Path, source: Source, losses: LossLog) -> None:
+    start_ns: int
+    end_ns: int
+
+    def __init__(self, path: Path, stored: Iterable[StoredTopic], losses: LossLog, *, is_ros1: bool = False) -> None:
         self.path = path
-        self.topics: tuple[Topic, ...] = source.topics
-        self.start_ns = source.start_ns
-        self.end_ns = source.end_ns
-        self._source = source
         self._losses = losses
+        self._is_ros1 = is_ros1
+        self._definitions: dict[str, MessageDefinition] = {}
+        topics: list[Topic] = []
+        for file, topic, encoding, definition in stored:
+            if encoding != "cdr":
+                losses.add(f"{file}: {topic.name}: encoding = {encoding!r}: must be cdr; not read")
+                continue
+            topics.append(topic)
+            if definition is not None:
+                self._definitions.setdefault(topic.type, definition)
+        self.topics = tuple(sorted(merged_topics(topics), key=lambda topic: (topic.name, topic.type)))
+        self._topic_indices = {(topic.name, topic.type): index for index, topic in enumerate(self.topics)}
+
+    @abstractmethod
+    def batches(self, topics: Collection[int], start_ns: int, stop_ns: int) -> Iterator[MessageBatch]:
+        """Yield the messages of these topic indices with start_ns <= log time < stop_ns."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the files."""
 
     @property
     def duration_ns(self) -> int:
@@ -58,13 +91,13 @@ class Bag:
         """The names of the topics of type sensor_msgs/JointState."""
         return tuple(topic.name for topic in self.topics if topic.type == JOINT_STATE)
 
-    @property
+    @cached_property
     def types(self) -> Typestore:
         """The message types: those that the bag defines, otherwise the known ones."""
-        return self._source.types
+        return types_of(self._definitions, ros1=self._is_ros1)
 
     def messages(
-        self, topics: Collection[str] | None = None, start_ns: int | None = None, stop_ns: int | None = None
+        self, topics: Collection[str] | None = None, start_ns: int = 0, stop_ns: int = MAX_TIME_NS
     ) -> Iterator[RawMessage]:
         """Yield the messages of `topics` (None: all) with start_ns <= log time < stop_ns.
 
@@ -75,10 +108,10 @@ class Bag:
             known = ", ".join(topic.name for topic in self.topics)
             raise BagError(f"{self.path}: topic = {min(unknown)}: must be one of {known}")
         indices = {i for i, topic in enumerate(self.topics) if topics is None or topic.name in topics}
-        return self._messages(indices, *_time_range(start_ns, stop_ns))
+        return (raw for batch in self.batches(indices, start_ns, stop_ns) for raw in self._raw_messages(batch))
 
     def joint_state_blocks(
-        self, topic: str | None = None, start_ns: int | None = None, stop_ns: int | None = None
+        self, topic: str | None = None, start_ns: int = 0, stop_ns: int = MAX_TIME_NS
     ) -> Iterator[JointStateBlock]:
         """Yield the joint states of `topic` (None: the only one) with start_ns <= log time < stop_ns.
 
@@ -91,8 +124,9 @@ class Bag:
         if name not in candidates:
             raise BagError(f"{self.path}: topic of joint states = {name}: must be one of {', '.join(candidates)}")
         check_definition(self.types, JOINT_STATE, str(self.path))
-        indices = {i for i, topic in enumerate(self.topics) if (topic.name, topic.type) == (name, JOINT_STATE)}
-        return self._joint_state_blocks(name, indices, *_time_range(start_ns, stop_ns))
+        decoder = BlockDecoder(f"{self.path}: {name}", self._losses)
+        indices = {self._topic_indices[name, JOINT_STATE]}
+        return (block for batch in self.batches(indices, start_ns, stop_ns) for block in decoder.blocks(batch))
 
     def force_blocks(self, topic: str) -> Iterator[ForceBlock]:
         """Yield the force blocks of `topic`; invalid messages are skipped and listed in `losses`.
@@ -107,14 +141,10 @@ class Bag:
         try:
             return self.types.deserialize_cdr(message.data, message.type)
         except Exception as error:  # noqa: BLE001 - code generated from unchecked definitions
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise DecodeError(f"{self.path}: {message.topic}: {message.type} cannot be decoded: {reason}") from None
+            origin = f"{self.path}: {message.topic}: {message.type}"
+            raise DecodeError(f"{origin} cannot be decoded: {one_line(error)}") from None
 
-    def close(self) -> None:
-        """Close the files."""
-        self._source.close()
-
-    def __enter__(self) -> Bag:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -122,12 +152,10 @@ class Bag:
     ) -> None:
         self.close()
 
-    def _messages(self, indices: set[int], start_ns: int, stop_ns: int) -> Iterator[RawMessage]:
-        for batch in self._source.batches(indices, start_ns, stop_ns):
-            columns = (batch.topic.tolist(), batch.log_time_ns.tolist(), batch.start.tolist(), batch.stop.tolist())
-            for index, log_time_ns, start, stop in zip(*columns, strict=True):
-                topic = self.topics[index]
-                yield RawMessage(topic.name, topic.type, log_time_ns, batch.data[start:stop])
+    def _raw_messages(self, batch: MessageBatch) -> Iterator[RawMessage]:
+        columns = (batch.topic.tolist(), batch.log_time_ns.tolist(), batch.start.tolist(), batch.stop.tolist())
+        for index, log_time_ns, start, stop in zip(*columns, strict=True):
+            yield RawMessage(self.topics[index].name, self.topics[index].type, log_time_ns, batch.data[start:stop])
 
     def _force_blocks(self, messages: Iterator[RawMessage]) -> Iterator[ForceBlock]:
         failure_counts: Counter[str] = Counter()
@@ -141,13 +169,7 @@ class Bag:
                 failure_counts[line] += 1
                 self._losses.add(line, failure_counts[line])
 
-    def _joint_state_blocks(
-        self, name: str, indices: set[int], start_ns: int, stop_ns: int
-    ) -> Iterator[JointStateBlock]:
-        decoder = BlockDecoder(f"{self.path}: {name}", self._losses)
-        for batch in self._source.batches(indices, start_ns, stop_ns):
-            yield from decoder.blocks(batch)
 
-
-def _time_range(start_ns: int | None, stop_ns: int | None) -> tuple[int, int]:
-    return 0 if start_ns is None else start_ns, MAX_TIME_NS if stop_ns is None else stop_ns
+def one_line(error: Exception) -> str:
+    """Return the message of an error of another library in one line, the name of its type if it is empty."""
+    return " ".join(str(error).split()) or type(error).__name__

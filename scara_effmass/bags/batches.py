@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
 
 IntArray = NDArray[np.int64]
 
@@ -21,7 +18,7 @@ MAX_TIME_NS = 2**63 - 1
 class Topic:
     """A topic of a bag. `type_hash` is the REP 2011 hash or the ROS 1 MD5 sum, empty if the bag stores none.
 
-    `offered_qos` is the QoS of its publishers in rosbag2's YAML; bags being read leave it empty.
+    `offered_qos` is the QoS of its publishers in rosbag2's YAML, empty if unknown.
     """
 
     name: str
@@ -31,22 +28,13 @@ class Topic:
     offered_qos: str = ""
 
 
-class Source(Protocol):
-    """The open files of a bag. Times are log times [ns]."""
-
-    topics: tuple[Topic, ...]
-    start_ns: int
-    end_ns: int
-
-    @property
-    def types(self) -> Typestore:
-        """The message types: those that the bag defines, otherwise the known ones."""
-
-    def batches(self, topics: Collection[int], start_ns: int, stop_ns: int) -> Iterator[MessageBatch]:
-        """Yield the messages of these topic indices with start_ns <= log time < stop_ns, in log-time order."""
-
-    def close(self) -> None:
-        """Close the files."""
+def merged_topics(topics: Iterable[Topic]) -> list[Topic]:
+    """Return topics of several files as one each, in the order of their first file, with the sum of the counts."""
+    merged: dict[tuple[str, str], Topic] = {}
+    for topic in topics:
+        first = merged.get((topic.name, topic.type), replace(topic, count=0))
+        merged[topic.name, topic.type] = replace(first, count=first.count + topic.count)
+    return list(merged.values())
 
 
 class LossLog:

@@ -10,10 +10,10 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 
 from scara_effmass.bags.bag import Bag
-from scara_effmass.bags.batches import LossLog, Source
-from scara_effmass.bags.mcap_file import MAGIC
-from scara_effmass.bags.mcap_source import McapSource
-from scara_effmass.bags.rosbags_source import RosbagsSource
+from scara_effmass.bags.batches import LossLog
+from scara_effmass.bags.mcap_bag import McapBag
+from scara_effmass.bags.mcap_copy import MAGIC
+from scara_effmass.bags.rosbags_bag import RosbagsBag
 from scara_effmass.errors import BagError
 
 SUFFIXES = {".mcap", ".db3", ".bag"}
@@ -21,10 +21,10 @@ METADATA = "metadata.yaml"
 SPLIT_NAME = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?P<suffix>mcap|db3)")
 """File names in a rosbag2 folder."""
 
-FORMATS: dict[bytes, Callable[[Sequence[Path], LossLog], Source]] = {
-    MAGIC: McapSource,
-    b"SQLite format 3\0": lambda paths, losses: RosbagsSource(paths, losses, Ros2Reader),
-    b"#ROSBAG V": lambda paths, losses: RosbagsSource(paths, losses, Ros1Reader),
+FORMATS: dict[bytes, Callable[[Path, Sequence[Path], LossLog], Bag]] = {
+    MAGIC: McapBag,
+    b"SQLite format 3\0": lambda path, paths, losses: RosbagsBag(path, paths, losses, Ros2Reader),
+    b"#ROSBAG V": lambda path, paths, losses: RosbagsBag(path, paths, losses, Ros1Reader),
 }
 """Readers by the first bytes of a file."""
 
@@ -52,14 +52,14 @@ def open_bag(path: Path) -> Bag:
         raise BagError(f"{path}: contains {1 + len(others)} bags: must be one of them ({bag.name}, ...)")
     losses = LossLog()
     try:
-        source = _open_folder(bag, losses) if bag.is_dir() else _open_files([bag], losses)
+        opened = _open_folder(bag, losses) if bag.is_dir() else _open_files(bag, [bag], losses)
     except OSError as error:
         raise BagError(f"{error.filename or bag}: cannot be read: {error.strerror or error}") from None
-    if not sum(topic.count for topic in source.topics):
-        source.close()
+    if not sum(topic.count for topic in opened.topics):
+        opened.close()
         reason = "no message can be read" if any(losses) else "contains no messages"
         raise BagError("; ".join([f"{bag}: {reason}", *losses]))
-    return Bag(bag, source, losses)
+    return opened
 
 
 def is_rosbag2_folder(folder: Path) -> bool:
@@ -84,7 +84,7 @@ def bag_files(folder: Path) -> list[Path]:
     return sorted((path for path in folder.iterdir() if path.suffix in SUFFIXES and path.is_file()), key=order)
 
 
-def _open_files(paths: Sequence[Path], losses: LossLog) -> Source:
+def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog) -> Bag:
     formats = set()
     for path in paths:
         with path.open("rb") as file:
@@ -97,14 +97,14 @@ def _open_files(paths: Sequence[Path], losses: LossLog) -> Source:
     magic = formats.pop()
     if formats or not magic:
         raise BagError(f"{paths[0]}: is not a bag; expected MCAP, SQLite (rosbag2) or ROS 1")
-    return FORMATS[magic](paths, losses)
+    return FORMATS[magic](bag, paths, losses)
 
 
-def _open_folder(folder: Path, losses: LossLog) -> Source:
+def _open_folder(folder: Path, losses: LossLog) -> Bag:
     metadata = _read_metadata(folder, losses)
     present = bag_files(folder)
     if metadata.get("compression_mode"):
-        return RosbagsSource([folder], losses, Ros2Reader)
+        return RosbagsBag(folder, [folder], losses, Ros2Reader)
     # Older recorders prefixed the names with the folder.
     named = [folder / Path(str(name)).name for name in metadata.get("relative_file_paths") or ()]
     for path in named:
@@ -123,11 +123,11 @@ def _open_folder(folder: Path, losses: LossLog) -> Source:
                 losses.add(f"{folder / METADATA}: does not name {path.name}; not read")
     if not paths:
         raise BagError("; ".join([f"{folder}: contains no .mcap or .db3 file", *losses]))
-    source = _open_files(paths, losses)
-    count = sum(topic.count for topic in source.topics)
+    bag = _open_files(folder, paths, losses)
+    count = sum(topic.count for topic in bag.topics)
     if metadata.get("message_count", count) != count:
         losses.add(f"{folder / METADATA}: lists {metadata['message_count']} messages, the files contain {count}")
-    return source
+    return bag
 
 
 def _continues(path: Path, named: Sequence[Path]) -> bool:

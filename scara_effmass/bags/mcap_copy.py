@@ -1,150 +1,233 @@
-"""Copy the readable content of a damaged MCAP file to a new one."""
+"""The readable content of an MCAP file, which may be damaged, and its copy to a new file.
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+Format: https://mcap.dev/spec. A record is an opcode (1 byte), the length of its content (8 bytes) and the content.
+`mcap.stream_reader.StreamReader` drops the chunk in which a file is cut off and stops at the first damaged record,
+so records are stepped through here; `mcap` decodes them.
+"""
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, NamedTuple
 
-from mcap.exceptions import EndOfFile
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, Writer
+from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+from mcap.writer import Writer
 
 from scara_effmass.bags.batches import MAX_TIME_NS, LossLog
-from scara_effmass.bags.mcap_file import DAMAGE, RECORD_HEAD, Record, chunk_content, records
-from scara_effmass.errors import DecodeError
+from scara_effmass.errors import BagError, DecodeError
 
-COMPRESSIONS = {"": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
+MAGIC = b"\x89MCAP0\r\n"
+RECORD_HEAD = struct.Struct("<BQ")
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+"""Channel, sequence, log time and publish time in front of the message."""
+MAX_CHUNK_BYTES = 1 << 30
+MAX_LOOSE_BYTES = 1 << 20
+"""Size of records outside chunks that become one chunk of the copy."""
+DAMAGE = (McapError, struct.error, ValueError, ArithmeticError, LookupError, TypeError)
+"""Errors that mcap raises for damaged records."""
+
+# The incremental interfaces return the intact part of a truncated stream.
+DECOMPRESSORS: dict[str, Callable[[bytes], bytes]] = {
+    "": bytes,
+    "zstd": lambda data: zstandard.ZstdDecompressor().decompressobj().decompress(data),
+    "lz4": lambda data: bytes(lz4.frame.LZ4FrameDecompressor().decompress(data)),
+}
+
+
+def open_mcap(path: Path) -> IO[bytes]:
+    """Open an MCAP file. Raises BagError if it is none, or OSError."""
+    file = path.open("rb")
+    magic = file.read(len(MAGIC))
+    if magic == MAGIC:
+        return file
+    file.close()
+    raise BagError(f"{path}: {'is not an MCAP file' if magic else 'is empty'}")
+
+
+class Record(NamedTuple):
+    """A record: offset and size [B] of its content. `is_cut`: the data ends inside."""
+
+    opcode: int
+    start: int
+    size: int
+    is_cut: bool
+
+    def content(self, stream: IO[bytes]) -> bytes:
+        """Return the content, of a cut record the part before the cut."""
+        stream.seek(self.start)
+        return stream.read() if self.is_cut else stream.read(self.size)
+
+
+def records(stream: IO[bytes], start: int = len(MAGIC)) -> Iterator[Record]:
+    """Yield the records from the offset `start` on, without reading their content."""
+    end = stream.seek(0, 2)
+    while start + RECORD_HEAD.size <= end:
+        stream.seek(start)
+        opcode, size = RECORD_HEAD.unpack(stream.read(RECORD_HEAD.size))
+        start += RECORD_HEAD.size
+        yield Record(opcode, start, size, is_cut=start + size > end)
+        start += size
+
+
+def chunk_records(content: bytes, *, is_cut: bool = False) -> bytes:
+    """Return the uncompressed records of a chunk; of a cut chunk, the records before the cut.
+
+    Raises DecodeError if the chunk is damaged.
+    """
+    try:
+        chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+    except DAMAGE:
+        if is_cut:
+            return b""
+        raise DecodeError("its header is damaged") from None
+    if chunk.compression not in DECOMPRESSORS:
+        raise DecodeError(f"compression {chunk.compression!r}: must be one of {', '.join(filter(None, DECOMPRESSORS))}")
+    if chunk.uncompressed_size > MAX_CHUNK_BYTES:
+        raise DecodeError(f"uncompressed size {chunk.uncompressed_size}: must be <= {MAX_CHUNK_BYTES}")
+    try:
+        data = DECOMPRESSORS[chunk.compression](chunk.data)
+    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
+        raise DecodeError(f"its {chunk.compression} data is damaged: {error}") from None
+    if not is_cut and len(data) != chunk.uncompressed_size:
+        raise DecodeError(f"it decompresses to {len(data)} bytes; expected {chunk.uncompressed_size}")
+    if not is_cut and chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise DecodeError("its checksum is wrong")
+    return data
 
 
 @dataclass(slots=True)
 class CopyResult:
-    """The content of a copy, and lines about what could not be copied."""
+    """The size of a copy, and the state of the original."""
 
     messages: int = 0
-    losses: LossLog = field(default_factory=LossLog)
+    is_complete: bool = False
+    """The original has the end of its data."""
     has_gaps: bool = False
     """More is lost than the torn end: the original has bytes that another tool may be able to read."""
 
 
-def copy_records(path: Path, file: BinaryIO, output: BinaryIO) -> CopyResult:
-    """Write everything readable in the MCAP file `file`, called `path`, to `output`, with index and summary.
+def copy_records(path: Path, source: IO[bytes], output: IO[bytes], losses: LossLog) -> CopyResult:
+    """Write everything readable in the MCAP file `source`, called `path`, to `output`, with index and summary.
 
-    Chunk boundaries, messages, times and sequence numbers are kept.
+    Chunk boundaries, messages, times and sequence numbers are kept. What cannot be copied is added to `losses`.
     """
-    result = CopyResult()
-    size = file.seek(0, 2)
-    header, compression = _format(file, size)
-    writer = Writer(output, chunk_size=MAX_TIME_NS, compression=compression)
-    writer.start(header.profile, header.library)
-    copy = _Copy(path, writer, result)
-    for record in records(file, size):
-        if record.opcode == Opcode.DATA_END:
-            break
-        if record.opcode == 0:
-            result.losses.add(f"{path}: byte {record.start} on is not MCAP; the rest is lost")
-            result.has_gaps = True
-            break
-        if record.opcode == Opcode.CHUNK:
-            copy.add_chunk(file, record)
-        elif not record.is_cut:
-            file.seek(record.start - RECORD_HEAD.size)
-            copy.add_records(file.read(RECORD_HEAD.size + record.size))
-    writer.finish()  # type: ignore[no-untyped-call]
-    return result
-
-
-def _format(file: BinaryIO, size: int) -> tuple[Header, CompressionType]:
-    """Return the header and the compression of the first readable chunk."""
     header = Header(profile="", library="")
-    for record in records(file, size):
-        try:
-            if record.opcode == Opcode.HEADER:
-                file.seek(record.start - RECORD_HEAD.size)
-                content = file.read(RECORD_HEAD.size + record.available)
-                header = next((r for r in _parse(content) if isinstance(r, Header)), header)
-            elif record.opcode == Opcode.CHUNK:
-                return header, COMPRESSIONS[chunk_content(file, record)[1]]
-        except DAMAGE:  # noqa: PERF203 - once per file
-            continue
-    return header, CompressionType.ZSTD
-
-
-def _parse(data: bytes) -> Iterator[McapRecord]:
-    """Yield the complete records in `data`. Raises one of `DAMAGE`."""
-    try:
-        yield from StreamReader(BytesIO(data), skip_magic=True).records
-    except EndOfFile:
-        return
+    first = next(records(source), None)
+    if first is not None and first.opcode == Opcode.HEADER:
+        with suppress(*DAMAGE):
+            header = Header.read(ReadDataStream(BytesIO(first.content(source))))
+    writer = Writer(output, chunk_size=MAX_TIME_NS)  # chunks end where those of the original end
+    writer.start(header.profile, header.library)
+    copy = _Copy(path, writer, losses)
+    copy.add_file(source)
+    writer.finish()  # type: ignore[no-untyped-call]
+    return copy.result
 
 
 class _Copy:
     """Adds records to a writer, which assigns new ids to schemas and channels."""
 
-    def __init__(self, path: Path, writer: Writer, result: CopyResult) -> None:
+    def __init__(self, path: Path, writer: Writer, losses: LossLog) -> None:
+        self.result = CopyResult()
         self._path = path
         self._writer = writer
-        self._result = result
-        self._schemas: dict[int, tuple[Schema | None, int]] = {0: (None, 0)}
+        self._losses = losses
+        # By the ids of the original: the definition and its id in the copy.
+        self._schemas: dict[int, tuple[Schema, int]] = {}
         self._channels: dict[int, tuple[Channel, int]] = {}
-        self._undefined_messages = 0
+        self._undefined_messages: Counter[int] = Counter()
 
-    def add_chunk(self, file: BinaryIO, record: Record) -> None:
-        """Copy a chunk; of a cut one, the records before the cut."""
-        previous_messages = self._result.messages
-        try:
-            data, _ = chunk_content(file, record)
-        except DecodeError as error:
-            self._result.losses.add(f"{self._path}: chunk at byte {record.start} is lost: {error}")
-            self._result.has_gaps |= not record.is_cut
-            return
-        self.add_records(data, is_cut=record.is_cut)
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        if record.is_cut:
-            count = self._result.messages - previous_messages
-            line = f"cut off in the chunk at byte {record.start}: {count} messages of it are kept, the rest is lost"
-            self._result.losses.add(f"{self._path}: {line}")
-
-    def add_records(self, data: bytes, *, is_cut: bool = False) -> None:
-        """Copy the complete records in `data`; the last one may be torn if `is_cut`."""
-        try:
-            for record in _parse(data):
-                self._add(record)
-        except DAMAGE:
-            if is_cut:
+    def add_file(self, file: IO[bytes]) -> None:
+        """Copy the records up to the end of the data."""
+        loose_bytes = 0
+        for record in records(file):
+            if record.opcode == Opcode.DATA_END and not record.is_cut:
+                self.result.is_complete = True
                 return
-            self._result.losses.add(f"{self._path}: a damaged record is lost")
-            self._result.has_gaps = True
+            if record.opcode == 0:
+                self._lose(f"byte {record.start} on is not MCAP; the rest is lost")
+                return
+            if record.opcode == Opcode.CHUNK:
+                self._add_chunk(file, record)
+            elif not record.is_cut:
+                self._add(record, file)
+                loose_bytes += record.size
+            if record.opcode == Opcode.CHUNK or loose_bytes > MAX_LOOSE_BYTES:
+                self._writer.flush()  # type: ignore[no-untyped-call]
+                loose_bytes = 0
+        self._losses.add(f"{self._path}: cut off at byte {file.seek(0, 2)}; the rest is lost")
 
-    def _add(self, record: McapRecord) -> None:
-        if isinstance(record, Message):
-            self._add_message(record)
-        elif isinstance(record, Schema):
-            if record.id and self._schemas.get(record.id, (None, 0))[0] != record:
-                schema_id = self._writer.register_schema(record.name, record.encoding, record.data)
-                self._schemas[record.id] = record, schema_id
-        elif isinstance(record, Channel):
-            if record.id not in self._channels or self._channels[record.id][0] != record:
-                _, schema_id = self._schemas.get(record.schema_id, (None, 0))
-                channel_id = self._writer.register_channel(
-                    record.topic, record.message_encoding, schema_id, record.metadata
-                )
-                self._channels[record.id] = record, channel_id
-        elif isinstance(record, Metadata):
-            self._writer.add_metadata(record.name, record.metadata)
-        elif isinstance(record, Attachment):
-            times = record.create_time, record.log_time
-            self._writer.add_attachment(*times, record.name, record.media_type, record.data)
+    def _lose(self, line: str, count: int = 1) -> None:
+        self._losses.add(f"{self._path}: {line}", count)
+        self.result.has_gaps = True
 
-    def _add_message(self, message: Message) -> None:
-        if message.channel_id not in self._channels:
-            self._undefined_messages += 1
-            line = f"messages of channel {message.channel_id}, which the file does not define, are lost"
-            self._result.losses.add(f"{self._path}: {line}", self._undefined_messages)
-            self._result.has_gaps = True
+    def _add_chunk(self, file: IO[bytes], chunk: Record) -> None:
+        """Copy a chunk; of a cut one, the records before the cut."""
+        try:
+            data = chunk_records(chunk.content(file), is_cut=chunk.is_cut)
+        except DecodeError as error:
+            self._losses.add(f"{self._path}: chunk at byte {chunk.start} is lost: {error}")
+            self.result.has_gaps |= not chunk.is_cut
             return
-        _, channel_id = self._channels[message.channel_id]
-        self._writer.add_message(channel_id, message.log_time, message.data, message.publish_time, message.sequence)
-        self._result.messages += 1
+        end = 0
+        stream = BytesIO(data)
+        for record in records(stream, start=0):
+            if not record.is_cut:
+                self._add(record, stream)
+                end = record.start + record.size
+        if end < len(data) and not chunk.is_cut:
+            self._lose(f"chunk at byte {chunk.start}: its last {len(data) - end} bytes are not a record")
+
+    def _add(self, record: Record, stream: IO[bytes]) -> None:
+        """Copy a record, unless it belongs to the index or the summary, which the writer makes."""
+        content = record.content(stream)
+        parsed = ReadDataStream(BytesIO(content))
+        try:
+            if record.opcode == Opcode.MESSAGE:
+                self._add_message(content)
+            elif record.opcode == Opcode.SCHEMA:
+                self._add_schema(Schema.read(parsed))
+            elif record.opcode == Opcode.CHANNEL:
+                self._add_channel(Channel.read(parsed))
+            elif record.opcode == Opcode.METADATA:
+                metadata = Metadata.read(parsed)
+                self._writer.add_metadata(metadata.name, metadata.metadata)
+            elif record.opcode == Opcode.ATTACHMENT:
+                file = Attachment.read(parsed)
+                self._writer.add_attachment(file.create_time, file.log_time, file.name, file.media_type, file.data)
+        except DAMAGE:
+            self._lose("a damaged record is lost")
+
+    def _add_schema(self, schema: Schema) -> None:
+        if schema.id not in self._schemas or self._schemas[schema.id][0] != schema:
+            copied = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+            self._schemas[schema.id] = schema, copied
+
+    def _add_channel(self, channel: Channel) -> None:
+        if channel.id not in self._channels or self._channels[channel.id][0] != channel:
+            schema = self._schemas[channel.schema_id][1] if channel.schema_id in self._schemas else 0
+            copied = self._writer.register_channel(channel.topic, channel.message_encoding, schema, channel.metadata)
+            self._channels[channel.id] = channel, copied
+
+    def _add_message(self, content: bytes) -> None:
+        channel, sequence, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(content)
+        if channel not in self._channels:
+            self._undefined_messages[channel] += 1
+            line = f"messages of channel {channel}, which the file does not define, are lost"
+            self._lose(line, self._undefined_messages[channel])
+            return
+        if log_time_ns > MAX_TIME_NS:
+            raise ValueError(log_time_ns)
+        data = content[MESSAGE_HEAD.size :]
+        self._writer.add_message(self._channels[channel][1], log_time_ns, data, publish_time_ns, sequence)
+        self.result.messages += 1

@@ -11,6 +11,7 @@ from typing import IO, cast, final
 from mcap.writer import CompressionType, Writer
 
 from scara_effmass.bags.batches import MAX_TIME_NS, Topic
+from scara_effmass.bags.mcap_bag import HASH_KEY, QOS_KEY
 from scara_effmass.bags.rosbag2 import BagFile, metadata, yaml_text
 
 FileOpener = Callable[[Path], IO[bytes]]
@@ -19,8 +20,6 @@ PROFILE = "ros2"
 LIBRARY = "scara_effmass"
 METADATA_RECORD = "rosbag2"
 """The MCAP metadata record in which rosbag2 repeats metadata.yaml."""
-QOS_KEY = "offered_qos_profiles"
-HASH_KEY = "topic_type_hash"
 CHUNK_BYTES = 1 << 20
 """Message bytes after which the caller should save."""
 

@@ -3,7 +3,7 @@
 import json
 import os
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,11 +11,10 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 
-from scara_effmass.bags.batches import LossLog, Topic
+from scara_effmass.bags.batches import LossLog
 from scara_effmass.bags.files import METADATA, SPLIT_NAME, bag_files
-from scara_effmass.bags.mcap_copy import copy_records
-from scara_effmass.bags.mcap_file import McapFile, records
-from scara_effmass.bags.mcap_writer import HASH_KEY, QOS_KEY
+from scara_effmass.bags.mcap_bag import McapFile, read_index
+from scara_effmass.bags.mcap_copy import DAMAGE, RECORD_HEAD, copy_records, open_mcap, records
 from scara_effmass.bags.recording_report import LOSSES_RECORD, losses_custom_data
 from scara_effmass.bags.rosbag2 import BagFile, is_being_written, sync_folder, write_metadata
 from scara_effmass.errors import BagError, OutputError
@@ -102,8 +101,9 @@ def _repair_file(path: Path) -> tuple[FileRepair, BagFile]:
         return FileRepair(path, intact=True, messages=content.count), content
     unfinished = path.with_name(f".{path.name}.repaired")
     try:
+        losses = LossLog()
         with path.open("rb") as file, unfinished.open("wb") as output:
-            result = copy_records(path, file, output)
+            result = copy_records(path, file, output, losses)
             output.flush()
             os.fsync(output.fileno())
         content = _complete_file(unfinished)
@@ -120,33 +120,28 @@ def _repair_file(path: Path) -> tuple[FileRepair, BagFile]:
     finally:
         with suppress(OSError):
             unfinished.unlink()
-    repaired = FileRepair(path, intact=False, messages=content.count, lost=tuple(result.losses), kept_original=original)
+    repaired = FileRepair(path, intact=False, messages=content.count, lost=tuple(losses), kept_original=original)
     return repaired, replace(content, name=path.name)
 
 
 def _complete_file(path: Path) -> BagFile | None:
-    """Return the content of a file if it is readable and its summary covers it. Raises BagError if it is not MCAP."""
+    """Return the content of a file if it is readable and its index covers it. Raises BagError if it is not MCAP."""
+    with open_mcap(path) as file:
+        try:
+            summary = read_index(file)
+        except DAMAGE:
+            return None
+        stored = [record.start - RECORD_HEAD.size for record in records(file) if record.opcode == Opcode.CHUNK]
+    if summary is None or stored != [chunk.chunk_start_offset for chunk in summary.chunk_indexes]:
+        return None
     losses = LossLog()
-    with path.open("rb") as file:
-        mcap = McapFile(path, file, losses)
+    with closing(McapFile(path, losses)) as mcap:
         for chunk in mcap.chunks:
             mcap.read(chunk)
-        stored = {record.start for record in records(file, file.seek(0, 2)) if record.opcode == Opcode.CHUNK}
-    indexed = {chunk.start for chunk in mcap.chunks if chunk.opcode == Opcode.CHUNK}
-    is_chunkless = mcap.statistics is not None and not mcap.statistics.chunk_count
-    if any(losses) or stored != indexed or not (mcap.is_indexed or is_chunkless):
-        return None
-    topics = [
-        Topic(
-            *mcap.topic_and_type(channel),
-            count=mcap.counts.get(channel.id, 0),
-            type_hash=channel.metadata.get(HASH_KEY, ""),
-            offered_qos=channel.metadata.get(QOS_KEY, ""),
-        )
-        for channel in mcap.channels.values()
-    ]
-    start_ns = min((chunk.start_ns for chunk in mcap.chunks), default=0)
-    return BagFile(path.name, start_ns, max((chunk.end_ns for chunk in mcap.chunks), default=0), tuple(topics))
+        start_ns = min((chunk.message_start_time for chunk in mcap.chunks), default=0)
+        end_ns = max((chunk.message_end_time for chunk in mcap.chunks), default=0)
+        content = BagFile(path.name, start_ns, end_ns, tuple(stored.topic for stored in mcap.stored_topics()))
+    return None if any(losses) else content
 
 
 def _update_metadata(folder: Path, files: Sequence[FileRepair], contents: Sequence[BagFile]) -> bool:

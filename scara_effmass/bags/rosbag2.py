@@ -4,13 +4,13 @@ import fcntl
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from scara_effmass.bags.batches import Topic
+from scara_effmass.bags.batches import Topic, merged_topics
 from scara_effmass.bags.files import METADATA, bag_files, is_rosbag2_folder
 from scara_effmass.errors import OutputError
 
@@ -41,10 +41,6 @@ class BagFile:
 
 def metadata(files: Sequence[BagFile], custom_data: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Return the metadata of a bag of these files."""
-    topics: dict[tuple[str, str], Topic] = {}
-    for topic in (topic for file in files for topic in file.topics):
-        before = topics.get((topic.name, topic.type), replace(topic, count=0))
-        topics[topic.name, topic.type] = replace(before, count=before.count + topic.count)
     nonempty = [file for file in files if file.count]
     start_ns = min((file.start_ns for file in nonempty), default=0)
     end_ns = max((file.end_ns for file in nonempty), default=0)
@@ -65,7 +61,7 @@ def metadata(files: Sequence[BagFile], custom_data: Mapping[str, str] | None = N
                 },
                 "message_count": topic.count,
             }
-            for topic in topics.values()
+            for topic in merged_topics(topic for file in files for topic in file.topics)
         ],
         "compression_format": "",
         "compression_mode": "",

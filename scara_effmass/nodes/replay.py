@@ -232,7 +232,7 @@ class _Player:
         self._wait_until_ready()
         latched = [name for name, publisher in self._publishers.items() if publisher.latched]
         if latched and self._start_ns > self._bag.start_ns:
-            for message in self._bag.messages(latched, None, self._start_ns):
+            for message in self._bag.messages(latched, stop_ns=self._start_ns):
                 self._publishers[message.topic].send(message.data)
         report = self.report
         while not self._options.passes or report.passes < self._options.passes:

@@ -8,6 +8,7 @@ from scara_effmass.settings.daq import (
     FilterKind,
     FilterSettings,
     ForceSourceKind,
+    ImportSettings,
     Ni9230Settings,
     SensorSettings,
     SimScene,
@@ -15,7 +16,6 @@ from scara_effmass.settings.daq import (
     Stamps,
     TareSettings,
 )
-from scara_effmass.settings.importing import ImportSettings
 from scara_effmass.settings.loading import READ_ONLY, checked, load_settings
 from scara_effmass.settings.monitor import ContactType, MassModel, MonitorSettings
 from scara_effmass.settings.validator import CriterionSettings, ValidatorSettings

@@ -1,19 +1,15 @@
-"""Settings of the force measurement: source, sensor, signal conditioning and impact detection."""
+"""Settings of the force: source, sensor, signal conditioning, impact detection, and import from files."""
 
 from __future__ import annotations
 
 import re
 from enum import Enum
-from functools import partial
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from scara_effmass.settings.loading import READ_ONLY
-
-_fixed = partial(Field, json_schema_extra=READ_ONLY)
-"""A setting that a running node does not change."""
+from scara_effmass.settings.loading import FrozenSettings, fixed
 
 
 class ForceSourceKind(str, Enum):
@@ -60,86 +56,66 @@ class SimScene(str, Enum):
     CELL = "cell"
 
 
-class _Group(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class SensorSettings(_Group):
+class SensorSettings(FrozenSettings):
     """The force sensor."""
 
-    sensitivity: float = _fixed(
+    sensitivity: float = fixed(
         2.248,
+        "from the sensor's calibration certificate [mV/N]; the default is nominal for a PCB 208C03",
         gt=0.0,
         le=1e4,
-        description="from the sensor's calibration certificate [mV/N]; the default is nominal for a PCB 208C03",
     )
-    sensitivity_uncertainty: float = _fixed(
-        0.15,
-        ge=0.0,
-        le=1.0,
-        description="relative uncertainty of the sensitivity; the default is that of the nominal sensitivity",
+    sensitivity_uncertainty: float = fixed(
+        0.15, "relative uncertainty of the sensitivity; the default is that of the nominal sensitivity", ge=0.0, le=1.0
     )
-    range: float = _fixed(
-        2224.0, gt=0.0, le=1e6, description="end of the measuring range in compression and tension [N]"
-    )
-    invert: bool = _fixed(default=False, description="the sensor reads compression as negative")
+    range: float = fixed(2224.0, "end of the measuring range in compression and tension [N]", gt=0.0, le=1e6)
+    invert: bool = fixed(default=False, description="the sensor reads compression as negative")
 
 
-class TareSettings(_Group):
+class TareSettings(FrozenSettings):
     """Tare of the force."""
 
-    at_start: bool = _fixed(default=True, description="tare at the start")
-    time: float = _fixed(0.5, gt=0.0, le=60.0, description="averaging time of a tare [s]")
-    tolerance: float = _fixed(
-        1.0, gt=0.0, le=1e6, description="a tare is refused when the force moves by more than this [N]"
-    )
+    at_start: bool = fixed(default=True, description="tare at the start")
+    time: float = fixed(0.5, "averaging time of a tare [s]", gt=0.0, le=60.0)
+    tolerance: float = fixed(1.0, "a tare is refused when the force moves by more than this [N]", gt=0.0, le=1e6)
 
 
-class FilterSettings(_Group):
+class FilterSettings(FrozenSettings):
     """Low-pass over the force."""
 
-    kind: FilterKind = _fixed(FilterKind.NONE, description="none, causal (Butterworth) or zero_phase (Gaussian)")
-    cutoff: float = _fixed(2000.0, gt=0.0, le=1e5, description="frequency of half power [Hz]")
+    kind: FilterKind = fixed(FilterKind.NONE, "none, causal (Butterworth) or zero_phase (Gaussian)")
+    cutoff: float = fixed(2000.0, "frequency of half power [Hz]", gt=0.0, le=1e5)
 
 
-class DetectionSettings(_Group):
+class DetectionSettings(FrozenSettings):
     """Detection of impacts."""
 
-    threshold: float = _fixed(5.0, gt=0.0, le=1e5, description="smallest force of an impact above the baseline [N]")
-    noise_factor: float = _fixed(
-        8.0,
-        ge=1.0,
-        le=100.0,
-        description="smallest force of an impact above the baseline, in standard deviations of the noise",
+    threshold: float = fixed(5.0, "smallest force of an impact above the baseline [N]", gt=0.0, le=1e5)
+    noise_factor: float = fixed(
+        8.0, "smallest force of an impact above the baseline, in standard deviations of the noise", ge=1.0, le=100.0
     )
-    longest: float = _fixed(
-        1.0, gt=0.0, le=10.0, description="longest impact; a longer force is a sustained contact [s]"
-    )
-    rebound_time: float = _fixed(
-        0.5, ge=0.0, le=60.0, description="a contact that starts within this time of another is its rebound [s]"
+    longest: float = fixed(1.0, "longest impact; a longer force is a sustained contact [s]", gt=0.0, le=10.0)
+    rebound_time: float = fixed(
+        0.5, "a contact that starts within this time of another is its rebound [s]", ge=0.0, le=60.0
     )
 
 
-class Ni9230Settings(_Group):
+class Ni9230Settings(FrozenSettings):
     """The converter."""
 
-    channels: tuple[str, ...] = _fixed(
-        ("cDAQ1Mod1/ai0",),
-        description="physical channels; the first publishes on force, the others below it, as force/ai1",
+    channels: tuple[str, ...] = fixed(
+        ("cDAQ1Mod1/ai0",), "physical channels; the first publishes on force, the others below it, as force/ai1"
     )
-    sample_rate: float = _fixed(
-        12_800.0, gt=0.0, le=1e6, description="requested rate; the device selects the nearest one that it has [Hz]"
+    sample_rate: float = fixed(
+        12_800.0, "requested rate; the device selects the nearest one that it has [Hz]", gt=0.0, le=1e6
     )
-    samples: int = _fixed(0, ge=0, description="samples of a finite acquisition, 10000 in the paper; 0: continuous")
-    coupling: Coupling = _fixed(Coupling.AC, description="AC or DC")
-    current: float = _fixed(0.004, ge=0.0, le=0.02, description="excitation [A]")
-    filter_delay_samples: float = _fixed(
-        38.0,
-        ge=0.0,
-        le=1000.0,
-        description="delay of the converter's digital filter if the driver does not state it [samples]",
+    samples: int = fixed(0, "samples of a finite acquisition, 10000 in the paper; 0: continuous", ge=0)
+    coupling: Coupling = fixed(Coupling.AC, "AC or DC")
+    current: float = fixed(0.004, "excitation [A]", ge=0.0, le=0.02)
+    filter_delay_samples: float = fixed(
+        38.0, "delay of the converter's digital filter if the driver does not state it [samples]", ge=0.0, le=1000.0
     )
-    retry_time: float = _fixed(1.0, gt=0.0, le=60.0, description="pause between attempts to reconnect a device [s]")
+    retry_time: float = fixed(1.0, "pause between attempts to reconnect a device [s]", gt=0.0, le=60.0)
 
     @field_validator("channels")
     @classmethod
@@ -151,61 +127,44 @@ class Ni9230Settings(_Group):
         return names
 
 
-class BagSettings(_Group):
+class BagSettings(FrozenSettings):
     """A bag as the source."""
 
-    path: str = _fixed("", description="bag with ForceBlocks: rosbag2 folder, .mcap, .db3 or .bag")
-    topic: str = _fixed("", description="topic of the ForceBlocks; empty: the only one")
-    rate: float = _fixed(1.0, ge=0.0, le=1e3, description="multiple of the recorded speed; 0: as fast as possible")
-    subscriber_timeout: float = _fixed(
-        3.0, ge=0.0, le=3600.0, description="how long to wait for a subscriber before playing [s]"
-    )
-    stamps: Stamps = _fixed(
-        Stamps.RECORDED, description="recorded, or now: as if measured now; relative stamps are always now"
-    )
+    path: str = fixed("", "bag with ForceBlocks: rosbag2 folder, .mcap, .db3 or .bag")
+    topic: str = fixed("", "topic of the ForceBlocks; empty: the only one")
+    rate: float = fixed(1.0, "multiple of the recorded speed; 0: as fast as possible", ge=0.0, le=1e3)
+    subscriber_timeout: float = fixed(3.0, "how long to wait for a subscriber before playing [s]", ge=0.0, le=3600.0)
+    stamps: Stamps = fixed(Stamps.RECORDED, "recorded, or now: as if measured now; relative stamps are always now")
 
 
-class SimSettings(_Group):
+class SimSettings(FrozenSettings):
     """Simulated force as the source."""
 
-    scene: SimScene = _fixed(
+    scene: SimScene = fixed(
         SimScene.HALF_SINES,
-        description=(
-            "half_sines: noise and half-sine impacts on all channels; cell: the simulated cell, whose robot "
-            "sim_node moves"
-        ),
+        "half_sines: noise and half-sine impacts on all channels; cell: the simulated cell, whose robot sim_node moves",
     )
-    start: float = _fixed(
-        0.0,
-        ge=0.0,
-        le=1e10,
-        description="ROS time at which the cell starts, the same as that of sim_node [s]; 0: now",
+    start: float = fixed(
+        0.0, "ROS time at which the cell starts, the same as that of sim_node [s]; 0: now", ge=0.0, le=1e10
     )
-    channels: int = _fixed(1, ge=1, le=8, description="number of channels")
-    sample_rate: float = _fixed(12_800.0, gt=0.0, le=1e6, description="nominal rate of the simulated converter [Hz]")
-    seed: int = _fixed(0, ge=0, description="seed of noise and impacts")
-    impact_period: float = _fixed(2.0, ge=0.1, le=3600.0, description="mean time between impacts [s]")
-    noise: float = _fixed(0.1, ge=0.0, le=100.0, description="standard deviation of the noise [N]")
-    clock_error: float = _fixed(
-        20e-6, ge=-1e-3, le=1e-3, description="relative error of the simulated converter's clock"
-    )
+    channels: int = fixed(1, "number of channels", ge=1, le=8)
+    sample_rate: float = fixed(12_800.0, "nominal rate of the simulated converter [Hz]", gt=0.0, le=1e6)
+    seed: int = fixed(0, "seed of noise and impacts", ge=0)
+    impact_period: float = fixed(2.0, "mean time between impacts [s]", ge=0.1, le=3600.0)
+    noise: float = fixed(0.1, "standard deviation of the noise [N]", ge=0.0, le=100.0)
+    clock_error: float = fixed(20e-6, "relative error of the simulated converter's clock", ge=-1e-3, le=1e-3)
 
 
-class DaqSettings(_Group):
-    """All settings of `daq_node`. Raises pydantic's ValidationError; see `checked`."""
+class DaqSettings(FrozenSettings):
+    """All settings of `daq_node`."""
 
-    source: ForceSourceKind = _fixed(ForceSourceKind.NI9230, description="force source: ni9230, bag or sim")
-    frame_id: str = _fixed("force_sensor", description="frame of the sensor; its z axis points along compression")
-    block_time: float = _fixed(
-        0.1, ge=0.005, le=2.0, description="time between two reads, which is the length of a block [s]"
+    source: ForceSourceKind = fixed(ForceSourceKind.NI9230, "force source: ni9230, bag or sim")
+    frame_id: str = fixed("force_sensor", "frame of the sensor; its z axis points along compression")
+    block_time: float = fixed(0.1, "time between two reads, which is the length of a block [s]", ge=0.005, le=2.0)
+    backlog: float = fixed(
+        5.0, "longest queue of unpublished samples; more are dropped and counted as lost [s]", gt=0.0, le=600.0
     )
-    backlog: float = _fixed(
-        5.0,
-        gt=0.0,
-        le=600.0,
-        description="longest queue of unpublished samples; more are dropped and counted as lost [s]",
-    )
-    wrench_rate: float = _fixed(100.0, ge=0.0, le=1e4, description="rate of the decimated topic wrench [Hz]; 0: none")
+    wrench_rate: float = fixed(100.0, "rate of the decimated topic wrench [Hz]; 0: none", ge=0.0, le=1e4)
     sensor: SensorSettings = SensorSettings()
     tare: TareSettings = TareSettings()
     filter: FilterSettings = FilterSettings()
@@ -221,3 +180,18 @@ class DaqSettings(_Group):
         if isinstance(values, dict) and "bench" in values and "sim" not in values:
             return {"sim" if name == "bench" else name: value for name, value in values.items()}
         return values
+
+
+class ImportSettings(FrozenSettings):
+    """Select the force in a file and state what the file does not."""
+
+    topic: str = Field("", description="topic, CSV column or TDMS channel of the force; empty: the only one")
+    axis: str = Field("z", pattern="^[xyz]$", description="component of a wrench: x, y or z")
+    unit: str = Field(
+        "",
+        pattern="^(|N|kN|lbf|kgf|V|mV)$",
+        description="unit of the values: N, kN, lbf, kgf, V or mV; empty: as the file states, N for messages",
+    )
+    time_column: str = Field("", description="CSV column of the times; empty: the first column")
+    frame_id: str = Field("force_sensor", description="frame of the sensor; its z axis points along compression")
+    sensor: SensorSettings = Field(SensorSettings(), description="sensor that recorded the file")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from scara_effmass.errors import SettingsError
@@ -18,6 +18,17 @@ READ_ONLY: dict[str, Any] = {"read_only": True}
 
 NODE_ONLY = frozenset({"autostart", "use_sim_time", "stop_at_end", "find_impacts", "report_folder"})
 """Parameters of nodes alone: a shared file may hold them, offline commands ignore them."""
+
+
+def fixed(default: object, description: str, **limits: Any) -> Any:  # noqa: ANN401 - as pydantic's Field
+    """Return the field of a setting that cannot change on a running node."""
+    return Field(default, description=description, json_schema_extra=READ_ONLY, **limits)
+
+
+class FrozenSettings(BaseModel):
+    """Settings that refuse unknown names and numbers that are not finite. Raises ValidationError; see `checked`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def checked(kind: type[Settings], values: Mapping[str, Any], origin: str) -> Settings:

@@ -1,11 +1,12 @@
-"""CDR encoding and decoding of numbers, strings and sequences.
+"""CDR encoding and decoding of messages whose fields are numbers, strings and sequences.
 
 CDR (OMG DDSI-RTPS 10, XCDR version 1): two bytes of byte order and two of options; then each number is aligned to its
 size, counted from byte 4; strings and sequences begin with their length as uint32. Padding bytes are arbitrary.
 """
 
 import struct
-from typing import Literal, TypeVar
+from collections.abc import Mapping
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +27,8 @@ MAX_TAIL = 15
 """Bytes that may follow the last field: rclpy adds 4 for each empty sequence, other libraries pad."""
 
 NS = 1_000_000_000
-STAMP = struct.Struct("<iI")
 COUNT = struct.Struct("<I")
 MAX_SEC = 2**31 - 1
-
-Number = TypeVar("Number", np.float64, np.uint32)
 
 
 def sec_and_nanosec(stamp_ns: int) -> tuple[int, int]:
@@ -50,10 +48,61 @@ def padded(data: bytes) -> bytes:
     return data + b"\x00" * (-len(data) % 8)
 
 
-class Cursor:
-    """Reads a message that begins with a Header, starting after its stamp.
+FORMATS = {
+    "bool": ("B", 1),
+    "uint32": ("I", 4),
+    "uint64": ("Q", 8),
+    "float64": ("d", 8),
+    "vector": ("3d", 8),
+    "time": ("iI", 4),
+}
+"""Formats of `struct` and alignment of the fields of fixed size; times are int [ns], vectors (x, y, z)."""
 
-    Every method raises DecodeError, which names the `message_type`, if the bytes are invalid. `fixed` collects the byte
+
+DTYPES = {"float64[]": "<f8", "uint32[]": "<u4"}
+
+
+def encode(fields: Mapping[str, str], values: Mapping[str, Any]) -> bytes:
+    """Return the CDR bytes of a message.
+
+    `fields` gives the kind of each field in the order of the message: a key of `FORMATS`, "text", "float64[]",
+    "uint32[]" or "text[]".
+    """
+    data = b""
+    for name, kind in fields.items():
+        data = _with_field(data, kind, values[name])
+    return LITTLE_ENDIAN + data
+
+
+def _with_field(data: bytes, kind: str, value: Any) -> bytes:  # noqa: ANN401 - a value of this kind
+    if kind == "text":
+        return with_text(data, value)
+    if kind in FORMATS:
+        layout, size = FORMATS[kind]
+        numbers = sec_and_nanosec(value) if kind == "time" else value if kind == "vector" else (value,)
+        return data + b"\x00" * (-len(data) % size) + struct.pack(f"<{layout}", *numbers)
+    data = _with_field(data, "uint32", len(value))
+    if kind == "text[]":
+        for text in value:
+            data = with_text(data, text)
+    elif len(value):  # an empty sequence has no padding after its length
+        items = np.asarray(value, DTYPES[kind])
+        data += b"\x00" * (-len(data) % items.itemsize) + items.tobytes()
+    return data
+
+
+def decode(data: bytes, message_type: str, fields: Mapping[str, str]) -> dict[str, Any]:
+    """Return the fields of a message, CDR of either byte order; see `encode`. Raises DecodeError."""
+    cursor = Cursor(data, message_type)
+    values = {name: cursor.read(name, kind) for name, kind in fields.items()}
+    cursor.end(list(fields)[-1])
+    return values
+
+
+class Cursor:
+    """Reads the fields of a message one after the other.
+
+    Methods raise DecodeError, which names the `message_type`, if the bytes are invalid. `fixed` collects the byte
     ranges (start, stop) of lengths and texts, which determine the layout.
     """
 
@@ -62,7 +111,7 @@ class Cursor:
         if data[:2] not in BYTE_ORDERS:
             raise self.error(f"CDR byte order = {data[:2].hex() or 'missing'}: must be 0000 or 0001")
         self.byte_order = BYTE_ORDERS[data[:2]]
-        self.at = FRAME_AT
+        self.at = ORIGIN
         self.fixed: list[tuple[int, int]] = []
         self._data = data
         self._length = struct.Struct(f"{self.byte_order}I")
@@ -77,7 +126,7 @@ class Cursor:
 
     def count(self, field: str, size: int) -> int:
         """Read the length of `field`, whose items have at least `size` bytes each."""
-        start = self._skip(field, 4)
+        start = self._skip(field, 4, 4)
         (count,) = self._length.unpack_from(self._data, start)
         available = len(self._data) - self.at
         if count * size > available:
@@ -94,36 +143,20 @@ class Cursor:
             raise self.error(f"the message ends at byte {len(self._data)}, inside {field}")
         return start, count
 
-    def array(self, field: str, number: type[Number]) -> NDArray[Number]:
-        """Read a sequence of numbers into a read-only array in native order."""
-        dtype = np.dtype(number).newbyteorder(self.byte_order)
-        start, count = self.skip_numbers(field, dtype.itemsize)
-        # A copy, because numbers in the message are not aligned in memory.
-        array = np.frombuffer(self._data[start : start + count * dtype.itemsize], dtype).astype(number, copy=False)
-        array.flags.writeable = False
-        return array
-
-    def integer(self, field: str, size: int) -> int:
-        """Read an unsigned integer of `size` bytes."""
-        start = self._skip(field, size)
-        return int.from_bytes(self._data[start : self.at], "big" if self.byte_order == ">" else "little")
-
-    def float64(self, field: str) -> float:
-        """Read a float64."""
-        (value,) = struct.unpack_from(f"{self.byte_order}d", self._data, self._skip(field, 8))
-        return float(value)
-
-    def flag(self, field: str) -> bool:
-        """Read a bool."""
-        value = self._data[self._skip(field, 1)]
-        if value > 1:
-            raise self.error(f"{field} = {value}: must be 0 or 1")
-        return value == 1
-
-    def skip_text(self, field: str) -> None:
-        """Skip a string."""
-        size = self.count(field, 1)
-        self.at += size
+    def read(self, field: str, kind: str) -> Any:  # noqa: ANN401 - a value of this kind
+        """Read a field of a kind as in `encode`; arrays are read-only and in native byte order."""
+        if kind == "text":
+            return self.text(field)
+        if kind in DTYPES:
+            return self._array(field, np.dtype(DTYPES[kind]).newbyteorder(self.byte_order))
+        layout, alignment = FORMATS[kind]
+        layout = f"{self.byte_order}{layout}"
+        numbers = struct.unpack_from(layout, self._data, self._skip(field, struct.calcsize(layout), alignment))
+        if kind == "time":
+            return numbers[0] * NS + numbers[1]
+        if kind == "bool" and numbers[0] > 1:
+            raise self.error(f"{field} = {numbers[0]}: must be 0 or 1")
+        return numbers if kind == "vector" else bool(numbers[0]) if kind == "bool" else numbers[0]
 
     def text(self, field: str) -> str:
         """Read a string."""
@@ -138,26 +171,23 @@ class Cursor:
             raise self.error(f"{field}: must end in a zero byte")
         return text[:-1]
 
-    def stamp_ns(self, field: str) -> int:
-        """Read a builtin_interfaces/Time."""
-        sec = self.integer(field, 4)
-        return (sec - (sec >> 31 << 32)) * NS + self.integer(field, 4)
-
-    def header(self) -> tuple[int, str]:
-        """Read the std_msgs/Header at the start; return its stamp [ns] and frame."""
-        frame_id = self.text("header.frame_id")
-        sec, nanosec = struct.unpack_from(f"{self.byte_order}iI", self._data, STAMP_AT)
-        return sec * NS + nanosec, frame_id
-
     def end(self, last_field: str) -> None:
         """Check that the message ends after `last_field`."""
         tail = len(self._data) - self.at
         if tail > MAX_TAIL:
             raise self.error(f"{tail} bytes follow {last_field}: must be <= {MAX_TAIL}")
 
-    def _skip(self, field: str, size: int) -> int:
-        """Skip an aligned number of `size` bytes; return its offset."""
-        start = self.aligned(size)
+    def _array(self, field: str, dtype: np.dtype[Any]) -> NDArray[Any]:
+        start, count = self.skip_numbers(field, dtype.itemsize)
+        # A copy, because numbers in the message are not aligned in memory.
+        items = np.frombuffer(self._data[start : start + count * dtype.itemsize], dtype)
+        items = items.astype(dtype.newbyteorder("="), copy=False)
+        items.flags.writeable = False
+        return items
+
+    def _skip(self, field: str, size: int, alignment: int) -> int:
+        """Skip an aligned field of `size` bytes; return its offset."""
+        start = self.aligned(alignment)
         self.at = start + size
         if self.at > len(self._data):
             raise self.error(f"the message ends at byte {len(self._data)}, before {field}")

@@ -6,7 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from scara_effmass.values import JointState
-from scara_effmass.wire.cdr import COUNT, FRAME_AT, LITTLE_ENDIAN, NS, STAMP, Cursor, padded, sec_and_nanosec, with_text
+from scara_effmass.wire.cdr import FRAME_AT, NS, Cursor, encode
+
+_JOINT_STATE = {
+    "stamp_ns": "time",
+    "frame_id": "text",
+    "names": "text[]",
+    "position": "float64[]",
+    "velocity": "float64[]",
+    "effort": "float64[]",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +42,9 @@ class JointStateLayout:
 def joint_state_layout(data: bytes) -> JointStateLayout:
     """Return the layout of the JointState in `data`. Raises DecodeError if a length exceeds the message."""
     cursor = Cursor(data, "JointState")
-    cursor.skip_text("header.frame_id")
+    cursor.at = FRAME_AT
+    frame_size = cursor.count("header.frame_id", 1)
+    cursor.at += frame_size
     names = tuple(cursor.text(f"name[{index}]") for index in range(cursor.count("name", 4)))
     position_count_at = cursor.aligned(4)
     position_at, position_count = cursor.skip_numbers("position")
@@ -59,19 +70,7 @@ def joint_state_layout(data: bytes) -> JointStateLayout:
 
 def joint_state_message(state: JointState, frame_id: str = "") -> bytes:
     """Return the CDR bytes of a JointState without effort."""
-    data = with_text(STAMP.pack(*sec_and_nanosec(state.stamp_ns)), frame_id)
-    data = _with_count(data, len(state.names))
-    for name in state.names:
-        data = with_text(data, name)
-    for values in (state.position, state.velocity):
-        data = _with_count(data, len(values))
-        if len(values):
-            data = padded(data) + np.asarray(values, "<f8").tobytes()
-    return LITTLE_ENDIAN + _with_count(data, 0)
-
-
-def _with_count(data: bytes, count: int) -> bytes:
-    return data + b"\x00" * (-len(data) % 4) + COUNT.pack(count)
+    return encode(_JOINT_STATE, {**state._asdict(), "frame_id": frame_id, "effort": ()})
 
 
 class JointStateDecoder:
@@ -79,23 +78,6 @@ class JointStateDecoder:
 
     Consecutive states with equal names share one tuple of names.
     """
-
-    __slots__ = (
-        "_dtype",
-        "_effort_count",
-        "_first",
-        "_last",
-        "_names",
-        "_native",
-        "_order",
-        "_position_count",
-        "_prefix",
-        "_size",
-        "_unpack",
-        "_velocity_count",
-        "_velocity_first",
-        "_velocity_last",
-    )
 
     def __init__(self) -> None:
         self._size = -1

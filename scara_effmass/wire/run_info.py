@@ -2,64 +2,43 @@
 
 import json
 import math
-import struct
 from typing import Any
 
 from scara_effmass.values import RunInfo, Vector3
-from scara_effmass.wire.cdr import LITTLE_ENDIAN, STAMP, Cursor, padded, sec_and_nanosec, with_text
+from scara_effmass.wire.cdr import decode, encode
 
 LATEST_NS = 2**63 - 1
 UNUSABLE_NS = LATEST_NS + 1
 """Replaces an invalid time in JSON."""
 
-_MASS_AND_PLATE = struct.Struct("<7d")
-"""From obstacle_mass to plate_normal."""
-_TRUTH = struct.Struct("<ddiI5d")
-"""From contact_stiffness on."""
+_RUN_INFO = {
+    "stamp_ns": "time",
+    "frame_id": "text",
+    "configuration": "text",
+    "obstacle_mass": "float64",
+    "impact_position": "vector",
+    "plate_normal": "vector",
+    "simulated": "bool",
+    "note": "text",
+    "contact_stiffness": "float64",
+    "contact_exponent": "float64",
+    "true_onset_ns": "time",
+    "true_speed": "float64",
+    "true_effective_mass": "float64",
+    "true_peak_force": "float64",
+    "true_duration": "float64",
+    "true_impulse": "float64",
+}
 
 
 def run_info_message(info: RunInfo) -> bytes:
     """Return the CDR bytes of a RunInfo."""
-    header = with_text(STAMP.pack(*sec_and_nanosec(info.stamp_ns)), info.frame_id)
-    numbers = _MASS_AND_PLATE.pack(info.obstacle_mass, *info.impact_position, *info.plate_normal)
-    truth = _TRUTH.pack(
-        info.contact_stiffness,
-        info.contact_exponent,
-        *sec_and_nanosec(info.true_onset_ns),
-        info.true_speed,
-        info.true_effective_mass,
-        info.true_peak_force,
-        info.true_duration,
-        info.true_impulse,
-    )
-    note = padded(with_text(bytes((info.simulated,)), info.note))
-    return LITTLE_ENDIAN + padded(with_text(header, info.configuration)) + numbers + note + truth
+    return encode(_RUN_INFO, info._asdict())
 
 
 def decode_run_info(data: bytes) -> RunInfo:
     """Return the RunInfo in `data`, CDR of either byte order, with unchecked values. Raises DecodeError."""
-    cursor = Cursor(data, "RunInfo")
-    stamp_ns, frame_id = cursor.header()
-    info = RunInfo(
-        stamp_ns=stamp_ns,
-        frame_id=frame_id,
-        configuration=cursor.text("configuration"),
-        obstacle_mass=cursor.float64("obstacle_mass"),
-        impact_position=_vector(cursor, "impact_position"),
-        plate_normal=_vector(cursor, "plate_normal"),
-        simulated=cursor.flag("simulated"),
-        note=cursor.text("note"),
-        contact_stiffness=cursor.float64("contact_stiffness"),
-        contact_exponent=cursor.float64("contact_exponent"),
-        true_onset_ns=cursor.stamp_ns("true_onset"),
-        true_speed=cursor.float64("true_speed"),
-        true_effective_mass=cursor.float64("true_effective_mass"),
-        true_peak_force=cursor.float64("true_peak_force"),
-        true_duration=cursor.float64("true_duration"),
-        true_impulse=cursor.float64("true_impulse"),
-    )
-    cursor.end("true_impulse")
-    return info
+    return RunInfo(**decode(data, "RunInfo", _RUN_INFO))
 
 
 def run_info_from_json(text: str) -> RunInfo | None:
@@ -92,10 +71,6 @@ def run_info_from_json(text: str) -> RunInfo | None:
         true_duration=_known(truth.get("duration")),
         true_impulse=_known(truth.get("impulse")),
     )
-
-
-def _vector(cursor: Cursor, field: str) -> Vector3:
-    return (cursor.float64(f"{field}.x"), cursor.float64(f"{field}.y"), cursor.float64(f"{field}.z"))
 
 
 def _number(value: Any) -> float:  # noqa: ANN401 - any JSON value

@@ -227,12 +227,12 @@ class TestEveryFormat:
             assert [Message(*m) for m in bag.messages(start_ns=start, stop_ns=stop)] == expected
             notes = [m for m in expected if m.topic == "/notes"]
             assert [Message(*m) for m in bag.messages(["/notes"], start, stop)] == notes
-            assert sum(map(len, bag.joint_state_blocks(None, start, stop))) == 200
+            assert sum(map(len, bag.joint_state_blocks(start_ns=start, stop_ns=stop))) == 200
 
     def test_time_range_without_messages_is_empty(self, mixed: Path) -> None:
         with open_bag(mixed) as bag:
-            assert list(bag.messages(None, None, bag.start_ns)) == []
-            assert list(bag.messages(None, bag.end_ns + 1, None)) == []
+            assert list(bag.messages(stop_ns=bag.start_ns)) == []
+            assert list(bag.messages(start_ns=bag.end_ns + 1)) == []
 
     def test_joint_states_equal_those_of_the_live_decoder(self, mixed: Path) -> None:
         with open_bag(mixed) as bag:

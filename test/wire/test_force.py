@@ -204,7 +204,7 @@ def test_every_truncation_is_refused() -> None:
     ("at", "new", "message"),
     [
         (0, b"\x00\x07", "CDR byte order = 0007: must be 0000 or 0001"),
-        (12, b"\xff\xff\xff\xff", r"header.frame_id has length 4294967295, but only \d+ bytes follow"),
+        (12, b"\xff\xff\xff\xff", r"frame_id has length 4294967295, but only \d+ bytes follow"),
         (36, b"\xff", r"force has length 255, but only \d+ bytes follow"),
         (64, b"\x02", "saturated = 2: must be 0 or 1"),
         (64, b"\x00", "saturated = false: must be true with 1 saturated_samples"),

@@ -3,17 +3,15 @@
 import heapq
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
-from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
 
-from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
-from rosbags.typesys.store import Typestore
 
+from scara_effmass.bags.bag import Bag, StoredTopic, one_line
 from scara_effmass.bags.batches import LossLog, MessageBatch, Topic, batch_of
-from scara_effmass.bags.definitions import types_of
 from scara_effmass.errors import BagError
 
 Reader = Ros1Reader | Ros2Reader
@@ -22,45 +20,26 @@ BATCH_MESSAGES = 1000
 BATCH_BYTES = 1 << 20
 
 
-class RosbagsSource:
-    """A `Source` of files that each have a reader of rosbags."""
+class RosbagsBag(Bag):
+    """Files that each have a reader of rosbags."""
 
-    def __init__(self, paths: Sequence[Path], losses: LossLog, make_reader: type[Ros1Reader | Ros2Reader]) -> None:
-        self._losses = losses
+    def __init__(
+        self, path: Path, paths: Sequence[Path], losses: LossLog, make_reader: type[Ros1Reader | Ros2Reader]
+    ) -> None:
         self._readers: list[tuple[Path, Reader]] = []
         with ExitStack() as stack:
-            for path in paths:
-                reader = _open(path, make_reader)
+            for file in paths:
+                reader = _open(file, make_reader)
                 stack.callback(reader.close)
-                self._readers.append((path, reader))
+                self._readers.append((file, reader))
             self._stack = stack.pop_all()
-        self._definitions: dict[str, MessageDefinition] = {}
-        counts: dict[tuple[str, str], int] = {}
-        hashes: dict[tuple[str, str], str] = {}
-        for path, connection in ((path, c) for path, reader in self._readers for c in reader.connections):
-            if isinstance(connection.ext, ConnectionExtRosbag2) and connection.ext.serialization_format != "cdr":
-                encoding = connection.ext.serialization_format
-                losses.add(f"{path}: {connection.topic}: encoding = {encoding!r}: must be cdr; not read")
-                continue
-            key = connection.topic, connection.msgtype
-            counts[key] = counts.get(key, 0) + connection.msgcount
-            hashes.setdefault(key, connection.digest)
-            if connection.msgdef.format != MessageDefinitionFormat.NONE:
-                self._definitions.setdefault(connection.msgtype, connection.msgdef)
-        self.topics = tuple(Topic(*key, count, hashes[key]) for key, count in sorted(counts.items()))
-        self._topic_indices = {(topic.name, topic.type): index for index, topic in enumerate(self.topics)}
+        super().__init__(path, list(self._stored_topics()), losses, is_ros1=make_reader is Ros1Reader)
         nonempty = [reader for _, reader in self._readers if reader.message_count]
         self.start_ns = min((reader.start_time for reader in nonempty), default=0)
         self.end_ns = max((reader.end_time - 1 for reader in nonempty), default=0)
-        self._is_ros1 = make_reader is Ros1Reader
-
-    @cached_property
-    def types(self) -> Typestore:
-        """See `Source`."""
-        return types_of(self._definitions, ros1=self._is_ros1)
 
     def batches(self, topics: Collection[int], start_ns: int, stop_ns: int) -> Iterator[MessageBatch]:
-        """See `Source`."""
+        """See `Bag`."""
         streams = [self._messages(path, reader, topics, start_ns, stop_ns) for path, reader in self._readers]
         merged = heapq.merge(*streams, key=itemgetter(0))
         messages: list[tuple[int, int, bytes]] = []
@@ -75,8 +54,16 @@ class RosbagsSource:
             yield _batch(messages)
 
     def close(self) -> None:
-        """See `Source`."""
+        """See `Bag`."""
         self._stack.close()
+
+    def _stored_topics(self) -> Iterator[StoredTopic]:
+        for path, connection in ((path, c) for path, reader in self._readers for c in reader.connections):
+            topic = Topic(connection.topic, connection.msgtype, connection.msgcount, connection.digest)
+            ext = connection.ext
+            encoding = ext.serialization_format if isinstance(ext, ConnectionExtRosbag2) else "cdr"
+            has_definition = connection.msgdef.format != MessageDefinitionFormat.NONE
+            yield StoredTopic(path, topic, encoding, connection.msgdef if has_definition else None)
 
     def _messages(
         self, path: Path, reader: Reader, topics: Collection[int], start_ns: int, stop_ns: int
@@ -90,7 +77,7 @@ class RosbagsSource:
                 if data:
                     yield log_time_ns, self._topic_indices[connection.topic, connection.msgtype], data
         except Exception as error:  # noqa: BLE001 - rosbags raises many types for a damaged file
-            self._losses.add(f"{path}: damaged, the rest is lost: {_one_line(error)}")
+            self._losses.add(f"{path}: damaged, the rest is lost: {one_line(error)}")
 
     def _cdr(self, path: Path, connection: Connection, stored: bytes) -> bytes:
         """Return a message as CDR, empty if a ROS 1 message cannot be converted."""
@@ -99,8 +86,8 @@ class RosbagsSource:
         try:
             return bytes(self.types.ros1_to_cdr(stored, connection.msgtype))
         except Exception as error:  # noqa: BLE001 - code generated from unchecked definitions
-            reason = _one_line(error)
-            self._losses.add(f"{path}: {connection.topic}: {connection.msgtype} cannot be converted: {reason}")
+            origin = f"{path}: {connection.topic}: {connection.msgtype}"
+            self._losses.add(f"{origin} cannot be converted: {one_line(error)}")
             return b""
 
 
@@ -116,9 +103,5 @@ def _open(path: Path, make_reader: Callable[[Path], Reader]) -> Reader:
     except OSError:
         raise
     except Exception as error:  # noqa: BLE001 - rosbags raises many types for a damaged file
-        raise BagError(f"{path}: cannot be read: {_one_line(error)}") from None
+        raise BagError(f"{path}: cannot be read: {one_line(error)}") from None
     return reader
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
