@@ -3,6 +3,6 @@
 The paper: A. C., M. B., M. T., A. D. and G. R. (initials as in its author contributions; see CITATION.cff) on a
 simplified lumped-parameter model of the effective mass, validated by impacts of an Omron i4-550L on a cart.
 
-`scara` has the robot's three models, `workspace` the poses, `motion` and `recorded_impact` the recordings, `*_claims`
-the paper's numbers beside ours, `figure_specs` the figures, and `figure_set` writes everything.
+`scara` has the robot's three models and the poses, `runs` the recordings, `claims` the paper's numbers beside ours,
+`maps`, `density` and `experiment` draw the figures, and `figure_set` writes everything.
 """

@@ -8,12 +8,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from scara_effmass.analysis.plot_style import CYCLE, INK, ISO_RED, new_figure
-from scara_effmass.paper.scara import Scara
-from scara_effmass.paper.workspace import equal_area_poses
+from scara_effmass.paper.scara import Scara, equal_area_poses
 from scara_effmass.values import FloatArray
 
 if TYPE_CHECKING:
-    from scara_effmass.paper.figure_specs import FigureInputs
+    from scara_effmass.paper.figure_set import FigureInputs
 
 FINE_GRID = 1500
 """Values of each angle for the whole workspace: accurate to 1e-3 for shares and median, to 1e-3 kg for the mean."""

@@ -1,80 +1,287 @@
-"""Contour maps of one quantity over the workspace or over q1 and q2, with the standard's value in red."""
+"""Figs. 6, 7, 9 to 12, 14 and 15: poses, and maps of effective mass, reduced mass and the simplified model's error."""
 
+from __future__ import annotations
+
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, Normalize
+from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import Stroke, withStroke
 
-from scara_effmass.analysis.plot_style import ISO_RED
-from scara_effmass.paper.scara import Scara
-from scara_effmass.paper.workspace import JointAngles
+from scara_effmass.analysis.plot_style import CYCLE, INK, ISO_RED, new_figure
+from scara_effmass.iso15066 import reduced_mass
+from scara_effmass.model.scara_closed_form import scara_max_lumped_mass
+from scara_effmass.paper.scara import (
+    ALONG_X,
+    ALONG_Y,
+    OBLIQUE,
+    OBSTACLES_KG,
+    SHOWN_OBSTACLE_KG,
+    JointAngles,
+    Scara,
+    joint_grid,
+    polar_grid,
+    relative_error,
+)
+from scara_effmass.sim.motion import ElbowConfig
 from scara_effmass.values import FloatArray
 
-TICKS_M = np.arange(-0.5, 0.51, 0.25)
+if TYPE_CHECKING:
+    from scara_effmass.paper.figure_set import FigureInputs
+
+LIGHT_Q1, HEAVY_Q1 = math.radians(25.0), math.radians(-50.0)
+"""Of Fig. 7, chosen here: the text of the paper does not give the angles of its two poses."""
+CIRCLES, RAYS = 200, 721
+"""Of Fig. 15: they resolve the edge where the reach of one arm ends."""
 
 
 @dataclass(frozen=True, slots=True)
 class ColorScale:
-    """Contour levels [units of `label`]; `extend` tells at which ends values may lie beyond them."""
+    """Contour levels [units of `label`]; `extend` tells at which ends values may lie beyond them.
+
+    `iso_symbol` is the symbol of the standard's value, a red contour.
+    """
 
     label: str
     levels: FloatArray
     ticks: FloatArray
     extend: Literal["neither", "max", "both"] = "neither"
+    iso_symbol: str = ""
 
     @property
-    def norm(self) -> Normalize:
+    def norm(self) -> BoundaryNorm:
         """One colour between two levels."""
         return BoundaryNorm(self.levels.tolist(), 256, extend=self.extend)
 
     def clip(self, values: FloatArray) -> FloatArray:
         """Return `values` with a finite maximum: contours cannot be drawn next to infinity."""
-        if self.extend == "neither":
-            return values
         below, top = self.levels[-2:]
         return np.asarray(np.minimum(values, top + 4.0 * (top - below)))
 
-    def add_bar(self, figure: Figure, axes: Sequence[Axes], **options: object) -> None:
-        """Draw the colour bar of `axes`."""
+    def draw(
+        self, axes: Axes, x: FloatArray, y: FloatArray, values: FloatArray, iso: float | None, level: int | None = None
+    ) -> None:
+        """Draw the colours of `values` at (x, y), all (n, m), and the contour of `iso`; in 3D at the height `level`."""
+        values = self.clip(values)
+        place: tuple[dict[str, Any], ...] = ({}, {})
+        if level is not None:
+            place = tuple({"zdir": "z", "offset": level, "zorder": 3 * level + above} for above in (0, 1))
+        bands = axes.contourf(x, y, values, levels=self.levels, norm=self.norm, extend=self.extend, **place[0])
+        if level is None:
+            bands.set_edgecolor("face")  # no gaps between the bands
+        if iso is not None:
+            width, halo = (2.0, 3.6) if level is None else (1.8, 3.0)
+            lines = axes.contour(x, y, values, levels=[iso], colors=ISO_RED, linewidths=width, **place[1])
+            lines.set_path_effects([withStroke(linewidth=halo, foreground="white")])
+
+    def add_bar(self, figure: Figure, panels: Sequence[Axes], iso_text: str = "", **options: float) -> None:
+        """Draw the colour bar of `panels`, and a legend of the red contour with the value `iso_text`."""
         mappable = mpl.cm.ScalarMappable(self.norm, mpl.rcParams["image.cmap"])
-        bar = figure.colorbar(mappable, ax=list(axes), ticks=self.ticks, label=self.label, **options)  # type: ignore[arg-type]
+        bar = figure.colorbar(mappable, ax=list(panels), ticks=self.ticks, label=self.label, **options)  # type: ignore[arg-type]
         bar.ax.minorticks_off()
+        if iso_text:
+            label = f"{self.iso_symbol} = {iso_text}"
+            line = Line2D([], [], color=ISO_RED, linewidth=2.0, label=label, path_effects=[Stroke()])
+            figure.legend(handles=[line], loc="outside lower left")
 
 
-def draw_map(axes: Axes, x: FloatArray, y: FloatArray, values: FloatArray, scale: ColorScale) -> None:
-    """Fill `axes` with the colours of `values` at (x, y), all (n, m)."""
-    contours = axes.contourf(x, y, scale.clip(values), levels=scale.levels, norm=scale.norm, extend=scale.extend)
-    contours.set_edgecolor("face")  # no gaps between the bands
+EFFECTIVE = ColorScale(
+    "effective mass $m_{x,s}$ [kg]", np.arange(0.75, 6.01, 0.25), np.arange(1.0, 6.1, 1.0), "max", "$m_R$"
+)
+EFFECTIVE_ERROR = ColorScale(
+    r"relative error $|m_{n,f} - m_{n,s}|\,/\,m_{n,f}$ [%]",
+    np.arange(2.0, 10.1, 0.5),
+    np.arange(2.0, 10.1, 1.0),
+    "both",
+)
+MU_LABEL, MU_ISO = r"reduced mass $\mu_{n,s}$ [kg]", r"$\mu_{\mathrm{ISO}}$"
+REDUCED = ColorScale(MU_LABEL, np.arange(0.6, 2.41, 0.1), np.arange(0.6, 2.41, 0.2), "neither", MU_ISO)
+REDUCED_SLICES = ColorScale(MU_LABEL, np.arange(0.3, 4.01, 0.1), np.arange(0.5, 4.01, 0.5), "max", MU_ISO)
+REDUCED_ERROR = ColorScale(
+    r"relative error $|\mu_{n,f} - \mu_{n,s}|\,/\,\mu_{n,f}$ [%]",
+    np.arange(0.0, 5.01, 0.25),
+    np.arange(0.0, 5.01),
+    "max",
+)
 
 
-def draw_iso(axes: Axes, x: FloatArray, y: FloatArray, values: FloatArray, scale: ColorScale, iso: float) -> None:
-    """Draw the contour of `iso` in red."""
-    lines = axes.contour(x, y, scale.clip(values), levels=[iso], colors=ISO_RED, linewidths=2.0)
-    lines.set_path_effects([withStroke(linewidth=3.6, foreground="white")])
+def figure_6(inputs: FigureInputs) -> Figure:
+    """Draw the effective mass of the simplified model, along x."""
+    scara, poses = inputs.scara, joint_grid(inputs.scara)
+    title = "Fig. 6  Effective mass, simplified model, right arm, n = [1 0 0]"
+    return _draw_both_spaces(scara, poses, scara.lumped(*poses), EFFECTIVE, title, scara.iso_mass)
 
 
-def iso_handle(label: str) -> Line2D:
-    """Return the red line for a legend."""
-    return Line2D([], [], color=ISO_RED, linewidth=2.0, label=label, path_effects=[Stroke()])
+def figure_7(inputs: FigureInputs) -> Figure:
+    """Draw a pose of smallest and one of largest effective mass, along x, seen from above."""
+    scara = inputs.scara
+    figure = new_figure(10.0, 5.0, "Fig. 7  Poses of smallest and of largest effective mass, n = [1 0 0]")
+    light, heavy = figure.subplots(1, 2)
+    q2 = -LIGHT_Q1 + math.pi / 2.0
+    _draw_arm(light, scara, LIGHT_Q1, q2)
+    light.set_title(
+        "(a) second link across n:  $q_2 = -q_1 + \\phi + \\pi/2$\n"
+        f"$m_{{x,s}} = M_3$ = {scara.lumped(LIGHT_Q1, q2):.2f} kg"
+    )
+    q2 = -HEAVY_Q1
+    _draw_arm(heavy, scara, HEAVY_Q1, q2)
+    heavy.set_title(
+        "(b) second link along n:  $q_2 = -q_1 + \\phi$\n"
+        f"$m_{{x,s}} = M_3 + M_2 / \\sin^2 q_2$ = {scara_max_lumped_mass(q2, scara.m2, scara.m3):.2f} kg"
+    )
+    return figure
 
 
-def label_workspace(axes: Axes) -> None:
-    """Set labels and limits of a map over the tool position."""
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xticks=TICKS_M, yticks=TICKS_M)
-    axes.set(xlim=(-0.6, 0.6), ylim=(-0.6, 0.6))
+def _draw_arm(axes: Axes, scara: Scara, q1: float, q2: float) -> None:
+    elbow = scara.inertia.l1 * np.array([math.cos(q1), math.sin(q1)])
+    tool = np.array(scara.tool(np.float64(q1), np.float64(q2)))  # type: ignore[arg-type]
+    axes.plot([0.0, elbow[0], tool[0]], [0.0, elbow[1], tool[1]], color="#9AA5B1", linewidth=9.0, zorder=1)
+    axes.plot(*elbow, "o", color=CYCLE[0], markeredgecolor="white", markersize=14.0 * math.sqrt(scara.m2), zorder=2)
+    axes.plot(*tool, "o", color=CYCLE[1], markeredgecolor="white", markersize=14.0 * math.sqrt(scara.m3), zorder=2)
+    axes.plot(0.0, 0.0, "o", color="white", markeredgecolor=INK, markersize=11.0, zorder=2)
+    axes.text(elbow[0] + 0.03, elbow[1] - 0.04, f"$M_2$ = {scara.m2:.2f} kg", va="center")
+    axes.text(tool[0] - 0.025, tool[1] + 0.045, f"$M_3$ = {scara.m3:.2f} kg", va="center", ha="right")
+    arrow = {"arrowstyle": "-|>", "color": ISO_RED, "linewidth": 2.0, "shrinkA": 7.0}
+    axes.annotate("", (tool[0] + 0.12, tool[1]), (tool[0], tool[1]), arrowprops=arrow)
+    axes.text(tool[0] + 0.125, tool[1], "n", color=ISO_RED, fontweight="bold", va="center")
+    axes.text(-0.02, 0.035, "joint 1", ha="center")
+    angles = f"$q_1$ = {math.degrees(q1):.0f}°,  $q_2$ = {math.degrees(q2):.0f}°"
+    axes.text(0.97, 0.04, angles.replace("-", "\N{MINUS SIGN}"), transform=axes.transAxes, ha="right")
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-0.1, 0.65), ylim=(-0.36, 0.46))
 
 
-def label_angles(axes: Axes, scara: Scara, poses: JointAngles) -> None:
-    """Set labels and limits of a map over q1 and q2."""
-    q2 = np.degrees(poses.q2)
-    q1_max = float(np.degrees(scara.q1_max))
-    axes.set(xlabel="$q_1$ [deg]", ylabel="$q_2$ [deg]", xlim=(-q1_max, q1_max), ylim=(q2.min(), q2.max()))
-    axes.set(xticks=np.arange(-120.0, 121.0, 60.0))
-    axes.set(yticks=[tick for tick in np.arange(-120.0, 121.0, 30.0) if q2.min() <= tick <= q2.max()])
+def figure_9(inputs: FigureInputs) -> Figure:
+    """Draw the relative error of the simplified model in effective mass, along x."""
+    scara, poses = inputs.scara, joint_grid(inputs.scara)
+    error = relative_error(scara.full(*poses), scara.lumped(*poses))
+    title = "Fig. 9  Error in effective mass, simplified against full model, right arm, n = [1 0 0]"
+    return _draw_both_spaces(scara, poses, error, EFFECTIVE_ERROR, title)
+
+
+def figure_10(inputs: FigureInputs) -> Figure:
+    """Draw the reduced mass of the simplified model for four obstacle masses, along x."""
+    scara = inputs.scara
+    lumped = scara.lumped(*joint_grid(scara))
+    slices = [reduced_mass(lumped, obstacle) for obstacle in OBSTACLES_KG]
+    iso = [reduced_mass(scara.iso_mass, obstacle) for obstacle in OBSTACLES_KG]
+    title = "Fig. 10  Reduced mass, simplified model, right arm, n = [1 0 0]"
+    return _draw_slices(scara, slices, REDUCED_SLICES, title, iso)
+
+
+def figure_11(inputs: FigureInputs) -> Figure:
+    """Draw the relative error in reduced mass for four obstacle masses, along x."""
+    scara, poses = inputs.scara, joint_grid(inputs.scara)
+    lumped, full = scara.lumped(*poses), scara.full(*poses)
+    slices = [relative_error(reduced_mass(full, m_h), reduced_mass(lumped, m_h)) for m_h in OBSTACLES_KG]
+    title = "Fig. 11  Error in reduced mass, simplified against full model, right arm, n = [1 0 0]"
+    return _draw_slices(scara, slices, REDUCED_ERROR, title)
+
+
+def figure_12(inputs: FigureInputs) -> Figure:
+    """Draw the reduced mass along y, and along (0.6, 0.8, 0)."""
+    scara, poses = inputs.scara, joint_grid(inputs.scara)
+    title = f"Fig. 12  Reduced mass, simplified model, right arm, $m_H$ = {SHOWN_OBSTACLE_KG:g} kg"
+    figure = new_figure(11.0, 5.4, title)
+    panels = figure.subplots(1, 2)
+    iso = reduced_mass(scara.iso_mass, SHOWN_OBSTACLE_KG)
+    for axes, phi, name in zip(panels, (ALONG_Y, OBLIQUE), ("(a) n = [0 1 0]", "(b) n = [0.6 0.8 0]"), strict=True):
+        mu = reduced_mass(scara.lumped(*poses, phi), SHOWN_OBSTACLE_KG)
+        _draw_workspace(axes, scara.tool(*poses), mu, REDUCED, name, iso, phi)
+    REDUCED.add_bar(figure, panels, _iso_text([iso]))
+    return figure
+
+
+def figure_14(inputs: FigureInputs) -> Figure:
+    """Draw the reduced mass of the left arm, along x."""
+    scara, poses = inputs.scara, joint_grid(inputs.scara, ElbowConfig.LEFT)
+    mu, iso = reduced_mass(scara.lumped(*poses), SHOWN_OBSTACLE_KG), reduced_mass(scara.iso_mass, SHOWN_OBSTACLE_KG)
+    title = f"Fig. 14  Reduced mass, simplified model, left arm, n = [1 0 0], $m_H$ = {SHOWN_OBSTACLE_KG:g} kg"
+    return _draw_both_spaces(scara, poses, mu, REDUCED, title, iso)
+
+
+def figure_15(inputs: FigureInputs) -> Figure:
+    """Draw the smaller reduced mass of both arms, along x; where one arm reaches, that of this arm."""
+    scara, grid = inputs.scara, polar_grid(inputs.scara, CIRCLES, RAYS)
+    smaller = np.fmin(scara.lumped(*grid.right), scara.lumped(*grid.left))
+    mu, iso = reduced_mass(smaller, SHOWN_OBSTACLE_KG), reduced_mass(scara.iso_mass, SHOWN_OBSTACLE_KG)
+    figure = new_figure(7.4, 6.2, f"Fig. 15  Smaller reduced mass of both arms, $m_H$ = {SHOWN_OBSTACLE_KG:g} kg")
+    axes = figure.subplots()
+    _draw_workspace(axes, (grid.x, grid.y), mu, REDUCED, "simplified model, n = [1 0 0]", iso)
+    REDUCED.add_bar(figure, [axes], _iso_text([iso]))
+    return figure
+
+
+def _draw_both_spaces(
+    scara: Scara, poses: JointAngles, values: FloatArray, scale: ColorScale, title: str, iso: float | None = None
+) -> Figure:
+    figure = new_figure(11.5, 5.2, title)
+    workspace, angles = figure.subplots(1, 2, width_ratios=(1.0, 1.05))
+    _draw_workspace(workspace, scara.tool(*poses), values, scale, "(a) Cartesian space", iso)
+    q1, q2 = np.degrees(poses)
+    scale.draw(angles, q1, q2, values, iso)
+    angles.set(xlabel="$q_1$ [deg]", ylabel="$q_2$ [deg]", xlim=(q1.min(), q1.max()), ylim=(q2.min(), q2.max()))
+    angles.set(xticks=np.arange(-120.0, 121.0, 60.0))
+    angles.set(yticks=[tick for tick in np.arange(-120.0, 121.0, 30.0) if q2.min() <= tick <= q2.max()])
+    angles.set_title("(b) joint space")
+    scale.add_bar(figure, [workspace, angles], _iso_text([iso]) if iso is not None else "")
+    return figure
+
+
+def _draw_workspace(
+    axes: Axes,
+    xy: tuple[FloatArray, FloatArray],
+    values: FloatArray,
+    scale: ColorScale,
+    title: str,
+    iso: float | None,
+    phi: float = ALONG_X,
+) -> None:
+    """Draw the map, and the normal as an arrow from joint 1, in the hole of the workspace."""
+    scale.draw(axes, *xy, values, iso)
+    ticks = np.arange(-0.5, 0.51, 0.25)
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xticks=ticks, yticks=ticks)
+    axes.set(xlim=(-0.6, 0.6), ylim=(-0.6, 0.6), title=title)
+    axes.plot(0.0, 0.0, "o", color="black", markersize=4.0)
+    tip = (0.11 * np.cos(phi), 0.11 * np.sin(phi))
+    axes.annotate("", tip, (0.0, 0.0), arrowprops={"arrowstyle": "-|>", "color": "black", "linewidth": 1.4})
+    axes.text(-0.03 * np.cos(phi), -0.03 * np.sin(phi), "n", ha="center", va="center", fontweight="bold")
+
+
+def _draw_slices(
+    scara: Scara, slices: Sequence[FloatArray], scale: ColorScale, title: str, iso: Sequence[float] = ()
+) -> Figure:
+    """Draw one slice per obstacle mass over the tool position and over q1 and q2."""
+    poses = joint_grid(scara)
+    figure = new_figure(12.5, 7.2, title)
+    x, y = scara.tool(*poses)
+    q1, q2 = np.degrees(poses)
+    workspace, angles = (figure.add_subplot(1, 2, column, projection="3d", computed_zorder=False) for column in (1, 2))
+    for axes, across, up in ((workspace, x, y), (angles, q1, q2)):
+        for level, values in enumerate(slices):
+            scale.draw(axes, across, up, values, iso[level] if iso else None, level)
+        # Evenly spaced: in proportion to the masses, the two slices in the middle would hide each other.
+        axes.set(zlim=(0.0, len(OBSTACLES_KG) - 1.0), zticks=range(len(OBSTACLES_KG)))
+        axes.set_zticklabels([f"{obstacle:.2f}" for obstacle in OBSTACLES_KG])
+        axes.set_zlabel("obstacle mass $m_H$ [kg]", labelpad=8.0)
+        axes.view_init(elev=23.0, azim=-60.0)
+        axes.set_box_aspect((1.0, 1.0, 1.5))
+    ticks = (-0.4, 0.0, 0.4)
+    workspace.set(xlabel="x [m]", ylabel="y [m]", xlim=(-0.6, 0.6), ylim=(-0.6, 0.6), xticks=ticks, yticks=ticks)
+    workspace.set_title("(a) Cartesian space")
+    angles.set(xlabel="$q_1$ [deg]", ylabel="$q_2$ [deg]", xlim=(q1.min(), q1.max()), ylim=(q2.min(), q2.max()))
+    angles.set(xticks=(-120.0, -60.0, 0.0, 60.0), yticks=(0.0, 60.0, 120.0))
+    angles.set_title("(b) joint space")
+    iso_text = f"{_iso_text(iso)}, from the bottom up" if iso else ""
+    scale.add_bar(figure, [workspace, angles], iso_text, shrink=0.7, pad=0.06)
+    return figure
+
+
+def _iso_text(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in values) + " kg (ISO standard)"

@@ -26,7 +26,6 @@ def test_all_figures_and_claims_are_written(cli: Cli, tmp_path: Path) -> None:
     result = json.loads(run.stdout)
     assert result["output"] == str(folder)
     assert result["figures"] == FIGURES
-    assert result["left_out"] == []
     outcomes = {claim["key"]: claim["outcome"] for claim in result["claims"]}
     forces = ("force_grows", "force_order", "force_proportional", "speed", "midpoint")
     assert {outcomes[key] for key in forces} == {"match"}

@@ -8,20 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.paper.claim import Basis, Claim, Outcome
-from scara_effmass.paper.experiment_claims import motion_claims, run_claims
-from scara_effmass.paper.mass_claims import mass_claims, reduced_mass_claims
-from scara_effmass.paper.robot_claims import robot_claims
+from scara_effmass.paper.claims import Basis, Claim, Outcome, all_claims, run_claims
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
-    from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.paper.motion import ToolMotion
-    from scara_effmass.paper.recorded_impact import RecordedImpact
-    from scara_effmass.paper.scara import Scara
+    from scara_effmass.paper.figure_set import FigureInputs
+    from scara_effmass.paper.runs import RecordedRun
 
-CONTRADICTED = {"sensitivity", "turned_plots"}
+CONTRADICTED = {"sensitivity", "turned_plots", "repetitions"}
+"""The shipped campaign has one run per case."""
 
 
 def index_claims(claims: Iterable[Claim]) -> dict[str, Claim]:
@@ -35,28 +31,31 @@ def values(claims: dict[str, Claim]) -> dict[str, float]:
     return {key: claim.value for key, claim in claims.items() if claim.value is not None}
 
 
+def claims_of(inputs: FigureInputs) -> dict[str, Claim]:
+    return index_claims(all_claims(inputs.dynamics, inputs.scara, inputs.shown_run, inputs.runs))
+
+
+def claims_of_runs(inputs: FigureInputs, runs: Sequence[RecordedRun]) -> dict[str, Claim]:
+    claims = index_claims(run_claims(inputs.scara, inputs.shown_run, runs))
+    return {key: claim for key, claim in claims.items() if key not in {"speed", "midpoint"}}
+
+
 @pytest.fixture(scope="module")
-def claims(dynamics: RobotDynamics, scara: Scara, motion: ToolMotion) -> dict[str, Claim]:
-    return index_claims(
-        [
-            *robot_claims(scara),
-            *mass_claims(dynamics, scara),
-            *reduced_mass_claims(scara),
-            *motion_claims(motion),
-            *run_claims(scara, ()),
-        ]
-    )
+def claims(shipped: FigureInputs) -> dict[str, Claim]:
+    return claims_of(shipped)
 
 
 def test_shipped_robot_contradicts_only_the_known_claims(claims: dict[str, Claim]) -> None:
     assert {key for key, claim in claims.items() if claim.outcome is Outcome.NO_MATCH} == CONTRADICTED
     unchecked = {key for key, claim in claims.items() if claim.outcome is Outcome.NOT_CHECKED}
-    assert unchecked == {"lumped_masses_tm5", "repetitions", "force_grows", "force_order", "force_proportional"}
-    assert sum(claim.outcome is Outcome.MATCH for claim in claims.values()) >= 30
+    assert unchecked == {"lumped_masses_tm5"}
+    assert sum(claim.outcome is Outcome.MATCH for claim in claims.values()) == 34
 
 
 def test_claims_have_the_known_values(claims: dict[str, Claim]) -> None:
     numbers = values(claims)
+    assert numbers["speed"] == pytest.approx(250.2, abs=0.1)
+    assert numbers["midpoint"] == pytest.approx(0.495, abs=1e-3)
     assert numbers["share_below_iso"] == pytest.approx(70.9, abs=0.5)
     assert numbers["worst_error"] == pytest.approx(10.0, abs=0.1)
     assert numbers["error_in_75_percent"] == pytest.approx(4.88, abs=0.05)
@@ -84,7 +83,8 @@ def test_every_checked_claim_states_its_rule(claims: dict[str, Claim]) -> None:
             assert claim.ours
 
 
-def test_other_robot_does_not_match(dynamics: RobotDynamics, scara: Scara) -> None:
+def test_other_robot_does_not_match(shipped: FigureInputs) -> None:
+    scara = shipped.scara
     other = replace(
         scara,
         m2=1.5 * scara.m2,
@@ -92,29 +92,28 @@ def test_other_robot_does_not_match(dynamics: RobotDynamics, scara: Scara) -> No
         q1_max=2.0,
         inertia=replace(scara.inertia, i2=0.5 * scara.inertia.i2, m2=0.8 * scara.inertia.m2),
     )
-    claims = index_claims([*robot_claims(other), *mass_claims(dynamics, other), *reduced_mass_claims(other)])
+    claims = claims_of(replace(shipped, scara=other))
     wrong = {key for key, claim in claims.items() if claim.outcome is Outcome.NO_MATCH}
     assert wrong >= {"m2", "iso_mass", "q1_range", "mu_iso_2.39", "share_below_iso", "mean_below_iso", "worst_error"}
     assert wrong >= {"error_in_75_percent", "worst_reduced_error"}
     assert {"m3", "minimum_at", "maximum_is_eq_30", "left_arm"}.isdisjoint(wrong)
 
 
-def test_impacts_proportional_to_root_mu_match(scara: Scara, runs: tuple[RecordedImpact, ...]) -> None:
-    claims = index_claims(run_claims(scara, runs))
+def test_impacts_proportional_to_root_mu_match(inputs: FigureInputs) -> None:
+    claims = claims_of_runs(inputs, inputs.runs)
     assert {claim.outcome for claim in claims.values()} == {Outcome.MATCH}
     assert values(claims)["force_proportional"] == pytest.approx(1.0, abs=1e-9)
     assert all("simulated" in claim.note for claim in claims.values())
 
 
-def test_shuffled_impacts_do_not_match(scara: Scara, runs: tuple[RecordedImpact, ...]) -> None:
-    rng = np.random.default_rng(19)
-    shuffled = [replace(run, peak_force_n=float(force)) for run, force in zip(runs, rng.permutation(36), strict=True)]
-    claims = index_claims(run_claims(scara, shuffled[:-1]))
-    assert {claim.outcome for claim in claims.values()} == {Outcome.NO_MATCH}
+def test_shuffled_impacts_do_not_match(inputs: FigureInputs) -> None:
+    forces = np.random.default_rng(19).permutation([run.peak_force for run in inputs.runs]).tolist()
+    shuffled = [replace(run, peak_force=force) for run, force in zip(inputs.runs, forces, strict=True)]
+    assert {claim.outcome for claim in claims_of_runs(inputs, shuffled[:-1]).values()} == {Outcome.NO_MATCH}
 
 
-def test_one_impact_is_not_checked(scara: Scara, runs: tuple[RecordedImpact, ...]) -> None:
-    claims = index_claims(run_claims(scara, runs[:1]))
+def test_one_impact_is_not_checked(inputs: FigureInputs) -> None:
+    claims = claims_of_runs(inputs, inputs.runs[:1])
     assert claims["force_proportional"].outcome is Outcome.NOT_CHECKED
     assert Outcome.MATCH not in {claim.outcome for claim in claims.values()}
 
