@@ -1,4 +1,4 @@
-"""Agreement of predicted and measured peak forces over a series of impacts, and the criterion to accept it.
+"""Predicted peak forces, their agreement with measured ones over a series, and the criterion to accept a model.
 
 The model is F = x sqrt(k), x = v sqrt(mu) (ISO/TS 15066, Annex A: E = mu v^2 / 2 = F^2 / (2 k)). Every call recomputes
 the whole series, with exactly rounded sums (`math.fsum`).
@@ -7,14 +7,17 @@ the whole series, with exactly rounded sums (`math.fsum`).
 import hashlib
 import json
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit  # scipy.stats takes a second to import
+from scipy.special import fdtri, stdtrit  # scipy.stats takes a second to import
 
+from scara_effmass.impacts.impact_matcher import MatchedImpact
+from scara_effmass.iso15066 import force_per_root_stiffness, peak_force
 from scara_effmass.settings import CriterionSettings
-from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray, Prediction
 
 CONFIDENCE = 0.95
 LIMITS = 1.96
@@ -64,6 +67,15 @@ class Agreement:
     largest_shortfall: float
 
 
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Relative RMSE of the models on the same `count` impacts, best first; `text` states the result."""
+
+    count: int
+    relative_rmse: Mapping[str, float]
+    text: str
+
+
 def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfall_tolerance: float = 0.1) -> Agreement:
     """Return the agreement of measured `force` (n,) [N] with F = x sqrt(k), `x` (n,) = v sqrt(mu) [m/s sqrt(kg)].
 
@@ -76,6 +88,7 @@ def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfal
     bias, rmse = _mean(difference), math.sqrt(_mean(difference**2))
     deviation = math.sqrt(math.fsum((difference - bias) ** 2) / (n - 1)) if n > 1 else 0.0
     shortfall = -difference / force
+    ends = _slope_interval(slope, x, force, n - 1)
     reason = _correlation_reason(x, force)
     line = None if reason else _LinearFit(x, force)
     power = None if reason else _LinearFit(2.0 * np.log(x), np.log(force))  # x^2 = mu v^2
@@ -83,9 +96,9 @@ def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfal
         count=n,
         correlation=line.correlation if line else 0.0,
         correlation_reason=reason,
-        correlation_interval=line.correlation_interval if line else None,
+        correlation_interval=_correlation_interval(line.correlation, n) if line else None,
         fitted_stiffness=slope**2 if n > 1 else 0.0,
-        stiffness_interval=_stiffness_interval(x, force, slope),
+        stiffness_interval=ends and Interval(max(0.0, ends.low) ** 2, ends.high**2),
         stiffness=stiffness or slope**2,
         exponent=power.slope if power else None,
         exponent_interval=power.slope_interval if power else None,
@@ -100,9 +113,62 @@ def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfal
     )
 
 
-def is_conservative(predicted: float, measured: float) -> bool:
-    """Return whether `predicted` is at least `measured`, within rounding."""
-    return measured - predicted <= ROUNDING * measured
+def predict(model: str, match: MatchedImpact, stiffness: float) -> Prediction:
+    """Return the prediction F = v sqrt(mu k) with `stiffness` [N/m]; `model` must have a mass."""
+    mu, measured = match.reduced_mass(model), match.impact.peak_force
+    force = peak_force(match.state.speed, mu, stiffness)
+    return Prediction(
+        model=model,
+        effective_mass=match.state.masses[model],
+        reduced_mass=mu,
+        stiffness=stiffness,
+        predicted_force=force,
+        relative_error=(force - measured) / measured,
+        conservative=measured - force <= ROUNDING * measured,
+    )
+
+
+def model_agreement(model: str, matches: Iterable[MatchedImpact], *options: float) -> Agreement:
+    """Return `agreement` of `model`, with its `options`, over the matches for which it has a mass."""
+    usable = [match for match in matches if match.has_mass(model)]
+    x = np.array([force_per_root_stiffness(match.state.speed, match.reduced_mass(model)) for match in usable])
+    return agreement(x, np.array([match.impact.peak_force for match in usable]), *options)
+
+
+def compare_models(models: Iterable[str], matches: Sequence[MatchedImpact]) -> Comparison:
+    """Rank the models that have a mass by relative RMSE, on the impacts for which all of them have one.
+
+    Each model has its own fitted stiffness. Models are not told apart if no reduced mass varies over the series.
+    """
+    present = [model for model in models if any(match.has_mass(model) for match in matches)]
+    common = [match for match in matches if all(match.has_mass(model) for model in present)]
+    masses = [np.array([match.reduced_mass(model) for match in common]) for model in present]
+    same_mass = bool(common) and all(np.ptp(mu) <= MIN_RELATIVE_RANGE * mu.max() for mu in masses)
+    return compare({model: model_agreement(model, common) for model in present}, same_mass=same_mass)
+
+
+def compare(agreements: Mapping[str, Agreement], *, same_mass: bool) -> Comparison:
+    """Rank the models by relative RMSE.
+
+    `agreements` by model must be on the same impacts, each with the fitted stiffness. `same_mass`: no model's reduced
+    mass varies over the series.
+    """
+    order = dict(sorted(agreements.items(), key=lambda item: item[1].relative_rmse))
+    errors = {model: agreement.relative_rmse for model, agreement in order.items()}
+    count = min((agreement.count for agreement in order.values()), default=0)
+    numbers = ", ".join(f"{model} {a.relative_rmse:.4f} (r {a.correlation:.4f})" for model, a in order.items())
+    if count < 2 or len(order) < 2:
+        text = "no two models on at least two same impacts: nothing to compare"
+    elif same_mass:
+        text = f"all impacts at the same reduced mass: the models cannot be told apart; relative RMSE {numbers}"
+    else:
+        best = [model for model, error in errors.items() if error <= _max_rmse_ratio(count) * min(errors.values())]
+        if len(best) == 1:
+            text = f"{best[0]} explains the forces best; relative RMSE {numbers}"
+        else:
+            equally = f"equally well, as far as {count} impacts tell"
+            text = f"{' and '.join(best)} explain the forces {equally}; relative RMSE {numbers}"
+    return Comparison(count, errors, text)
 
 
 def criterion_hash(criterion: CriterionSettings) -> str:
@@ -142,31 +208,11 @@ class _LinearFit:
     """Least-squares line through points (x, y), and their correlation. x and y must vary."""
 
     def __init__(self, x: FloatArray, y: FloatArray) -> None:
-        self.n = x.size
         dx, dy = x - _mean(x), y - _mean(y)
         xx, xy, yy = math.fsum(dx * dx), math.fsum(dx * dy), math.fsum(dy * dy)
         self.slope = xy / xx
+        self.slope_interval = _slope_interval(self.slope, dx, dy, x.size - 2)
         self.correlation = min(1.0, max(-1.0, xy / math.sqrt(xx * yy)))
-        self._errors = math.fsum((dy - self.slope * dx) ** 2) / xx
-
-    @property
-    def slope_interval(self) -> Interval | None:
-        """Confidence interval of the slope (Student's t, n - 2 degrees of freedom)."""
-        if self.n < 3:
-            return None
-        half = _quantile(self.n - 2) * math.sqrt(self._errors / (self.n - 2))
-        return Interval(self.slope - half, self.slope + half)
-
-    @property
-    def correlation_interval(self) -> Interval | None:
-        """Confidence interval of r (Fisher's z, standard deviation (n - 3)^-1/2)."""
-        r = self.correlation
-        if self.n < 4:
-            return None
-        if abs(r) == 1.0:
-            return Interval(r, r)
-        z, half = math.atanh(r), _quantile(math.inf) / math.sqrt(self.n - 3)
-        return Interval(math.tanh(z - half), math.tanh(z + half))
 
 
 def _correlation_reason(x: FloatArray, force: FloatArray) -> str:
@@ -180,15 +226,22 @@ def _correlation_reason(x: FloatArray, force: FloatArray) -> str:
     return ""
 
 
-def _stiffness_interval(x: FloatArray, force: FloatArray, slope: float) -> Interval | None:
-    """Return the interval of k = slope^2: the squared ends of the slope's interval (t, n - 1 degrees of freedom)."""
-    n = x.size
-    if n < 2:
+def _slope_interval(slope: float, x: FloatArray, y: FloatArray, degrees: int) -> Interval | None:
+    """Return the interval of the `slope` of y = slope x (Student's t with `degrees` of freedom)."""
+    if degrees < 1:
         return None
-    residual = force - slope * x
-    error = math.sqrt(math.fsum(residual * residual) / (n - 1) / math.fsum(x * x))
-    half = _quantile(n - 1) * error
-    return Interval(max(0.0, slope - half) ** 2, (slope + half) ** 2)
+    half = _quantile(degrees) * math.sqrt(math.fsum((y - slope * x) ** 2) / math.fsum(x * x) / degrees)
+    return Interval(slope - half, slope + half)
+
+
+def _correlation_interval(r: float, count: int) -> Interval | None:
+    """Return the interval of a correlation (Fisher's z, standard deviation (n - 3)^-1/2)."""
+    if count < 4:
+        return None
+    if abs(r) == 1.0:
+        return Interval(r, r)
+    z, half = math.atanh(r), _quantile(math.inf) / math.sqrt(count - 3)
+    return Interval(math.tanh(z - half), math.tanh(z + half))
 
 
 def _quantile(degrees: float) -> float:
@@ -202,3 +255,11 @@ def _mean(values: FloatArray) -> float:
 
 def _impacts(count: int) -> str:
     return "1 impact" if count == 1 else f"{count} impacts" if count else "no impacts"
+
+
+def _max_rmse_ratio(count: int) -> float:
+    """Return the 95 % limit of the ratio of two RMSE over `count` impacts with equal error variance.
+
+    Snedecor's F assumes independent errors; errors on the same impacts correlate, so their ratio is smaller.
+    """
+    return math.sqrt(fdtri(count - 1, count - 1, (1.0 + CONFIDENCE) / 2.0))

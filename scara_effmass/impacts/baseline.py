@@ -30,17 +30,12 @@ _ZERO_RUN_PROBABILITY = 1e-6
 
 
 class Frame:
-    """A frame of `samples` (n,) [N] with its extremes `low` and `high`."""
+    """A frame of `samples` (n,) [N], its extremes, and at most 128 evenly spaced `subsamples`."""
 
     def __init__(self, samples: FloatArray) -> None:
         self.samples = samples
-        self.low = float(samples.min())
-        self.high = float(samples.max())
-
-    @property
-    def subsamples(self) -> FloatArray:
-        """At most 128 evenly spaced samples."""
-        return self.samples[:: -(-self.samples.size // _MAX_SUBSAMPLES)]
+        self.subsamples = samples[:: -(-samples.size // _MAX_SUBSAMPLES)]
+        self.low, self.high = float(samples.min()), float(samples.max())
 
 
 def median_and_deviation(samples: FloatArray) -> tuple[float, float]:
@@ -68,7 +63,10 @@ def runs(mask: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def longest_flat_run(samples: FloatArray) -> int:
     """Return the maximum number of equal consecutive `samples` (n,)."""
-    start, stop = runs(samples[1:] == samples[:-1])
+    equal = samples[1:] == samples[:-1]
+    if not (equal[1:] & equal[:-1]).any():
+        return 1 + int(equal.any())  # fast path: usually no three samples are equal
+    start, stop = runs(equal)
     return 1 + int((stop - start).max(initial=0))
 
 
@@ -121,7 +119,10 @@ class Baseline:
 
     def is_quiet(self, frame: Frame) -> bool:
         """Return whether `frame` contains neither a contact, nor a tensile pulse, nor a dropout."""
-        if not self._is_within_threshold(frame):
+        low, high = min([f.low for f in self._frames]), max([f.high for f in self._frames])
+        # Fast path without statistics: the baseline lies between the extremes of its frames.
+        is_near = high - self._settings.threshold <= frame.low and frame.high <= low + self._settings.threshold
+        if not is_near and not self.force - self.threshold <= frame.low <= frame.high <= self.force + self.threshold:
             return False
         run = longest_flat_run(frame.samples)
         return run < MIN_FLAT_RUN or run < self.flat_run
@@ -134,14 +135,6 @@ class Baseline:
         centres, deviations = np.array([median_and_deviation(frame.subsamples) for frame in frames]).T
         tolerance = max(self._settings.threshold, 3.0 * float(np.median(deviations)))
         return bool(np.mean(np.abs(centres - np.median(centres)) <= tolerance) >= share)
-
-    def _is_within_threshold(self, frame: Frame) -> bool:
-        # Fast path without statistics: the baseline lies between the extremes of its frames.
-        min_threshold = self._settings.threshold
-        highest, lowest = max([frame.high for frame in self._frames]), min([frame.low for frame in self._frames])
-        if frame.low >= highest - min_threshold and frame.high <= lowest + min_threshold:
-            return True
-        return frame.low >= self.force - self.threshold and frame.high <= self.force + self.threshold
 
     @cached_property
     def _force_and_noise(self) -> tuple[float, float]:

@@ -121,11 +121,6 @@ class ForceClock:
         if received_ns:
             self._impact_lags.append(received_ns - impact.stamp_ns)
 
-    def offset_ns(self, impact: Impact, received_ns: int, state_lag_ns: int) -> int:
-        """Return the clock offset of `impact` to a state with that lag; 0: within tolerance."""
-        offset = received_ns - impact.stamp_ns - state_lag_ns
-        return 0 if -self._tolerance_ns <= offset <= self._delay_ns else offset
-
     def problem(self, states: StateHistory) -> str:
         """Return the clock problem in one sentence; empty if none is detected."""
         lag = states.lag_ns
@@ -171,6 +166,7 @@ class ImpactMatcher:
     def __init__(self, settings: ValidatorSettings) -> None:
         self._settings = settings
         self._max_wait_ns = round(settings.clock_tolerance * NANOSECONDS)
+        self._max_delay_ns = round(settings.impact_delay * NANOSECONDS)
         self.states = StateHistory(settings)
         self.clock = ForceClock(settings)
         self.runs = RunHistory(settings.obstacle_mass, settings.configuration)
@@ -178,7 +174,7 @@ class ImpactMatcher:
 
     def reset(self) -> None:
         """Begin a new series; keep contact states and runs."""
-        self._queue: deque[tuple[Impact, int]] = deque()
+        self.waiting: deque[tuple[Impact, int]] = deque()  # impacts and their times of arrival
         self.clock.clear()
         self.states.late = 0
         self.seen = 0
@@ -190,17 +186,12 @@ class ImpactMatcher:
         self.clock.clear()
         self.runs.restart()
 
-    @property
-    def waiting(self) -> int:
-        """Number of impacts in the queue."""
-        return len(self._queue)
-
     def add_impact(self, impact: Impact, received_ns: int) -> None:
         """Queue an impact that arrived at `received_ns` (0: unknown)."""
         self.seen += 1
         if not _invalid_reason(impact):
             self.clock.add_impact(impact, received_ns)
-        self._queue.append((impact, received_ns))
+        self.waiting.append((impact, received_ns))
 
     def refuse(self, impact: Impact, rejection: Rejection, *, excluded: bool = False) -> None:
         """Record an impact that does not enter the series."""
@@ -216,8 +207,8 @@ class ImpactMatcher:
 
     def matches(self, *, flush: bool = False) -> Iterator[MatchedImpact]:
         """Yield the impacts that can be matched now, in order. `flush`: no more states will arrive."""
-        while self._queue and (flush or self._ready(*self._queue[0])):
-            impact, received_ns = self._queue.popleft()
+        while self.waiting and (flush or self._ready(*self.waiting[0])):
+            impact, received_ns = self.waiting.popleft()
             if reason := _invalid_reason(impact):
                 self.refuse(impact, Rejection(reason), excluded=True)
                 continue
@@ -242,8 +233,8 @@ class ImpactMatcher:
         lag_ns = self.states.lag_at(onset_ns, deadline_ns)
         if lag_ns is None:
             return Rejection("no contact state")
-        offset_ns = self.clock.offset_ns(impact, received_ns, lag_ns) if deadline_ns else 0
-        if offset_ns:
+        offset_ns = received_ns - onset_ns - lag_ns
+        if deadline_ns and not -self._max_wait_ns <= offset_ns <= self._max_delay_ns:
             reason = "force and contact states are seconds apart: their clocks differ"
             return Rejection(reason, f"by {abs(offset_ns) / NANOSECONDS:.2f} s")
         return self.states.at(onset_ns, self._uncertainty_ns(impact), deadline_ns)

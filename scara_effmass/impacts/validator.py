@@ -6,9 +6,16 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from scara_effmass.impacts.agreement import Agreement, criterion_hash, unmet_criterion
+from scara_effmass.impacts.agreement import (
+    Agreement,
+    Comparison,
+    compare_models,
+    criterion_hash,
+    model_agreement,
+    predict,
+    unmet_criterion,
+)
 from scara_effmass.impacts.impact_matcher import ImpactMatcher, MatchedImpact
-from scara_effmass.impacts.prediction import Comparison, compare_models, model_agreement, predict
 from scara_effmass.impacts.state_history import MODELS, Rejection
 from scara_effmass.settings import ValidatorSettings
 from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RefusedImpact, ValidatedImpact
@@ -84,7 +91,7 @@ class Validator:
         self._other_contact_points: set[str] = set()
         self._matches: list[MatchedImpact] = []
         self._min_force = self._max_force = 0.0
-        self._past_clock_problem = self._past_sign_problem = ""
+        self._past_problems = "", ""
 
     def add_state(self, contact: ContactAssessment, received_ns: int) -> list[ValidatedImpact]:
         """Add a contact state that arrived at `received_ns` (0: unknown); return newly validated impacts."""
@@ -121,9 +128,8 @@ class Validator:
         The latest run stays valid until another one begins.
         """
         validated = self.finish()
-        clock, force_sign = self._clock_problem(), self._force_sign_problem()
-        self._clear_problems()
-        self._past_clock_problem, self._past_sign_problem = clock, force_sign
+        problems = self._problems()
+        self._clear_problems(*problems)
         self._matcher.begin_recording()
         return validated
 
@@ -137,7 +143,7 @@ class Validator:
     def result(self) -> Result:
         """Return the current result of the series."""
         agreements = self._agreements()
-        clock, force_sign = self._clock_problem(), self._force_sign_problem()
+        clock, force_sign = self._problems()
         reasons = {model: force_sign or clock or self._unmet_criterion(a) for model, a in agreements.items()}
         refused = self._matcher.refused
         reason = reasons[self._model]
@@ -159,7 +165,7 @@ class Validator:
             impacts=tuple(self._validated_impact(match, agreements, reason) for match in self._matches),
             refused=tuple(refused),
             seen=self._matcher.seen,
-            waiting=self._matcher.waiting,
+            waiting=len(self._matcher.waiting),
             simulated=sum(match.impact.simulated for match in self._matches),
             excluded=Counter(impact.reason for impact in refused if impact.excluded),
             unpaired=Counter(impact.reason for impact in refused if not impact.excluded),
@@ -239,15 +245,17 @@ class Validator:
             groups.setdefault(key(match), []).append(match)
         return {name: self._agreement(model, groups[name], stiffness) for name in sorted(groups)}
 
-    def _clear_problems(self) -> None:
+    def _clear_problems(self, clock: str = "", force_sign: str = "") -> None:
+        """Forget the force; keep the problems of earlier recordings."""
         self._min_force = self._max_force = 0.0
-        self._past_clock_problem = self._past_sign_problem = ""
+        self._past_problems = clock, force_sign
 
-    def _clock_problem(self) -> str:
-        return self._past_clock_problem or self._matcher.clock.problem(self._matcher.states)
-
-    def _force_sign_problem(self) -> str:
-        if not self._past_sign_problem and self._min_force < -max(WRONG_SIGN_FORCE, WRONG_SIGN_RATIO * self._max_force):
+    def _problems(self) -> tuple[str, str]:
+        """Return the problem with the clocks and that with the sign of the force; empty: none."""
+        clock, force_sign = self._past_problems
+        if self._min_force < -max(WRONG_SIGN_FORCE, WRONG_SIGN_RATIO * self._max_force):
             low, high = f"{self._min_force:.0f} N", f"{self._max_force:.0f} N"
-            return f"force goes to {low} and never above {high}: compression is positive; set sensor.invert"
-        return self._past_sign_problem
+            force_sign = force_sign or (
+                f"force goes to {low} and never above {high}: compression is positive; set sensor.invert"
+            )
+        return clock or self._matcher.clock.problem(self._matcher.states), force_sign

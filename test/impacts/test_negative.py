@@ -98,6 +98,17 @@ def test_what_comes_soon_after_an_impact_is_its_answer(
     assert (len(impacts), detector.tensile_pulses) == (1, negative)
 
 
+@pytest.mark.parametrize(("pause", "negative"), [(0.005, 0), (0.49, 0), (0.51, 1)])
+def test_response_time_counts_from_the_end_of_a_long_contact(
+    detect: Detect, add_pulse: AddPulse, noise: FloatArray, pause: float, negative: int
+) -> None:
+    """The contact, and a tensile pulse soon after it, are in one segment."""
+    add_pulse(noise, 40_000, 0.3, 100.0)
+    add_pulse(noise, 40_000 + (0.3 + pause) * RATE, 4e-3, -100.0)
+    impacts, detector = detect(noise)
+    assert (len(impacts), detector.tensile_pulses) == (1, negative)
+
+
 def test_a_contact_after_it_excuses_none(detect: Detect, add_pulse: AddPulse, noise: FloatArray) -> None:
     add_pulse(noise, 40_000, 4e-3, -100.0)
     add_pulse(noise, 40_200, 4e-3, 50.0)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scara_effmass.impacts.baseline import Baseline, Frame
-from scara_effmass.impacts.sample_buffer import SampleBuffer, finite_parts
+from scara_effmass.impacts.detector import SampleBuffer, finite_parts
 from scara_effmass.impacts.segment import classify, flank_onset, interpolated_peak, measure, separate
 from scara_effmass.settings import DetectionSettings
 

@@ -12,7 +12,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
-from scara_effmass.impacts.agreement import Agreement, agreement, is_conservative
+from scara_effmass.impacts.agreement import Agreement, agreement
 
 if TYPE_CHECKING:
     from random import Random
@@ -129,6 +129,21 @@ def test_the_intervals_by_another_way() -> None:
     assert found.correlation_interval == pytest.approx((math.tanh(z - half), math.tanh(z + half)), abs=1e-9)
 
 
+@pytest.mark.parametrize(("count", "half"), [(3, None), (4, 1.959964), (5, 1.959964 / math.sqrt(2.0))])
+def test_correlation_has_an_interval_from_four_impacts_on(count: int, half: float | None) -> None:
+    """Fisher: z = atanh(r), standard deviation 1 / sqrt(n - 3), Phi^-1(0.975) = 1.959964."""
+    x, force, _ = paper_like(2, 0.03, count)
+    result = agreement(x, force)
+    z = math.atanh(result.correlation)
+    expected = None if half is None else pytest.approx((math.tanh(z - half), math.tanh(z + half)), abs=1e-6)
+    assert result.correlation_interval == expected
+
+
+def test_exact_correlation_has_an_interval_without_width() -> None:
+    result = agreement(np.array([1.0, 2.0, 3.0, 4.0]), np.array([1.0, 2.0, 3.0, 4.0]))
+    assert (result.correlation, result.correlation_interval) == (1.0, (1.0, 1.0))
+
+
 def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:
     """Forces with additive normal errors: of 400 series, about 380 intervals hold the stiffness, and the exponent."""
     rng = np.random.default_rng(3)
@@ -199,7 +214,6 @@ def test_one_impact_fits_itself_and_says_nothing() -> None:
 def test_impacts_that_fit_exactly_are_conservative(x: float, force: float, count: int) -> None:
     found = agreement(np.full(count, x), np.full(count, force))
     assert (found.non_conservative, found.largest_shortfall) == (0, 0.0)
-    assert is_conservative(x * math.sqrt(found.stiffness), force)
 
 
 @pytest.mark.parametrize("spread", [0.0, 1e-15, 0.009])

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.impacts.agreement import Agreement, agreement, criterion_hash, unmet_criterion
-from scara_effmass.impacts.prediction import compare
+from scara_effmass.impacts.agreement import Agreement, agreement, compare, criterion_hash, unmet_criterion
 from scara_effmass.settings import CriterionSettings, ValidatorSettings, checked
 
 if TYPE_CHECKING:

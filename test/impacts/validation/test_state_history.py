@@ -180,7 +180,18 @@ def test_unknown_verdict_with_motion_is_used(make_state: MakeState) -> None:
     assert usable(history_of(states).at(START, MS)).speed == 0.25
 
 
-@pytest.mark.parametrize(("speed", "direction"), [(0.0, STILL), (0.004, (1.0, 0.0, 0.0)), (NAN, (1.0, 0.0, 0.0))])
+@pytest.mark.parametrize(
+    ("speed", "direction"),
+    [
+        (0.0, STILL),
+        (0.25, STILL),
+        (0.004, (1.0, 0.0, 0.0)),
+        (NAN, (1.0, 0.0, 0.0)),
+        (math.inf, (1.0, 0.0, 0.0)),
+        (0.25, (NAN, 1.0, 0.0)),
+        (0.25, (1.0, 0.0, NAN)),
+    ],
+)
 def test_robot_at_standstill_is_rejected(make_state: MakeState, speed: float, direction: Vector3) -> None:
     states = [make_state(START + ms * MS, speed, direction) for ms in (-15, -10, -5, 5)]
     assert refused(history_of(states).at(START, MS)).reason == "the robot stands still at the onset"
@@ -188,17 +199,22 @@ def test_robot_at_standstill_is_rejected(make_state: MakeState, speed: float, di
     assert refused(history_of(states).at(START, MS)).reason == "the robot stands still at the onset"
 
 
+def test_speed_at_the_threshold_is_motion(make_state: MakeState) -> None:
+    history = history_of(make_state(START + ms * MS, 0.005) for ms in (-10, 0, 10))
+    assert usable(history.at(START, MS)).speed == 0.005
+
+
 def test_reversal_at_the_onset_is_rejected(make_state: MakeState) -> None:
     states = [make_state(START - 5 * MS), make_state(START + 5 * MS, direction=(-1.0, 0.0, 0.0))]
     assert refused(history_of(states).at(START, MS)).reason == "the direction of motion turns over at the onset"
 
 
-def test_missing_mass_of_one_model_leaves_the_others(make_state: MakeState) -> None:
-    states = [make_state(START + ms * MS, full=NAN) for ms in (-5, 5)]
+@pytest.mark.parametrize("missing", ["lumped", "full"])
+def test_missing_mass_of_one_model_leaves_the_others(make_state: MakeState, missing: str) -> None:
+    lumped, full = (NAN if model == missing else 1.0 for model in ("lumped", "full"))
+    states = [make_state(START + ms * MS, lumped=lumped, full=full, iso=2.77) for ms in (-5, 5)]
     masses = usable(history_of(states).at(START, MS)).masses
-    assert (masses["lumped"], masses["iso"]) == (1.0, 2.77)
-    assert math.isnan(masses["full"])
-    assert math.isnan(masses["largest"])
+    assert masses == pytest.approx({"lumped": lumped, "full": full, "iso": 2.77, "largest": NAN}, nan_ok=True)
 
 
 def test_states_out_of_order_are_left_out(make_state: MakeState) -> None:

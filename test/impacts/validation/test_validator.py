@@ -312,6 +312,39 @@ def test_impacts_without_arrival_times_are_matched_by_stamp(campaign: Cell) -> N
     assert run(cell, settings) == run(campaign, settings)
 
 
+def test_impact_without_arrival_time_waits_for_the_states_around_its_onset(
+    make_state: MakeState, make_impact: MakeImpact
+) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    validator.add_state(make_state(START - 5 * MS), START)
+    assert not validator.add_impact(make_impact(START), 0)
+    assert validator.result().waiting == 1
+    assert len(validator.add_state(make_state(START + 5 * MS), START + 10 * MS)) == 1
+
+
+def test_impact_waits_at_most_the_clock_tolerance(make_state: MakeState, make_impact: MakeImpact) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0, clock_tolerance=0.5))
+    validator.add_state(make_state(START - 5 * MS), START)
+    assert not validator.add_impact(make_impact(START), START + 100 * MS)
+    for received_ms, waiting in ((600, 1), (601, 0)):
+        validator.add_state(make_state(START - 5 * MS), START + received_ms * MS)  # nothing new
+        assert validator.result().waiting == waiting
+    assert validator.result().unpaired == {"no contact state within 50 ms after the onset": 1}
+
+
+@pytest.mark.parametrize(("excluded", "accepted"), [(True, True), (False, False)])
+def test_excluded_impacts_do_not_lower_the_share_of_paired_ones(
+    campaign: Cell, make_impact: MakeImpact, *, excluded: bool, accepted: bool
+) -> None:
+    """13 more impacts: clipped ones, or ones at which the robot stood still."""
+    extra = [(make_impact(START + (i + 1) * MS // 4, clipped=excluded), START + 180 * MS) for i in range(13)]
+    validated, result = run(campaign._replace(impacts=[*extra, *campaign.impacts]), ValidatorSettings(history=60.0))
+    assert (len(validated), result.seen) == (12, 25)
+    assert result.accepted == validated[-1].accepted == accepted
+    if not accepted:
+        assert result.reason == validated[-1].reason == "12 impacts of 25 paired with the robot, at least 50% must be"
+
+
 def block(force: Sequence[float], stamp_ns: int = START) -> ForceBlock:
     return ForceBlock(
         stamp_ns=stamp_ns,
