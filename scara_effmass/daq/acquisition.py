@@ -2,18 +2,20 @@
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from statistics import median
 from typing import final
 
-from scara_effmass.daq.read_latency import ReadLatency
-from scara_effmass.daq.sample_queue import SampleQueue
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import DaqError, DeviceLostError, DeviceMissingError, OverrunError
 from scara_effmass.settings import DaqSettings
 
 NS = 1_000_000_000
+LATENCY_WINDOW_S = 10.0
+"""Reads that count for the latency; the clocks of host and device, 100 ppm apart, drift by a millisecond meanwhile."""
 
 
 class AcquisitionState(Enum):
@@ -45,6 +47,99 @@ class AcquisitionStatistics:
     latency_p50_s: float
     """See `ReadLatency`; NaN of a recording."""
     latency_max_s: float
+
+
+@final
+class SampleQueue:
+    """Bounded queue between two threads.
+
+    A reading that does not fit is dropped, and counted as lost in the next one that fits. With `block`, `put` waits
+    until it fits or the queue is closed.
+    """
+
+    def __init__(self, *, block: bool) -> None:
+        self._block = block
+        self._changed = threading.Condition()
+        self._readings: deque[Reading] = deque()
+        self._unreported = 0
+        self._closed = False
+        self.samples = 0
+        """Samples per channel in the queue."""
+        self.dropped_samples = 0
+        self.dropped_readings = 0
+
+    def put(self, reading: Reading, max_samples: float) -> None:
+        """Add a reading if the queue is empty or then holds at most `max_samples`; otherwise drop it or wait."""
+        count = reading.samples.shape[1]
+        with self._changed:
+            while self._block and not self._closed and not self._fits(count, max_samples):
+                self._changed.wait()
+            if self._fits(count, max_samples):
+                self._readings.append(reading._replace(lost=reading.lost + self._unreported))
+                self._unreported = 0
+                self.samples += count
+            else:
+                self.dropped_readings += 1
+                self.dropped_samples += count
+                self._unreported += reading.lost + count
+
+    def take(self) -> list[Reading]:
+        """Return all readings and empty the queue."""
+        with self._changed:
+            readings = list(self._readings)
+            self._readings.clear()
+            self.samples = 0
+            self._changed.notify_all()
+        return readings
+
+    def close(self) -> None:
+        """End a `put` that waits."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def _fits(self, count: int, max_samples: float) -> bool:
+        return not self._readings or self.samples + count <= max_samples
+
+
+@final
+class ReadLatency:
+    """Estimate when a sample can be read at the earliest, and how much later each read was.
+
+    A read can be late but never early, so the earliest reads of the last 10 s mark when a sample can be read.
+    """
+
+    def __init__(self, sample_rate: float) -> None:
+        self._sample_rate = sample_rate
+        self._earliest: deque[tuple[int, int]] = deque()  # (time of the read, time of sample 0), both ascending
+        self._latencies: deque[tuple[int, float]] = deque()
+
+    def add(self, end: int, read_ns: int) -> None:
+        """Add a read: all samples before number `end` had been read at the steady time `read_ns`."""
+        origin_ns = read_ns - self._span_ns(end)
+        expired_ns = read_ns - round(LATENCY_WINDOW_S * NS)
+        while self._earliest and self._earliest[-1][1] >= origin_ns:
+            self._earliest.pop()
+        self._earliest.append((read_ns, origin_ns))
+        while self._earliest[0][0] < expired_ns:
+            self._earliest.popleft()
+        self._latencies.append((read_ns, (origin_ns - self._earliest[0][1]) / NS))
+        while self._latencies[0][0] < expired_ns:
+            self._latencies.popleft()
+
+    def time_ns(self, number: int) -> int:
+        """Return the steady time at which sample `number` can be read at the earliest; needs a read before."""
+        return self._earliest[0][1] + self._span_ns(number)
+
+    def latencies(self) -> tuple[float, float]:
+        """Return the median and the maximum latency [s]; NaN before the first read."""
+        if not self._latencies:
+            return float("nan"), float("nan")
+        values = [latency for _, latency in self._latencies]
+        return median(values), max(values)
+
+    def _span_ns(self, samples: int) -> int:
+        return round(samples * NS / self._sample_rate)
 
 
 @final

@@ -1,8 +1,6 @@
 """Optional low-pass filters that state their delay. Importing this module loads scipy: import it only when needed."""
 
 import math
-from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 from scipy import optimize, signal
@@ -19,107 +17,36 @@ MAX_TAPS = 4001
 """With more taps, filtering a block would take longer than measuring it."""
 
 
-class Lowpass(Protocol):
-    """Low-pass of one channel, called with consecutive samples in portions of any size.
+class Lowpass:
+    """Digital filter of one channel, called with consecutive samples in portions of any size.
 
     It starts as if the first sample had been constant before, so a constant passes unchanged.
     """
 
-    delay: float
-    """[samples]; where it depends on the frequency, that of slow signals"""
-    memory: int
-    """Number of outputs, after the one at its own index, that a sample influences."""
+    def __init__(self, numerator: FloatArray, denominator: FloatArray, delay: float, memory: int) -> None:
+        """Create the filter with these coefficients and a gain of 1 at frequency 0."""
+        self.delay = delay
+        """[samples]; where it depends on the frequency, that of slow signals."""
+        self.memory = memory
+        """Number of outputs, after the one at its own index, that a sample influences."""
+        self._coefficients = numerator, denominator
+        # State after a long constant 1: element k is the sum of numerator - denominator beyond k.
+        rest = numerator - np.pad(denominator, (0, numerator.size - denominator.size))
+        self._steady = np.cumsum(rest[:0:-1])[::-1]
+        self._state: FloatArray | None = None
 
     def __call__(self, samples: FloatArray) -> FloatArray:
         """Return as many outputs as samples, not shifted by the delay."""
-
-    def reset(self) -> None:
-        """Discard the past, as after a gap."""
-
-
-class Butterworth:
-    """Causal second-order low-pass with half the power at the cutoff (scipy.signal.butter).
-
-    The output does not depend on the size of the portions, bit for bit.
-    """
-
-    def __init__(self, cutoff: float, sample_rate: float) -> None:
-        """Design the filter; both in [Hz]."""
-        zeros, poles, gain = signal.butter(2, cutoff, fs=sample_rate, output="zpk")
-        self._sections: FloatArray = signal.zpk2sos(zeros, poles, gain)
-        self._steady: FloatArray = signal.sosfilt_zi(self._sections)
-        self._state: FloatArray | None = None
-        _, delays = signal.group_delay(signal.zpk2tf(zeros, poles, gain), w=[0.0])
-        self.delay = float(delays[0])
-        self.memory = math.ceil(math.log(NEGLIGIBLE) / math.log(max(abs(poles))))
-
-    def __call__(self, samples: FloatArray) -> FloatArray:
-        """Return the output for the next samples."""
         if not samples.size:
             return samples
         state = self._steady * samples[0] if self._state is None else self._state
         output: FloatArray
-        output, self._state = signal.sosfilt(self._sections, samples, zi=state)
+        output, self._state = signal.lfilter(*self._coefficients, samples, zi=state)
         return output
 
     def reset(self) -> None:
-        """Discard the past."""
+        """Discard the past, as after a gap."""
         self._state = None
-
-
-class Gaussian:
-    """Low-pass with Gaussian taps and half the power at the cutoff; it delays all frequencies equally.
-
-    No tap is negative, so peaks do not grow and impacts have no echo. The size of the portions changes the output by
-    about 1e-15 of the largest sample.
-    """
-
-    def __init__(self, cutoff: float, sample_rate: float) -> None:
-        """Design the filter; both in [Hz]. Raises SettingsError when it needs more than MAX_TAPS."""
-        # |H| = exp(-(2 pi f sigma)² / 2) of the continuous Gaussian, 1/sqrt(2) at the cutoff
-        width = math.sqrt(math.log(2.0)) / (2.0 * math.pi * cutoff) * sample_rate
-        half = max(1, math.ceil(HALF_WIDTH * width))
-        if 2 * half + 1 > MAX_TAPS:
-            min_cutoff = math.ceil(cutoff * HALF_WIDTH * width / (MAX_TAPS // 2))
-            raise SettingsError(
-                f"filter.cutoff = {cutoff:g}: must be >= {min_cutoff} Hz with zero_phase at {sample_rate:g} Hz; "
-                "filter.kind = causal allows less"
-            )
-        angle = 2.0 * math.pi * cutoff / sample_rate
-        n = np.arange(-half, half + 1)
-
-        def taps(sigma: float) -> FloatArray:
-            window = signal.windows.gaussian(2 * half + 1, sigma)
-            result: FloatArray = window / window.sum()
-            return result
-
-        def excess_gain(sigma: float) -> float:
-            return float(taps(sigma) @ np.cos(angle * n)) - math.sqrt(0.5)
-
-        # The sampled, truncated Gaussian differs from the continuous one, most at high cutoffs.
-        self._taps = taps(float(optimize.brentq(excess_gain, 0.1 * width, 10.0 * width, xtol=1e-12)))
-        self._past: FloatArray | None = None
-        self.delay = float(half)
-        self.memory = 2 * half
-
-    def __call__(self, samples: FloatArray) -> FloatArray:
-        """Return the output for the next samples."""
-        if not samples.size:
-            return samples
-        past = np.full(self.memory, samples[0]) if self._past is None else self._past
-        extended = np.concatenate((past, samples))
-        self._past = extended[-self.memory :]
-        return np.convolve(extended, self._taps, "valid")
-
-    def reset(self) -> None:
-        """Discard the past."""
-        self._past = None
-
-
-LOWPASSES: dict[FilterKind, Callable[[float, float], Lowpass]] = {
-    FilterKind.CAUSAL: Butterworth,
-    FilterKind.ZERO_PHASE: Gaussian,
-}
 
 
 def make_lowpass(settings: FilterSettings, sample_rate: float) -> Lowpass:
@@ -131,4 +58,47 @@ def make_lowpass(settings: FilterSettings, sample_rate: float) -> Lowpass:
         raise SettingsError(
             f"filter.cutoff = {settings.cutoff:g}: must be below {sample_rate / 2.0:g} Hz, half of the sample rate"
         )
-    return LOWPASSES[settings.kind](settings.cutoff, sample_rate)
+    design = _butterworth if settings.kind is FilterKind.CAUSAL else _gaussian
+    return design(settings.cutoff, sample_rate)
+
+
+def _butterworth(cutoff: float, sample_rate: float) -> Lowpass:
+    """Return a causal second-order low-pass with half the power at the cutoff.
+
+    The output does not depend on the size of the portions, bit for bit.
+    """
+    numerator, denominator = signal.butter(2, cutoff, fs=sample_rate)
+    _, delays = signal.group_delay((numerator, denominator), w=[0.0])
+    slowest_pole = max(abs(np.roots(denominator)))
+    memory = math.ceil(math.log(NEGLIGIBLE) / math.log(slowest_pole))
+    return Lowpass(numerator, denominator, float(delays[0]), memory)
+
+
+def _gaussian(cutoff: float, sample_rate: float) -> Lowpass:
+    """Return a low-pass with Gaussian taps and half the power at the cutoff; it delays all frequencies equally.
+
+    No tap is negative, so peaks do not grow and impacts have no echo. The size of the portions changes the output by
+    about 1e-15 of the largest sample. Raises SettingsError when it needs more than MAX_TAPS.
+    """
+    # |H| = exp(-(2 pi f sigma)² / 2) of the continuous Gaussian, 1/sqrt(2) at the cutoff
+    width = math.sqrt(math.log(2.0)) / (2.0 * math.pi * cutoff) * sample_rate
+    half = max(1, math.ceil(HALF_WIDTH * width))
+    if 2 * half + 1 > MAX_TAPS:
+        min_cutoff = math.ceil(cutoff * HALF_WIDTH * width / (MAX_TAPS // 2))
+        raise SettingsError(
+            f"filter.cutoff = {cutoff:g}: must be >= {min_cutoff} Hz with zero_phase at {sample_rate:g} Hz; "
+            "filter.kind = causal allows less"
+        )
+    cosines = np.cos(2.0 * math.pi * cutoff / sample_rate * np.arange(-half, half + 1))
+
+    def taps(sigma: float) -> FloatArray:
+        window = signal.windows.gaussian(2 * half + 1, sigma)
+        result: FloatArray = window / window.sum()
+        return result
+
+    def excess_gain(sigma: float) -> float:
+        return float(taps(sigma) @ cosines) - math.sqrt(0.5)
+
+    # The sampled, truncated Gaussian differs from the continuous one, most at high cutoffs.
+    sigma = float(optimize.brentq(excess_gain, 0.1 * width, 10.0 * width, xtol=1e-12))
+    return Lowpass(taps(sigma), np.ones(1), float(half), 2 * half)

@@ -54,44 +54,42 @@ class _Meaning(NamedTuple):
 
 
 _LOST = _Meaning(DeviceLostError, "the device was disconnected; check cable and power")
-_INTERRUPTED = _Meaning(DeviceLostError, "the device was reset or its connection failed; check cable and power")
-_RESERVED = _Meaning(DeviceReservedError, "another program uses the device; end it or close its test panel")
-_OVERRUN = _Meaning(
-    OverrunError,
-    "samples were overwritten before they were read; reduce the load of this computer or ni9230.sample_rate",
-)
-_NO_CHANNEL = _Meaning(DeviceMissingError, "no such channel; correct the name or connect the device")
-_MISNAMED = _Meaning(DeviceMissingError, "these channels cannot be measured together; correct ni9230.channels")
-_NO_IEPE = _Meaning(
-    DeviceMissingError,
-    "this module cannot supply an IEPE force sensor; use a channel of an NI 9230, 9232 or 9234",
-)
-_RATE = _Meaning(DeviceMissingError, "the device does not support this sample rate; correct ni9230.sample_rate")
-_COUPLING = _Meaning(
-    DeviceMissingError,
-    "the device does not support this coupling of an IEPE sensor; correct ni9230.coupling or ni9230.current",
-)
-
-_CODES = {
+_MEANINGS = {
     # Not accessible, not responding or removed; network device not found or its connection lost
-    _LOST: (-201003, -200175, -200045, -201390, -201253, -201252, -201251, -201250),
+    (-201003, -200175, -200045, -201390, -201253, -201252, -201251, -201250): _LOST,
     # Task aborted or no longer valid, as after a reset; transfer aborted, often by the power of the USB port
-    _INTERRUPTED: (-201452, -200088, -88710, -88709, -50405),
+    (-201452, -200088, -88710, -88709, -50405): _Meaning(
+        DeviceLostError, "the device was reset or its connection failed; check cable and power"
+    ),
     # Reserved by a task, with conflicting settings, or by another host
-    _RESERVED: (-50103, -200022, -201105, -201352, -201420, -201273),
+    (-50103, -200022, -201105, -201352, -201420, -201273): _Meaning(
+        DeviceReservedError, "another program uses the device; end it or close its test panel"
+    ),
     # Samples overwritten in the buffer of the host, of the device or of the transfer; stopped before that
-    _OVERRUN: (-200279, -200010, -200361, -209829, -200222, -200613, -200283, -200019, -50410),
-    _NO_CHANNEL: UNKNOWN_CHANNEL,
+    (-200279, -200010, -200361, -209829, -200222, -200613, -200283, -200019, -50410): _Meaning(
+        OverrunError,
+        "samples were overwritten before they were read; reduce the load of this computer or ni9230.sample_rate",
+    ),
+    UNKNOWN_CHANNEL: _Meaning(DeviceMissingError, "no such channel; correct the name or connect the device"),
     # No channel, syntax of a range, channel named twice, too many channels, devices that cannot be synchronized
-    _MISNAMED: (-200099, -200086, -200489, -200371, -200620, -200072, -200071, -201426, -201425),
+    (-200099, -200086, -200489, -200371, -200620, -200072, -200071, -201426, -201425): _Meaning(
+        DeviceMissingError, "these channels cannot be measured together; correct ni9230.channels"
+    ),
     # Not an analog input, measurement not supported, no internal excitation
-    _NO_IEPE: (-200430, -200431, -200161),
+    (-200430, -200431, -200161): _Meaning(
+        DeviceMissingError,
+        "this module cannot supply an IEPE force sensor; use a channel of an NI 9230, 9232 or 9234",
+    ),
     # Sample rate, conversion rate or sample clock out of range, also for the number of channels
-    _RATE: (-200332, -200331, -200335, -200081, -201093),
+    (-200332, -200331, -200335, -200081, -201093): _Meaning(
+        DeviceMissingError, "the device does not support this sample rate; correct ni9230.sample_rate"
+    ),
     # IEPE with DC coupling, AC coupling without IEPE
-    _COUPLING: (-201172, -201498),
+    (-201172, -201498): _Meaning(
+        DeviceMissingError,
+        "the device does not support this coupling of an IEPE sensor; correct ni9230.coupling or ni9230.current",
+    ),
 }
-_MEANINGS = {code: meaning for meaning, codes in _CODES.items() for code in codes}
 
 _KEYS = {
     "SampClk_Rate": "ni9230.sample_rate",
@@ -188,24 +186,17 @@ def explain(code: int, message: str, subject: str, *, was_connected: bool = Fals
 
     A device that does not answer is lost if it `was_connected` before, else missing; likewise an unknown name.
     """
-    meaning = _MEANINGS.get(code)
+    meaning = next((meaning for codes, meaning in _MEANINGS.items() if code in codes), None)
     if meaning is None:
-        meaning = _invalid_value(message) if code == INVALID_VALUE else _Meaning(DaqError, "see this code at ni.com")
+        meaning = _Meaning(DaqError, "see this code at ni.com")
+        if code == INVALID_VALUE:
+            key = next((key for part, key in _KEYS.items() if part in message), "the property")
+            meaning = _Meaning(DeviceMissingError, f"the device does not support this setting; correct {key}")
     if was_connected and code in UNKNOWN_CHANNEL:
         meaning = _LOST
     elif not was_connected and meaning is _LOST:
         meaning = _Meaning(DeviceMissingError, "the device does not answer; connect and power it")
-    return meaning.error(f"{subject}: {meaning.advice}{addition} (NI-DAQmx {code}: {_one_line(message)})")
-
-
-def _invalid_value(message: str) -> _Meaning:
-    keys = [key for part, key in _KEYS.items() if part in message]
-    return _Meaning(
-        DeviceMissingError, f"the device does not support this setting; correct {keys[0] if keys else 'the property'}"
-    )
-
-
-def _one_line(message: str) -> str:
-    """Return the first line of `message`, and the lines that state the property and its possible values."""
+    # The first line of the message, and those that state the property and its possible values.
     lines = [line.strip() for line in message.splitlines() if line.strip()]
-    return "; ".join([*lines[:1], *(line for line in lines[1:] if line.startswith(_DETAILS))]) or "no description"
+    text = "; ".join([*lines[:1], *(line for line in lines[1:] if line.startswith(_DETAILS))]) or "no description"
+    return meaning.error(f"{subject}: {meaning.advice}{addition} (NI-DAQmx {code}: {text})")

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.settings import TareSettings
-from scara_effmass.values import FloatArray
+from scara_effmass.values import BoolArray, FloatArray
 
 PARTS = 10
 """Parts of a tare; a short disturbance affects one or two of them."""
@@ -13,7 +13,7 @@ MIN_PARTS = 7
 
 
 class Tare:
-    """Median of the means of ten consecutive parts.
+    """Median of the means of ten consecutive parts of a signal.
 
     An impact falls into one or two parts and moves the median by no more than the noise. With fewer than seven parts
     within the tolerance of the median and free of saturated samples, the sensor was not at rest and there is no result.
@@ -22,30 +22,25 @@ class Tare:
     def __init__(self, settings: TareSettings, sample_rate: float) -> None:
         """Use `settings.time` of samples at `sample_rate` [Hz], at least ten."""
         self._tolerance = settings.tolerance
-        self._length = max(1, round(settings.time * sample_rate / PARTS))
-        self._sums = np.zeros(PARTS)
-        self._saturated = np.zeros(PARTS, np.bool_)
-        self._count = 0
+        self._length = PARTS * max(1, round(settings.time * sample_rate / PARTS))
+        self._force: FloatArray = np.empty(0)
+        self._saturated: BoolArray = np.empty(0, np.bool_)
 
     @property
     def done(self) -> bool:
         """Whether all samples were added."""
-        return self._count == PARTS * self._length
+        return self._force.size == self._length
 
     def add(self, force: FloatArray, saturated_samples: NDArray[np.uint32]) -> None:
         """Add the next samples, finite, [N]; those beyond the end are ignored. Indices as in `ForceBlock`."""
-        start = 0
-        while start < force.size and not self.done:
-            part, offset = divmod(self._count, self._length)
-            stop = min(force.size, start + self._length - offset)
-            self._sums[part] += force[start:stop].sum()
-            self._saturated[part] |= ((saturated_samples >= start) & (saturated_samples < stop)).any()
-            self._count += stop - start
-            start = stop
+        saturated = np.isin(np.arange(force.size), saturated_samples)
+        self._force = np.concatenate((self._force, force))[: self._length]
+        self._saturated = np.concatenate((self._saturated, saturated))[: self._length]
 
     def result(self) -> float | str:
         """Return the zero force [N], or why there is none; only when `done`."""
-        means = self._sums[~self._saturated] / self._length
+        valid = ~self._saturated.reshape(PARTS, -1).any(axis=1)
+        means = self._force.reshape(PARTS, -1)[valid].mean(axis=1)
         if means.size < MIN_PARTS:
             return "refused: the force was at the end of the measuring range"
         zero = float(np.median(means))

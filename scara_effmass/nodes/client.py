@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from types import FrameType
+from typing import Any, TypeVar
 
 import rclpy
 from rclpy.context import Context
@@ -13,8 +17,14 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from typing_extensions import Self
+
+from scara_effmass.errors import SettingsError
+
+Client = TypeVar("Client", bound="ClientNode")
 
 _SPIN_SLICE_S = 0.1
+_SPIN_LIMIT_S = 1e9
 
 
 def spin_for(executor: Executor, seconds: float, done: Callable[[], bool] = bool) -> None:
@@ -23,39 +33,61 @@ def spin_for(executor: Executor, seconds: float, done: Callable[[], bool] = bool
     EventsExecutor applies its timeout to each wait for an event, so spinning it under constant load has no end in
     rclpy 7.1. It does not notice signals; Python handles them between two slices.
     """
-    end_ns = time.monotonic_ns() + round(seconds * 1e9)
+    end_ns = time.monotonic_ns() + round(min(seconds, _SPIN_LIMIT_S) * 1e9)
     while not done() and (left_ns := end_ns - time.monotonic_ns()) > 0:
         executor.spin_once(timeout_sec=min(left_ns / 1e9, _SPIN_SLICE_S))
 
 
 class ClientNode:
-    """Plain node with its own ROS context and executor, all in the calling thread; call `close` at the end.
+    """Plain node with its own ROS context and executor, all in the calling thread. Use it in a `with`.
 
-    It has no services and no log topic, and rclpy does not handle signals for it.
+    In the main thread, SIGINT and SIGTERM are collected in `signals` instead of being handled: the executor would log
+    an exception in a callback as an error of the node. The node has no services and no log topic.
     """
 
-    def __init__(self, name: str, parameters: list[Parameter] | None = None) -> None:
-        """Create the node; `parameters` override its defaults."""
-        self._stack = ExitStack()
-        context = Context()
-        rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-        self._stack.callback(context.try_shutdown)
-        self.node = Node(
-            name,
-            context=context,
-            start_parameter_services=False,
-            enable_rosout=False,
-            parameter_overrides=parameters,
-        )
-        self._stack.callback(self.node.destroy_node)
-        self._executor = EventsExecutor(context=context)
-        self._executor.add_node(self.node)
-        self._stack.callback(self._executor.shutdown)
+    def __init__(self, name: str, parameters: Sequence[Parameter] = (), arguments: Sequence[str] = ()) -> None:
+        """Create the node; `parameters` override its defaults. Raises SettingsError for invalid ROS `arguments`."""
+        self.signals: list[int] = []
+        self.handlers: dict[int, Any] = {}
+        """Handlers of the signals outside the `with`."""
+        with ExitStack() as stack:
+            if threading.current_thread() is threading.main_thread():
+                for number in (signal.SIGINT, signal.SIGTERM):
+                    self.handlers[number] = signal.signal(number, self._on_signal)
+                    stack.callback(signal.signal, number, self.handlers[number])
+            self.context = Context()
+            stack.callback(self.context.try_shutdown)
+            try:
+                rclpy.init(args=list(arguments), context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+            except RuntimeError as error:
+                raise SettingsError(f"ROS arguments: {' '.join(str(error).split())}") from None
+            self.node = Node(
+                name,
+                context=self.context,
+                start_parameter_services=False,
+                enable_rosout=False,
+                parameter_overrides=list(parameters),
+            )
+            stack.callback(self.node.destroy_node)
+            self.executor = EventsExecutor(context=self.context)
+            self.executor.add_node(self.node)
+            stack.callback(self.executor.shutdown)
+            self._stack = stack.pop_all()
+
+    @property
+    def now_ns(self) -> int:
+        """Time on the node's clock [ns], 0 before the first /clock in simulated time."""
+        return int(self.node.get_clock().now().nanoseconds)
 
     def spin_for(self, seconds: float, done: Callable[[], bool] = bool) -> None:
-        """Handle events for `seconds` or until `done`."""
-        spin_for(self._executor, seconds, done)
+        """Handle events for `seconds`, until `done` or until a signal arrives."""
+        spin_for(self.executor, seconds, lambda: bool(self.signals) or done())
 
-    def close(self) -> None:
-        """Destroy the node and its context."""
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         self._stack.close()
+
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        self.signals.append(number)

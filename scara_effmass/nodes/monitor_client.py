@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import signal
-import time
 from collections.abc import Callable, Sequence
-from types import FrameType
-from typing import Any, final
+from typing import final
 
 from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
@@ -21,9 +19,6 @@ from scara_effmass.wire.contact_state import contact_from
 
 OnCycle = Callable[[tuple[ContactAssessment, ...], int], None]
 
-_SPIN_SLICE_S = 0.05
-"""Maximum delay of the reaction to a signal."""
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _TOPICS = 3
 
 
@@ -53,11 +48,8 @@ class MonitorClient(ClientNode):
         self._on_cycle = on_cycle
         self._pending: list[ContactAssessment] = []
         self._matched: set[str] = set()
-        self._handlers: dict[int, Any] = {}
-        self._pending_signals: list[int] = []
         super().__init__("monitor_client", [Parameter("use_sim_time", value=True)])
         node = self.node
-        self._clock = node.get_clock()
         for kind, topic, callback in (
             (ContactState, topics.CONTACT_STATE, self._on_contact_state),
             (Float64, topics.ALLOWABLE_SPEED, self._on_allowable_speed),
@@ -80,46 +72,25 @@ class MonitorClient(ClientNode):
         node = self.node
         return node.count_publishers(topic) >= publishers and node.count_subscribers(topic) >= subscribers
 
-    @property
-    def now_ns(self) -> int:
-        """Time on /clock [ns], 0 before the first message."""
-        return int(self._clock.now().nanoseconds)
-
     def spin(self, seconds: float, done: Callable[[], bool] = bool) -> bool:
         """Receive for `seconds` or until `done`; return the result of `done`.
 
-        The earlier handlers of SIGINT and SIGTERM are called here.
+        The handlers of SIGINT and SIGTERM from before the `with` are called here or at its end.
         """
-        deadline = time.monotonic() + seconds
-        while not (is_done := done()) and (left := deadline - time.monotonic()) > 0.0:
-            self.spin_for(min(left, _SPIN_SLICE_S))
-            self._handle_signals()
-        return is_done
-
-    def __enter__(self) -> MonitorClient:
-        # The executor would log a KeyboardInterrupt in a callback as an error of the node, so signals are deferred.
-        self._handlers = {number: signal.signal(number, self._on_signal) for number in _SIGNALS}
-        return self
+        self.spin_for(seconds, done)
+        for number in self.signals[:1]:
+            self.signals.clear()
+            deferring = signal.signal(number, self.handlers[number])
+            try:
+                signal.raise_signal(number)
+            finally:
+                signal.signal(number, deferring)
+        return done()
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
-        self.close()
-        self._handle_signals()
-
-    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
-        self._pending_signals.append(number)
-
-    def _handle_signals(self) -> None:
-        if self._pending_signals:
-            number = self._pending_signals[0]
-            self._pending_signals.clear()
-            handler = self._handlers[number]
-            if callable(handler):
-                handler(number, None)
-            elif handler is signal.SIG_DFL:
-                signal.signal(number, handler)
-                signal.raise_signal(number)
+        super().__exit__()
+        for number in self.signals[:1]:
+            signal.raise_signal(number)
 
     def _on_matched(self, topic: str) -> Callable[[QoSSubscriptionMatchedInfo], None]:
         def on_matched(info: QoSSubscriptionMatchedInfo) -> None:
@@ -145,7 +116,7 @@ class MonitorClient(ClientNode):
         self.cycles += 1
         first = contacts[0]
         # Stamp plus age is exactly the monitor's clock; a joint state without a stamp has no age.
-        time_ns = first.stamp_ns + round(first.input_age * 1e9) if first.stamp_ns else self._clock.now().nanoseconds
+        time_ns = first.stamp_ns + round(first.input_age * 1e9) if first.stamp_ns else self.now_ns
         self._on_cycle(contacts, time_ns)
 
     def _on_allowable_speed(self, message: Float64) -> None:

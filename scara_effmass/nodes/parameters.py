@@ -2,13 +2,12 @@
 
 from collections.abc import Callable
 from collections.abc import Set as AbstractSet
+from dataclasses import asdict
 from enum import Enum
 from typing import Any, get_origin
 
-import annotated_types
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
-from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -26,11 +25,20 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
     # A private attribute, because automatically_declare_parameters_from_overrides raises on an empty list.
     overrides: dict[str, Parameter] = node._parameter_overrides  # noqa: SLF001
     fields = flat_fields(settings)
-    unknown = [name for name in sorted(overrides) if name not in fields and not name.startswith(_ROS_PARAMETERS)]
-    if unknown:
-        raise SettingsError(f"{node.get_name()}: no parameter {unknown[0]!r}: {nearest(unknown[0], fields)}")
-    values = {name: from_ros(_declared(node, name, field, overrides.get(name))) for name, field in fields.items()}
-    return checked(settings, values, node.get_name())
+    values = {}
+    for name, parameter in sorted(overrides.items()):
+        if name in fields:
+            values[name] = _checked_type(node, parameter, fields[name])
+        elif not name.startswith(_ROS_PARAMETERS):
+            raise SettingsError(f"{node.get_name()}: no parameter {name!r}: {nearest(name, fields)}")
+    checked_settings = checked(settings, values, node.get_name())
+    for name, field in fields.items():
+        parameter = _parameter(name, values.get(name, field.default))
+        # Declare the type, then set the value: rclpy cannot infer the type of an empty list.
+        node.declare_parameter(name, parameter.type_, ignore_override=True)
+        node.set_parameters([parameter])
+        node.set_descriptor(name, _descriptor(name, field))
+    return checked_settings
 
 
 def on_parameters_changed(
@@ -67,30 +75,17 @@ def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401 - the settings model 
     return tuple(value) if parameter.type_ is Parameter.Type.STRING_ARRAY else value
 
 
-def _declared(node: Node, name: str, field: FieldInfo, override: Parameter | None) -> Parameter:
-    """Declare one field and return its parameter: `override` or the default."""
-    default = _parameter(name, field.default)
-    parameter = default if override is None else override
+def _checked_type(node: Node, parameter: Parameter, field: FieldInfo) -> Any:  # noqa: ANN401
+    """Return the value of `parameter`. Raises SettingsError if its type is not that of `field`."""
     if parameter.type_ is Parameter.Type.NOT_SET and isinstance(field.default, tuple):
-        # ROS passes an empty list from a file or command line as NOT_SET.
-        parameter = _parameter(name, ())
-    if parameter.type_ is not default.type_:
-        is_integer = parameter.type_ is Parameter.Type.INTEGER and default.type_ is Parameter.Type.DOUBLE
+        return ()  # ROS passes an empty list from a file or command line as NOT_SET
+    expected = _parameter(parameter.name, field.default).type_
+    if parameter.type_ is not expected:
+        is_integer = parameter.type_ is Parameter.Type.INTEGER and expected is Parameter.Type.DOUBLE
         hint = f": write {parameter.value}.0" if is_integer else ""
-        rule = f"must be {default.type_.name}, is {parameter.type_.name}{hint}"
-        raise SettingsError(f"{node.get_name()}: {name} = {parameter.value!r}: {rule}")
-    descriptor = _descriptor(name, field)
-    try:
-        # Declare the type, then set the value: rclpy cannot infer the type of an empty list.
-        node.declare_parameter(name, default.type_, ignore_override=True)
-        node.set_parameters([parameter])
-        node.set_descriptor(name, descriptor)
-    except InvalidParameterValueException:
-        (bounds,) = descriptor.floating_point_range
-        raise SettingsError(
-            f"{node.get_name()}: {name} = {parameter.value!r}: must be {bounds.from_value:g} to {bounds.to_value:g}"
-        ) from None
-    return parameter
+        rule = f"must be {expected.name}, is {parameter.type_.name}{hint}"
+        raise SettingsError(f"{node.get_name()}: {parameter.name} = {parameter.value!r}: {rule}")
+    return from_ros(parameter)
 
 
 def _parameter(name: str, value: Any) -> Parameter:  # noqa: ANN401
@@ -101,32 +96,21 @@ def _parameter(name: str, value: Any) -> Parameter:  # noqa: ANN401
 
 
 def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
-    extra = field.json_schema_extra
+    extra, annotation = field.json_schema_extra, field.annotation
     descriptor = ParameterDescriptor(
         name=name,
         type=_parameter(name, field.default).type_.value,
         description=field.description or "",
         read_only=isinstance(extra, dict) and bool(extra.get("read_only")),
     )
-    annotation = field.annotation
     if isinstance(annotation, type) and issubclass(annotation, Enum):
         descriptor.additional_constraints = "one of " + ", ".join(member.value for member in annotation)
     elif annotation is float:
-        _set_range(descriptor, field)
+        # ROS cannot express an open end; the settings model refuses it.
+        bounds = {key: float(value) for limit in field.metadata for key, value in asdict(limit).items()}
+        low, high = bounds.get("ge", bounds.get("gt", 0.0)), bounds.get("le", 1e6)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+        descriptor.additional_constraints = f"above {low:g}" if "gt" in bounds else ""
     elif get_origin(annotation) is tuple:
         descriptor.additional_constraints = "list of names"
     return descriptor
-
-
-def _set_range(descriptor: ParameterDescriptor, field: FieldInfo) -> None:
-    """Set the closed range. ROS cannot express an open end; the settings model refuses it."""
-    bounds = FloatingPointRange(from_value=0.0, to_value=1e6)
-    for constraint in field.metadata:
-        if isinstance(constraint, annotated_types.Ge):
-            bounds.from_value = float(constraint.ge)  # type: ignore[arg-type]
-        elif isinstance(constraint, annotated_types.Gt):
-            bounds.from_value = float(constraint.gt)  # type: ignore[arg-type]
-            descriptor.additional_constraints = f"above {bounds.from_value:g}"
-        elif isinstance(constraint, annotated_types.Le):
-            bounds.to_value = float(constraint.le)  # type: ignore[arg-type]
-    descriptor.floating_point_range = [bounds]

@@ -4,28 +4,19 @@ The log time of a message is its receive time on the node's clock: system time, 
 """
 
 import math
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 
-import rclpy
 from pydantic import BaseModel
-from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
 from scara_effmass.bags.recording_report import RecordingReport
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.client import spin_for
+from scara_effmass.nodes.client import ClientNode, spin_for
 from scara_effmass.nodes.topic_recorder import TopicRecorder, resolve_topic
 from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED
 
@@ -33,7 +24,6 @@ _PERIOD_S = 0.1
 """Period of topic discovery and of the check for a stop signal."""
 _DRAIN_TIMEOUT_S = 10.0
 """Maximum time to record the messages that have arrived before the end."""
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,28 +72,24 @@ def record(
     warnings, also from another thread. Raises SettingsError or OutputError.
     """
     known_types()  # slow on the first call: before messages arrive
-    with ExitStack() as stack:
-        stop_signals = stack.enter_context(_stop_signals())
-        node = stack.enter_context(_node(options.ros_arguments))
-        context = node.context
+    with ClientNode("recorder", arguments=options.ros_arguments) as client:
+        node, context = client.node, client.context
+        parameters.declare(node, BaseModel)  # refuses all but those of every node
         topics = () if options.all_topics else options.topics or RECORDED
         names = [resolve_topic(node, topic) for topic in topics]
         parents = [resolve_topic(node, topic) for topic in FORCE_OUTPUTS if topics is RECORDED]
-        executor = EventsExecutor(context=context)
-        stack.callback(executor.shutdown)
-        executor.add_node(node)
         with BagRecorder(options.folder, options.recorder, overwrite=options.overwrite, warn=warn) as recorder:
             topic_recorder = TopicRecorder(node, recorder, names, warn, parents)
             start = time.monotonic()
             seconds = 0.0
-            while not stop_signals and context.ok() and recorder.is_running and seconds < options.duration_s:
+            while not client.signals and context.ok() and recorder.is_running and seconds < options.duration_s:
                 topic_recorder.discover()
-                spin_for(executor, min(options.duration_s - seconds, _PERIOD_S))
+                client.spin_for(min(options.duration_s - seconds, _PERIOD_S))
                 seconds = time.monotonic() - start
                 progress(recorder.report(), seconds)
             if context.ok():
                 # This task runs after the messages that have already arrived.
-                spin_for(executor, _DRAIN_TIMEOUT_S, executor.create_task(lambda: None).done)
+                spin_for(client.executor, _DRAIN_TIMEOUT_S, client.executor.create_task(lambda: None).done)
             report = recorder.close()
         return RecordReport(
             recording=report,
@@ -112,44 +98,3 @@ def record(
             refused=topic_recorder.refused,
             unpublished=tuple(sorted(set(names) - set(topic_recorder.recorded) - topic_recorder.refused.keys())),
         )
-
-
-@contextmanager
-def _stop_signals() -> Iterator[list[int]]:
-    """Collect SIGINT and SIGTERM in a list instead of handling them; only in the main thread."""
-    received: list[int] = []
-
-    def on_signal(number: int, _frame: FrameType | None) -> None:
-        received.append(number)
-
-    numbers = _SIGNALS if threading.current_thread() is threading.main_thread() else ()
-    handlers = {number: signal.signal(number, on_signal) for number in numbers}
-    try:
-        yield received
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-
-
-class _NoSettings(BaseModel):
-    """The recorder has only the parameters of every node."""
-
-
-@contextmanager
-def _node(ros_arguments: tuple[str, ...]) -> Iterator[Node]:
-    """Create the node in a context of its own. Raises SettingsError for unknown arguments."""
-    context = Context()
-    try:
-        rclpy.init(args=list(ros_arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        raise SettingsError(f"ROS arguments: {' '.join(str(error).split())}") from None
-    try:
-        # Without services and log topic, which it would record.
-        node = Node("recorder", context=context, start_parameter_services=False, enable_rosout=False)
-        try:
-            parameters.declare(node, _NoSettings)
-            yield node
-        finally:
-            node.destroy_node()
-    finally:
-        context.try_shutdown()

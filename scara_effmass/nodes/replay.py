@@ -8,37 +8,33 @@ clock and then seems up to 10 ms newer than the clock; the monitor's `future_tol
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
 from typing import NamedTuple
 
 from builtin_interfaces.msg import Time
+from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 
 from scara_effmass.bags.bag import Bag, RawMessage
 from scara_effmass.bags.batches import MAX_TIME_NS
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import EffmassError, SettingsError
-from scara_effmass.nodes.lockstep import Lockstep, header_stamp_ns
+from scara_effmass.nodes.client import ClientNode
+from scara_effmass.nodes.lockstep import Lockstep
 from scara_effmass.nodes.readiness import ReadinessReports
-from scara_effmass.nodes.replay_node import (
-    JOINT_STATES,
-    Interruption,
-    ReplayNode,
-    ReplayPublisher,
-    replay_publishers,
-    settling_time_ns,
-)
+from scara_effmass.nodes.replay_topics import JOINT_STATES, ReplayPublisher, replay_publishers
 from scara_effmass.wire.topics import CLOCK
 
 CLOCK_STEP_NS = 10_000_000
 """Maximum recorded time between two clock messages."""
 LATE_NS = 10_000_000
-STALE_NS = 200_000_000
-FUTURE_NS = 20_000_000
-"""A monitor with default settings refuses joint states with header stamps beyond these."""
+SETTLING_NS = 300_000_000
+MAX_SETTLING_NS = 3_000_000_000
+"""Limits of the wait for subscribers that do not report their readiness; it is else as long as discovery took."""
+_ACKNOWLEDGEMENT_NS = 10_000_000_000
+_ACKNOWLEDGEMENT_STEP_NS = 100_000_000
 _HANDSHAKE_STEP_NS = 50_000_000
 _PROGRESS_NS = 100_000_000
 _NS = 1_000_000_000
@@ -128,52 +124,22 @@ class ReplayReport:
         return self.replayed_s / self.wall_s if self.wall_s > 0.0 else 0.0
 
 
-class TimelineStep(NamedTuple):
-    """Recorded time at which to set the clock and then send the message, if there is one."""
+def timeline(messages: Iterable[RawMessage], start_ns: int, end_ns: int) -> Iterator[tuple[int, RawMessage | None]]:
+    """Yield the recorded times at which to set the clock, each with the message to send then, if there is one.
 
-    time_ns: int
-    message: RawMessage | None
+    There is a time at the start, at each message and every 10 ms in the gaps, in order.
+    """
 
-
-def timeline(messages: Iterable[RawMessage], start_ns: int, end_ns: int) -> Iterator[TimelineStep]:
-    """Yield a step at the start, at each message and every 10 ms in the gaps, in order."""
-
-    def gap(until_ns: int) -> Iterator[TimelineStep]:
-        return (TimelineStep(time_ns, None) for time_ns in range(now_ns + CLOCK_STEP_NS, until_ns, CLOCK_STEP_NS))
+    def gap(until_ns: int) -> Iterator[tuple[int, None]]:
+        return ((time_ns, None) for time_ns in range(now_ns + CLOCK_STEP_NS, until_ns, CLOCK_STEP_NS))
 
     now_ns = start_ns
-    yield TimelineStep(now_ns, None)
+    yield now_ns, None
     for message in messages:
         yield from gap(message.log_time_ns)
         now_ns = max(now_ns, message.log_time_ns)
-        yield TimelineStep(now_ns, message)
+        yield now_ns, message
     yield from gap(end_ns)
-
-
-class StampCheck:
-    """Compares header stamps with log times."""
-
-    def __init__(self) -> None:
-        self._count = 0
-        self._off_count = 0
-        self._worst_ns = 0
-
-    def add(self, data: bytes, log_time_ns: int) -> None:
-        """Check one message."""
-        ahead_ns = header_stamp_ns(data) - log_time_ns
-        self._count += 1
-        if not -STALE_NS <= ahead_ns <= FUTURE_NS:
-            self._off_count += 1
-            self._worst_ns = max(self._worst_ns, ahead_ns, key=abs)
-
-    def warnings(self) -> tuple[str, ...]:
-        """Return a warning if stamps and log times disagree."""
-        if not self._off_count:
-            return ()
-        side = "ahead of" if self._worst_ns > 0 else "behind"
-        share = f"{self._off_count} of {self._count} joint states have header stamps"
-        difference = f"up to {abs(self._worst_ns) / _NS:.3f} s {side} their log time"
-        return (f"{share} {difference}: a monitor on this clock answers UNKNOWN",)
 
 
 def replay(options: ReplayOptions, on_progress: Callable[[ReplayProgress], None] | None = None) -> ReplayReport:
@@ -182,11 +148,10 @@ def replay(options: ReplayOptions, on_progress: Callable[[ReplayProgress], None]
     SIGINT and SIGTERM end the replay early. It runs in its own ROS context. Raises BagError for an unreadable bag,
     EffmassError if nodes are not ready in time or the monitor stops answering.
     """
-    with open_bag(options.bag) as bag, Interruption() as interruption, closing(ReplayNode()) as node:
-        player = _Player(options, bag, node, on_progress or (lambda _: None))
+    with ClientNode("replay") as client, open_bag(options.bag) as bag:
+        player = _Player(options, bag, client, on_progress or (lambda _: None))
         try:
-            with interruption.allowed():
-                player.play()
+            player.play()
         except KeyboardInterrupt:
             player.report.interrupted = True
         player.finish_report()
@@ -197,11 +162,11 @@ class _Player:
     """State and endpoints of one replay."""
 
     def __init__(
-        self, options: ReplayOptions, bag: Bag, node: ReplayNode, on_progress: Callable[[ReplayProgress], None]
+        self, options: ReplayOptions, bag: Bag, client: ClientNode, on_progress: Callable[[ReplayProgress], None]
     ) -> None:
         self._options = options
         self._bag = bag
-        self._node = node
+        self._client = client
         self._on_progress = on_progress
         self._start_ns = bag.start_ns + round(options.start_s * _NS)
         if self._start_ns > bag.end_ns:
@@ -213,17 +178,16 @@ class _Player:
         self._end_ns = min(self._stop_ns, bag.end_ns)
         self.report = ReplayReport()
         self._publishers, self.report.skipped = replay_publishers(
-            bag, node.node, options.topics, options.joint_state_topic
+            bag, client.node, options.topics, options.joint_state_topic
         )
         self._joint_states = next((p for p in self._publishers.values() if p.name == JOINT_STATES), None)
         if options.rate == 0.0 and self._joint_states is None:
             raise SettingsError(
                 f"{bag.path}: rate = 0: nothing is published as {JOINT_STATES}; name its topic, or give a rate"
             )
-        self._lockstep = Lockstep(node.node, options.answer_timeout_s) if options.rate == 0.0 else None
-        self._clock = ReplayPublisher(node.node, CLOCK, Clock)  # after all other publishers
-        self._readiness = ReadinessReports(node.node)  # after all other subscriptions
-        self._stamps = StampCheck()
+        self._lockstep = Lockstep(client.node, options.answer_timeout_s) if options.rate == 0.0 else None
+        self._clock = ReplayPublisher(client.node, CLOCK, Clock)  # after all other publishers
+        self._readiness = ReadinessReports(client.node)  # after all other subscriptions
         self._now_ns = self._start_ns
         self._progress_ns = 0
 
@@ -246,14 +210,14 @@ class _Player:
             finally:
                 report.wall_s += (time.monotonic_ns() - pass_start_ns) / _NS
                 report.replayed_s += (self._now_ns - self._start_ns) / _NS
-        report.unacknowledged = tuple(self._node.wait_acknowledged(self._publishers.values()))
+        report.unacknowledged = self._wait_acknowledged()
 
     def finish_report(self) -> None:
         """Complete the report."""
         report = self.report
         report.sent = {publisher.name: publisher.sent for publisher in self._publishers.values()}
         report.unheard = tuple(p.name for p in self._publishers.values() if not p.had_subscriber)
-        report.warnings = (*self._bag.losses, *self._stamps.warnings())
+        report.warnings = tuple(self._bag.losses)
         if self._lockstep:
             report.answered = self._lockstep.answered
             report.unanswered = self._lockstep.unanswered
@@ -265,13 +229,13 @@ class _Player:
         start_ns = ready_since_ns = time.monotonic_ns()
         while True:
             self._set_clock(self._start_ns)
-            self._node.spin_until(time.monotonic_ns() + _HANDSHAKE_STEP_NS)
+            self._spin_until(time.monotonic_ns() + _HANDSHAKE_STEP_NS)
             now_ns = time.monotonic_ns()
             if unready := self._unready():
                 ready_since_ns = now_ns
                 if now_ns - start_ns > timeout_s * _NS:
                     raise EffmassError(f"not ready within {timeout_s:g} s: {unready}")
-            elif now_ns - ready_since_ns >= settling_time_ns(ready_since_ns - start_ns):
+            elif now_ns - ready_since_ns >= min(max(SETTLING_NS, ready_since_ns - start_ns), MAX_SETTLING_NS):
                 return
 
     def _unready(self) -> str:
@@ -290,9 +254,9 @@ class _Player:
         rate = self._options.rate
         clock_ns = -1
         for time_ns, message in timeline(messages, self._start_ns, self._end_ns):
+            due_ns = pass_start_ns + round((time_ns - self._start_ns) / rate) if rate else 0
+            self._spin_until(due_ns)
             if rate:
-                due_ns = pass_start_ns + round((time_ns - self._start_ns) / rate)
-                self._node.spin_until(due_ns)
                 lateness_ns = time.monotonic_ns() - due_ns
                 self.report.late += lateness_ns > LATE_NS
                 self.report.worst_lateness_s = max(self.report.worst_lateness_s, lateness_ns / _NS)
@@ -313,11 +277,29 @@ class _Player:
         if publisher is not self._joint_states:
             publisher.send(message.data)
             return
-        self._stamps.add(message.data, message.log_time_ns)
         names = self._lockstep.expect(message.data) if self._lockstep else ()
         publisher.send(message.data)
         if self._lockstep:
-            self._lockstep.wait(names, self._node.spin_until)
+            self._lockstep.wait(names, self._spin_until)
+
+    def _spin_until(self, deadline_ns: int, done: Callable[[], bool] = bool) -> None:
+        """Handle events until `done` or until the monotonic clock shows `deadline_ns`; a signal interrupts."""
+        self._client.spin_for((deadline_ns - time.monotonic_ns()) / _NS, done)
+        if self._client.signals:
+            raise KeyboardInterrupt
+
+    def _wait_acknowledged(self) -> tuple[str, ...]:
+        """Wait until the subscribers have received everything; return the topics not acknowledged within 10 s.
+
+        Best-effort subscribers acknowledge nothing and get 0.3 s. Fast DDS asks reliable ones every 3 s.
+        """
+        self._spin_until(time.monotonic_ns() + SETTLING_NS)
+        deadline_ns = time.monotonic_ns() + _ACKNOWLEDGEMENT_NS
+        pending = list(self._publishers.values())
+        while pending and time.monotonic_ns() < deadline_ns and not self._client.signals:
+            if pending[0].publisher.wait_for_all_acked(Duration(nanoseconds=_ACKNOWLEDGEMENT_STEP_NS)):
+                del pending[0]
+        return tuple(publisher.name for publisher in pending)
 
     def _report_progress(self) -> None:
         now_ns = time.monotonic_ns()

@@ -12,7 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from scara_effmass.daq.lowpass import MAX_TAPS, NEGLIGIBLE, Butterworth, Gaussian, make_lowpass
+from scara_effmass.daq.lowpass import MAX_TAPS, NEGLIGIBLE, make_lowpass
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import FilterKind, FilterSettings
 
@@ -65,12 +65,12 @@ def test_ramp_is_late_by_the_stated_delay(kind: FilterKind, relative_cutoff: flo
 def test_delay_of_the_butterworth_is_that_of_the_analogue_filter(relative_cutoff: float) -> None:
     # H = 1 / (s² + sqrt(2) s + 1) has the delay sqrt(2) at s = 0; the bilinear transform maps s = j to the cutoff.
     delay = math.sqrt(2.0) / (2.0 * math.tan(math.pi * relative_cutoff))
-    assert Butterworth(relative_cutoff * RATE, RATE).delay == pytest.approx(delay, rel=1e-6)
+    assert lowpass(FilterKind.CAUSAL, relative_cutoff * RATE).delay == pytest.approx(delay, rel=1e-6)
 
 
 @given(relative_cutoffs, st.floats(0.0, 0.5))
 def test_gaussian_delays_all_frequencies_equally(relative_cutoff: float, frequency: float) -> None:
-    low = Gaussian(relative_cutoff * RATE, RATE)
+    low = lowpass(FilterKind.ZERO_PHASE, relative_cutoff * RATE)
     response = impulse_response(low, 2 * low.memory)
     shifted_back = gain_at(response, frequency) * np.exp(2j * math.pi * frequency * low.delay)
     assert abs(shifted_back.imag) < 1e-12
@@ -80,7 +80,7 @@ def test_gaussian_delays_all_frequencies_equally(relative_cutoff: float, frequen
 
 @given(relative_cutoffs, signals)
 def test_gaussian_does_not_overshoot(relative_cutoff: float, samples: FloatArray) -> None:
-    output = Gaussian(relative_cutoff * RATE, RATE)(samples)
+    output = lowpass(FilterKind.ZERO_PHASE, relative_cutoff * RATE)(samples)
     rounding = 1e-12 * np.abs(samples).max()
     assert output.max() <= samples.max() + rounding
     assert output.min() >= samples.min() - rounding

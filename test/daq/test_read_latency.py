@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.daq.read_latency import NS, WINDOW_S, ReadLatency
+from scara_effmass.daq.acquisition import LATENCY_WINDOW_S, NS, ReadLatency
 
 RATE = 10_000.0
 BLOCK = 1000
@@ -33,7 +33,7 @@ def test_clock_drift_is_no_latency(drift: float) -> None:
     for number in range(1, 10_000):
         pace.add(number * BLOCK, round(number * BLOCK_NS * (1.0 + drift)))
     _, largest = pace.latencies()
-    assert largest <= WINDOW_S * 100e-6 * 1.05
+    assert largest <= LATENCY_WINDOW_S * 100e-6 * 1.05
     assert pace.time_ns(9999 * BLOCK) == pytest.approx(9999 * BLOCK_NS * (1.0 + drift), abs=1.1e6)
 
 

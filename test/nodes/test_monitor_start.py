@@ -59,8 +59,8 @@ def test_invalid_argument_gives_one_line_and_exit_code_2(
     [
         ("nonsense:=1", "monitor: no parameter 'nonsense': must be robot,"),
         ("timeout:=1", "monitor: timeout = 1: must be DOUBLE, is INTEGER: write 1.0"),
-        ("timeout:=.nan", "monitor: timeout = nan: must be 0 to 60"),
-        ("timeout:=61.0", "monitor: timeout = 61.0: must be 0 to 60"),
+        ("timeout:=.nan", "monitor: timeout = nan: Input should be a finite number"),
+        ("timeout:=61.0", "monitor: timeout = 61.0: Input should be less than or equal to 60"),
         ("speed_threshold:=0.0", "monitor: speed_threshold = 0.0: Input should be greater than"),
         ("latch:=1", "monitor: latch = 1: must be BOOL, is INTEGER"),
         ("contact_points:=tool", "monitor: contact_points = 'tool': must be STRING_ARRAY, is STRING"),

@@ -208,7 +208,7 @@ def test_reset_begins_a_new_series(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("argument", "line"),
     [
-        ("obstacle_mass:=-1.0", "validator: obstacle_mass = -1.0: must be 0 to 1000"),
+        ("obstacle_mass:=-1.0", "validator: obstacle_mass = -1.0: Input should be greater than or equal to 0"),
         ("nonsense:=1", "validator: no parameter 'nonsense': must be contact_point,"),
         (
             "criterion.least_count:=1",
