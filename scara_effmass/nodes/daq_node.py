@@ -11,7 +11,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from pydantic import Field
 from rclpy.duration import Duration
-from rclpy.lifecycle import LifecyclePublisher
 from rclpy.parameter import Parameter
 from scara_effmass_msgs.msg import ForceBlock, Impact
 
@@ -73,17 +72,9 @@ class DaqNode(LifecycleBase):
             raise SettingsError(f"{self.get_name()}: use_sim_time = true: must be false, {kind} measures in real time")
         if settings.filter.kind is not FilterKind.NONE:
             import_module("scara_effmass.daq.lowpass")  # takes seconds, so not after the start
-        for number, name in enumerate(self._source.channels):
-            suffix = f"/{name}" if number else ""
-            force, impact, wrench = (
-                self.create_owned_publisher(message_type, f"{topic}{suffix}", qos)
-                for message_type, topic, qos in (
-                    (ForceBlock, topics.FORCE, topics.FORCE_QOS),
-                    (Impact, topics.IMPACT, topics.STREAM_QOS),
-                    (WrenchStamped, topics.WRENCH, topics.STREAM_QOS),
-                )
-            )
-            self._outputs.append(_Output(force, impact, wrench, settings))
+        self._outputs = [
+            _Output(self, f"/{name}" if number else "", settings) for number, name in enumerate(self._source.channels)
+        ]
         self.own(self._outputs, list.clear)
         self._diagnostics = Diagnostics(self, self._statuses)
         self.create_owned_trigger("~/reset", self._reset)
@@ -187,13 +178,16 @@ class DaqNode(LifecycleBase):
 class _Output:
     """Topics and impact detection of one channel."""
 
-    def __init__(
-        self, force: LifecyclePublisher, impact: LifecyclePublisher, wrench: LifecyclePublisher, settings: DaqSettings
-    ) -> None:
-        self._force = force
-        self._impact = impact
-        self._wrench = wrench
+    def __init__(self, node: LifecycleBase, suffix: str, settings: DaqSettings) -> None:
         self._settings = settings
+        self._force, self._impact, self._wrench = (
+            node.create_owned_publisher(message_type, f"{topic}{suffix}", qos)
+            for message_type, topic, qos in (
+                (ForceBlock, topics.FORCE, topics.FORCE_QOS),
+                (Impact, topics.IMPACT, topics.STREAM_QOS),
+                (WrenchStamped, topics.WRENCH, topics.STREAM_QOS),
+            )
+        )
         self.reset()
 
     @property

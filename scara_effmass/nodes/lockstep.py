@@ -5,10 +5,13 @@ recording, however slow it is. A joint state of another device gets no answer: a
 the same names are sent without waiting.
 """
 
+from __future__ import annotations
+
 import struct
 import time
 from collections import Counter
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -18,6 +21,9 @@ from scara_effmass.errors import DecodeError, EffmassError
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.wire.joint_state import JointStateDecoder
 from scara_effmass.wire.topics import CONTACT_STATE, STREAM_QOS
+
+if TYPE_CHECKING:
+    from scara_effmass.nodes.replay import ReplayReport
 
 JointNames = tuple[str, ...]
 
@@ -41,14 +47,12 @@ def header_stamp_ns(data: bytes) -> int:
 
 
 class Lockstep:
-    """Counts the `contact_state` messages that answer the joint states sent, matched by header stamp."""
+    """Counts in the report the `contact_state` messages that answer the joint states sent, matched by header stamp."""
 
-    def __init__(self, node: Node, timeout_s: float) -> None:
+    def __init__(self, node: Node, timeout_s: float, report: ReplayReport) -> None:
         """Subscribe to `contact_state`; `timeout_s` is the maximum wait for an expected answer [s]."""
-        self.answered = 0
-        self.unanswered = 0
-        self.not_awaited = 0
         self.publishers = 0
+        self._report = report
         self._timeout_ns = round(timeout_s * 1e9)
         self._decoder = JointStateDecoder()
         self._answered_names: set[JointNames] = set()
@@ -82,7 +86,7 @@ class Lockstep:
         """Wait for the answer to the joint state just sent. Raises EffmassError if the monitor left or hangs."""
         expected = names in self._answered_names or self._unanswered_by_names[names] < MAX_UNANSWERED
         if not expected and self._answered_names:
-            self.not_awaited += 1
+            self._report.not_awaited += 1
             return
         timeout_ns = self._timeout_ns if expected else UNKNOWN_NAMES_WAIT_NS
         # In slices: if the whole machine stalls, only one slice passes.
@@ -90,13 +94,15 @@ class Lockstep:
         for _ in range(round(timeout_ns / slice_ns)):
             spin_until(time.monotonic_ns() + slice_ns, lambda: self._is_answered or not self.publishers)
         if self._is_answered:
-            self.answered += 1
+            self._report.answered += 1
             self._answered_names.add(names)
             self._unanswered_in_a_row = 0
             return
         if not self.publishers:
-            raise EffmassError(f"{self.topic}: its publisher left after {self.answered} answers; rate 0 needs it")
-        self.unanswered += 1
+            raise EffmassError(
+                f"{self.topic}: its publisher left after {self._report.answered} answers; rate 0 needs it"
+            )
+        self._report.unanswered += 1
         self._unanswered_by_names[names] += 1
         self._unanswered_in_a_row += names in self._answered_names
         if self._unanswered_in_a_row >= MAX_UNANSWERED_IN_A_ROW:

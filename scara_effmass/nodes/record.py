@@ -26,6 +26,10 @@ _DRAIN_TIMEOUT_S = 10.0
 """Maximum time to record the messages that have arrived before the end."""
 
 
+class _NoSettings(BaseModel):
+    """The recorder has only the parameters of every node."""
+
+
 @dataclass(frozen=True, slots=True)
 class RecordOptions:
     """Options of a recording. Raises SettingsError for invalid values."""
@@ -74,7 +78,7 @@ def record(
     known_types()  # slow on the first call: before messages arrive
     with ClientNode("recorder", arguments=options.ros_arguments) as client:
         node, context = client.node, client.context
-        parameters.declare(node, BaseModel)  # refuses all but those of every node
+        parameters.declare(node, _NoSettings)
         topics = () if options.all_topics else options.topics or RECORDED
         names = [resolve_topic(node, topic) for topic in topics]
         parents = [resolve_topic(node, topic) for topic in FORCE_OUTPUTS if topics is RECORDED]

@@ -185,7 +185,7 @@ class _Player:
             raise SettingsError(
                 f"{bag.path}: rate = 0: nothing is published as {JOINT_STATES}; name its topic, or give a rate"
             )
-        self._lockstep = Lockstep(client.node, options.answer_timeout_s) if options.rate == 0.0 else None
+        self._lockstep = Lockstep(client.node, options.answer_timeout_s, self.report) if options.rate == 0.0 else None
         self._clock = ReplayPublisher(client.node, CLOCK, Clock)  # after all other publishers
         self._readiness = ReadinessReports(client.node)  # after all other subscriptions
         self._now_ns = self._start_ns
@@ -218,10 +218,6 @@ class _Player:
         report.sent = {publisher.name: publisher.sent for publisher in self._publishers.values()}
         report.unheard = tuple(p.name for p in self._publishers.values() if not p.had_subscriber)
         report.warnings = tuple(self._bag.losses)
-        if self._lockstep:
-            report.answered = self._lockstep.answered
-            report.unanswered = self._lockstep.unanswered
-            report.not_awaited = self._lockstep.not_awaited
 
     def _wait_until_ready(self) -> None:
         """Hold the clock at the start until all nodes have been ready for the settling time. Raises EffmassError."""

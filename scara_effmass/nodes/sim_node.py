@@ -1,6 +1,5 @@
 """`sim_node`: the robot of the simulated cell; `daq_node` with the scene `cell` publishes its force."""
 
-import struct
 import time
 from array import array
 from collections import deque
@@ -16,6 +15,7 @@ from scara_effmass import values
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
+from scara_effmass.nodes.lockstep import header_stamp_ns
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.settings import READ_ONLY
 from scara_effmass.sim.experiment import ImpactSetup
@@ -28,7 +28,6 @@ _MS = 1_000_000
 _PERIOD_S = 0.001
 _AHEAD_NS = 20 * _MS
 """Lead of the simulation: an impact takes longer to compute than the rest."""
-_STAMP = struct.Struct("<iI")
 _BEHIND_NS = {topics.CONTACT_STATE: 50 * _MS, topics.FORCE: 400 * _MS}
 """Largest lag of the latest stamp behind the clock; a block of 0.1 s has the stamp of its first sample."""
 _HOLD_PERIOD_NS = 50 * _MS
@@ -124,12 +123,8 @@ class SimClock:
         )
         self._done_ns: dict[str, int] = {}
         for topic, kind in ((topics.CONTACT_STATE, ContactState), (topics.FORCE, ForceBlock)):
-            node.own(
-                node.create_subscription(
-                    kind, topic, partial(self._on_done, topic), qos_profile(topics.STREAM_QOS), raw=True
-                ),
-                node.destroy_subscription,
-            )
+            on_done = partial(self._on_done, topic)
+            node.create_owned_subscription(kind, topic, on_done, topics.STREAM_QOS, raw=True)
 
     def begin(self, start_ns: int) -> None:
         """Start the time at `start_ns`."""
@@ -159,9 +154,7 @@ class SimClock:
         self._publisher.publish(message)
 
     def _on_done(self, topic: str, data: bytes) -> None:
-        # In both messages the stamp follows the 4 bytes of the encapsulation header.
-        sec, nanosec = _STAMP.unpack_from(data, 4)
-        self._done_ns[topic] = max(self._done_ns.get(topic, 0), sec * _NS + nanosec)
+        self._done_ns[topic] = max(self._done_ns.get(topic, 0), header_stamp_ns(data))
 
 
 def _message(state: values.JointState) -> JointState:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Any, final
 
-from rclpy.duration import Duration
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
@@ -93,21 +92,11 @@ class TopicRecorder:
         publishers = self._node.get_publishers_info_by_topic(name)
         if not publishers:
             return  # their QoS is not known yet
-        message_type, *others = sorted({publisher.topic_type for publisher in publishers} or types)
-        installed_class = message_class(message_type)
-        if others:
-            reason = f"it has publishers of several types: {', '.join((message_type, *others))}"
-        elif installed_class is None:
-            reason = f"its type {message_type} is not installed; install {message_type.partition('/')[0]}"
-        else:
-            try:
-                self._subscribe(name, message_type, installed_class, publishers)
-            except BagError as error:
-                reason = str(error)
-            else:
-                return
-        self.refused[name] = reason
-        self._warn(f"{name}: not recorded: {reason}")
+        try:
+            self._subscribe(name, sorted({publisher.topic_type for publisher in publishers} or types), publishers)
+        except BagError as error:
+            self.refused[name] = str(error)
+            self._warn(f"{name}: not recorded: {error}")
 
     def _check_types(self, name: str) -> None:
         """Warn about new publishers of another type than the recorded one."""
@@ -119,14 +108,21 @@ class TopicRecorder:
             )
             self._warn(f"{name}: {self.refused[name]}")
 
-    def _subscribe(
-        self, name: str, message_type: str, installed_class: type, publishers: Sequence[TopicEndpointInfo]
-    ) -> None:
-        """Subscribe with a QoS compatible with all publishers. Raises BagError for a definition that is not theirs."""
+    def _subscribe(self, name: str, types: Sequence[str], publishers: Sequence[TopicEndpointInfo]) -> None:
+        """Subscribe with a QoS compatible with all publishers.
+
+        Raises BagError for several types, a type that is not installed, and a definition that is not the publishers'.
+        """
+        message_type, *others = types
+        if others:
+            raise BagError(f"it has publishers of several types: {', '.join(types)}")
+        installed_class = message_class(message_type)
+        if installed_class is None:
+            raise BagError(f"its type {message_type} is not installed; install {message_type.partition('/')[0]}")
         if name not in self._indices:
-            types = published_types(message_type, str(publishers[0].topic_type_hash), message_definition)
+            definitions = published_types(message_type, str(publishers[0].topic_type_hash), message_definition)
             offered = qos_yaml(_rosbag2_qos(publisher) for publisher in publishers)
-            self._indices[name] = self._recorder.add_topic(name, message_type, offered_qos=offered, types=types)
+            self._indices[name] = self._recorder.add_topic(name, message_type, offered_qos=offered, types=definitions)
         index, self._types[name] = self._indices[name], message_type
         qos = STREAM_QOS._replace(
             reliable=all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers),
@@ -153,20 +149,11 @@ class TopicRecorder:
 
 def _rosbag2_qos(publisher: TopicEndpointInfo) -> dict[str, object]:
     """Return the QoS of a publisher with rosbag2's keys."""
-
-    def duration(value: Duration) -> dict[str, int]:
-        sec, nsec = divmod(value.nanoseconds, 1_000_000_000)
-        return {"sec": sec, "nsec": nsec}
-
     qos = publisher.qos_profile
-    return {
-        "history": qos.history.name.lower(),
-        "depth": qos.depth,
-        "reliability": qos.reliability.name.lower(),
-        "durability": qos.durability.name.lower(),
-        "deadline": duration(qos.deadline),
-        "lifespan": duration(qos.lifespan),
-        "liveliness": qos.liveliness.name.lower(),
-        "liveliness_lease_duration": duration(qos.liveliness_lease_duration),
-        "avoid_ros_namespace_conventions": False,
-    }
+    values: dict[str, object] = {"depth": qos.depth, "avoid_ros_namespace_conventions": False}
+    for policy in ("history", "reliability", "durability", "liveliness"):
+        values[policy] = getattr(qos, policy).name.lower()
+    for duration in ("deadline", "lifespan", "liveliness_lease_duration"):
+        sec, nsec = divmod(getattr(qos, duration).nanoseconds, 1_000_000_000)
+        values[duration] = {"sec": sec, "nsec": nsec}
+    return values

@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
+from contextlib import contextmanager
 from itertools import chain, repeat
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ from scara_effmass.settings import BagSettings, DaqSettings, ForceSourceKind, Ni
 from test.daq.force_bag import force_block, write_blocks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from test.daq.conftest import NiDevice
@@ -148,17 +149,26 @@ def make_acquisition(source: Scripted, settings: DaqSettings = SETTINGS) -> tupl
     return acquisition, notifications
 
 
+@contextmanager
+def running(source: Scripted, settings: DaqSettings = SETTINGS) -> Iterator[tuple[Acquisition, Notifications]]:
+    """Start an acquisition and stop it at the end."""
+    acquisition, notifications = make_acquisition(source, settings)
+    acquisition.start()
+    try:
+        yield acquisition, notifications
+    finally:
+        acquisition.stop()
+
+
 def is_over(acquisition: Acquisition) -> Callable[[], bool]:
     return lambda: acquisition.statistics().state not in {AcquisitionState.RUNNING, AcquisitionState.WAITING}
 
 
 def run_script(source: Scripted, settings: DaqSettings = SETTINGS) -> tuple[Acquisition, list[Reading]]:
     """Run a script to its end, then take its readings."""
-    acquisition, notifications = make_acquisition(source, settings)
-    acquisition.start()
-    notifications.until(is_over(acquisition))
-    readings = acquisition.take()
-    acquisition.stop()
+    with running(source, settings) as (acquisition, notifications):
+        notifications.until(is_over(acquisition))
+        readings = acquisition.take()
     return acquisition, readings
 
 
@@ -182,13 +192,11 @@ def test_readings_are_passed_on_unchanged() -> None:
 
 
 def test_acquisition_ends_after_the_last_reading_is_taken() -> None:
-    acquisition, notifications = make_acquisition(Scripted([(0, BLOCK)]))
-    acquisition.start()
-    notifications.until(is_over(acquisition))
-    before, readings = acquisition.ended, acquisition.take()
-    assert (before, len(readings), acquisition.ended) == (False, 1, True)
-    assert acquisition.take() == []
-    acquisition.stop()
+    with running(Scripted([(0, BLOCK)])) as (acquisition, notifications):
+        notifications.until(is_over(acquisition))
+        before, readings = acquisition.ended, acquisition.take()
+        assert (before, len(readings), acquisition.ended) == (False, 1, True)
+        assert acquisition.take() == []
 
 
 def test_each_reading_notifies() -> None:
@@ -209,21 +217,19 @@ def test_readings_beyond_the_backlog_are_dropped_and_counted() -> None:
     # The backlog of 0.5 s holds five readings.
     gate, full = threading.Event(), threading.Event()
     source = Scripted([(0, BLOCK)] * 8 + [(3, BLOCK), full.set, lambda: gate.wait(WAIT_S), (0, BLOCK), (0, BLOCK)])
-    acquisition, notifications = make_acquisition(source)
-    acquisition.start()
-    assert full.wait(WAIT_S)
-    assert acquisition.statistics().samples_waiting == 500
-    before = acquisition.take()
-    gate.set()
-    notifications.until(is_over(acquisition))
-    after = acquisition.take()
-    assert numbers(before) == [(number * 100, 100, 0) for number in range(5)]
-    assert numbers(after) == [(903, 100, 403), (1003, 100, 0)]
-    statistics = acquisition.statistics()
-    assert (statistics.samples_read, statistics.samples_dropped, statistics.readings_dropped) == (1100, 400, 4)
-    assert statistics.samples_lost == 3
-    assert statistics.samples_waiting == 0
-    acquisition.stop()
+    with running(source) as (acquisition, notifications):
+        assert full.wait(WAIT_S)
+        assert acquisition.statistics().samples_waiting == 500
+        before = acquisition.take()
+        gate.set()
+        notifications.until(is_over(acquisition))
+        after = acquisition.take()
+        assert numbers(before) == [(number * 100, 100, 0) for number in range(5)]
+        assert numbers(after) == [(903, 100, 403), (1003, 100, 0)]
+        statistics = acquisition.statistics()
+        assert (statistics.samples_read, statistics.samples_dropped, statistics.readings_dropped) == (1100, 400, 4)
+        assert statistics.samples_lost == 3
+        assert statistics.samples_waiting == 0
 
 
 def test_empty_queue_accepts_a_reading_longer_than_the_backlog() -> None:
@@ -234,49 +240,38 @@ def test_empty_queue_accepts_a_reading_longer_than_the_backlog() -> None:
 def test_unpaced_source_waits_instead_of_dropping() -> None:
     source = Scripted([(0, BLOCK)] * 50, stamped=True)
     source.is_unpaced = True
-    acquisition, notifications = make_acquisition(source)
-    acquisition.start()
-    taken: list[Reading] = []
-    while not acquisition.ended:
-        notifications.until(lambda: acquisition.statistics().samples_waiting > 0 or acquisition.ended)
-        assert acquisition.statistics().samples_waiting <= 500
-        taken += acquisition.take()
-    assert numbers(taken) == [(number * 100, 100, 0) for number in range(50)]
-    acquisition.stop()
+    with running(source) as (acquisition, notifications):
+        taken: list[Reading] = []
+        while not acquisition.ended:
+            notifications.until(lambda: acquisition.statistics().samples_waiting > 0 or acquisition.ended)
+            assert acquisition.statistics().samples_waiting <= 500
+            taken += acquisition.take()
+        assert numbers(taken) == [(number * 100, 100, 0) for number in range(50)]
 
 
 def test_stop_ends_the_wait_for_space() -> None:
     source = Scripted([(0, BLOCK)] * 50)
     source.is_unpaced = True
-    acquisition, notifications = make_acquisition(source)
-    acquisition.start()
-    notifications.until(lambda: acquisition.statistics().samples_waiting == 500)
-    acquisition.stop()
-    assert acquisition.statistics().state is AcquisitionState.STOPPED
+    with running(source) as (acquisition, notifications):
+        notifications.until(lambda: acquisition.statistics().samples_waiting == 500)
+        acquisition.stop()
+        assert acquisition.statistics().state is AcquisitionState.STOPPED
 
 
 @pytest.mark.parametrize("fault", [DeviceLostError("unplugged"), OverrunError("overrun")])
 def test_reconnected_device_counts_the_gap(fault: DaqError) -> None:
     source = Scripted([(0, BLOCK), (0, BLOCK), fault], ends=False)
     source.script.extend([source.wait(2345), (0, BLOCK), (5, BLOCK)])
-    acquisition, notifications = make_acquisition(source)
-    acquisition.start()
-    assert source.idle.wait(WAIT_S)
-    readings = acquisition.take()
-    assert numbers(readings) == [(0, 100, 0), (100, 100, 0), (2545, 100, 2345), (2650, 100, 5)]
-    assert [reading.run for reading in readings] == [0, 0, 1, 1]
-    statistics = acquisition.statistics()
-    assert (statistics.reconnects, statistics.samples_lost) == (1, 2350)
-    assert statistics.state is AcquisitionState.RUNNING
-    acquisition.stop()
-    assert notifications.count >= 5
-
-
-def test_samples_lost_at_the_start_of_a_run_are_counted_once() -> None:
-    source = Scripted([(0, BLOCK), DeviceLostError("unplugged")])
-    source.script.extend([source.wait(1000), (20, BLOCK)])
-    _, readings = run_script(source)
-    assert numbers(readings) == [(0, 100, 0), (1120, 100, 1020)]
+    with running(source) as (acquisition, notifications):
+        assert source.idle.wait(WAIT_S)
+        readings = acquisition.take()
+        assert numbers(readings) == [(0, 100, 0), (100, 100, 0), (2545, 100, 2345), (2650, 100, 5)]
+        assert [reading.run for reading in readings] == [0, 0, 1, 1]
+        statistics = acquisition.statistics()
+        assert (statistics.reconnects, statistics.samples_lost) == (1, 2350)
+        assert statistics.state is AcquisitionState.RUNNING
+        acquisition.stop()
+        assert notifications.count >= 5
 
 
 def test_gap_starts_when_the_next_sample_was_due() -> None:
@@ -292,17 +287,16 @@ def test_restart_is_repeated_and_its_error_stated() -> None:
     missing = DeviceMissingError("no such device")
     source = Scripted([(0, BLOCK), DeviceLostError("unplugged")], starts=[None, missing, missing, missing], ends=False)
     source.script.extend([source.wait(5000), lambda: gate.wait(WAIT_S), (0, BLOCK)])
-    acquisition, notifications = make_acquisition(source)
-    acquisition.start()
-    notifications.until(lambda: acquisition.statistics().reason == "no such device")
-    assert acquisition.statistics().state is AcquisitionState.WAITING
-    gate.set()
-    notifications.until(lambda: acquisition.statistics().samples_waiting == 200)
-    statistics = acquisition.statistics()
-    assert (statistics.state, statistics.reason, statistics.reconnects) == (AcquisitionState.RUNNING, "", 1)
-    assert numbers(acquisition.take()) == [(0, 100, 0), (5100, 100, 5000)]
-    acquisition.stop()
-    assert source.calls[:9] == ["start", *["close", "start"] * 4]
+    with running(source) as (acquisition, notifications):
+        notifications.until(lambda: acquisition.statistics().reason == "no such device")
+        assert acquisition.statistics().state is AcquisitionState.WAITING
+        gate.set()
+        notifications.until(lambda: acquisition.statistics().samples_waiting == 200)
+        statistics = acquisition.statistics()
+        assert (statistics.state, statistics.reason, statistics.reconnects) == (AcquisitionState.RUNNING, "", 1)
+        assert numbers(acquisition.take()) == [(0, 100, 0), (5100, 100, 5000)]
+        acquisition.stop()
+        assert source.calls[:9] == ["start", *["close", "start"] * 4]
 
 
 def test_device_lost_again_before_a_sample_gives_one_gap() -> None:
@@ -315,22 +309,14 @@ def test_device_lost_again_before_a_sample_gives_one_gap() -> None:
     assert acquisition.statistics().reconnects == 3
 
 
-def test_device_lost_before_its_first_sample_counts_from_the_start() -> None:
-    source = Scripted([])
-    source.script.extend([source.wait(50), DeviceLostError("unplugged"), source.wait(100), (0, BLOCK)])
-    _, readings = run_script(source)
-    assert numbers(readings) == [(150, 100, 150)]
-
-
 def test_stop_ends_the_wait_for_a_lost_device() -> None:
     source = Scripted([(0, BLOCK), DeviceLostError("unplugged")], starts=[None, *[DeviceMissingError("gone")] * 3])
     settings = SETTINGS.model_copy(update={"ni9230": Ni9230Settings(retry_time=60.0)})
-    acquisition, notifications = make_acquisition(source, settings)
-    acquisition.start()
-    notifications.until(lambda: acquisition.statistics().reason == "gone")
-    acquisition.stop()
-    assert acquisition.statistics().state is AcquisitionState.STOPPED
-    assert acquisition.failure is None
+    with running(source, settings) as (acquisition, notifications):
+        notifications.until(lambda: acquisition.statistics().reason == "gone")
+        acquisition.stop()
+        assert acquisition.statistics().state is AcquisitionState.STOPPED
+        assert acquisition.failure is None
 
 
 def test_device_with_another_rate_is_refused() -> None:
@@ -352,24 +338,17 @@ def test_device_with_another_rate_is_refused() -> None:
     acquisition.stop()
 
 
-@pytest.mark.parametrize("fault", [DaqError("current source broken"), ZeroDivisionError("a bug")])
+@pytest.mark.parametrize("fault", [DaqError("current source broken"), ZeroDivisionError("a bug"), KeyError()])
 def test_other_error_is_the_failure(fault: Exception) -> None:
     source = Scripted([(0, BLOCK), fault, (0, BLOCK)])
-    acquisition, notifications = make_acquisition(source)
-    acquisition.start()
-    notifications.until(is_over(acquisition))
-    assert source.calls == ["start", "close"]
-    assert acquisition.failure is fault
-    assert numbers(acquisition.take()) == [(0, 100, 0)]
-    assert not acquisition.ended
-    assert acquisition.statistics().state is AcquisitionState.FAILED
-    assert acquisition.statistics().reason == str(fault)
-    acquisition.stop()
-
-
-def test_error_without_a_message_is_named() -> None:
-    acquisition, _ = run_script(Scripted([KeyError()]))
-    assert acquisition.statistics().reason == "KeyError"
+    with running(source) as (acquisition, notifications):
+        notifications.until(is_over(acquisition))
+        assert source.calls == ["start", "close"]
+        assert acquisition.failure is fault
+        assert numbers(acquisition.take()) == [(0, 100, 0)]
+        assert not acquisition.ended
+        assert acquisition.statistics().state is AcquisitionState.FAILED
+        assert acquisition.statistics().reason == (str(fault) or "KeyError")
 
 
 def test_error_of_notify_is_the_failure() -> None:
@@ -394,14 +373,12 @@ def test_missing_samples_give_the_state_waiting(waiting_for_text: str, cause: st
     gate = threading.Event()
     source = Scripted([(0, BLOCK), None, lambda: gate.wait(WAIT_S), (0, BLOCK)])
     source.waiting_for_text = waiting_for_text
-    acquisition, notifications = make_acquisition(source)
-    acquisition.start()
-    notifications.until(lambda: acquisition.statistics().state is AcquisitionState.WAITING)
-    assert acquisition.statistics().reason == f"no samples within 1.2 s{cause}"
-    gate.set()
-    notifications.until(is_over(acquisition))
-    assert numbers(acquisition.take()) == [(0, 100, 0), (100, 100, 0)]
-    acquisition.stop()
+    with running(source) as (acquisition, notifications):
+        notifications.until(lambda: acquisition.statistics().state is AcquisitionState.WAITING)
+        assert acquisition.statistics().reason == f"no samples within 1.2 s{cause}"
+        gate.set()
+        notifications.until(is_over(acquisition))
+        assert numbers(acquisition.take()) == [(0, 100, 0), (100, 100, 0)]
 
 
 def test_end_of_a_damaged_recording_states_the_losses() -> None:
@@ -429,15 +406,14 @@ def test_runs_of_a_bag_are_passed_on(tmp_path: Path) -> None:
 
 def test_stop_ends_a_read_and_may_be_repeated() -> None:
     source = Scripted([(0, BLOCK)], ends=False)
-    acquisition, _ = make_acquisition(source)
-    acquisition.start()
-    assert source.idle.wait(WAIT_S)
-    acquisition.stop()
-    acquisition.stop()
-    assert acquisition.statistics().state is AcquisitionState.STOPPED
-    assert not acquisition.ended
-    assert numbers(acquisition.take()) == [(0, 100, 0)]
-    assert not any(thread.name == "acquisition" for thread in threading.enumerate())
+    with running(source) as (acquisition, _):
+        assert source.idle.wait(WAIT_S)
+        acquisition.stop()
+        acquisition.stop()
+        assert acquisition.statistics().state is AcquisitionState.STOPPED
+        assert not acquisition.ended
+        assert numbers(acquisition.take()) == [(0, 100, 0)]
+        assert not any(thread.name == "acquisition" for thread in threading.enumerate())
 
 
 def test_error_of_a_read_during_close_is_ignored() -> None:
@@ -449,12 +425,11 @@ def test_error_of_a_read_during_close_is_ignored() -> None:
         raise DaqError("the task was cleared")
 
     source.read = broken  # type: ignore[method-assign]
-    acquisition, _ = make_acquisition(source)
-    acquisition.start()
-    assert source.idle.wait(WAIT_S)
-    acquisition.stop()
-    assert acquisition.failure is None
-    assert acquisition.statistics().state is AcquisitionState.STOPPED
+    with running(source) as (acquisition, _):
+        assert source.idle.wait(WAIT_S)
+        acquisition.stop()
+        assert acquisition.failure is None
+        assert acquisition.statistics().state is AcquisitionState.STOPPED
 
 
 def test_stop_before_start_closes_the_source() -> None:
@@ -473,11 +448,8 @@ def test_start_raises_the_error_of_the_source() -> None:
 
 
 def test_second_start_is_refused() -> None:
-    acquisition, _ = make_acquisition(Scripted([]))
-    acquisition.start()
-    with pytest.raises(RuntimeError, match="only once"):
+    with running(Scripted([])) as (acquisition, _), pytest.raises(RuntimeError, match="only once"):
         acquisition.start()
-    acquisition.stop()
 
 
 def test_late_read_gives_the_maximum_latency() -> None:

@@ -7,11 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.daq.bag_source import BagSource
 from scara_effmass.errors import BagError, SettingsError
@@ -190,11 +187,3 @@ def test_other_definition_of_force_block_is_refused(tmp_path: Path) -> None:
         bag.write("/force", FORCE_BLOCK, START_NS, force_block_message(force_block(0)))
     with pytest.raises(BagError, match=r"old: definition of .*ForceBlock: must be that of this version"):
         played(tmp_path / "old")
-
-
-def test_sqlite_bag_is_played(tmp_path: Path) -> None:
-    with Ros2Writer(tmp_path / "db3", version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
-        connection = bag.add_connection("/force", FORCE_BLOCK, typestore=known_types())
-        for _, _, log_time_ns, data in block_messages([force_block(0), force_block(100)]):
-            bag.write(connection, log_time_ns, data)
-    assert [float(value) for reading in played(tmp_path / "db3") for value in reading.samples[0]] == list(range(200))

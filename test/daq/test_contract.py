@@ -136,35 +136,25 @@ def ni9230_finite(request: pytest.FixtureRequest, folder: Path) -> Subject:
     return ni9230(request, folder, samples=SAMPLES)
 
 
-def recorded(path: Path, folder: Path, **more: object) -> Subject:
+def bag_blocks(_: pytest.FixtureRequest, folder: Path) -> Subject:
+    marks = np.array([3], np.uint32)
+    blocks = [
+        force_block(0, 1000),
+        force_block(1000, 1000),
+        force_block(2050, 1000, lost_samples=50, saturated_samples=marks),
+    ]
+    path = write_blocks(folder / "blocks.mcap", blocks)
     return Subject(
-        settings={"source": "bag", "bag.path": str(path), "bag.rate": 0.0, "block_time": 0.5} | more,
+        settings={"source": "bag", "bag.path": str(path), "bag.rate": 0.0, "block_time": 0.5},
         make=make_source,
         finite=True,
         recorded=True,
-        missing={"bag.path": str(folder / f"missing{path.suffix}")},
+        missing={"bag.path": str(folder / "missing.mcap")},
         slow={"bag.rate": 1.0},
     )
 
 
-def blocks_file(folder: Path, *, simulated: bool) -> Path:
-    blocks = [
-        force_block(0, 1000, simulated=simulated),
-        force_block(1000, 1000, simulated=simulated),
-        force_block(2050, 1000, simulated=simulated, lost_samples=50, saturated_samples=np.array([3], np.uint32)),
-    ]
-    return write_blocks(folder / "blocks.mcap", blocks)
-
-
-def bag_blocks(_: pytest.FixtureRequest, folder: Path) -> Subject:
-    return recorded(blocks_file(folder, simulated=False), folder)
-
-
-def simulated_bag_blocks(_: pytest.FixtureRequest, folder: Path) -> Subject:
-    return recorded(blocks_file(folder, simulated=True), folder)
-
-
-DEPENDENT = (ni9230, ni9230_finite, bag_blocks, simulated_bag_blocks)
+DEPENDENT = (ni9230, ni9230_finite, bag_blocks)
 """Sources that need a device or a file."""
 
 

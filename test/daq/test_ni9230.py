@@ -39,7 +39,7 @@ from scara_effmass.settings import DaqSettings, checked
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from scara_effmass.daq.source import ForceSource, Reading
+    from scara_effmass.daq.source import Reading
     from scara_effmass.values import FloatArray
     from test.daq.conftest import NiDevice
 
@@ -80,12 +80,6 @@ def started(make: Open) -> Open:
 def got(reading: Reading | None) -> Reading:
     assert reading is not None
     return reading
-
-
-def test_ni9230_is_the_default_source(ni_device: NiDevice) -> None:
-    source: ForceSource = make_source(DaqSettings(), ni_device.clock)
-    assert isinstance(source, Ni9230Source)
-    assert not ni_device.created
 
 
 def test_channel_is_configured_for_the_sensor(ni_device: NiDevice, started: Open) -> None:
@@ -216,21 +210,6 @@ def test_finite_acquisition_ends(ni_device: NiDevice, started: Open) -> None:
     assert (again.first_sample, source.ended) == (0, False)
 
 
-def test_samples_before_a_timeout_are_kept(ni_device: NiDevice, started: Open) -> None:
-    source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1", "cDAQ1Mod1/ai2"))
-    parts: list[FloatArray] = []
-    begin_ns = ni_device.now_ns
-    for timeout_s in (0.03, 0.07, 1.0, 0.0, 0.05, 0.2):
-        reading = source.read(timeout_s)
-        if reading is not None:
-            assert reading.first_sample == sum(part.shape[1] for part in parts)
-            parts.append(reading.samples)
-    assert [part.shape[1] for part in parts] == [384, 896, BLOCK, 640, BLOCK]
-    together = np.concatenate(parts, axis=1)
-    np.testing.assert_array_equal(together, np.arange(together.shape[1]) + 1e6 * np.arange(3)[:, np.newaxis])
-    assert ni_device.now_ns - begin_ns == together.shape[1] / 12_800.0 * 1e9
-
-
 @given(
     channels=st.integers(1, 3),
     finite=st.sampled_from((0, 2, 3333)),
@@ -254,10 +233,6 @@ def test_each_sample_is_read_once_and_in_order_with_any_timeouts(
             np.testing.assert_array_equal(reading.samples, numbers + 1e6 * np.arange(channels)[:, np.newaxis])
         assert source.ended == (0 < finite <= end)
     source.close()
-
-
-def test_timeout_without_samples_is_no_reading(started: Open) -> None:
-    assert started().read(0.0) is None
 
 
 def test_late_read_within_the_buffer_loses_nothing(ni_device: NiDevice, started: Open) -> None:
@@ -304,17 +279,6 @@ def test_unplugged_device_is_lost_and_comes_back(ni_device: NiDevice, started: O
     ni_device.plug()
     source.start()
     assert got(source.read(1.0)).first_sample == 0
-
-
-def test_device_unknown_to_the_driver_after_start_is_lost(ni_device: NiDevice, started: Open) -> None:
-    source = started()
-    ni_device.unplug(forget=True)
-    with pytest.raises(DeviceLostError):
-        source.read(1.0)
-    with pytest.raises(DeviceLostError):
-        source.start()
-    ni_device.plug()
-    source.start()
 
 
 def test_device_that_was_never_connected_is_missing(ni_device: NiDevice, make: Open) -> None:
@@ -384,13 +348,6 @@ def test_error_at_the_start_is_one_line(
     source.start()
 
 
-def test_unknown_error_states_the_message_of_the_driver(ni_device: NiDevice, started: Open) -> None:
-    source = started()
-    ni_device.fail("read_analog_f64", -209999)
-    with pytest.raises(DaqError, match=r"see this code .* \(NI-DAQmx -209999: Unknown error\."):
-        source.read(1.0)
-
-
 def test_overload_marks_the_samples_at_the_limit(ni_device: NiDevice, started: Open) -> None:
     source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1"))
     ni_device.signal = lambda channel, numbers: np.where(numbers % 7 == channel, 2e4, 1.0)
@@ -434,14 +391,6 @@ def test_close_is_allowed_at_any_time_and_again(ni_device: NiDevice, make: Open)
     ni_device.fail("clear_task", -201003)
     source.close()
     assert not ni_device.tasks
-
-
-def test_second_start_keeps_one_task(ni_device: NiDevice, started: Open) -> None:
-    source = started()
-    source.read(1.0)
-    source.start()
-    assert len(ni_device.tasks) == 1
-    assert got(source.read(1.0)).first_sample == 0
 
 
 def test_devices_are_listed(ni_device: NiDevice) -> None:
