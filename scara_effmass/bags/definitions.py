@@ -1,10 +1,8 @@
 """Message definitions: of a bag, of live publishers, of this package and of ROS 2 Jazzy."""
 
-import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Nodetype
@@ -13,8 +11,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from rosbags.typesys.store import Typestore
 
 from scara_effmass.errors import BagError
-from scara_effmass.share import share
-from scara_effmass.wire.message_types import HEADER, JOINT_STATE, OWN_PACKAGE, TIME
+from scara_effmass.wire.message_types import HEADER, JOINT_STATE, OWN_PACKAGE, TIME, definition_files
 
 IDL_SEPARATOR = "=" * 80 + "\n"
 UNSET_HASH = "RIHS01_" + 64 * "0"
@@ -23,11 +20,12 @@ UNSET_HASH = "RIHS01_" + 64 * "0"
 
 @cache
 def own_types() -> Typesdict:
-    """Return the definitions of `scara_effmass_msgs`, from the installed .msg files."""
-    folder = _own_message_folder()
+    """Return the definitions of `scara_effmass_msgs`, from the installed .msg files. Raises BagError without them."""
     types: Typesdict = {}
-    for path in sorted(folder.glob("*.msg")):
+    for path in definition_files(OWN_PACKAGE):
         types |= get_types_from_msg(path.read_text(encoding="utf-8"), f"{OWN_PACKAGE}/msg/{path.stem}")
+    if not types:
+        raise BagError(f"{OWN_PACKAGE}: no .msg files are installed; install {OWN_PACKAGE}")
     return types
 
 
@@ -122,17 +120,6 @@ def _referenced(field_type: Any) -> Iterator[str]:  # noqa: ANN401 - nested tupl
         yield content
     elif node in {Nodetype.ARRAY, Nodetype.SEQUENCE}:
         yield from _referenced(content[0])
-
-
-def _own_message_folder() -> Path:
-    """Return the folder of the .msg files, in a checkout or a ROS prefix."""
-    root = share("package.xml").parent
-    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    candidates = [root / "msg_schemas", root.parent / OWN_PACKAGE]
-    for folder in (*candidates, *(prefix / "share" / OWN_PACKAGE for prefix in prefixes)):
-        if any((folder / "msg").glob("*.msg")):
-            return folder / "msg"
-    raise BagError(f"{root}: no {OWN_PACKAGE}/msg/*.msg here or in AMENT_PREFIX_PATH; install {OWN_PACKAGE}")
 
 
 def _parse(name: str, definition: MessageDefinition) -> Typesdict:

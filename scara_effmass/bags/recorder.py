@@ -9,18 +9,16 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import final
 
 from rosbags.typesys.store import Typestore
 
 from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import definition_of, known_types
-from scara_effmass.bags.disk_space import DiskSpace
 from scara_effmass.bags.mcap_writer import FileOpener, open_unbuffered
 from scara_effmass.bags.recording_report import RecordedTopic, RecordingReport, TopicReport
 from scara_effmass.bags.rosbag2 import check_output
-from scara_effmass.bags.split_writer import SplitWriter
+from scara_effmass.bags.split_writer import DiskSpace, SplitWriter
 from scara_effmass.errors import OutputError, SettingsError
 
 NS = 1_000_000_000
@@ -89,6 +87,7 @@ class BagRecorder:
         self._queued_bytes = self._queued_messages = 0
         self._wake = threading.Condition()
         self._closing = False
+        self._flush_due_ns = time.monotonic_ns() + round(self._options.flush_period_s * NS)
         self._failure: Exception | None = None
         if folder.suffix == ".mcap":
             raise OutputError(f"{folder}: must be a folder name without .mcap")
@@ -174,9 +173,7 @@ class BagRecorder:
     def __enter__(self) -> BagRecorder:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _start_writer(
@@ -211,8 +208,6 @@ class BagRecorder:
             self._writer.abandon()
 
     def _write_until_closed(self) -> None:
-        period_ns = round(self._options.flush_period_s * NS)
-        due_ns = time.monotonic_ns() + period_ns
         closing = False
         while not closing:
             with self._wake:
@@ -224,12 +219,14 @@ class BagRecorder:
             for topic, log_time_ns, sequence, data in messages:
                 self._writer.write(topic, log_time_ns, sequence, data)
                 size += len(data)
-                if time.monotonic_ns() >= due_ns:  # a long queue must not delay the flush
-                    self._writer.flush(time.monotonic_ns())
-                    due_ns = time.monotonic_ns() + period_ns
+                self._flush_when_due()  # also within a long queue
             with self._wake:
                 self._queued_bytes -= size
                 self._queued_messages -= len(messages)
-            if time.monotonic_ns() >= due_ns:
-                self._writer.flush(time.monotonic_ns())
-                due_ns = time.monotonic_ns() + period_ns
+            self._flush_when_due()
+
+    def _flush_when_due(self) -> None:
+        now_ns = time.monotonic_ns()
+        if now_ns >= self._flush_due_ns:
+            self._writer.flush(now_ns)
+            self._flush_due_ns = time.monotonic_ns() + round(self._options.flush_period_s * NS)

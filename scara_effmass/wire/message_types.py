@@ -34,12 +34,15 @@ def message_class(message_type: str) -> type | None:
 def message_definition(message_type: str) -> str:
     """Return the text of the installed .msg file of a type, empty if there is none."""
     match = _TYPE.fullmatch(message_type)
-    if match is None:
-        return ""
+    files = definition_files(match["package"]) if match else []
+    return next((file.read_text(encoding="utf-8") for file in files if match and file.stem == match["name"]), "")
+
+
+def definition_files(package: str) -> list[Path]:
+    """Return the installed .msg files of a package."""
     # <prefix>/lib/python3.x/site-packages/<package> and <prefix>/share/<package>, in ROS and in a virtual environment
-    prefixes = (parent for folder in _package_folders(match["package"]) for parent in folder.parents)
-    files = (prefix / "share" / match["package"] / "msg" / f"{match['name']}.msg" for prefix in prefixes)
-    return next((file.read_text(encoding="utf-8") for file in files if file.is_file()), "")
+    prefixes = (parent for folder in _package_folders(package) for parent in folder.parents)
+    return next(filter(None, (sorted((prefix / "share" / package / "msg").glob("*.msg")) for prefix in prefixes)), [])
 
 
 def _package_folders(package: str) -> list[Path]:
