@@ -15,10 +15,10 @@ from rosbags.typesys.store import Typestore
 
 from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import definition_of, known_types
-from scara_effmass.bags.mcap_writer import FileOpener, open_unbuffered
 from scara_effmass.bags.recording_report import RecordedTopic, RecordingReport, TopicReport
 from scara_effmass.bags.rosbag2 import check_output
 from scara_effmass.bags.split_writer import DiskSpace, SplitWriter
+from scara_effmass.bags.writer import FileOpener, open_unbuffered
 from scara_effmass.errors import OutputError, SettingsError
 
 NS = 1_000_000_000

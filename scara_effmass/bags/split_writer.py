@@ -8,9 +8,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
-from scara_effmass.bags.mcap_writer import CHUNK_BYTES, FileOpener, McapFileWriter
 from scara_effmass.bags.recording_report import LOSSES_RECORD, RecordedTopic, losses_custom_data, losses_record
 from scara_effmass.bags.rosbag2 import BagFile, sync_folder, write_metadata
+from scara_effmass.bags.writer import CHUNK_BYTES, FileOpener, McapFileWriter
 
 if TYPE_CHECKING:
     from scara_effmass.bags.recorder import RecorderOptions

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from scara_effmass.importers.force_file import BLOCK_TIME_S, SampleBlock
+from scara_effmass.importers.force import BLOCK_TIME_S, SampleBlock
 from scara_effmass.values import FloatArray
 from scara_effmass.wire.cdr import NS
 
@@ -42,15 +42,10 @@ class _Sampling(NamedTuple):
     short_threshold_ns: float
 
 
-class UniformSamples(NamedTuple):
-    """Blocks of equal periods and their rate [Hz]."""
-
-    sample_rate: float
-    blocks: Iterator[SampleBlock]
-
-
-def uniform_samples(stamps_ns: IntArray, values: FloatArray, block_time: float = BLOCK_TIME_S) -> UniformSamples:
-    """Return blocks of up to `block_time` [s] from `values` (n,) with the ascending stamps (n,) [ns].
+def uniform_samples(
+    stamps_ns: IntArray, values: FloatArray, block_time: float = BLOCK_TIME_S
+) -> tuple[float, Iterator[SampleBlock]]:
+    """Return the rate [Hz] and blocks of up to `block_time` [s] of `values` (n,) with ascending stamps (n,) [ns].
 
     A block ends before a gap. Its stamp is the median of what its samples state for the first one; the root mean
     square of the deviations is its `clock_residual`. Raises ValueError when the rate is not constant.
@@ -60,7 +55,7 @@ def uniform_samples(stamps_ns: IntArray, values: FloatArray, block_time: float =
     sampling = _sampling(stamps_ns[:HEAD])
     sample_rate = NS / sampling.period_ns
     size = max(1, round(block_time * sample_rate))
-    return UniformSamples(sample_rate, _blocks(stamps_ns, values, sampling, size))
+    return sample_rate, _blocks(stamps_ns, values, sampling, size)
 
 
 def _blocks(stamps_ns: IntArray, values: FloatArray, sampling: _Sampling, size: int) -> Iterator[SampleBlock]:

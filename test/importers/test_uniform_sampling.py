@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scara_effmass.importers.uniform_sampling import CHUNK, uniform_samples
 
 if TYPE_CHECKING:
-    from scara_effmass.importers.force_file import SampleBlock
+    from scara_effmass.importers.force import SampleBlock
 
 NS = 10**9
 T0 = 1_700_000_000 * NS
