@@ -167,12 +167,10 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
         yield CheckResult("ok", "payload", f"{robot.payload_mass:.4g} kg")
     else:
         yield CheckResult("note", "payload", "0 kg: the last link must include the tool and its load")
-    for joint, armature in zip(robot.joint_names, robot.model.armature.tolist(), strict=True):
-        if armature:
-            yield CheckResult("ok", f"armature of {joint}", f"{armature:.4g} kg m² or kg")
-    if not robot.model.armature.any():
-        yield CheckResult("note", "armature", "none: the reflected inertia of rotors and gears is not counted")
-    for note in robot.notes:
+    warning = robot.rotors.warning
+    armatures = ", ".join(f"{value:.4g}" for value in robot.model.armature.tolist())
+    yield CheckResult("note" if warning else "ok", "armature", warning or f"{armatures} kg m² or kg")
+    for note in (note for note in robot.notes if note != warning):
         yield CheckResult("note", "robot file", note)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,6 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from scara_effmass.errors import RobotError
 from scara_effmass.model.inertial_check import StatedLink, principal_moments
 from scara_effmass.model.robot import PARALLEL, Robot, build_robot
+from scara_effmass.model.rotors import rotor_inertia
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray
 
@@ -49,7 +49,7 @@ class DhJoint(_Strict):
     lower: Number
     upper: Number
     max_speed: Number = Field(gt=0.0)
-    armature: Number = Field(0.0, ge=0.0)
+    armature: Number | None = Field(None, ge=0.0)
 
     @model_validator(mode="after")
     def _ordered(self) -> DhJoint:
@@ -102,6 +102,7 @@ class DhFile(_Strict):
     base_frame: str = Field(min_length=1)
     joints: tuple[DhJoint, ...] = Field(min_length=1)
     links: tuple[DhLink, ...] = Field(min_length=1)
+    rotor_inertia: tuple[tuple[Number, ...], ...] | None = None
     payload: DhPayload = DhPayload(mass=0.0)
     contact_points: dict[str, Point] = Field(min_length=1)
 
@@ -112,6 +113,12 @@ class DhFile(_Strict):
             raise ValueError(f"joint names {names}: must differ")
         if len(self.links) != len(self.joints):
             raise ValueError(f"{len(self.links)} links for {len(self.joints)} joints: must be one link per joint")
+        if self.rotor_inertia is not None:
+            if any(joint.armature is not None for joint in self.joints):
+                raise ValueError("rotor_inertia: must be absent where a joint states its armature")
+            rows = self.rotor_inertia
+            if any(len(row) != len(names) for row in rows) or rows != tuple(zip(*rows, strict=True)):
+                raise ValueError(f"rotor_inertia: must be a symmetric {len(names)} x {len(names)} matrix")
         if any(abs(math.sin(joint.alpha)) > PARALLEL for joint in self.joints):
             for name, inertia in (
                 *((link.name, link.inertia) for link in self.links),
@@ -129,7 +136,7 @@ def load_dh(path: Path, settings: MonitorSettings) -> Robot:
 
     Raises RobotError for a file that cannot be used, and for settings that the file itself states.
     """
-    for key in ("payload_mass", "armature", "locked_joints"):
+    for key in ("payload_mass", "locked_joints"):
         value = getattr(settings, key)
         if value and value != type(settings).model_fields[key].default:
             raise RobotError(f"{key} = {value!r}: must be unset for a DH file: set it in {path}")
@@ -147,10 +154,10 @@ def load_dh(path: Path, settings: MonitorSettings) -> Robot:
     for name in settings.contact_points:
         if name not in file.contact_points:
             raise RobotError(f"{path}: contact_points = {name!r}: must be one of {', '.join(file.contact_points)}")
-    return _robot(file, str(path), settings.contact_points or tuple(file.contact_points))
+    return _robot(file, str(path), settings)
 
 
-def _robot(file: DhFile, origin: str, contact_points: Sequence[str]) -> Robot:
+def _robot(file: DhFile, origin: str, settings: MonitorSettings) -> Robot:
     model = pin.Model()
     model.name = file.robot
     parent = 0
@@ -170,15 +177,20 @@ def _robot(file: DhFile, origin: str, contact_points: Sequence[str]) -> Robot:
         model.appendBodyToJoint(parent, link.body, row.link_in_joint())
         placement = row.next_in_joint()
     model.appendBodyToJoint(parent, file.payload.body, placement)
-    model.armature = np.array([row.armature for row in file.joints])
+    stated = np.diag([math.nan if row.armature is None else row.armature for row in file.joints])
+    if file.rotor_inertia is not None:
+        stated = np.array(file.rotor_inertia)
+    joints = [row.name for row in file.joints]
+    rotors = rotor_inertia(joints, stated, "the DH file", settings.armature, origin)
     frames = {}
-    for name in dict.fromkeys(contact_points):
+    for name in dict.fromkeys(settings.contact_points or file.contact_points):
         pose = placement * pin.SE3(np.eye(3), np.array(file.contact_points[name]))
         frames[name] = model.addFrame(pin.Frame(name, parent, 0, pose, pin.FrameType.OP_FRAME))
     return build_robot(
         model,
         origin,
         [StatedLink(link.name, link.mass, np.array(link.com), _tensor(link.inertia)) for link in file.links],
+        rotors,
         (),
         name=file.robot,
         base_frame=file.base_frame,

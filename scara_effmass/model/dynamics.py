@@ -65,6 +65,7 @@ class RobotDynamics:
         if not self.full_reason:
             self._models.append(robot.model)
         self._data = [model.createData() for model in self._models]
+        self._coupled_rotors = bool(robot.rotors.coupling.any())
         self._kinematics = robot.model.createData()
         self._massless_joints = () if self.lumped is None else self.lumped.massless_joints
         self._contacts = tuple((name, frame, self._rank(name, frame)) for name, frame in robot.contact_frames.items())
@@ -125,6 +126,8 @@ class RobotDynamics:
 
     def _inverse(self, model: pin.Model, data: pin.Data, q: FloatArray) -> FloatArray:
         """Return the inverse (n, n) of the mass matrix of `model`, this robot's or its lumped copy."""
+        if self._coupled_rotors:
+            return np.asarray(np.linalg.inv(self.robot.mass_matrix(model, data, q)), dtype=np.float64)
         inverse: FloatArray = pin.computeMinverse(model, data, q)
         return inverse
 
@@ -180,7 +183,7 @@ def _full_reason(robot: Robot) -> str:
         return robot.inertias_reason
     data = robot.model.createData()
     for q in robot.sample_configurations():
-        matrix = pin.crba(robot.model, data, q)
+        matrix = robot.mass_matrix(robot.model, data, q)
         scale = np.sqrt(np.diag(matrix).clip(min=0.0))
         if np.any(scale == 0.0):
             joint = robot.joint_names[int(np.flatnonzero(scale == 0.0)[0])]

@@ -56,10 +56,12 @@ class LumpedModel:
     def planar_masses(self, robot: Robot) -> tuple[float, float]:
         """Return M2 (elbow) and M3 (end-effector) of the equivalent planar mechanism [kg], after Eq. 25.
 
-        Raises RobotError if the robot is not a SCARA, or if some mass is not on its axes.
+        Raises RobotError if the robot is not a SCARA, has rotor inertia, or some mass off its axes.
         """
         if not is_scara(robot):
             raise RobotError(f"{robot.origin}: {robot.name} is not a SCARA: it has no equivalent planar masses")
+        if robot.rotors.matrix.any():
+            raise RobotError(f"{robot.origin}: the equivalent planar masses do not cover rotor inertia")
         for link in self.links:
             if not link.on_axes:
                 raise RobotError(
@@ -180,7 +182,7 @@ def _massless_joints(robot: Robot, model: pin.Model) -> tuple[int, ...]:
     row_max = np.zeros(model.nv)
     scale = 0.0
     for q in robot.sample_configurations():
-        matrix = pin.crba(model, data, q)
+        matrix = robot.mass_matrix(model, data, q)
         row_max = np.maximum(row_max, np.abs(matrix).max(axis=1))
         scale = max(scale, float(np.abs(matrix).max()))
     return tuple(int(joint) for joint in np.flatnonzero(row_max < 1e-12 * scale))
@@ -197,7 +199,7 @@ def _require_positive_definite(robot: Robot, model: pin.Model, links: tuple[Lump
             raise RobotError(f"the lumped mass on axis {axis + 1} is {mass:.3g} kg: must not be negative{cause}")
     data = model.createData()
     for q in robot.sample_configurations():
-        matrix = pin.crba(model, data, q)
+        matrix = robot.mass_matrix(model, data, q)
         scale = np.sqrt(np.diag(matrix).clip(min=0.0))
         if np.any(scale == 0.0) or np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < 1e-9:
             raise RobotError(f"the lumped mass matrix is not positive definite at q = {np.round(q, 3).tolist()}{cause}")

@@ -9,6 +9,7 @@ import pinocchio as pin
 from scara_effmass.errors import RobotError
 from scara_effmass.iso15066 import robot_mass
 from scara_effmass.model.inertial_check import StatedLink, check_inertials
+from scara_effmass.model.rotors import RotorInertia
 from scara_effmass.values import FloatArray, Vector3
 
 PARALLEL = 2e-3
@@ -21,7 +22,8 @@ SAMPLES = 64
 class Robot:
     """Kinematics, inertial data and limits of one serial robot, payload included.
 
-    `model` has one degree of freedom per joint and the inertia tensors that the file states. `contact_frames` maps
+    `model` has one degree of freedom per joint and the inertia tensors that the file states; its armature is the
+    diagonal of the matrix of `rotors`, and `mass_matrix` adds the rest. `contact_frames` maps
     contact points to frame ids. The distal axis of the last link is parallel to its joint axis through `tool_point`
     [m], in the last joint's frame. A `*_reason` states why masses, centres of mass (CoM) or inertias are implausible;
     it is empty if they are plausible.
@@ -34,6 +36,7 @@ class Robot:
     contact_frames: Mapping[str, int]
     tool_point: Vector3
     payload_mass: float
+    rotors: RotorInertia
     masses_reason: str
     coms_reason: str
     inertias_reason: str
@@ -58,6 +61,10 @@ class Robot:
     def iso_mass(self) -> float:
         """Effective mass m_R of ISO/TS 15066 [kg] (Eq. 17), see `iso15066.robot_mass`."""
         return robot_mass(self.moving_mass, self.payload_mass)
+
+    def mass_matrix(self, model: pin.Model, data: pin.Data, q: FloatArray) -> FloatArray:
+        """Return the mass matrix (n, n) of `model`, this robot's or its lumped copy, rotors included."""
+        return np.asarray(pin.crba(model, data, q) + self.rotors.coupling)
 
     def axis_in_joint_frame(self, joint: int) -> FloatArray:
         """Return the unit axis (3,) of `joint` (1-based, as in Pinocchio) in its own frame."""
@@ -86,9 +93,14 @@ class Robot:
 
 
 def build_robot(
-    model: pin.Model, origin: str, links: Sequence[StatedLink], notes: Sequence[str], **fields: object
+    model: pin.Model,
+    origin: str,
+    links: Sequence[StatedLink],
+    rotors: RotorInertia,
+    notes: Sequence[str],
+    **fields: object,
 ) -> Robot:
-    """Return the Robot of `model` with the plausibility check of its `links`; `fields` are passed to Robot.
+    """Return the Robot of `model` with `rotors` and the plausibility check of its `links`; `fields` go to Robot.
 
     Raises RobotError for a model without joints or without mass.
     """
@@ -102,12 +114,14 @@ def build_robot(
     masses_reason = check.masses
     if massless:
         masses_reason = f"no mass behind {', '.join(massless)}: the robot is heavier than the file says"
+    model.armature = np.diag(rotors.matrix)
     return Robot(
         model=model,
         origin=origin,
+        rotors=rotors,
         masses_reason=masses_reason,
         coms_reason=masses_reason or check.coms,
         inertias_reason=masses_reason or check.coms or check.inertias,
-        notes=(*notes, *check.notes),
+        notes=(*notes, *check.notes, *rotors.notes, *filter(None, [rotors.warning])),
         **fields,  # type: ignore[arg-type]
     )

@@ -10,9 +10,10 @@ import pinocchio as pin
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.robot import Robot, build_robot
+from scara_effmass.model.rotors import RotorInertia, rotor_inertia
+from scara_effmass.model.transmission import armatures
 from scara_effmass.model.urdf_tree import UrdfTree, read_urdf
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import FloatArray
 
 
 def load_urdf(path: Path, settings: MonitorSettings) -> Robot:
@@ -32,8 +33,8 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
     `settings.contact_points` are link names (default: the tip of the longest chain). The model moves the joints from
     the base through every contact point to the tip beyond it. All other joints, and those that match a glob of
     `settings.locked_joints`, are fixed: the mass behind them counts, their motion does not. `settings.payload_mass`
-    is a point mass at the first contact point behind the last joint, or else at the tip. `settings.armature` is the
-    rotor inertia reflected to the joints, which URDF cannot state. Raises RobotError.
+    is a point mass at the first contact point behind the last joint, or else at the tip. `settings.armature` is
+    the rotor inertia reflected to the joints and wins over the `<transmission>` of the URDF. Raises RobotError.
     """
     contact_points = settings.contact_points
     tree = read_urdf(text, origin, settings.locked_joints)
@@ -56,7 +57,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
     if fixed:
         notes.append(f"held fixed in the model: {', '.join(sorted(fixed))}")
     model = _reduced_model(tree, fixed)
-    model.armature = _armature(model, settings.armature, origin)
+    rotors = _rotors(tree, list(model.names)[1:], settings.armature)
     frames = {name: model.getBodyId(name) for name in contact_points}
     for name, frame in frames.items():
         if model.frames[frame].parentJoint == 0:
@@ -73,6 +74,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
         model,
         origin,
         [link for link in tree.stated if model.frames[model.getBodyId(link.name)].parentJoint > 0],
+        rotors,
         notes,
         name=tree.root.get("name", ""),
         base_frame=tree.base,
@@ -82,22 +84,17 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
     )
 
 
-def _armature(model: pin.Model, entries: Sequence[str], origin: str) -> FloatArray:
-    """Return the reflected rotor inertia (n,) of every joint from `entries` of the form "joint=value"."""
-    names = list(model.names)[1:]
-    armature: dict[str, float] = {}
-    for entry in entries:
-        joint, _, text = entry.partition("=")
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not joint or joint in armature or not 0.0 <= value < math.inf:
-            raise RobotError(f"armature = {entry!r}: must be joint=value, each joint once, the value 0 or more")
-        if joint not in names:
-            raise RobotError(f"{origin}: armature = {entry!r}: joint must be one of {', '.join(names)}")
-        armature[joint] = value
-    return np.array([armature.get(name, 0.0) for name in names])
+def _rotors(tree: UrdfTree, joints: Sequence[str], entries: Sequence[str]) -> RotorInertia:
+    """Return the rotor inertia of `joints`, with a note on every transmission that states none."""
+    stated, reasons = armatures(tree.root, tree.origin)
+    matrix = np.diag([stated.get(name, math.nan) for name in joints])
+    rotors = rotor_inertia(joints, matrix, "the URDF", entries, tree.origin)
+    notes = [
+        f"<transmission> of {', '.join(names)} {reason}"
+        for reason in dict.fromkeys(reasons.values())
+        if (names := [name for name in rotors.unstated if reasons.get(name) == reason])
+    ]
+    return rotors._replace(notes=(*rotors.notes, *notes))
 
 
 def _reduced_model(tree: UrdfTree, fixed: set[str]) -> pin.Model:

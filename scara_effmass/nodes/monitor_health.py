@@ -98,7 +98,8 @@ def _model_status(monitor: Monitor) -> DiagnosticStatus:
         "first cause": f"{cause.verdict.name} at {cause.stamp_ns / 1e9:.6f} s: {cause.reason}" if cause else "",
         **{f"decisions {verdict.name}": count for verdict, count in monitor.verdicts.items()},
     }
-    return status("model", "lumped and full model", values, problem=next(iter(missing_models(dynamics)), ""))
+    problem = next(iter(missing_models(dynamics)), "") or robot.rotors.warning
+    return status("model", "lumped and full model", values, problem=problem)
 
 
 def _contact_status(contact: ContactAssessment) -> DiagnosticStatus:

@@ -73,8 +73,9 @@ class MonitorSettings(BaseModel):
     armature: tuple[str, ...] = Field(
         (),
         description=(
-            'rotor and gear inertia reflected to the joints, "joint=value" each [kg m2, or kg for a sliding one]; '
-            "set it in the file for a DH robot"
+            'rotor and gear inertia reflected to the joints [kg m2, or kg for a sliding one]: "joint=value", '
+            '"joint1,joint2=value" where a motor turns with both, or an arm of config/armatures.yaml; '
+            "wins over the robot file"
         ),
         json_schema_extra=READ_ONLY,
     )

@@ -46,6 +46,8 @@ def _robot_body(document: dict[str, Any]) -> tuple[ET.Element, tuple[str, ...]]:
     The outer body moves with the joint and holds Tx(a) Rx(alpha) of the row before; the inner one, the link, holds
     Rz(theta) Tz(d) and the inertia.
     """
+    if "rotor_inertia" in document:
+        raise ValueError("rotor_inertia: must be absent: the simulated cell has an armature for each joint only")
     base = parent = ET.Element("body", name="base")
     names = []
     frame = {"pos": "0 0 0"}

@@ -78,6 +78,15 @@ def test_robot_without_the_chosen_mass_model_is_not_healthy(tmp_path: Path, caps
     assert texts(result, "wrong") == {}
 
 
+def test_joints_without_rotor_inertia_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    warning = texts(run_doctor(capsys)[1], "note")["armature"]
+    assert warning.startswith("no rotor inertia for joint1, joint2, joint3, joint4: ")
+    params = tmp_path / "cell.yaml"
+    params.write_text("/**:\n  ros__parameters:\n    armature: [joint1=0.3, joint2=0.2, joint3=0, joint4=0]\n")
+    _, result = run_doctor(capsys, "--params", str(params))
+    assert texts(result, "ok")["armature"] == "0.3, 0.2, 0, 0 kg m² or kg"
+
+
 def test_placeholder_inertias_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     robot = str(arm(tmp_path / "arm.urdf", inertia=1.0, mass=1.0))
     code, result = run_doctor(capsys, "--robot", robot, "--model", "iso")

@@ -1,0 +1,35 @@
+"""Diagnostic status of the monitor's robot model."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.load import load_robot
+from scara_effmass.nodes.monitor_health import monitor_statuses
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import MonitorSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+def model_status(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[str, str]]:
+    monitor = Monitor(RobotDynamics(load_robot(settings=settings)), settings)
+    _, status = monitor_statuses(monitor, None, DiagnosticStatus())
+    return status, {pair.key: pair.value for pair in status.values}
+
+
+def test_joints_without_rotor_inertia_are_a_warning() -> None:
+    status, values = model_status(MonitorSettings())
+    assert status.level == DiagnosticStatus.WARN
+    assert status.message.startswith("no rotor inertia for joint1, joint2, joint3, joint4: ")
+    assert status.message in values["notes"]
+
+
+def test_stated_rotor_inertia_gives_no_warning() -> None:
+    status, values = model_status(MonitorSettings(armature=("joint1=0.3", "joint2=0", "joint3=0", "joint4=0")))
+    assert status.level == DiagnosticStatus.OK
+    assert "rotor inertia from the setting armature: joint1 0.3, joint2 0" in values["notes"]
