@@ -61,7 +61,7 @@ class Assessor:
     def as_dict(self) -> dict[str, Any]:
         """Return the result for JSON."""
         counts = {"joint_states": self.joint_states, "foreign": self.foreign, "refused": self.rejected}
-        notes = list(self.dynamics.robot.notes)
+        notes = list(self._dynamics.robot.notes)
         return {**counts, **self.summary.as_dict(), "losses": self.losses, "robot_notes": notes}
 
     def lines(self) -> list[tuple[str, str]]:
@@ -70,7 +70,7 @@ class Assessor:
         lines = [("joint states", f"{self.joint_states}{foreign}"), *self.summary.lines()]
         if self.rejected:
             lines.append(("rejected", f"{self.rejected} joint states (UNKNOWN)"))
-        if warning := self.dynamics.robot.rotors.warning:
+        if warning := self._dynamics.robot.rotors.warning:
             lines.append(("robot", warning))
         return lines + [("not read", loss) for loss in self.losses]
 

@@ -133,6 +133,7 @@ def test_options_reach_the_core(swing_bag: Path, cli: Cli, tmp_path: Path) -> No
 
 def test_summary_matches_the_rows(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     result = json.loads(cli("assess", swing_bag, "-o", tmp_path / "a.csv", "--json").stdout)
+    assert any(note.startswith("no rotor inertia for joint1") for note in result["robot_notes"])
     contacts = core_assessments(swing_bag)
     counts = Counter(contact.verdict for contact in contacts)
     assert result["joint_states"] == result["cycles"] == len(contacts)
