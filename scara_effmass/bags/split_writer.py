@@ -154,8 +154,7 @@ class SplitWriter:
 
     def close(self) -> None:
         """Complete the recording as far as the disk permits."""
-        if self._file is not None:
-            self._finish(self._file)
+        self._finish()
         if self._file is not None:
             self._leave(self._file)
         self._write_metadata()
@@ -193,22 +192,18 @@ class SplitWriter:
         if file is not None and file.saved.count and not self._failing and file.saved_bytes >= self._max_file_bytes:
             self._split()
 
-    def _split(self) -> None:
-        """Complete the file and open the next one."""
+    def _split(self) -> bool:
+        """Complete the file and open the next one; return whether the disk permits both."""
+        self._finish()
         if self._file is not None:
-            self._finish(self._file)
-        if self._file is None:
-            self._resume("")
-
-    def _resume(self, message: str) -> None:
+            return False
         try:
             self._open_file()
         except OSError as error:
             self.stopped = True
             self._warn_once(f"cannot create the next file: {error.strerror}; messages are lost and counted")
-        else:
-            if message:
-                self._warn_once(message)
+            return False
+        return True
 
     def _save(self, file: McapFileWriter, *, sync: bool) -> None:
         try:
@@ -221,8 +216,11 @@ class SplitWriter:
         for topic in self._topics:
             topic.pending = 0
 
-    def _finish(self, file: McapFileWriter) -> None:
-        """Complete the file; it stays open if the disk refuses."""
+    def _finish(self) -> None:
+        """Complete the file, if there is one; it stays open if the disk refuses."""
+        file = self._file
+        if file is None:
+            return
         if not file.finished:
             self._add_topics(file)
             losses = losses_record(self._topics)
@@ -261,17 +259,13 @@ class SplitWriter:
 
     def _check_disk(self, now_ns: int) -> None:
         if self.stopped:
-            if self._space.can_resume():
-                if self._file is not None:
-                    self._finish(self._file)
-                if self._file is None:
-                    self._resume("the disk has room again: recording resumes")
+            if self._space.can_resume() and self._split():
+                self._warn_once("the disk has room again: recording resumes")
             return
         if self._space.is_exhausted():
             reserve = f"{self._space.reserve / 1e6:.0f} MB"
             self._warn_once(f"the disk has less than {reserve} left: recording stops, messages are lost and counted")
             self.stopped = True
-            if self._file is not None:
-                self._finish(self._file)
+            self._finish()
         elif warning := self._space.warning(now_ns, self.size_bytes):
             self._warn_once(warning)
