@@ -1,7 +1,7 @@
 """Figures of the validation report."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import matplotlib as mpl
@@ -14,16 +14,16 @@ from matplotlib.lines import Line2D
 from scara_effmass.analysis.plot_style import INK, ISO_RED, new_figure
 from scara_effmass.impacts.validator import ModelResult, Result
 from scara_effmass.iso15066 import force_per_root_stiffness
-from scara_effmass.values import FloatArray, ValidatedImpact
+from scara_effmass.values import ValidatedImpact
 
 N_MM = 1e3
-EXPONENTS = {"0.5, linear spring": (0.5, "--"), "0.6, Hertz": (0.6, ":")}
 EMPTY = "no impact could be paired with the robot"
 MARKERS = "os^Dv<>pX*"
 """Markers of the configurations; they repeat if there are more."""
 DARK, LIGHT = 0.0, 0.88
 """Range of the colour map with enough contrast to white."""
 GREY = "#777777"
+EXPONENTS = {"0.5, linear spring": (0.5, "--", GREY), "0.6, Hertz": (0.6, ":", GREY)}
 ROOT = r"$v\sqrt{\mu}$ [m/s $\sqrt{\mathrm{kg}}$]"
 
 
@@ -49,16 +49,8 @@ class Marks:
     def scatter(self, axes: Axes, impacts: Iterable[ValidatedImpact], points: Iterable[tuple[float, float]]) -> None:
         """Draw one point for each impact."""
         for impact, (x, y) in zip(impacts, points, strict=True):
-            axes.plot(
-                x,
-                y,
-                linestyle="none",
-                marker=self.marker(impact.configuration),
-                color=color(self.obstacle_masses.index(impact.obstacle_mass), len(self.obstacle_masses)),
-                markersize=6.0,
-                alpha=0.85,
-                zorder=2,
-            )
+            shade = color(self.obstacle_masses.index(impact.obstacle_mass), len(self.obstacle_masses))
+            axes.plot(x, y, self.marker(impact.configuration), color=shade, markersize=6.0, alpha=0.85, zorder=2)
         axes.grid(alpha=0.3)
 
     def legend(self, figure: Figure, *lines: Line2D) -> None:
@@ -124,12 +116,10 @@ def draw_forces(result: Result) -> Figure:
 
 def draw_differences(result: Result) -> Figure:
     """Draw the Bland-Altman plot of the selected model."""
-    figure = new_figure(10.5, 4.9, f"Predicted minus {_origin(result).lower()} force, {result.model} model")
-    axes = figure.subplots()
-    marks = Marks(result.impacts)
-    axes.set(xlabel=f"mean of predicted and {_origin(result).lower()} force [N]", ylabel="difference [N]")
+    origin = _origin(result).lower()
+    title = f"Predicted minus {origin} force, {result.model} model"
+    figure, axes, marks = _single(title, f"mean of predicted and {origin} force [N]", "difference [N]", result)
     if not result.impacts:
-        _annotate(axes, EMPTY)
         return figure
     overall = _selected(result).overall
     points = [
@@ -150,28 +140,27 @@ def draw_differences(result: Result) -> Figure:
 
 def draw_exponent(result: Result) -> Figure:
     """Draw force over mu v^2 on logarithmic axes, for the selected model."""
-    figure = new_figure(10.5, 4.9, f"Exponent of the contact law, {result.model} model")
-    axes = figure.subplots()
-    marks = Marks(result.impacts)
-    axes.set(xlabel=r"$\mu v^2$ [J], twice the energy", ylabel=f"{_origin(result).lower()} peak force [N]")
+    labels = r"$\mu v^2$ [J], twice the energy", f"{_origin(result).lower()} peak force [N]"
+    figure, axes, marks = _single(f"Exponent of the contact law, {result.model} model", *labels, result)
     points = _points(result.model, result)
     if not points:
-        _annotate(axes, EMPTY)
         return figure
     overall = _selected(result).overall
     energy = np.array([x**2 for _, x in points])
     force = np.array([impact.measured_force for impact, _ in points])
     marks.scatter(axes, result.impacts, list(zip(energy.tolist(), force.tolist(), strict=True)))
     ends = np.array([0.9 * energy.min(), 1.1 * energy.max()])
-    middle = float(np.exp(np.log(energy).mean())), float(np.exp(np.log(force).mean()))
+    middle_energy, middle_force = float(np.exp(np.log(energy).mean())), float(np.exp(np.log(force).mean()))
+    title, lines = f"exponent undefined: {overall.correlation_reason}", dict(EXPONENTS)
+    if overall.exponent is not None:
+        interval = overall.exponent_interval
+        title = f"exponent {overall.exponent:.3f}"
+        title += f" (95 %: {interval[0]:.3f} to {interval[1]:.3f})" if interval else ""
+        lines = {"fitted": (overall.exponent, "-", ISO_RED)} | lines
     handles = []
-    if overall.exponent is None:
-        title = f"exponent undefined: {overall.correlation_reason}"
-    else:
-        title = f"exponent {_number(overall.exponent, overall.exponent_interval)}"
-        handles += axes.plot(ends, _power(ends, middle, overall.exponent), color=ISO_RED, label="fitted")
-    for label, (exponent, style) in EXPONENTS.items():
-        handles += axes.plot(ends, _power(ends, middle, exponent), color=GREY, linestyle=style, label=label)
+    for label, (exponent, style, shade) in lines.items():
+        forces = middle_force * (ends / middle_energy) ** exponent
+        handles += axes.plot(ends, forces, color=shade, linestyle=style, label=label)
     axes.set(title=title, xscale="log", yscale="log")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(mpl.ticker.LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
@@ -183,12 +172,9 @@ def draw_exponent(result: Result) -> Figure:
 
 def draw_masses(result: Result) -> Figure:
     """Draw mean measured and predicted force over obstacle mass, by configuration."""
-    figure = new_figure(10.5, 4.9, f"{_origin(result)} force over the mass of the obstacle")
-    axes = figure.subplots()
-    marks = Marks(result.impacts)
-    axes.set(xlabel="$m_H$ [kg]", ylabel="peak force [N]")
+    title = f"{_origin(result)} force over the mass of the obstacle"
+    figure, axes, marks = _single(title, "$m_H$ [kg]", "peak force [N]", result)
     if not result.impacts:
-        _annotate(axes, EMPTY)
         return figure
     handles = []
     for number, name in enumerate(marks.configurations):
@@ -199,15 +185,8 @@ def draw_masses(result: Result) -> Figure:
             [_mean(getattr(impact, field) for impact in impacts if impact.obstacle_mass == mass) for mass in masses]
             for field in ("measured_force", "predicted_force")
         )
-        axes.plot(
-            [impact.obstacle_mass for impact in impacts],
-            [impact.measured_force for impact in impacts],
-            linestyle="none",
-            marker=marker,
-            color=shade,
-            alpha=0.35,
-            markersize=4.0,
-        )
+        points = [(impact.obstacle_mass, impact.measured_force) for impact in impacts]
+        axes.plot(*zip(*points, strict=True), marker, color=shade, alpha=0.35, markersize=4.0)
         label = f"{configuration_label(name)}, {_mean(impact.effective_mass for impact in impacts):.2f} kg"
         handles += axes.plot(masses, measured, marker=marker, color=shade, linewidth=1.8, label=label)
         axes.plot(masses, predicted, color=INK, linestyle=":", linewidth=1.4, zorder=3)
@@ -215,8 +194,7 @@ def draw_masses(result: Result) -> Figure:
     axes.set_ylim(bottom=0.0)
     axes.grid(alpha=0.3)
     handles.append(Line2D([], [], color=INK, linestyle=":", label=f"predicted, {result.model}"))
-    title = "configuration, $m_n$"
-    figure.legend(handles=handles, title=title, loc="outside right upper", alignment="left")
+    figure.legend(handles=handles, title="configuration, $m_n$", loc="outside right upper", alignment="left")
     return figure
 
 
@@ -274,12 +252,14 @@ def _mean(values: Iterable[float]) -> float:
     return float(np.mean(list(values)))
 
 
-def _power(x: FloatArray, through: tuple[float, float], exponent: float) -> FloatArray:
-    return through[1] * (x / through[0]) ** exponent
-
-
-def _number(value: float, interval: Sequence[float] | None) -> str:
-    return f"{value:.3f}" + (f" (95 %: {interval[0]:.3f} to {interval[1]:.3f})" if interval else "")
+def _single(title: str, xlabel: str, ylabel: str, result: Result) -> tuple[Figure, Axes, Marks]:
+    """Return a figure with one pair of axes, and the marks of the impacts; without impacts the axes say so."""
+    figure = new_figure(10.5, 4.9, title)
+    axes = figure.subplots()
+    axes.set(xlabel=xlabel, ylabel=ylabel)
+    if not _points(result.model, result):
+        _annotate(axes, EMPTY)
+    return figure, axes, Marks(result.impacts)
 
 
 def _annotate(axes: Axes, text: str) -> None:
