@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 
@@ -107,23 +107,17 @@ def record(validation: Validation, settings: ValidationSettings, robot: Robot) -
     }
 
 
-class Deviation(NamedTuple):
-    """Estimate / true value - 1 of one quantity: mean over the `impacts`, and the value farthest from zero."""
+def deviations(validation: Validation) -> list[tuple[str, int, float, float]]:
+    """Return quantity, number of impacts, mean and farthest from zero of the deviations, estimate / true value - 1.
 
-    quantity: str
-    impacts: int
-    mean: float
-    farthest: float
-
-
-def deviations(validation: Validation) -> list[Deviation]:
-    """Return the deviations over all recordings of a single impact that state the true values."""
+    They are over all recordings of a single impact that state the true values.
+    """
     by_quantity: dict[str, list[float]] = {}
     for recording in validation.recordings:
         for quantity, deviation in _recording_deviations(recording):
             by_quantity.setdefault(quantity, []).append(deviation)
     return [
-        Deviation(quantity, len(values), sum(values) / len(values), max(values, key=abs))
+        (quantity, len(values), sum(values) / len(values), max(values, key=abs))
         for quantity, values in by_quantity.items()
     ]
 

@@ -15,7 +15,6 @@ from scara_effmass.cli.options import (
     Option,
     flag,
     number,
-    option,
     output,
     params,
 )
@@ -57,24 +56,24 @@ examples:
   scara-effmass demo --bag bags/tour --rate 2 --duration 10 --out out/tour
   scara-effmass demo --bag recording.bag --robot arm.urdf --topic /arm/joint_states --out out/arm
 """,
-        option("--bag", "recording to replay (default: run the simulated cell)", "BAG", Path),
+        Option("--bag", "recording to replay (default: run the simulated cell)", "BAG", Path),
         TOPIC,
         *ROBOT,
         params("monitor_node"),
-        option(
+        Option(
             "--rate",
             "replay speed; 0: as fast as the monitor answers (default: 1)",
             kind=number("a number >= 0", lambda rate: 0.0 <= rate < math.inf),
             default=1.0,
         ),
-        option(
+        Option(
             "--duration",
             "duration of the replay or simulation [s] (default: all)",
             "S",
             number("a number > 0 s", lambda duration: duration > 0.0),
             default=math.inf,
         ),
-        option("--out", "output folder (default: out/demo)", "DIR", Path, default=Path("out/demo")),
+        Option("--out", "output folder (default: out/demo)", "DIR", Path, default=Path("out/demo")),
         FORCE,
         JSON,
     ),
@@ -102,15 +101,15 @@ examples:
   scara-effmass daq --source bag --path recording.mcap
   scara-effmass daq --source sim -- -p sim.impact_period:=1.0
 """,
-        option(
+        Option(
             "--source",
             "force source (default: ni9230); bag: a recording, sim: simulated force",
             kind=lambda text: ALIASES.get(text, text),
             choices=[kind.value for kind in ForceSourceKind],
         ),
-        option("--path", "bag with ForceBlocks, for the source bag", "BAG", dest="bag.path"),
-        option("--topic", "topic of the ForceBlocks (default: the only one)", "TOPIC", dest="bag.topic"),
-        option(
+        Option("--path", "bag with ForceBlocks, for the source bag", "BAG", dest="bag.path"),
+        Option("--topic", "topic of the ForceBlocks (default: the only one)", "TOPIC", dest="bag.topic"),
+        Option(
             "--sensitivity",
             "from the sensor's certificate [mV/N] (default: 2.248)",
             "MV_PER_N",
@@ -129,7 +128,7 @@ examples:
   scara-effmass validator --obstacle-mass 2.39
   scara-effmass validator --params my_cell.yaml -- -p stiffness:=2000.0
 """,
-        option("--obstacle-mass", "mass of the obstacle, m_H [kg]", "KG", float),
+        Option("--obstacle-mass", "mass of the obstacle, m_H [kg]", "KG", float),
         params("validator_node"),
     ),
     "sim": Command(
@@ -142,8 +141,8 @@ examples:
   scara-effmass sim --start 1800000000
   scara-effmass daq --source sim -- -p sim.scene:=cell -p sim.start:=1800000000.0
 """,
-        option("--start", "ROS time of the start [s] (default: now)", "S", float),
-        option("--seed", "random seed of the noise (default: 0)", kind=int),
+        Option("--start", "ROS time of the start [s] (default: now)", "S", float),
+        Option("--seed", "random seed of the noise (default: 0)", kind=int),
         flag("--clock", "publish /clock and wait for nodes that fall behind", default=None),
     ),
     "import": Command(
@@ -159,22 +158,22 @@ examples:
   scara-effmass import bridge.tdms --topic cell/ai0 --sensitivity 2.31 -o bridge
   scara-effmass import wrist.mcap --topic /ft_sensor/wrench --axis x -o wrist_force
 """,
-        option("files", "CSV file, TDMS file or bag", "FILE", Path, nargs="+"),
+        Option("files", "CSV file, TDMS file or bag", "FILE", Path, nargs="+"),
         output("BAG", "bag to write"),
-        option("--topic", "topic, CSV column or TDMS channel of the force (default: the only one)"),
-        option("--axis", "component of a wrench (default: z)", choices=["x", "y", "z"]),
-        option("--unit", "N, kN, lbf, kgf, V or mV (default: as the file states, N for messages)"),
-        option("--time-column", "CSV column of the times (default: the first one)", "NAME"),
-        option("--frame", "frame of the sensor (default: force_sensor)", dest="frame_id"),
+        Option("--topic", "topic, CSV column or TDMS channel of the force (default: the only one)"),
+        Option("--axis", "component of a wrench (default: z)", choices=["x", "y", "z"]),
+        Option("--unit", "N, kN, lbf, kgf, V or mV (default: as the file states, N for messages)"),
+        Option("--time-column", "CSV column of the times (default: the first one)", "NAME"),
+        Option("--frame", "frame of the sensor (default: force_sensor)", dest="frame_id"),
         flag("--invert", "compression is negative in the file", dest="sensor.invert", default=None),
-        option(
+        Option(
             "--sensitivity",
             "sensitivity behind V or mV [mV/N] (default: 2.248)",
             "MV_PER_N",
             float,
             dest="sensor.sensitivity",
         ),
-        option(
+        Option(
             "--range", "end of the measuring range; marks saturation (default: 2224)", "N", float, dest="sensor.range"
         ),
         FORCE,
@@ -194,21 +193,21 @@ examples:
   scara-effmass replay bags/tour --start 10 --duration 5 --rate 0.5 --loop
   scara-effmass replay recording.bag --topic /wx200/joint_states --rate 0
 """,
-        option("bag", "bag to replay", "BAG", Path),
-        option("--rate", "speed relative to the recording; 0: as fast as a monitor answers", kind=float, default=1.0),
-        option("--start", "start in the recording [s]", "S", float, default=0.0),
-        option("--duration", "recorded time to replay [s]", "S", float, default=math.inf),
+        Option("bag", "bag to replay", "BAG", Path),
+        Option("--rate", "speed relative to the recording; 0: as fast as a monitor answers", kind=float, default=1.0),
+        Option("--start", "start in the recording [s]", "S", float, default=0.0),
+        Option("--duration", "recorded time to replay [s]", "S", float, default=math.inf),
         flag("--loop", "repeat until interrupted"),
-        option("--topic", "topic to publish as /joint_states (default: every topic keeps its name)"),
-        option("--topics", "topics to replay (default: all but node outputs)", "TOPIC", nargs="+", default=()),
-        option(
+        Option("--topic", "topic to publish as /joint_states (default: every topic keeps its name)"),
+        Option("--topics", "topics to replay (default: all but node outputs)", "TOPIC", nargs="+", default=()),
+        Option(
             "--subscribers",
             "minimum number of subscribers of the joint states before the start (default: 1)",
             "N",
             int,
             default=1,
         ),
-        option("--wait", "maximum wait for the nodes [s] (default: 30)", "S", float, default=30.0),
+        Option("--wait", "maximum wait for the nodes [s] (default: 30)", "S", float, default=30.0),
         JSON,
     ),
     "record": Command(
@@ -224,15 +223,15 @@ examples:
   scara-effmass record -o all --all --duration 60 -- -p use_sim_time:=true
   scara-effmass record --repair run1
 """,
-        option("topics", "topics to record (default: the topics of the suite)", "TOPIC", nargs="*"),
+        Option("topics", "topics to record (default: the topics of the suite)", "TOPIC", nargs="*"),
         (
-            option("-o --output", "output folder", "BAG", Path),
-            option("--repair", "complete a bag of a killed recorder: folder or MCAP file", "BAG", Path),
+            Option("-o --output", "output folder", "BAG", Path),
+            Option("--repair", "complete a bag of a killed recorder: folder or MCAP file", "BAG", Path),
         ),
         flag("--all", "record all topics except hidden ones"),
-        option("--max-size", "start a new file at this size [MB]", "MB", float, default=0.0),
-        option("--max-duration", "start a new file after this time [s]", "S", float, default=0.0),
-        option("--duration", "duration of the recording [s]", "S", float, default=math.inf),
+        Option("--max-size", "start a new file at this size [MB]", "MB", float, default=0.0),
+        Option("--max-duration", "start a new file after this time [s]", "S", float, default=0.0),
+        Option("--duration", "duration of the recording [s]", "S", float, default=math.inf),
         flag("--no-compression", "do not compress (default: zstd)"),
         FORCE,
         JSON,
@@ -250,7 +249,7 @@ examples:
 """,
         BAGS,
         output("FILE", ".parquet, .csv or .mcap"),
-        option("--report", "folder for figures, episodes and summary", "DIR", Path),
+        Option("--report", "folder for figures, episodes and summary", "DIR", Path),
         TOPIC,
         *ROBOT,
         *LIMITS,
@@ -274,11 +273,11 @@ examples:
         BAGS,
         output("DIR", "folder for the report"),
         TOPIC,
-        option(
+        Option(
             "--force-topic", "topic of force blocks, impacts or wrenches (default: force, or the only one)", "TOPIC"
         ),
-        option("--obstacle-mass", "mass of the obstacle in all recordings", "KG", float),
-        option(
+        Option("--obstacle-mass", "mass of the obstacle in all recordings", "KG", float),
+        Option(
             "--stiffness", "contact stiffness for the predictions (default: fitted to the series)", "N_PER_MM", float
         ),
         *ROBOT,
@@ -298,7 +297,7 @@ examples:
   scara-effmass figures -o out/figures --campaign out/campaign --force --json
 """,
         output("DIR", "folder for figures and page"),
-        option("--campaign", "recorded impacts, one bag per run (default: the shipped ones)", "DIR", Path),
+        Option("--campaign", "recorded impacts, one bag per run (default: the shipped ones)", "DIR", Path),
         FORCE,
         JSON,
     ),
@@ -315,28 +314,28 @@ examples:
   scara-effmass campaign -o out/hertz --hertz --stiffness 3400 --seed 1 --json
 """,
         output("DIR", "folder for the bags"),
-        option(
+        Option(
             "--repetitions",
             "runs of each case (default: 3)",
             "N",
             number("a whole number from 1", lambda count: count >= 1, int),
             default=3,
         ),
-        option(
+        Option(
             "--seed",
             "random seed of variations and noise",
             kind=number("a whole number from 0", lambda seed: seed >= 0, int),
         ),
-        option("--configuration", f"impact point, as 300_200 for (300, 200) mm; {REPEATED}", "NAME", action="append"),
-        option("--mass", f"mass of the cart; {REPEATED}", "KG", MASS, action="append"),
-        option(
+        Option("--configuration", f"impact point, as 300_200 for (300, 200) mm; {REPEATED}", "NAME", action="append"),
+        Option("--mass", f"mass of the cart; {REPEATED}", "KG", MASS, action="append"),
+        Option(
             "--stiffness",
             "of the tip [N/mm] (default: 2000), with --hertz [N/mm^1.5] (default: 3400)",
             "N_PER_MM",
             float,
         ),
-        option("--damping", "of the tip (default: 0)", "N_S_PER_M", float, default=0.0),
-        option("--friction", "between tip and plate (default: 0)", "COEFFICIENT", float, default=0.0),
+        Option("--damping", "of the tip (default: 0)", "N_S_PER_M", float, default=0.0),
+        Option("--friction", "between tip and plate (default: 0)", "COEFFICIENT", float, default=0.0),
         flag("--hertz", "use a Hertz contact, F = k d^1.5, not a linear spring"),
         FORCE,
         JSON,
@@ -351,7 +350,7 @@ examples:
   scara-effmass limits --mass 0.97 --mass 2.77 --region hand_fingers --region chest
   scara-effmass limits --mass 2.77 --contact quasi_static --json
 """,
-        option(
+        Option(
             "--mass",
             "effective mass to compute allowable speeds for; may be repeated",
             "KG",

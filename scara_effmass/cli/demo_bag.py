@@ -15,18 +15,8 @@ from scara_effmass.analysis.run_report import PAGE, RunReport
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.analysis.time_series import TimeSeriesBuilder
 from scara_effmass.bags.files import open_bag
+from scara_effmass.cli import processes
 from scara_effmass.cli.console import live_status, print_lines, print_result, printer
-from scara_effmass.cli.processes import (
-    RECORDING,
-    SIM_TIME,
-    START_TIMEOUT_S,
-    ChildProcess,
-    isolate_ros_domain,
-    monitor_command,
-    record_command,
-    removed_on_failure,
-    spin_until,
-)
 from scara_effmass.errors import EffmassError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.monitor_client import MonitorClient
@@ -114,12 +104,12 @@ def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
     introduction = _introduction(bag, dynamics, note or settings.effective_mass_model.value, args.rate)
     if not args.json:
         print_lines(introduction)
-    with removed_on_failure(args.out / RECORDING):
+    with processes.removed_on_failure(args.out / processes.RECORDING):
         live = _run_live(args, bag, dynamics, settings)
         if not live.answered:
             hint = f"does {robot.name} fit the recording?"
             raise EffmassError(f"{bag.path}: the monitor answered none of {live.sent} joint states; {hint}")
-        with open_bag(args.out / RECORDING) as recording:
+        with open_bag(args.out / processes.RECORDING) as recording:
             forces = read_force(recording)
         title = f"{robot.name}: {bag.path.name} through the live monitor"
         for point, builder in live.series.items():
@@ -158,9 +148,9 @@ def _run_live(
     )
     # Plays the force on the clock of the replay and ends with it.
     force_command = ["daq", "--source", "bag", "--path", str(bag.path), "--topic", bag.force_topic]
-    force_command += [*SIM_TIME, "-p", "stop_at_end:=true"]
+    force_command += [*processes.SIM_TIME, "-p", "stop_at_end:=true"]
     replay_command = ["replay", str(bag.path), "--topic", bag.topic, "--topics", bag.topic, "--rate", str(args.rate)]
-    replay_command += ["--duration", str(args.duration), "--wait", str(START_TIMEOUT_S), "--json"]
+    replay_command += ["--duration", str(args.duration), "--wait", str(processes.START_TIMEOUT_S), "--json"]
     replay_command += ["--subscribers", "2"]  # monitor and recorder
     first_ns: int | None = None
 
@@ -172,18 +162,20 @@ def _run_live(
             live.series[contact.contact_point].add(contact, at_ns)
         show_status(contacts, (at_ns - first_ns) / 1e9, client.speed_scaling)
 
-    isolate_ros_domain()
+    processes.isolate_ros_domain()
     with ExitStack() as stack:
-        nodes = [stack.enter_context(ChildProcess(monitor_command(args, settings)))]
-        force = stack.enter_context(ChildProcess(force_command)) if bag.force_topic else None
-        recorder = stack.enter_context(ChildProcess(record_command(args)))
+        nodes = [stack.enter_context(processes.ChildProcess(processes.monitor_command(args, settings)))]
+        force = stack.enter_context(processes.ChildProcess(force_command)) if bag.force_topic else None
+        recorder = stack.enter_context(processes.ChildProcess(processes.record_command(args)))
         nodes.append(recorder)
         client = stack.enter_context(MonitorClient(tuple(live.series), on_cycle))
-        if not spin_until(lambda: client.connected, client, [*nodes, *([force] if force else [])], START_TIMEOUT_S):
-            raise EffmassError(f"monitor: not running after {START_TIMEOUT_S:g} s")
-        replay = stack.enter_context(ChildProcess(replay_command))
+        if not processes.spin_until(
+            lambda: client.connected, client, [*nodes, *([force] if force else [])], processes.START_TIMEOUT_S
+        ):
+            raise EffmassError(f"monitor: not running after {processes.START_TIMEOUT_S:g} s")
+        replay = stack.enter_context(processes.ChildProcess(replay_command))
         show_status = stack.enter_context(live_status(printer(), visible=not args.json))
-        spin_until(lambda: replay.ended, client, nodes, math.inf)
+        processes.spin_until(lambda: replay.ended, client, nodes, math.inf)
         live.replayed = json.loads(replay.output())
         live.read_back(bag, args.duration, dynamics.robot.joint_names)
         client.spin(ANSWER_TIMEOUT_S, lambda: client.cycles >= live.sent - live.foreign)

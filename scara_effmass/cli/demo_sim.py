@@ -10,18 +10,8 @@ from scara_effmass_msgs.msg import ImpactValidation
 
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
+from scara_effmass.cli import processes
 from scara_effmass.cli.console import live_status, print_lines, print_result, printer
-from scara_effmass.cli.processes import (
-    RECORDING,
-    SIM_TIME,
-    START_TIMEOUT_S,
-    ChildProcess,
-    isolate_ros_domain,
-    monitor_command,
-    record_command,
-    removed_on_failure,
-    spin_until,
-)
 from scara_effmass.errors import EffmassError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.monitor_client import MonitorClient
@@ -53,13 +43,13 @@ def run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
     check_report_folder(args.out, overwrite=args.force)
     if not args.json:
         print_lines(INTRODUCTION)
-    with removed_on_failure(args.out / RECORDING):
+    with processes.removed_on_failure(args.out / processes.RECORDING):
         live, recorded = _run_live(args, dynamics, settings)
         validation_settings = ValidationSettings(
             monitor=settings.model_copy(update={"timeout": RECORDER_DELAY_S}),
             validator=ValidatorSettings(clock_tolerance=RECORDER_DELAY_S),
         )
-        validation = validate([args.out / RECORDING], dynamics, validation_settings)
+        validation = validate([args.out / processes.RECORDING], dynamics, validation_settings)
         results = write_report(validation, validation_settings, dynamics.robot, args.out, overwrite=args.force)
     offline = {impact.stamp_ns for impact in validation.result.impacts}
     counts = {"live": len(live), "offline": len(offline), "both": len(live & offline)}
@@ -84,10 +74,10 @@ def _run_live(
     duration_s = min(args.duration, FIRST_IMPACT_S + IMPACTS * IMPACT_PERIOD_S)
     cell = ["-p", "sim.scene:=cell", "-p", f"sim.start:={start_s}"]
     commands = (
-        record_command(args),
-        ["daq", "--source", "sim", *SIM_TIME, *cell],
-        ["validator", *SIM_TIME],
-        monitor_command(args, settings),
+        processes.record_command(args),
+        ["daq", "--source", "sim", *processes.SIM_TIME, *cell],
+        ["validator", *processes.SIM_TIME],
+        processes.monitor_command(args, settings),
     )
     sim_command = ["sim", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=2"]
     stamps_ns: set[int] = set()
@@ -109,20 +99,20 @@ def _run_live(
     def finished() -> bool:
         return len(stamps_ns) >= IMPACTS or client.now_ns / 1e9 > start_s + duration_s + VALIDATION_DELAY_S
 
-    isolate_ros_domain()
+    processes.isolate_ros_domain()
     with ExitStack() as stack:
-        processes = [stack.enter_context(ChildProcess(command)) for command in commands]
+        children = [stack.enter_context(processes.ChildProcess(command)) for command in commands]
         client = stack.enter_context(MonitorClient(dynamics.contact_points, on_cycle, on_validation))
         show_status = stack.enter_context(live_status(console, visible=not args.json))
-        is_ready = spin_until(
-            lambda: all(client.has_peers(*end) for end in ENDPOINTS), client, processes, START_TIMEOUT_S
+        is_ready = processes.spin_until(
+            lambda: all(client.has_peers(*end) for end in ENDPOINTS), client, children, processes.START_TIMEOUT_S
         )
         if not is_ready:
-            raise EffmassError(f"nodes: not running after {START_TIMEOUT_S:g} s")
+            raise EffmassError(f"nodes: not running after {processes.START_TIMEOUT_S:g} s")
         # The recorder subscribes once it receives the first /clock message, which the simulation publishes.
-        processes.append(stack.enter_context(ChildProcess(sim_command)))
-        spin_until(finished, client, processes, START_TIMEOUT_S + MAX_SLOWDOWN * duration_s)
-        recorder = processes[0]
+        children.append(stack.enter_context(processes.ChildProcess(sim_command)))
+        processes.spin_until(finished, client, children, processes.START_TIMEOUT_S + MAX_SLOWDOWN * duration_s)
+        recorder = children[0]
         recorder.interrupt()
         recorded: dict[str, Any] = json.loads(recorder.output())
     if not stamps_ns:

@@ -128,14 +128,11 @@ def _daq(params: Path | None) -> Iterator[CheckResult]:
         text = device.problem or f"{device.product}{simulated}{channels}"
         yield CheckResult("note" if device.problem or device.simulated else "ok", device.name, text)
     if settings.source is ForceSourceKind.NI9230:
-        present = [channel for device in devices for channel in device.channels]
-        known = {channel.lower() for channel in present}
-        missing = sorted(channel for channel in settings.ni9230.channels if channel.lower() not in known)
-        if missing:
-            text = f"{', '.join(missing)} not found; present: {', '.join(present) or 'none'}"
-            yield CheckResult("note", "ni9230.channels", text)
-        else:
-            yield CheckResult("ok", "ni9230.channels", f"{', '.join(settings.ni9230.channels)}: present")
+        chosen, present = settings.ni9230.channels, [channel for device in devices for channel in device.channels]
+        missing = {channel for channel in chosen if channel.lower() not in map(str.lower, present)}
+        absence = f"{', '.join(sorted(missing))} not found; present: {', '.join(present) or 'none'}"
+        text = absence if missing else f"{', '.join(chosen)}: present"
+        yield CheckResult("note" if missing else "ok", "ni9230.channels", text)
 
 
 def _limits(settings: MonitorSettings) -> Iterator[CheckResult]:

@@ -39,7 +39,6 @@ def run(args: argparse.Namespace) -> int:
             "body_points": [
                 {
                     **asdict(point),
-                    "number": point.number,
                     "transient_force_n": point.transient_force_n,
                     "transient_pressure_n_cm2": point.transient_pressure_n_cm2,
                 }

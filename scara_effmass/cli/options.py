@@ -4,42 +4,42 @@ import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from scara_effmass.settings import ContactType, MassModel
 
 
-class Option(NamedTuple):
-    """Arguments of `ArgumentParser.add_argument`."""
+class Option:
+    """An option or argument: `names` are separated by a space, `keywords` are those of `add_argument`."""
 
-    names: tuple[str, ...]
-    keywords: dict[str, Any]
-
-
-def option(
-    names: str,
-    text: str,
-    metavar: str | None = None,
-    kind: Callable[[str], object] | None = None,
-    **keywords: Any,  # noqa: ANN401 - those of add_argument
-) -> Option:
-    """Return the option or argument `names`, separated by a space, with its help `text`."""
-    return Option(tuple(names.split()), {"help": text, "metavar": metavar, "type": kind, **keywords})
+    def __init__(
+        self,
+        names: str,
+        text: str,
+        metavar: str | None = None,
+        kind: Callable[[str], object] | None = None,
+        **keywords: Any,  # noqa: ANN401
+    ) -> None:
+        """Use `text` as help and `kind` as type."""
+        self.names = names.split()
+        self.keywords = {"help": text, **keywords}
+        if keywords.get("action") != "store_true":  # which takes no value
+            self.keywords |= {"metavar": metavar, "type": kind}
 
 
 def flag(name: str, text: str, **keywords: Any) -> Option:  # noqa: ANN401 - those of add_argument
     """Return an option without a value."""
-    return Option((name,), {"help": text, "action": "store_true", **keywords})
+    return Option(name, text, action="store_true", **keywords)
 
 
 def params(nodes: str) -> Option:
     """Return --params, a parameter file that the other options override."""
-    return option("--params", f"YAML file with the parameters of {nodes}", "FILE", Path)
+    return Option("--params", f"YAML file with the parameters of {nodes}", "FILE", Path)
 
 
 def output(metavar: str, text: str) -> Option:
     """Return -o."""
-    return option("-o --output", text, metavar, Path, required=True)
+    return Option("-o --output", text, metavar, Path, required=True)
 
 
 def number(rule: str, is_valid: Callable[[float], bool], kind: type[float] = float) -> Callable[[str], float]:
@@ -59,11 +59,11 @@ def number(rule: str, is_valid: Callable[[float], bool], kind: type[float] = flo
 
 FORCE = flag("--force", "replace existing output")
 JSON = flag("--json", "print the result as JSON")
-BAGS = option("bags", "recording, or folder of recordings", "BAG", Path, nargs="+")
-TOPIC = option("--topic", "topic of the joint states (default: joint_states, else the only one)")
+BAGS = Option("bags", "recording, or folder of recordings", "BAG", Path, nargs="+")
+TOPIC = Option("--topic", "topic of the joint states (default: joint_states, else the only one)")
 ROBOT = (
-    option("--robot", "robot: URDF or DH YAML (default: the shipped Omron i4-550L)", "FILE"),
-    option(
+    Option("--robot", "robot: URDF or DH YAML (default: the shipped Omron i4-550L)", "FILE"),
+    Option(
         "--model",
         "effective mass that decides the verdict (default: lumped)",
         dest="effective_mass_model",
@@ -71,14 +71,14 @@ ROBOT = (
     ),
 )
 LIMITS = (
-    option(
+    Option(
         "--region",
         "body region that the robot can hit; may be repeated (default: all with a limit)",
         "NAME",
         dest="body_regions",
         action="append",
     ),
-    option("--contact", "type of contact (default: transient)", choices=[contact.value for contact in ContactType]),
+    Option("--contact", "type of contact (default: transient)", choices=[contact.value for contact in ContactType]),
 )
 MASS = number("a number from 0.001 to 1000", lambda mass: 1e-3 <= mass <= 1e3)
 REPEATED = "may be repeated (default: the paper's experiment)"

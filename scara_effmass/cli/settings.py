@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Collection
-from typing import TYPE_CHECKING, Any, TypeVar
-
-from pydantic import BaseModel
+from typing import TYPE_CHECKING, Any
 
 from scara_effmass.settings import MonitorSettings, checked, load_settings
+from scara_effmass.settings.loading import Settings
 
 if TYPE_CHECKING:
     from scara_effmass.model.dynamics import RobotDynamics
-
-Settings = TypeVar("Settings", bound=BaseModel)
 
 
 def monitor_settings(

@@ -2,9 +2,6 @@
 
 import argparse
 from collections import Counter
-from typing import TypeVar
-
-from pydantic import BaseModel
 
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
@@ -13,11 +10,10 @@ from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.cli.settings import load_dynamics, override
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings, load_settings
+from scara_effmass.settings.loading import Settings
 
 NOT_ACCEPTED = 1
 SECTIONS = ("monitor", "validator", "daq")
-
-Settings = TypeVar("Settings", bound=BaseModel)
 
 
 def run(args: argparse.Namespace) -> int:
