@@ -9,7 +9,6 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
-from pydantic import Field
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from scara_effmass_msgs.msg import ForceBlock, Impact
@@ -24,7 +23,8 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.daq_health import daq_statuses
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
-from scara_effmass.settings import READ_ONLY, DaqSettings, FilterKind
+from scara_effmass.settings import DaqSettings, FilterKind
+from scara_effmass.settings.loading import fixed
 from scara_effmass.wire import topics
 from scara_effmass.wire.force import force_block_message, impact_message
 
@@ -37,11 +37,9 @@ _NS = 1_000_000_000
 class NodeSettings(DaqSettings):
     """Settings of the measurement and of the node."""
 
-    autostart: bool = Field(default=True, description="configure and activate at start", json_schema_extra=READ_ONLY)
-    stop_at_end: bool = Field(
-        default=False,
-        description="end the process when a recording or a finite acquisition is over",
-        json_schema_extra=READ_ONLY,
+    autostart: bool = fixed(default=True, description="configure and activate at start")
+    stop_at_end: bool = fixed(
+        default=False, description="end the process when a recording or a finite acquisition is over"
     )
 
 

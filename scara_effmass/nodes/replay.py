@@ -292,7 +292,8 @@ class _Player:
         self._spin_until(time.monotonic_ns() + SETTLING_NS)
         deadline_ns = time.monotonic_ns() + _ACKNOWLEDGEMENT_NS
         pending = list(self._publishers.values())
-        while pending and time.monotonic_ns() < deadline_ns and not self._client.signals:
+        while pending and time.monotonic_ns() < deadline_ns:
+            self._spin_until(0)
             if pending[0].publisher.wait_for_all_acked(Duration(nanoseconds=_ACKNOWLEDGEMENT_STEP_NS)):
                 del pending[0]
         return tuple(publisher.name for publisher in pending)

@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Sequence
 from functools import partial
 
-from pydantic import BaseModel, ConfigDict, Field
 from rosgraph_msgs.msg import Clock as ClockMessage
 from scara_effmass_msgs.msg import ContactState, ForceBlock, RunInfo
 from sensor_msgs.msg import JointState
@@ -17,7 +16,7 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.lockstep import header_stamp_ns
 from scara_effmass.nodes.qos import qos_profile
-from scara_effmass.settings import READ_ONLY
+from scara_effmass.settings.loading import FrozenSettings, fixed
 from scara_effmass.sim.experiment import ImpactSetup
 from scara_effmass.sim.live import LiveSim
 from scara_effmass.wire import topics
@@ -34,31 +33,19 @@ _HOLD_PERIOD_NS = 50 * _MS
 _NEVER_NS = 2**62
 
 
-class NodeSettings(BaseModel):
+class NodeSettings(FrozenSettings):
     """Parameters of `sim_node`; `start` and `seed` must equal those of the force node."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    autostart: bool = Field(default=True, description="configure and activate at start", json_schema_extra=READ_ONLY)
-    start: float = Field(
-        0.0,
-        ge=0.0,
-        le=1e10,
-        description="ROS time at which the cell begins, the same as sim.start of daq_node [s]; 0: now",
-        json_schema_extra=READ_ONLY,
+    autostart: bool = fixed(default=True, description="configure and activate at start")
+    start: float = fixed(
+        0.0, "ROS time at which the cell begins, the same as sim.start of daq_node [s]; 0: now", ge=0.0, le=1e10
     )
-    seed: int = Field(0, ge=0, description="the same as sim.seed of daq_node", json_schema_extra=READ_ONLY)
-    clock: bool = Field(
+    seed: int = fixed(0, "the same as sim.seed of daq_node", ge=0)
+    clock: bool = fixed(
         default=False,
         description="publish /clock at up to real time, and wait for monitor and force node if they fall behind",
-        json_schema_extra=READ_ONLY,
     )
-    listeners: int = Field(
-        1,
-        ge=0,
-        description="with clock: subscribers of joint_states that must be present before the start",
-        json_schema_extra=READ_ONLY,
-    )
+    listeners: int = fixed(1, "with clock: subscribers of joint_states that must be present before the start", ge=0)
 
 
 class SimNode(LifecycleBase):

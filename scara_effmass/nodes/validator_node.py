@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from pydantic import Field
 from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
 from std_msgs.msg import String
 
@@ -19,7 +18,8 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.validator_health import series_status
-from scara_effmass.settings import READ_ONLY, DetectionSettings, ValidatorSettings
+from scara_effmass.settings import DetectionSettings, ValidatorSettings
+from scara_effmass.settings.loading import fixed
 from scara_effmass.values import ValidatedImpact
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import contact_from
@@ -40,22 +40,15 @@ _COMMON_FIELDS = (
 class NodeSettings(ValidatorSettings):
     """Settings of the validation and of the node."""
 
-    autostart: bool = Field(default=True, description="configure and activate at start", json_schema_extra=READ_ONLY)
-    find_impacts: bool = Field(
+    autostart: bool = fixed(default=True, description="configure and activate at start")
+    find_impacts: bool = fixed(
         default=False,
         description="detect impacts in the topic force, for a sender that does not publish the topic impact",
-        json_schema_extra=READ_ONLY,
     )
-    report_folder: str = Field(
-        "",
-        description="parent folder of the reports of ~/write_report; empty: validation, in the working directory",
-        json_schema_extra=READ_ONLY,
+    report_folder: str = fixed(
+        "", "parent folder of the reports of ~/write_report; empty: validation, in the working directory"
     )
-    robot: str = Field(
-        "",
-        description="robot file of the monitor, named in the report; empty: the shipped Omron i4-550L",
-        json_schema_extra=READ_ONLY,
-    )
+    robot: str = fixed("", "robot file of the monitor, named in the report; empty: the shipped Omron i4-550L")
     detection: DetectionSettings = DetectionSettings()
 
 

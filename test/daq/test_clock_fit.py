@@ -93,15 +93,6 @@ def test_stamps_stay_within_a_millisecond_of_drifting_clocks(device_ppm: float, 
     assert fit.sample_rate == pytest.approx(true_rate, rel=10e-6)
 
 
-@pytest.mark.parametrize("ppm", [50.0, -50.0])
-def test_fit_is_needed_because_nominal_periods_drift(ppm: float) -> None:
-    device = Device(ppm, -ppm)
-    fit = ClockFit(12_800.0)
-    fit.update(1, device.ros_ns(0.0))
-    last = 400 * 12_800
-    assert abs(device.error_s(fit, last)) == pytest.approx(40e-3, rel=1e-3)
-
-
 def test_first_stamps_are_as_late_as_the_earliest_read() -> None:
     late = 0
     for seed in range(300):
@@ -250,15 +241,6 @@ def test_fit_follows_a_small_jump() -> None:
         assert max(abs(read.error) for read in reads[700:]) < 1e-3
 
 
-def test_long_stall_is_no_jump() -> None:
-    delays = usual_delays(600, 5)
-    delays[300] += 10.0  # the next hundred reads come at once
-    fit = ClockFit(12_800.0)
-    reads = Device(50.0, -50.0).follow(fit, delays)
-    assert fit.restarts == 0
-    assert max(abs(read.error) for read in reads[SETTLED_READS:]) < 1e-3
-
-
 @pytest.mark.parametrize("stall_s", [1.0, 3.0, 8.0])
 @pytest.mark.parametrize("late_s", [0.2e-3, 4e-3, 6e-3, 20e-3])
 def test_stall_after_a_late_read_is_no_jump(late_s: float, stall_s: float) -> None:
@@ -298,14 +280,6 @@ def test_any_stall_is_no_jump(
     fit = ClockFit(12_800.0)
     reads = Device().follow(fit, delays + [FLOOR_S] * 20, block)
     assert max(abs(read.error) for read in reads) < 25e-3
-    assert fit.restarts == 0
-
-
-def test_late_first_read_has_no_lasting_effect() -> None:
-    fit = ClockFit(12_800.0)
-    reads = Device().follow(fit, [0.25, 0.0, 0.0, 0.0, 0.0])
-    assert reads[0].error == pytest.approx(0.25)
-    assert max(abs(read.error) for read in reads[3:]) < 1e-6
     assert fit.restarts == 0
 
 
