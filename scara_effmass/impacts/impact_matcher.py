@@ -12,12 +12,14 @@ from typing import Any, NamedTuple
 
 from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.state_history import NANOSECONDS, OnsetState, Rejection, StateHistory
-from scara_effmass.iso15066 import reduced_mass
+from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, reduced_mass
 from scara_effmass.settings import ValidatorSettings
 from scara_effmass.settings.validator import MAX_OBSTACLE_MASS
 from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo
 
 MAX_STAMP_NS = 2**63 - 1
+MIN_PEAK_FORCE = 1e-6
+"""Smaller peak forces [N] are rounding errors; the squares of much smaller ones are zero."""
 MAX_LAGS = 1000
 """Maximum number of lags kept, for force blocks and impacts each."""
 
@@ -150,7 +152,7 @@ class MatchedImpact(NamedTuple):
 
     def has_mass(self, model: str) -> bool:
         """Return whether `model` has an effective mass at the onset."""
-        return 0.0 < self.state.masses[model] < math.inf
+        return MIN_EFFECTIVE_MASS <= self.state.masses[model] < math.inf
 
     def reduced_mass(self, model: str) -> float:
         """Return (1 / m_n + 1 / m_H)^-1 [kg]."""
@@ -251,7 +253,7 @@ def _invalid_reason(impact: Impact) -> str:
         return "incomplete: samples were lost during it"
     if impact.rebound > 0:
         return "rebound of an earlier impact"
-    if not 0.0 < impact.peak_force < math.inf:
+    if not MIN_PEAK_FORCE <= impact.peak_force < math.inf:
         return "no positive peak force"
     if impact.stamp_ns <= 0 or not math.isfinite(impact.clock_residual):
         return "no usable stamp"

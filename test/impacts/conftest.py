@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import ForceBlock
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
 
     from scara_effmass.values import FloatArray, Impact
 
@@ -21,47 +22,14 @@ RATE = 12_800.0
 START_NS = 1_700_000_000_123_456_789
 
 
-class Found(NamedTuple):
+class Detection(NamedTuple):
     impacts: list[Impact]
     detector: Detector
 
 
-class MakeBlock(Protocol):
-    def __call__(
-        self,
-        force: FloatArray,
-        first: int = 0,
-        rate: float = RATE,
-        *,
-        tare: float = 0.0,
-        lost: int = 0,
-        saturated: Iterable[int] = (),
-    ) -> ForceBlock: ...
-
-
-class Detect(Protocol):
-    def __call__(
-        self,
-        force: FloatArray,
-        rate: float = RATE,
-        *,
-        cuts: Iterable[int] = (),
-        tare: float = 0.0,
-        saturated: Iterable[int] = (),
-        settings: DetectionSettings | None = None,
-    ) -> Found: ...
-
-
-class AddPulse(Protocol):
-    def __call__(
-        self,
-        force: FloatArray,
-        onset: float,
-        duration: float,
-        peak: float,
-        rate: float = RATE,
-        shape: Callable[[FloatArray], FloatArray] = ...,
-    ) -> None: ...
+MakeBlock = Callable[..., ForceBlock]
+Detect = Callable[..., Detection]
+AddPulse = Callable[..., None]
 
 
 def _half_sine(phase: FloatArray) -> FloatArray:
@@ -103,7 +71,7 @@ def _detect(
     tare: float = 0.0,
     saturated: Iterable[int] = (),
     settings: DetectionSettings | None = None,
-) -> Found:
+) -> Detection:
     detector = Detector(settings or DetectionSettings())
     impacts: list[Impact] = []
     edges = sorted({0, force.size, *cuts})
@@ -111,7 +79,7 @@ def _detect(
     for first, stop in pairwise(edges):
         here = marks[(marks >= first) & (marks < stop)] - first
         impacts += detector.feed(_make_block(force[first:stop] - tare, first, rate, tare=tare, saturated=here.tolist()))
-    return Found([*impacts, *detector.finish()], detector)
+    return Detection([*impacts, *detector.finish()], detector)
 
 
 def _add_pulse(

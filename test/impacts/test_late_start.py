@@ -61,7 +61,7 @@ def settled_from(start: int, events: list[tuple[int, int]]) -> int:
     return start + SETTLING
 
 
-def found(blocks: list[ForceBlock]) -> list[Impact]:
+def detect_in(blocks: list[ForceBlock]) -> list[Impact]:
     detector = Detector(DetectionSettings())
     return [impact for block in blocks for impact in detector.feed(block)] + detector.finish()
 
@@ -87,14 +87,14 @@ def test_after_it_has_settled_every_impact_is_the_same(make_block: MakeBlock, bu
         stamp_ns=cut.stamp_ns + round(within / cut.sample_rate * 1e9),
     )
     since = FIRST + settled_from(dropped, busy.events)
-    elder = [impact for impact in found(blocks) if impact.onset_sample >= since]
-    younger = [impact for impact in found([part, *blocks[number + 1 :]]) if impact.onset_sample >= since]
+    elder = [impact for impact in detect_in(blocks) if impact.onset_sample >= since]
+    younger = [impact for impact in detect_in([part, *blocks[number + 1 :]]) if impact.onset_sample >= since]
     assert younger == elder
     assert len(elder) >= 3
 
 
 def test_there_is_something_to_compare(make_block: MakeBlock, busy: Busy) -> None:
-    impacts = found(live(busy.force, make_block))
+    impacts = detect_in(live(busy.force, make_block))
     assert [impact.rebound for impact in impacts] == 9 * [0, 1, 2]
     assert settled_from(0, busy.events) < 21_000
 
@@ -105,7 +105,7 @@ def test_an_impact_soon_after_any_beginning_is_found(
 ) -> None:
     force = np.random.default_rng(0).normal(0.0, 0.1, 10_000)
     add_pulse(force, onset, 3e-3, 100.0)
-    (impact,) = found([make_block(force, first)])
+    (impact,) = detect_in([make_block(force, first)])
     assert impact.onset_sample - first == pytest.approx(onset, abs=1.0)
     assert impact.peak_force == pytest.approx(100.0, rel=0.01)
 

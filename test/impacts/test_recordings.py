@@ -52,7 +52,7 @@ def runs_of(path: Path) -> list[Run]:
 RUNS = [run for path in sorted(FOLDER.glob("*.csv")) for run in runs_of(path)]
 
 
-def found_in(run: Run, detect: Detect) -> Impact:
+def impact_in(run: Run, detect: Detect) -> Impact:
     (impact,), detector = detect(run.force, run.rate, settings=DetectionSettings(threshold=0.5))
     assert (detector.dropouts, detector.glitches, detector.sustained_contacts) == (0, 0, 0)
     return impact
@@ -73,7 +73,7 @@ def test_there_are_fifteen() -> None:
 
 @pytest.mark.parametrize("run", RUNS, ids=lambda run: run.name)
 def test_one_whole_impact_in_each(run: Run, detect: Detect) -> None:
-    impact = found_in(run, detect)
+    impact = impact_in(run, detect)
     assert not impact.incomplete
     assert not impact.clipped
     assert impact.rebound == 0
@@ -89,7 +89,7 @@ def test_one_whole_impact_in_each(run: Run, detect: Detect) -> None:
 def test_the_mass_of_the_cart(detect: Detect) -> None:
     masses = []
     for run in RUNS:
-        impact = found_in(run, detect)
+        impact = impact_in(run, detect)
         before, after = velocities(run, impact)
         assert 0.8 < before < 0.95
         assert -0.75 < after < -0.55
@@ -107,7 +107,7 @@ def test_import_signal_and_detection_give_the_same(detect: Detect) -> None:
     assert [f"{row['file']} {row['run']}" for row in rows] == [run.name for run in RUNS]
     by_medians, by_lines = [], []
     for row, run in zip(rows, RUNS, strict=True):
-        impact = found_in(run, detect)
+        impact = impact_in(run, detect)
         assert float(row["peak_n"]) == pytest.approx(impact.peak_force, abs=0.006)
         assert float(row["duration_s"]) == pytest.approx(impact.duration, abs=0.001)
         assert float(row["impulse_n_s"]) == pytest.approx(impact.impulse, rel=2e-3)

@@ -19,7 +19,7 @@ from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.validator_node import ValidatorNode
 from scara_effmass.safety import unknown_contact
 from scara_effmass.settings import ValidatorSettings
-from scara_effmass.values import Impact as FoundImpact
+from scara_effmass.values import Impact as ImpactValue
 from scara_effmass.values import RunInfo as RunInfoValue
 from scara_effmass.values import Verdict
 from scara_effmass.wire.contact_state import ContactStateEncoder
@@ -56,13 +56,13 @@ def contact(number: int) -> ContactAssessment:
     )
 
 
-def impact(number: int, peak: float) -> FoundImpact:
+def impact(number: int, peak: float) -> ImpactValue:
     stamp_ns = START_NS + (number * 1000 + 500) * MS + 300_000
-    return FoundImpact(stamp_ns, "cell", peak, 2e-3, 0.3, 0.0, *(False, False, 0, 0.0, 0.1, 1e-4, "test", True))
+    return ImpactValue(stamp_ns, "cell", peak, 2e-3, 0.3, 0.0, *(False, False, 0, 0.0, 0.1, 1e-4, "test", True))
 
 
-class Bench:
-    """A test's end of the wires to a validator."""
+class ValidatorHarness:
+    """Publishes the inputs of a validator node and receives its results."""
 
     def __init__(self, harness: NodeHarness) -> None:
         self.harness = harness
@@ -104,18 +104,18 @@ class Bench:
 
 
 @pytest.fixture
-def bench(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> Bench:
+def node(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> ValidatorHarness:
     harness = new_harness(name="validator")
     # What is sent is of another time than the node's, all of it alike.
     words = ["-p", "criterion.least_count:=2", "-p", "clock_tolerance:=60.0", "-p", f"report_folder:={tmp_path}"]
     harness.start("--ros-args", *words, command=[str(EXECUTABLE)])
-    return Bench(harness)
+    return ValidatorHarness(harness)
 
 
-def test_what_it_publishes_is_what_the_core_gives_offline(bench: Bench) -> None:
+def test_what_it_publishes_is_what_the_core_gives_offline(node: ValidatorHarness) -> None:
     masses = (0.5, 2.39, 3.72, 7.35)
-    bench.run(*masses)
-    bench.harness.spin_until(lambda: len(bench.received) == 4)
+    node.run(*masses)
+    node.harness.spin_until(lambda: len(node.received) == 4)
     validator = Validator(ValidatorSettings.model_validate({"criterion": {"least_count": 2}}))
     expected = []
     for number, (mass, peak) in enumerate(zip(masses, PEAKS, strict=True)):
@@ -125,19 +125,19 @@ def test_what_it_publishes_is_what_the_core_gives_offline(bench: Bench) -> None:
         expected += validator.add_impact(impact(number, peak), 0)
     assert len(expected) == 4
     names = set(ImpactValidation.get_fields_and_field_types()) - {"header"}
-    for message, one in zip(bench.received, expected, strict=True):
-        assert message.header.stamp.sec * S + message.header.stamp.nanosec == one.stamp_ns
-        assert {name: getattr(message, name) for name in names} == {name: getattr(one, name) for name in names}
+    for message, validated in zip(node.received, expected, strict=True):
+        assert message.header.stamp.sec * S + message.header.stamp.nanosec == validated.stamp_ns
+        assert {name: getattr(message, name) for name in names} == {name: getattr(validated, name) for name in names}
 
 
-def test_without_a_mass_an_impact_is_counted_and_not_predicted(bench: Bench) -> None:
-    bench.run(0.0, 0.0, 0.0, 0.0)
-    report = bench.harness.diagnostic("validator: series", "not paired: obstacle_mass is not given", "4".__eq__)
+def test_without_a_mass_an_impact_is_counted_and_not_predicted(node: ValidatorHarness) -> None:
+    node.run(0.0, 0.0, 0.0, 0.0)
+    report = node.harness.diagnostic("validator: series", "not paired: obstacle_mass is not given", "4".__eq__)
     assert report.startswith("4 impacts could not be paired")
-    bench.harness.diagnostic("validator: series", "correlation", lambda value: not value.startswith("0."))
-    assert not bench.received
-    assert bench.harness.set_parameters(obstacle_mass=-1.0)
-    assert bench.harness.set_parameters(obstacle_mass=2.39) == ""
+    node.harness.diagnostic("validator: series", "correlation", lambda value: not value.startswith("0."))
+    assert not node.received
+    assert node.harness.set_parameters(obstacle_mass=-1.0)
+    assert node.harness.set_parameters(obstacle_mass=2.39) == ""
 
 
 @pytest.mark.parametrize(
@@ -154,55 +154,55 @@ def test_without_a_mass_an_impact_is_counted_and_not_predicted(bench: Bench) -> 
     ],
 )
 def test_malformed_run_information_makes_the_obstacle_mass_unknown(
-    bench: Bench, malformed: bytes | str | RunInfoValue
+    node: ValidatorHarness, malformed: bytes | str | RunInfoValue
 ) -> None:
-    assert bench.harness.set_parameters(obstacle_mass=2.39) == ""
-    bench.state_run(2.39, "[" * 100_000)  # no JSON object: ignored
-    bench.run(0.0)
-    bench.harness.spin_until(lambda: len(bench.received) == 1)
-    bench.state_run(0.0, malformed)
-    bench.run(0.0, first=1)
+    assert node.harness.set_parameters(obstacle_mass=2.39) == ""
+    node.state_run(2.39, "[" * 100_000)  # no JSON object: ignored
+    node.run(0.0)
+    node.harness.spin_until(lambda: len(node.received) == 1)
+    node.state_run(0.0, malformed)
+    node.run(0.0, first=1)
     not_paired = "not paired: obstacle_mass is not given"
-    assert bench.harness.diagnostic("validator: series", not_paired, bool).endswith("| 1")
-    bench.state_run(0.5, '{"obstacle_mass": 0.5, "configuration": [1]}')
-    bench.run(0.0, first=2)
-    bench.harness.spin_until(lambda: len(bench.received) == 2)
+    assert node.harness.diagnostic("validator: series", not_paired, bool).endswith("| 1")
+    node.state_run(0.5, '{"obstacle_mass": 0.5, "configuration": [1]}')
+    node.run(0.0, first=2)
+    node.harness.spin_until(lambda: len(node.received) == 2)
 
 
-def test_run_information_without_a_mass_leaves_that_of_the_parameter(bench: Bench) -> None:
-    assert bench.harness.set_parameters(obstacle_mass=2.39) == ""
-    bench.state_run(0.5, RunInfoValue(obstacle_mass=0.5))
-    bench.state_run(2.39, RunInfoValue(configuration="near"))
+def test_run_information_without_a_mass_leaves_that_of_the_parameter(node: ValidatorHarness) -> None:
+    assert node.harness.set_parameters(obstacle_mass=2.39) == ""
+    node.state_run(0.5, RunInfoValue(obstacle_mass=0.5))
+    node.state_run(2.39, RunInfoValue(configuration="near"))
 
 
-def test_configuration_parameter_leaves_the_stated_mass(bench: Bench) -> None:
-    bench.state_run(0.5, RunInfoValue(obstacle_mass=0.5))
-    assert bench.harness.set_parameters(configuration="elbow up") == ""
-    bench.run(0.0)
-    bench.harness.spin_until(lambda: len(bench.received) == 1)
-    mass = bench.received[0].effective_mass
-    assert bench.received[0].reduced_mass == pytest.approx(mass * 0.5 / (mass + 0.5))
+def test_configuration_parameter_leaves_the_stated_mass(node: ValidatorHarness) -> None:
+    node.state_run(0.5, RunInfoValue(obstacle_mass=0.5))
+    assert node.harness.set_parameters(configuration="elbow up") == ""
+    node.run(0.0)
+    node.harness.spin_until(lambda: len(node.received) == 1)
+    mass = node.received[0].effective_mass
+    assert node.received[0].reduced_mass == pytest.approx(mass * 0.5 / (mass + 0.5))
 
 
-def test_write_report_service_writes_the_report(bench: Bench) -> None:
-    bench.run(0.5, 2.39, 3.72, 7.35)
-    bench.harness.spin_until(lambda: len(bench.received) == 4)
-    answer: Any = bench.harness.call_service(Trigger, "write_report", Trigger.Request())
+def test_write_report_service_writes_the_report(node: ValidatorHarness) -> None:
+    node.run(0.5, 2.39, 3.72, 7.35)
+    node.harness.spin_until(lambda: len(node.received) == 4)
+    answer: Any = node.harness.call_service(Trigger, "write_report", Trigger.Request())
     assert answer.success, answer.message
     page = Path(answer.message)
     assert page.name == "report.html"
     record = json.loads(page.with_name("report.json").read_text(encoding="utf-8"))
     assert record["models"][0]["count"] == 4
-    assert record["models"][0]["correlation"] == bench.received[-1].correlation
+    assert record["models"][0]["correlation"] == node.received[-1].correlation
 
 
-def test_reset_begins_a_new_series(bench: Bench) -> None:
-    bench.run(0.5, 2.39, 3.72, 7.35)
-    bench.harness.spin_until(lambda: len(bench.received) == 4)
-    answer: Any = bench.harness.call_service(Trigger, "reset", Trigger.Request())
+def test_reset_begins_a_new_series(node: ValidatorHarness) -> None:
+    node.run(0.5, 2.39, 3.72, 7.35)
+    node.harness.spin_until(lambda: len(node.received) == 4)
+    answer: Any = node.harness.call_service(Trigger, "reset", Trigger.Request())
     assert answer.success
     assert answer.message == "new series started; the previous one had 4 impacts"
-    bench.harness.diagnostic("validator: series", "impacts seen", lambda value: value == "0")
+    node.harness.diagnostic("validator: series", "impacts seen", lambda value: value == "0")
 
 
 @pytest.mark.parametrize(
@@ -221,8 +221,8 @@ def test_invalid_parameter_is_refused(refusal_of: Callable[..., str], argument: 
     assert refusal_of(ValidatorNode, argument).startswith(line)
 
 
-def test_sigint_ends_with_status_0(bench: Bench) -> None:
-    process = bench.harness.process
+def test_sigint_ends_with_status_0(node: ValidatorHarness) -> None:
+    process = node.harness.process
     assert process is not None
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate()

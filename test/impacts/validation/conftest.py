@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
 from scara_effmass.values import NAN, ContactAssessment, Impact, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from scara_effmass.values import Vector3
 
@@ -25,35 +26,6 @@ STIFFNESS = 2e5
 """Of the contact [N/m]."""
 
 
-class MakeState(Protocol):
-    def __call__(
-        self,
-        stamp_ns: int,
-        speed: float = 0.25,
-        direction: Vector3 = (1.0, 0.0, 0.0),
-        lumped: float = 1.0,
-        full: float = 1.05,
-        iso: float = ISO,
-        *,
-        verdict: Verdict = Verdict.OK,
-        reason: str = "",
-        contact_point: str = "tool",
-    ) -> ContactAssessment: ...
-
-
-class MakeImpact(Protocol):
-    def __call__(
-        self,
-        stamp_ns: int,
-        peak_force: float = 100.0,
-        *,
-        clipped: bool = False,
-        incomplete: bool = False,
-        rebound: int = 0,
-        clock_residual: float = 0.0,
-    ) -> Impact: ...
-
-
 class Cell(NamedTuple):
     """What arrives in a cell, with the times of arrival: `runs` are (since, m_H, configuration)."""
 
@@ -62,10 +34,9 @@ class Cell(NamedTuple):
     runs: list[tuple[int, float, str]]
 
 
-class MakeCell(Protocol):
-    def __call__(
-        self, forces: Sequence[float] | None = None, *, repetitions: int = 1, force_clock_ns: int = 0, step_ms: int = 5
-    ) -> Cell: ...
+MakeState = Callable[..., ContactAssessment]
+MakeImpact = Callable[..., Impact]
+MakeCell = Callable[..., Cell]
 
 
 def _state(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,53 +41,43 @@ def paper_like(seed: int, noise: float, count: int = 36) -> tuple[FloatArray, Fl
 
 def test_a_linear_spring_is_found_exactly() -> None:
     x, force, k = paper_like(0, 0.0)
-    found = agreement(x, force)
-    assert found.count == x.size
-    assert found.correlation == pytest.approx(1.0, abs=1e-12)
-    assert found.fitted_stiffness == pytest.approx(k, rel=1e-12)
-    assert found.stiffness_interval == pytest.approx((k, k), rel=1e-9)
-    assert found.exponent == pytest.approx(0.5, abs=1e-9)
-    assert found.exponent_interval == pytest.approx((0.5, 0.5), abs=1e-7)
-    assert found.bias == pytest.approx(0.0, abs=1e-9)
-    assert found.rmse == pytest.approx(0.0, abs=1e-9)
-    assert (found.non_conservative, found.shortfalls, found.largest_shortfall) == (0, 0, 0.0)
+    result = agreement(x, force)
+    assert result.count == x.size
+    assert result.correlation == pytest.approx(1.0, abs=1e-12)
+    assert result.fitted_stiffness == pytest.approx(k, rel=1e-12)
+    assert result.stiffness_interval == pytest.approx((k, k), rel=1e-9)
+    assert result.exponent == pytest.approx(0.5, abs=1e-9)
+    assert result.exponent_interval == pytest.approx((0.5, 0.5), abs=1e-7)
+    assert result.bias == pytest.approx(0.0, abs=1e-9)
+    assert result.rmse == pytest.approx(0.0, abs=1e-9)
+    assert (result.non_conservative, result.shortfalls, result.largest_shortfall) == (0, 0, 0.0)
 
 
 def test_a_hertz_contact_has_the_exponent_three_fifths() -> None:
     """F_max = K (5 mu v^2 / (4 K))^(3/5), from the energy of F = K d^(3/2)."""
     x, _, _ = paper_like(1, 0.0)
     stiffness = 3e8  # N/m^1.5
-    found = agreement(x, stiffness * (1.25 * x**2 / stiffness) ** 0.6)
-    assert found.exponent == pytest.approx(0.6, abs=1e-9)
-    assert 0.99 < found.correlation < 1.0
-
-
-def test_repetitions_of_one_impact_have_no_correlation() -> None:
-    """Their speeds scatter by 2 %, as those of the campaign do: that says nothing of the law."""
-    rng = np.random.default_rng(3)
-    x = 0.2 * rng.uniform(0.98, 1.02, 12)
-    found = agreement(x, 400.0 * x * (1.0 + rng.normal(0.0, 0.01, 12)))
-    assert found.correlation_reason == "all impacts are at the same v sqrt(mu)"
-    assert (found.correlation, found.correlation_interval, found.exponent) == (0.0, None, None)
-    assert found.fitted_stiffness == pytest.approx(1.6e5, rel=0.02)
+    result = agreement(x, stiffness * (1.25 * x**2 / stiffness) ** 0.6)
+    assert result.exponent == pytest.approx(0.6, abs=1e-9)
+    assert 0.99 < result.correlation < 1.0
 
 
 @given(SERIES)
 def test_equals_scipy_and_numpy(series: list[tuple[float, float]]) -> None:
     x, force = arrays(series)
-    found = agreement(x, force)
-    assert found.correlation == pytest.approx(np.corrcoef(x, force)[0, 1], abs=1e-9)
+    result = agreement(x, force)
+    assert result.correlation == pytest.approx(np.corrcoef(x, force)[0, 1], abs=1e-9)
     slope = np.linalg.lstsq(x[:, None], force, rcond=None)[0][0]
-    assert found.fitted_stiffness == pytest.approx(slope**2, rel=1e-9)
+    assert result.fitted_stiffness == pytest.approx(slope**2, rel=1e-9)
     difference = slope * x - force
-    assert found.bias == pytest.approx(difference.mean(), abs=1e-9 * force.max())
-    assert found.rmse == pytest.approx(np.sqrt(np.mean(difference**2)), rel=1e-7, abs=1e-9 * force.max())
-    assert found.relative_rmse == pytest.approx(found.rmse / force.mean(), rel=1e-9)
+    assert result.bias == pytest.approx(difference.mean(), abs=1e-9 * force.max())
+    assert result.rmse == pytest.approx(np.sqrt(np.mean(difference**2)), rel=1e-7, abs=1e-9 * force.max())
+    assert result.relative_rmse == pytest.approx(result.rmse / force.mean(), rel=1e-9)
     spread = 1.96 * difference.std(ddof=1)
-    assert found.limits == pytest.approx(
+    assert result.limits == pytest.approx(
         (difference.mean() - spread, difference.mean() + spread), rel=1e-7, abs=1e-9 * force.max()
     )
-    assert found.exponent == pytest.approx(np.polyfit(2 * np.log(x), np.log(force), 1)[0], abs=1e-9)
+    assert result.exponent == pytest.approx(np.polyfit(2 * np.log(x), np.log(force), 1)[0], abs=1e-9)
 
 
 def test_the_stiffness_interval_by_hand() -> None:
@@ -97,36 +86,36 @@ def test_the_stiffness_interval_by_hand() -> None:
     slope = (11 + 36) / 5 = 9.4, residuals 1.6 and -0.8, s^2 = 3.2 over one degree of freedom, error sqrt(3.2 / 5) =
     0.8, and t at 0.975 with one degree of freedom is tan(0.475 pi) = 12.706.
     """
-    found = agreement(np.array([1.0, 2.0]), np.array([11.0, 18.0]))
+    result = agreement(np.array([1.0, 2.0]), np.array([11.0, 18.0]))
     half = 0.8 * math.tan(0.475 * math.pi)
-    assert found.fitted_stiffness == pytest.approx(9.4**2)
-    assert found.stiffness_interval == pytest.approx((max(0.0, 9.4 - half) ** 2, (9.4 + half) ** 2))
-    assert found.correlation == pytest.approx(1.0)
-    assert found.correlation_interval is None
-    assert found.exponent == pytest.approx(math.log(18 / 11) / math.log(4))
-    assert found.exponent_interval is None
+    assert result.fitted_stiffness == pytest.approx(9.4**2)
+    assert result.stiffness_interval == pytest.approx((max(0.0, 9.4 - half) ** 2, (9.4 + half) ** 2))
+    assert result.correlation == pytest.approx(1.0)
+    assert result.correlation_interval is None
+    assert result.exponent == pytest.approx(math.log(18 / 11) / math.log(4))
+    assert result.exponent_interval is None
     # Predictions 9.4 and 18.8: differences -1.6 and 0.8, mean -0.4, standard deviation 2.4 / sqrt(2).
-    assert found.bias == pytest.approx(-0.4)
-    assert found.rmse == pytest.approx(math.sqrt(1.6))
-    assert found.limits == pytest.approx((-0.4 - 1.96 * 2.4 / math.sqrt(2), -0.4 + 1.96 * 2.4 / math.sqrt(2)))
-    assert (found.non_conservative, found.shortfalls) == (1, 1)
-    assert found.largest_shortfall == pytest.approx(1.6 / 11)
+    assert result.bias == pytest.approx(-0.4)
+    assert result.rmse == pytest.approx(math.sqrt(1.6))
+    assert result.limits == pytest.approx((-0.4 - 1.96 * 2.4 / math.sqrt(2), -0.4 + 1.96 * 2.4 / math.sqrt(2)))
+    assert (result.non_conservative, result.shortfalls) == (1, 1)
+    assert result.largest_shortfall == pytest.approx(1.6 / 11)
 
 
 def test_the_intervals_by_another_way() -> None:
     """The fit of scipy's general optimiser, and the textbook's sums, on a noisy series."""
     x, force, _ = paper_like(2, 0.03)
-    found = agreement(x, force)
+    result = agreement(x, force)
     (slope,), ((variance,),) = optimize.curve_fit(lambda x, s: s * x, x, force, p0=[400.0])
     half = stats.t.isf(0.025, x.size - 1) * math.sqrt(variance)
-    assert found.stiffness_interval == pytest.approx(((slope - half) ** 2, (slope + half) ** 2), rel=1e-5)
+    assert result.stiffness_interval == pytest.approx(((slope - half) ** 2, (slope + half) ** 2), rel=1e-5)
     u, w = np.log(x**2), np.log(force)
     power, cut = np.polyfit(u, w, 1)
     error = math.sqrt(np.sum((w - power * u - cut) ** 2) / (x.size - 2) / np.sum((u - u.mean()) ** 2))
     half = stats.t.isf(0.025, x.size - 2) * error
-    assert found.exponent_interval == pytest.approx((power - half, power + half), abs=1e-9)
-    z, half = math.atanh(found.correlation), stats.norm.isf(0.025) / math.sqrt(x.size - 3)
-    assert found.correlation_interval == pytest.approx((math.tanh(z - half), math.tanh(z + half)), abs=1e-9)
+    assert result.exponent_interval == pytest.approx((power - half, power + half), abs=1e-9)
+    z, half = math.atanh(result.correlation), stats.norm.isf(0.025) / math.sqrt(x.size - 3)
+    assert result.correlation_interval == pytest.approx((math.tanh(z - half), math.tanh(z + half)), abs=1e-9)
 
 
 @pytest.mark.parametrize(("count", "half"), [(3, None), (4, 1.959964), (5, 1.959964 / math.sqrt(2.0))])
@@ -164,81 +153,74 @@ def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:
 @given(SERIES, st.sampled_from([0.5, 2.0, 16.0]))
 def test_forces_times_s_are_stiffness_times_s_squared(series: list[tuple[float, float]], s: float) -> None:
     x, force = arrays(series)
-    one, other = agreement(x, force), agreement(x, s * force)
-    assert other.fitted_stiffness == s**2 * one.fitted_stiffness  # powers of two scale without rounding
-    assert other.correlation == pytest.approx(one.correlation, abs=1e-12)
-    assert other.exponent == pytest.approx(one.exponent, abs=1e-9)
-    assert (other.bias, other.rmse) == pytest.approx((s * one.bias, s * one.rmse), rel=1e-12)
-    assert other.relative_rmse == pytest.approx(one.relative_rmse, rel=1e-12)
-    assert other.non_conservative == one.non_conservative
+    plain, scaled = agreement(x, force), agreement(x, s * force)
+    assert scaled.fitted_stiffness == s**2 * plain.fitted_stiffness  # powers of two scale without rounding
+    assert scaled.correlation == pytest.approx(plain.correlation, abs=1e-12)
+    assert scaled.exponent == pytest.approx(plain.exponent, abs=1e-9)
+    assert (scaled.bias, scaled.rmse) == pytest.approx((s * plain.bias, s * plain.rmse), rel=1e-12)
+    assert scaled.relative_rmse == pytest.approx(plain.relative_rmse, rel=1e-12)
+    assert scaled.non_conservative == plain.non_conservative
 
 
 @given(SERIES, st.randoms())
 def test_the_order_of_impacts_does_not_matter(series: list[tuple[float, float]], random: Random) -> None:
     shuffled = list(series)
     random.shuffle(shuffled)
-    one, other = agreement(*arrays(series)), agreement(*arrays(shuffled))
-    assert (one.fitted_stiffness, one.bias, one.rmse) == (other.fitted_stiffness, other.bias, other.rmse)
-    assert one.correlation == pytest.approx(other.correlation, abs=1e-12)
+    result, reordered = agreement(*arrays(series)), agreement(*arrays(shuffled))
+    assert (result.fitted_stiffness, result.bias, result.rmse) == (
+        reordered.fitted_stiffness,
+        reordered.bias,
+        reordered.rmse,
+    )
+    assert result.correlation == pytest.approx(reordered.correlation, abs=1e-12)
 
 
 @given(SERIES, st.floats(1e4, 1e6))
 def test_a_given_stiffness_is_used_and_the_fitted_one_still_said(series: list[tuple[float, float]], k: float) -> None:
     x, force = arrays(series)
-    found, fitted = agreement(x, force, k), agreement(x, force)
-    assert found.stiffness == k
-    assert found.fitted_stiffness == fitted.fitted_stiffness
-    assert found.bias == pytest.approx(np.mean(math.sqrt(k) * x - force), abs=1e-9 * force.max())
-    assert found.non_conservative == sum(math.sqrt(k) * x < force)
-    assert found.shortfalls == sum(1.0 - math.sqrt(k) * x / force > 0.1)
-    assert found.rmse >= fitted.rmse * (1.0 - 1e-9)  # the fitted one is the least-squares one
+    result, fitted = agreement(x, force, k), agreement(x, force)
+    assert result.stiffness == k
+    assert result.fitted_stiffness == fitted.fitted_stiffness
+    assert result.bias == pytest.approx(np.mean(math.sqrt(k) * x - force), abs=1e-9 * force.max())
+    assert result.non_conservative == sum(math.sqrt(k) * x < force)
+    assert result.shortfalls == sum(1.0 - math.sqrt(k) * x / force > 0.1)
+    assert result.rmse >= fitted.rmse * (1.0 - 1e-9)  # the fitted one is the least-squares one
 
 
 def test_nothing_of_no_impacts() -> None:
-    found = agreement(np.array([]), np.array([]))
-    assert found == Agreement(
+    result = agreement(np.array([]), np.array([]))
+    assert result == Agreement(
         0, 0.0, "fewer than two impacts", None, 0.0, None, 0.0, None, None, 0.0, 0.0, 0.0, 0.0, None, 0, 0, 0.0
     )
 
 
 def test_one_impact_fits_itself_and_says_nothing() -> None:
-    found = agreement(np.array([0.3]), np.array([123.4]))
-    assert found.stiffness == pytest.approx((123.4 / 0.3) ** 2)
-    assert (found.count, found.correlation, found.fitted_stiffness) == (1, 0.0, 0.0)
-    assert found.correlation_reason == "fewer than two impacts"
-    assert (found.stiffness_interval, found.exponent, found.limits) == (None, None, None)
-    assert found.non_conservative == 0
+    result = agreement(np.array([0.3]), np.array([123.4]))
+    assert result.stiffness == pytest.approx((123.4 / 0.3) ** 2)
+    assert (result.count, result.correlation, result.fitted_stiffness) == (1, 0.0, 0.0)
+    assert result.correlation_reason == "fewer than two impacts"
+    assert (result.stiffness_interval, result.exponent, result.limits) == (None, None, None)
+    assert result.non_conservative == 0
 
 
 @given(st.floats(0.05, 2.0), st.floats(10.0, 1000.0), st.integers(1, 30))
 def test_impacts_that_fit_exactly_are_conservative(x: float, force: float, count: int) -> None:
-    found = agreement(np.full(count, x), np.full(count, force))
-    assert (found.non_conservative, found.largest_shortfall) == (0, 0.0)
+    result = agreement(np.full(count, x), np.full(count, force))
+    assert (result.non_conservative, result.largest_shortfall) == (0, 0.0)
 
 
-@pytest.mark.parametrize("spread", [0.0, 1e-15, 0.009])
+@pytest.mark.parametrize("spread", [0.0, 1e-15, 0.009, 0.04])
 def test_no_correlation_at_one_reduced_mass(spread: float) -> None:
-    """Repetitions are not a trend, however well their noise happens to line up."""
+    """Repetitions are no trend, however well their noise lines up; their speeds scatter by up to 4 %."""
     x = 0.3 * np.linspace(1.0 - spread, 1.0, 5)
-    found = agreement(x, 400.0 * x + np.linspace(0.0, 1.0, 5))
-    assert found.correlation == 0.0
-    assert found.correlation_reason == "all impacts are at the same v sqrt(mu)"
-    assert (found.correlation_interval, found.exponent, found.exponent_interval) == (None, None, None)
-    assert found.fitted_stiffness > 0.0
-    assert found.stiffness_interval is not None
+    result = agreement(x, 400.0 * x + np.linspace(0.0, 1.0, 5))
+    assert result.correlation == 0.0
+    assert result.correlation_reason == "all impacts are at the same v sqrt(mu)"
+    assert (result.correlation_interval, result.exponent, result.exponent_interval) == (None, None, None)
+    assert result.fitted_stiffness > 0.0
+    assert result.stiffness_interval is not None
 
 
 def test_no_correlation_of_equal_forces() -> None:
-    found = agreement(np.array([0.1, 0.2, 0.3]), np.full(3, 50.0))
-    assert (found.correlation, found.correlation_reason) == (0.0, "all impacts have the same measured force")
-
-
-def test_intervals_narrow_with_the_series() -> None:
-    widths = []
-    for count in (4, 12, 36, 108):
-        x, force, k = paper_like(5, 0.03, count)
-        interval = agreement(x, force).stiffness_interval
-        assert interval is not None
-        assert interval.low < k < interval.high
-        widths.append(interval.high - interval.low)
-    assert all(narrow < wide for wide, narrow in pairwise(widths))
+    result = agreement(np.array([0.1, 0.2, 0.3]), np.full(3, 50.0))
+    assert (result.correlation, result.correlation_reason) == (0.0, "all impacts have the same measured force")

@@ -25,7 +25,7 @@ def test_accepted_without_a_reason() -> None:
 
 
 @pytest.mark.parametrize(
-    ("found", "unpaired", "reason"),
+    ("series", "unpaired", "reason"),
     [
         (agreement(X[:0], X[:0]), 0, "no impacts, at least 3 are required"),
         (agreement(X[:1], 450.0 * X[:1]), 0, "1 impact, at least 3 are required"),
@@ -41,28 +41,28 @@ def test_accepted_without_a_reason() -> None:
         (replace(GOOD, shortfalls=2), 0, "2 of 20 impacts predicted more than 10% too low, at most 5% may be"),
     ],
 )
-def test_first_unmet_condition_is_reported(found: Agreement, unpaired: int, reason: str) -> None:
-    assert unmet_criterion(CriterionSettings(), found, unpaired) == reason
+def test_first_unmet_condition_is_reported(series: Agreement, unpaired: int, reason: str) -> None:
+    assert unmet_criterion(CriterionSettings(), series, unpaired) == reason
 
 
 def test_limits_are_inclusive() -> None:
-    found = replace(GOOD, correlation=0.95, relative_rmse=0.1, shortfalls=1)
-    assert unmet_criterion(CriterionSettings(), found, 20) == ""
+    series = replace(GOOD, correlation=0.95, relative_rmse=0.1, shortfalls=1)
+    assert unmet_criterion(CriterionSettings(), series, 20) == ""
 
 
 def test_too_small_stiffness_fails_by_shortfalls() -> None:
     """15 % too little force everywhere: the correlation cannot see it."""
-    found = agreement(X, 450.0 * X, (0.85 * 450.0) ** 2)
-    assert found.correlation == pytest.approx(1.0)
+    series = agreement(X, 450.0 * X, (0.85 * 450.0) ** 2)
+    assert series.correlation == pytest.approx(1.0)
     lenient = CriterionSettings(largest_relative_rmse=0.2)
-    assert unmet_criterion(lenient, found, 0) == "20 of 20 impacts predicted more than 10% too low, at most 5% may be"
+    assert unmet_criterion(lenient, series, 0) == "20 of 20 impacts predicted more than 10% too low, at most 5% may be"
 
 
 def test_non_conservative_half_of_a_fitted_series_is_accepted() -> None:
     rng = np.random.default_rng(0)
-    found = agreement(X, 450.0 * X * (1.0 + rng.normal(0.0, 0.01, X.size)))
-    assert found.non_conservative >= 5
-    assert unmet_criterion(CriterionSettings(), found, 0) == ""
+    series = agreement(X, 450.0 * X * (1.0 + rng.normal(0.0, 0.01, X.size)))
+    assert series.non_conservative >= 5
+    assert unmet_criterion(CriterionSettings(), series, 0) == ""
 
 
 def test_hash_is_of_the_canonical_json() -> None:
@@ -75,8 +75,8 @@ def test_hash_is_of_the_canonical_json() -> None:
 
 
 def test_settings_in_groups_are_checked() -> None:
-    found = checked(ValidatorSettings, {"criterion.least_count": 12, "stiffness": 200.0}, "params.yaml")
-    assert (found.criterion.least_count, found.stiffness) == (12, 200.0)
+    settings = checked(ValidatorSettings, {"criterion.least_count": 12, "stiffness": 200.0}, "params.yaml")
+    assert (settings.criterion.least_count, settings.stiffness) == (12, 200.0)
     with pytest.raises(SettingsError, match=r"params.yaml: criterion.least_correlation = 2.0: .* less than or equal"):
         checked(ValidatorSettings, {"criterion.least_correlation": 2.0}, "params.yaml")
 
@@ -91,8 +91,8 @@ def test_best_model_is_first() -> None:
 
 def test_equally_good_models_are_both_named() -> None:
     rng = np.random.default_rng(0)
-    one = agreement(X, 450.0 * X * (1.0 + rng.normal(0.0, 0.02, X.size)))
-    both = compare({"lumped": replace(one, relative_rmse=one.relative_rmse * 1.05), "full": one}, same_mass=False)
+    full = agreement(X, 450.0 * X * (1.0 + rng.normal(0.0, 0.02, X.size)))
+    both = compare({"lumped": replace(full, relative_rmse=full.relative_rmse * 1.05), "full": full}, same_mass=False)
     assert list(both.relative_rmse) == ["full", "lumped"]
     assert both.text.startswith("full and lumped explain the forces equally well, as far as 20 impacts tell; ")
 
@@ -113,7 +113,7 @@ def test_random_errors_rarely_prefer_a_model(count: int) -> None:
 def test_nothing_to_compare() -> None:
     assert compare({"lumped": GOOD}, same_mass=False).text.endswith("nothing to compare")
     assert compare({}, same_mass=False).count == 0
-    one = agreement(X[:1], X[:1])
-    assert compare({"lumped": one, "iso": one}, same_mass=False).text.endswith("nothing to compare")
+    single = agreement(X[:1], X[:1])
+    assert compare({"lumped": single, "iso": single}, same_mass=False).text.endswith("nothing to compare")
     same = compare({"lumped": GOOD, "iso": GOOD}, same_mass=True)
     assert "the models cannot be told apart" in same.text

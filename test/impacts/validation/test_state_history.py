@@ -52,13 +52,13 @@ def test_linear_motion_is_interpolated_exactly(
         make_state(START + round(t * 1e9), speed + acceleration * t, lumped=mass + change * t, full=2 * mass)
         for t in times
     ]
-    found = usable(history_of(states).at(START + onset, MS))
+    state = usable(history_of(states).at(START + onset, MS))
     t = onset / 1e9
-    assert found.speed == pytest.approx(speed + acceleration * t, rel=1e-9)
+    assert state.speed == pytest.approx(speed + acceleration * t, rel=1e-9)
     lumped = mass + change * t
     masses = {"lumped": lumped, "full": 2 * mass, "iso": 2.77, "largest": max(lumped, 2 * mass)}
-    assert found.masses == pytest.approx(masses, rel=1e-9)
-    assert found.direction == pytest.approx((1.0, 0.0, 0.0))
+    assert state.masses == pytest.approx(masses, rel=1e-9)
+    assert state.direction == pytest.approx((1.0, 0.0, 0.0))
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.5))
@@ -72,9 +72,9 @@ def test_direction_turns_with_time_and_stays_a_unit(make_state: MakeState, share
 
 def test_between_two_states_alone(make_state: MakeState) -> None:
     history = history_of([make_state(START, 0.2), make_state(START + 10 * MS, 0.3)])
-    found = usable(history.at(START + 5 * MS, 0))
-    assert found.speed == pytest.approx(0.25)
-    assert not found.from_trend
+    state = usable(history.at(START + 5 * MS, 0))
+    assert state.speed == pytest.approx(0.25)
+    assert not state.from_trend
 
 
 @pytest.mark.parametrize("step", [1, 5, 10, 20])
@@ -86,11 +86,11 @@ def test_states_slowed_by_the_contact_are_not_used(
     states = [make_state(START + i * step * MS, 0.25, lumped=1.0) for i in range(-10, 1)]
     states += [make_state(START + i * step * MS, *after, lumped=3.0) for i in range(1, 10)]
     for onset in (START + step * MS // 3, START + step * MS - 1):
-        found = usable(history_of(states).at(onset, 100_000))
-        assert found.speed == pytest.approx(0.25, rel=1e-9)
-        assert found.direction == pytest.approx((1.0, 0.0, 0.0))
-        assert found.masses["lumped"] == pytest.approx(1.0)
-        assert found.from_trend
+        state = usable(history_of(states).at(onset, 100_000))
+        assert state.speed == pytest.approx(0.25, rel=1e-9)
+        assert state.direction == pytest.approx((1.0, 0.0, 0.0))
+        assert state.masses["lumped"] == pytest.approx(1.0)
+        assert state.from_trend
 
 
 @pytest.mark.parametrize("late_us", [0, 300])
@@ -123,16 +123,16 @@ def test_the_onset_may_be_stamped_late_by_the_clock_uncertainty(make_state: Make
     """At 1 kHz the contact began 0.8 ms before its stamp: the state in between is slowed already."""
     states = [make_state(START + i * MS, 0.25) for i in range(-20, 0)]
     states += [make_state(START + i * MS, 0.2 - 0.05 * i) for i in range(4)]
-    found = usable(history_of(states).at(START + 300_000, MS))
-    assert found.speed == pytest.approx(0.25)
-    assert found.from_trend
+    state = usable(history_of(states).at(START + 300_000, MS))
+    assert state.speed == pytest.approx(0.25)
+    assert state.from_trend
 
 
 def test_braking_before_the_impact_is_no_slowing_by_it(make_state: MakeState) -> None:
     states = [make_state(START + i * 10 * MS, 0.3 - 0.01 * i) for i in range(12)]
-    found = usable(history_of(states).at(START + 65 * MS, MS))
-    assert found.speed == pytest.approx(0.235)
-    assert not found.from_trend
+    state = usable(history_of(states).at(START + 65 * MS, MS))
+    assert state.speed == pytest.approx(0.235)
+    assert not state.from_trend
 
 
 def test_velocity_noise_is_not_amplified(make_state: MakeState) -> None:
@@ -244,9 +244,9 @@ def test_states_after_the_deadline_are_not_used(make_state: MakeState) -> None:
 def test_old_states_are_not_part_of_the_trend(make_state: MakeState) -> None:
     states = [make_state(START + ms * MS, 0.1) for ms in (-400, -390, -380)]
     states += [make_state(START - 5 * MS, 0.25), make_state(START + 5 * MS, 0.2)]
-    found = usable(history_of(states).at(START, MS))
-    assert found.speed == pytest.approx(0.225)
-    assert not found.from_trend
+    state = usable(history_of(states).at(START, MS))
+    assert state.speed == pytest.approx(0.225)
+    assert not state.from_trend
 
 
 def test_arrivals_that_go_back_are_taken_as_at_once(make_state: MakeState) -> None:
