@@ -73,6 +73,7 @@ def cli(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
     def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
         monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr("faulthandler.enable", lambda: None)  # by rclpy; captured stderr has no descriptor
         command = [str(argument) for argument in arguments]
         try:
             code = main(command)

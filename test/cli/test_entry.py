@@ -63,6 +63,15 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"scara-effmass {__version__}\n"
 
 
+def test_former_name_of_a_command_is_accepted_and_not_documented(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main(["bench", "--help"])
+    assert "scara-effmass sim" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="0"):
+        main(["--help"])
+    assert "bench" not in capsys.readouterr().out
+
+
 @pytest.mark.live
 def test_console_script_runs_the_module() -> None:
     script = Path(sys.executable).with_name("scara-effmass")
@@ -105,7 +114,6 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
         ["demo", "--robot", ROBOT],
         "demo: --robot: the simulated cell has its own robot",
     ),
-    "region of an assessment": (["assess", TOUR, "-o", "a.csv", "--region", "tail"], "must be one of skull"),
     "wrong suffix": (["assess", TOUR, "-o", "a.xls"], "must be one of .parquet, .csv, .mcap"),
     "unwritable folder": (["assess", TOUR, "-o", "/proc/none/a.csv"], "/proc/none/a.csv: cannot be written"),
     "unwritable folder for a bag": (

@@ -59,7 +59,3 @@ def test_output_that_is_a_file_is_refused(cli: Cli, tmp_path: Path) -> None:
     assert refused.returncode == 2
     assert refused.stderr.count("\n") == 1
     assert "file" in refused.stderr
-
-
-def test_output_folder_is_required(refused: Callable[..., str]) -> None:
-    assert "-o" in refused("figures")
