@@ -149,6 +149,8 @@ class McapFile:
         with self._file as original:
             self._file = TemporaryFile()  # noqa: SIM115 - `close` closes it
             result = copy_records(self.path, original, self._file, self._losses)
+        if result.cut_off:
+            self._losses.add(result.cut_off)
         if damage and result.is_complete:
             self._losses.add(f"{self.path}: its summary is damaged ({damage}); read without it")
         return read_index(self._file) or Summary()

@@ -112,6 +112,8 @@ class CopyResult:
     messages: int = 0
     is_complete: bool = False
     """The original has the end of its data."""
+    cut_off: str = ""
+    """Line about an original that ends before the end of its data; a loss only if its last record is torn."""
     has_gaps: bool = False
     """More is lost than the torn end: the original has bytes that another tool may be able to read."""
 
@@ -150,7 +152,9 @@ class _Copy:
     def add_file(self, file: IO[bytes]) -> None:
         """Copy the records up to the end of the data."""
         loose_bytes = 0
+        end = len(MAGIC)
         for record in records(file):
+            end = record.start + record.size
             if record.opcode == Opcode.DATA_END and not record.is_cut:
                 self.result.is_complete = True
                 return
@@ -165,7 +169,10 @@ class _Copy:
             if record.opcode == Opcode.CHUNK or loose_bytes > MAX_LOOSE_BYTES:
                 self._writer.flush()  # type: ignore[no-untyped-call]
                 loose_bytes = 0
-        self._losses.add(f"{self._path}: cut off at byte {file.seek(0, 2)}; the rest is lost")
+        size = file.seek(0, 2)
+        self.result.cut_off = f"{self._path}: cut off at byte {size}; the rest is lost"
+        if end != size:
+            self._losses.add(self.result.cut_off)
 
     def _lose(self, line: str, count: int = 1) -> None:
         self._losses.add(f"{self._path}: {line}", count)
