@@ -1,4 +1,4 @@
-"""Reading needs the memory of a few chunks, interfaceever the length of the bag."""
+"""Reading needs the memory of a few chunks, whatever the length of the bag."""
 
 from __future__ import annotations
 
