@@ -26,7 +26,7 @@ from scara_effmass.sim.experiment import (
 from scara_effmass.sim.measurement import ForceSensor
 from scara_effmass.sim.recordings import EPOCH_NS, SEED, write_recording
 from scara_effmass.sim.rng import uniform
-from scara_effmass.values import ForceBlock, RunInfo
+from scara_effmass.values import RunInfo
 
 REVISION = 2
 """Increase it when the recordings change."""
@@ -141,14 +141,12 @@ def run_campaign(folder: Path, campaign: Campaign, *, overwrite: bool = False) -
             raise OutputError(f"{path}: exists and is not of this run; choose another folder or replace it")
         if not kept:
             result = run_impact(run.setup)
-            blocks = ((_publish_time_ns(block), block) for block in result.force_blocks)
+            blocks = []
+            for block in result.force_blocks:
+                duration_s = (len(block.force) - 1) / block.sample_rate + block.filter_delay
+                blocks.append((block.stamp_ns + round(duration_s * 1e9) + PUBLISH_DELAY_NS, block))
             write_recording(path, run.info(result), result.joint_states, blocks, overwrite=overwrite)
         yield CampaignStep(path, kept)
-
-
-def _publish_time_ns(block: ForceBlock) -> int:
-    duration_s = (len(block.force) - 1) / block.sample_rate + block.filter_delay
-    return block.stamp_ns + round(duration_s * 1e9) + PUBLISH_DELAY_NS
 
 
 def _recorded_note(path: Path) -> str | None:

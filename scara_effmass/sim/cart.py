@@ -20,24 +20,19 @@ HERTZ = 1.5
 class Cart:
     """A cart on a guide, in the robot's base frame. Raises SettingsError for impossible values.
 
-    The force cell sits between the tip and the rest of the cart: `tip_mass` of `mass` is in front of it. A brake
-    behind `travel` stops the cart smoothly.
+    `tip` is the position of the tip at rest [m], `direction` the unit vector along the guide, away from the robot,
+    `mass` m_H, the whole sliding mass [kg]. The force cell sits between the tip and the rest of the cart: `tip_mass`
+    [kg] is in front of it. `surface` is the unit normal of the plate on the robot that the tip touches, None:
+    `direction`. `guide_friction` is in [N]. A brake behind `travel` [m] stops the cart smoothly.
     """
 
     tip: Vector3
-    """position of the tip at rest [m]"""
     direction: Vector3
-    """unit vector along the guide, away from the robot"""
     mass: float
-    """m_H, the whole sliding mass [kg]"""
     tip_mass: float = 0.0
-    """[kg]"""
     surface: Vector3 | None = None
-    """unit normal of the plate on the robot that the tip touches; None: `direction`"""
     guide_friction: float = 0.5
-    """[N]"""
     travel: float = 0.15
-    """distance to the brake [m]"""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.tip_mass < self.mass < math.inf:
@@ -64,19 +59,16 @@ class Cart:
 class SpringContact:
     """Contact law of the tip: F = max(0, k d^n + c d'). Raises SettingsError for impossible values.
 
-    n = 1 is a linear spring, n = 3/2 a Hertz contact; c is Kelvin-Voigt damping. The paper does not give the stiffness
+    `stiffness` is k [N/m^n]. `exponent` n = 1 is a linear spring, 3/2 a Hertz contact. `damping` is c [N s/m] of Kelvin
+    and Voigt, `friction` the Coulomb coefficient between tip and plate. The paper does not give the stiffness
     of its polyethylene tip, but 160 to 860 N and 1 to 4 ms. The default gives 200 to 510 N and 1.3 to 3.2 ms for the
     paper's masses and speed.
     """
 
     stiffness: float = 2.0e6
-    """k [N/m^n]"""
     exponent: float = LINEAR
-    """n"""
     damping: float = 0.0
-    """c [N s/m]"""
     friction: float = 0.0
-    """Coulomb coefficient between tip and plate"""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.stiffness < math.inf:

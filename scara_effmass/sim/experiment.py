@@ -53,14 +53,12 @@ _ENCODER_STREAM = 5
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """Impact point, elbow configuration and path direction."""
+    """Impact `point` x, y [m], elbow configuration, and `heading` of the path from the x axis [rad]."""
 
     name: str
     point: tuple[float, float]
-    """x, y of the impact [m]"""
     elbow_config: ElbowConfig = ElbowConfig.RIGHT
     heading: float = 0.0
-    """of the path, from the x axis [rad]"""
 
     @property
     def direction(self) -> Vector3:

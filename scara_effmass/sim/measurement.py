@@ -70,20 +70,19 @@ def newtons_per_count(sensitivity: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ForceSensor:
-    """Sensor and converter."""
+    """Sensor and converter.
+
+    `sample_rate` is nominal [Hz]; the converter takes more samples with a positive relative `clock_error`.
+    `sensitivity` is in [mV/N], `range` of either sign [N], `noise` a standard deviation [N], `corner` that of the AC
+    coupling [Hz].
+    """
 
     sample_rate: float = 12_800.0
-    """nominal [Hz]"""
     clock_error: float = 0.0
-    """relative; positive: more samples than nominal"""
     sensitivity: float = 2.248
-    """[mV/N]"""
     range: float = 2224.0
-    """of either sign [N]"""
     noise: float = 0.1
-    """standard deviation [N]"""
     corner: float = 0.1
-    """of the AC coupling [Hz]"""
     seed: int = 0
 
     @property

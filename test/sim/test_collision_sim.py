@@ -227,7 +227,7 @@ def test_energy_changes_by_the_work_of_motors_damping_and_friction() -> None:
         work += float(torque @ (sim.q - q)) - 4.0 * (sim.cart_position - cart)
         if sample.depth > 0.0:
             mujoco.mj_kinematics(sim.model, sim.data)
-            depth = sim.tool_position[0] - sim.cart.tip[0] - sim.cart_position
+            depth = float(sim.data.site("tool").xpos[0]) - sim.cart.tip[0] - sim.cart_position
             work -= (sample.force - contact.stiffness * sample.depth) * (depth - sample.depth)
     assert sample.force == 0.0
     assert abs(work) > 0.1 * impact.energy
