@@ -15,37 +15,45 @@ if TYPE_CHECKING:
     from scara_effmass.model.robot import Robot
 
 IndexArray = NDArray[np.intp]
+_Comparison = tuple[float, float, float, float, float, float]
+"""What the comparison of a joint's velocity with its position remembers. All but the first two fade with WINDOW_S:
+
+position; velocity; error, the displacement minus the integral of the velocity; mean velocity; largest difference
+between the velocity and its mean; allowance, the error that a scale error of the velocity and its sampling explain.
+"""
 
 NANOSECONDS = 1_000_000_000
 CONFIRMATION_NS = NANOSECONDS // 10
 """Time for which a joint must keep its position before its velocity of exactly zero is accepted."""
-WINDOW_NS = NANOSECONDS // 2
-"""Time over which the travel of a joint is compared with the integral of its speed."""
+WINDOW_S = 0.7
+"""Time constant [s] over which the displacement of a joint is compared with the integral of its velocity."""
+LAG_TOLERANCE_S = 0.01
+"""Tolerance [s] of the estimated lag of the velocities: jitter of the stamps, joints that differ."""
+LAG_MEMORY_S = 10.0
+"""Time constant [s] of the estimate of the lag."""
+LAG_PRIOR = 0.01
+"""Excitation [rad2/s] at which half of the maximum lag remains as uncertainty of the estimate."""
+MAX_EXCESS = 1.5
+"""Multiple of the tolerance up to which an error is remembered: it bounds the time that a mismatch lasts."""
+METRES_PER_RADIAN = 0.25
+"""Position tolerance of a prismatic joint [m] per radian of that of a revolute joint."""
 DEFAULT_MAX_SPEED = (60.0, 10.0)
 """Maximum speed of a revolute [rad/s] and of a prismatic joint [m/s] whose description states none."""
 
 
 class Motion(NamedTuple):
-    """Positions and velocities (n,) of a valid joint state, in the model's joint order [rad, m]."""
+    """Positions and velocities (n,) of a valid joint state, in the model's joint order [rad, m].
+
+    `velocity_tolerance` bounds the mean velocity error over WINDOW_S that the positions cannot reveal, per joint.
+    """
 
     q: FloatArray
     qd: FloatArray
+    velocity_tolerance: list[float]
 
 
 class OtherDevice(NamedTuple):
     """Result for a joint state that names none of the robot's joints: another device on the same topic."""
-
-
-class _TravelWindow:
-    """Start of a joint's travel window, the travel that its velocities explain, and its last speed."""
-
-    __slots__ = ("explained_travel", "speed", "start_ns", "start_position")
-
-    def __init__(self, start_ns: int, start_position: float, speed: float) -> None:
-        self.start_ns = start_ns
-        self.start_position = start_position
-        self.explained_travel = 0.0
-        self.speed = speed
 
 
 class JointStateValidator:
@@ -77,17 +85,20 @@ class JointStateValidator:
         self.timeout_ns = round(settings.timeout * NANOSECONDS)
         self.future_tolerance_ns = round(settings.future_tolerance * NANOSECONDS)
         self._differentiate = settings.differentiate_velocity
-        self._still_travel = settings.still_tolerance
-        self._still_speed = settings.still_speed
-        self._travel_margin = settings.travel_margin
-        self._travel_factor = 1.0 + settings.travel_tolerance
+        self._position_tolerances = [
+            settings.position_tolerance * (1.0 if revolute else METRES_PER_RADIAN) for revolute in robot.revolute
+        ]
+        self._velocity_tolerance = settings.velocity_tolerance
+        self._max_lag = settings.max_velocity_lag
 
     def reset(self) -> None:
         """Discard the history of joint states, as after a jump of the clock."""
         self.last_stamp_ns = 0
         self._last_q: FloatArray | None = None
-        self._confirmed = [False] * len(self._joints)
-        self._windows: list[_TravelWindow | None] = [None] * len(self._joints)
+        self._unconfirmed = set(range(len(self._joints)))
+        self._start_ns = self._observed_ns = 0
+        self._comparisons: list[_Comparison] = []
+        self._lag_correlation = self._lag_excitation = 0.0
 
     def validate(self, state: JointState, now_ns: int) -> Motion | OtherDevice | str:
         """Return the motion in `state`, or the reason why it is invalid; `now_ns` is the node's clock."""
@@ -105,15 +116,16 @@ class JointStateValidator:
             return "the joint state has no names"
         if "" in names:
             return f"name {names.index('')} of the joint state is empty"
-        if len(set(names)) != len(names):
-            duplicate = next(name for name in names if names.count(name) > 1)
+        index_of = {name: index for index, name in enumerate(names)}
+        if len(index_of) != len(names):
+            duplicate = next(name for index, name in enumerate(names) if index_of[name] != index)
             return f"joint {duplicate} is named twice"
-        missing = [name for name in self._joints if name not in names]
+        missing = [name for name in self._joints if name not in index_of]
         if len(missing) == len(self._joints):
             return OtherDevice()
         if missing:
             return f"joint {missing[0]} is missing"
-        indices = [names.index(name) for name in self._joints]
+        indices = [index_of[name] for name in self._joints]
         return None if indices == list(range(len(names))) else np.array(indices)
 
     def _length_error(self, state: JointState) -> str:
@@ -160,7 +172,9 @@ class JointStateValidator:
             # A comparison with NaN is false, so this form also catches NaN.
             if not (lower <= x <= upper and -max_speed <= v <= max_speed):
                 return self._range_error(positions, velocities)
-        return self._velocity_mismatch(positions, velocities, stamp_ns, elapsed_ns) or Motion(q, qd)
+        tolerances: list[float] = []
+        reason = self._velocity_mismatch(positions, velocities, stamp_ns, tolerances)
+        return reason or Motion(q, qd, tolerances)
 
     def _range_error(self, positions: list[float], velocities: list[float]) -> str:
         for i, (name, x, v, unit) in enumerate(zip(self._joints, positions, velocities, self._units, strict=True)):
@@ -175,52 +189,68 @@ class JointStateValidator:
         raise AssertionError("unreachable: the caller found a value out of range")
 
     def _velocity_mismatch(
-        self, positions: list[float], velocities: list[float], stamp_ns: int, elapsed_ns: int
+        self, positions: list[float], velocities: list[float], stamp_ns: int, tolerances: list[float]
     ) -> str:
-        """Return why the velocities contradict the positions, or an empty string.
+        """Return why the velocities contradict the positions, or an empty string; fill `tolerances` (n,).
 
-        A joint that travels further than its velocities explain has velocities that are never filled in, or
-        two publishers at different poses.
+        The error of a joint is its displacement minus the integral of its signed velocity, high-passed with WINDOW_S.
+        Velocities that lag behind the positions by tau cause an error of tau times the high-passed velocity. A wrong
+        size or sign causes one in proportion to the low-passed velocity, which is uncorrelated with it, so a regression
+        of the error on the high-passed velocity estimates tau alone.
         """
-        reason = ""
+        elapsed_ns = stamp_ns - self._observed_ns
+        if elapsed_ns > self.timeout_ns:
+            self._comparisons = [(x, v, 0.0, v, 0.0, 0.0) for x, v in zip(positions, velocities, strict=True)]
+            self._start_ns = stamp_ns
+            elapsed_ns = 0
+        self._observed_ns = stamp_ns
         seconds = elapsed_ns / 1e9
-        confirmed = self._confirmed
-        windows = self._windows
-        gap = not 0 < elapsed_ns <= self.timeout_ns
-        for i, (x, v) in enumerate(zip(positions, velocities, strict=True)):
-            speed = v if v >= 0.0 else -v
-            window = windows[i]
-            if window is None or gap:
-                windows[i] = window = _TravelWindow(stamp_ns, x, speed)
-            else:
-                last_speed = window.speed
-                window.explained_travel += max(last_speed, speed) * seconds
-                if speed > 0.0 and last_speed > 0.0:
-                    # Fast path: the joint keeps moving, no further than its velocities explain.
-                    limit = window.explained_travel * self._travel_factor + self._travel_margin
-                    if -limit <= x - window.start_position <= limit and stamp_ns - window.start_ns <= WINDOW_NS:
-                        window.speed = speed
-                        confirmed[i] = True
-                        continue
-            started_or_stopped = (speed > 0.0) is not (window.speed > 0.0)
-            window.speed = speed
-            explained = window.explained_travel
-            travel, duration_ns = abs(x - window.start_position), stamp_ns - window.start_ns
-            still_travel = max(self._still_travel, self._still_speed * duration_ns / 1e9)
-            if travel > explained * self._travel_factor + (self._travel_margin if explained else still_travel):
-                confirmed[i] = False
-                windows[i] = _TravelWindow(stamp_ns, x, speed)
-                how = (
-                    f"where its velocity accounts for {explained:.4f}" if explained else "while its velocity read zero"
-                )
-                reason = f"{self._joints[i]} moved {travel:.4f} {self._units[i]} {how}"
-                continue
-            if speed > 0.0:
-                confirmed[i] = True
-            elif not confirmed[i]:
-                confirmed[i] = duration_ns >= CONFIRMATION_NS
-                if not confirmed[i] and not reason:
-                    reason = f"the velocity of {self._joints[i]} reads zero, not yet confirmed by its position"
-            if started_or_stopped or (confirmed[i] and duration_ns > WINDOW_NS):
-                windows[i] = _TravelWindow(stamp_ns, x, speed)
+        decay = WINDOW_S / (WINDOW_S + seconds)
+        half_step, gain, scale_step = 0.5 * seconds, seconds / WINDOW_S, self._velocity_tolerance * seconds
+        excitation = self._lag_excitation
+        lag = min(max(self._lag_correlation / excitation, 0.0), self._max_lag) if excitation else 0.0
+        lag_tolerance = LAG_TOLERANCE_S + self._max_lag * LAG_PRIOR / (LAG_PRIOR + excitation)
+        correlation = excitation = 0.0
+        reason = ""
+        comparisons: list[_Comparison] = []
+        for x, v, position_tolerance, comparison in zip(
+            positions, velocities, self._position_tolerances, self._comparisons, strict=True
+        ):
+            last_x, last_v, error, mean, peak, allowance = comparison
+            error = (error + x - last_x - half_step * (v + last_v)) * decay
+            mean = (mean + v * gain) * decay
+            change = v - mean
+            peak *= decay
+            if change > peak:
+                peak = change
+            elif -change > peak:
+                peak = -change
+            step = v - last_v if v > last_v else last_v - v
+            allowance = (allowance + half_step * step + scale_step * (v if v > 0.0 else -v)) * decay
+            tolerance = position_tolerance + allowance + lag_tolerance * peak
+            excess = error - lag * change
+            if not -tolerance <= excess <= tolerance:
+                i = len(comparisons)
+                reason = reason or self._mismatch(i, excess)
+                error = lag * change + math.copysign(min(abs(excess), MAX_EXCESS * tolerance), excess)
+                self._unconfirmed.add(i)
+                self._start_ns = stamp_ns
+            correlation += error * change
+            excitation += change * change
+            comparisons.append((x, v, error, mean, peak, allowance))
+            tolerances.append(tolerance / WINDOW_S)
+        self._comparisons = comparisons
+        decay = LAG_MEMORY_S / (LAG_MEMORY_S + seconds)
+        self._lag_correlation = (self._lag_correlation + correlation * seconds) * decay
+        self._lag_excitation = (self._lag_excitation + excitation * seconds) * decay
+        if self._unconfirmed and not reason:
+            if stamp_ns - self._start_ns >= CONFIRMATION_NS:
+                self._unconfirmed.clear()
+            self._unconfirmed = {i for i in self._unconfirmed if velocities[i] == 0.0}
+            if self._unconfirmed:
+                name = self._joints[min(self._unconfirmed)]
+                reason = f"the velocity of {name} reads zero, not yet confirmed by its position"
         return reason
+
+    def _mismatch(self, i: int, excess: float) -> str:
+        return f"the position of {self._joints[i]} is {excess:+.4f} {self._units[i]} off the integral of its velocity"

@@ -151,23 +151,21 @@ class MonitorSettings(BaseModel):
     joint_speed_tolerance: float = Field(
         0.1, ge=0.0, le=10.0, description="relative tolerance of the joint speed limits"
     )
-    still_tolerance: float = Field(
-        0.005, gt=0.0, le=0.1, description="joint travel above which a velocity of exactly zero is rejected [rad or m]"
-    )
-    still_speed: float = Field(
-        0.05,
+    position_tolerance: float = Field(
+        0.01,
         gt=0.0,
         le=1.0,
-        description="mean speed above which a velocity of exactly zero is rejected [rad/s or m/s]",
+        description=(
+            "tolerance of a joint's displacement against the integral of its velocity, for resolution and noise "
+            "[rad or m]"
+        ),
     )
-    travel_tolerance: float = Field(
-        0.5, ge=0.0, le=10.0, description="relative tolerance of a joint's travel beyond the integral of its speed"
-    )
-    travel_margin: float = Field(
-        0.05,
-        gt=0.0,
-        le=1.0,
-        description="tolerance of a joint's travel beyond the integral of its speed [rad or m]",
+    velocity_tolerance: Fraction = Field(0.01, description="relative tolerance of the joint velocities")
+    max_velocity_lag: float = Field(
+        0.06,
+        ge=0.0,
+        le=0.5,
+        description="maximum lag of the joint velocities behind the positions; the monitor estimates the lag [s]",
     )
     differentiate_velocity: bool = Field(
         default=False, description="compute an empty velocity from positions and header stamps"

@@ -17,6 +17,9 @@ _JOINT_STATE = {
     "effort": "float64[]",
 }
 
+MAX_NAMES = 1000
+"""Maximum number of names in a JointState; decoding many more would delay the next message."""
+
 
 @dataclass(frozen=True, slots=True)
 class JointStateLayout:
@@ -40,12 +43,15 @@ class JointStateLayout:
 
 
 def joint_state_layout(data: bytes) -> JointStateLayout:
-    """Return the layout of the JointState in `data`. Raises DecodeError if a length exceeds the message."""
+    """Return the layout of the JointState in `data`. Raises DecodeError for a length beyond message or MAX_NAMES."""
     cursor = Cursor(data, "JointState")
     cursor.at = FRAME_AT
     frame_size = cursor.count("header.frame_id", 1)
     cursor.at += frame_size
-    names = tuple(cursor.text(f"name[{index}]") for index in range(cursor.count("name", 4)))
+    name_count = cursor.count("name", 4)
+    if name_count > MAX_NAMES:
+        raise cursor.error(f"name has length {name_count}: must be <= {MAX_NAMES}")
+    names = tuple(cursor.text(f"name[{index}]") for index in range(name_count))
     position_count_at = cursor.aligned(4)
     position_at, position_count = cursor.skip_numbers("position")
     velocity_count_at = cursor.at

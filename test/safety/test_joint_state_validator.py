@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -13,9 +14,9 @@ from hypothesis import strategies as st
 
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety.joint_state_validator import JointStateValidator, Motion
+from scara_effmass.safety.joint_state_validator import WINDOW_S, JointStateValidator, Motion
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import JointState, Verdict
+from scara_effmass.values import FloatArray, JointState, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,8 +34,8 @@ NAN, INF = math.nan, math.inf
 def state(
     stamp_ns: int = NOW,
     names: Sequence[str] = JOINTS,
-    position: Sequence[float] = Q,
-    velocity: Sequence[float] = QD,
+    position: Sequence[float] | FloatArray = Q,
+    velocity: Sequence[float] | FloatArray = QD,
 ) -> JointState:
     return JointState(stamp_ns, tuple(names), np.array(position, float), np.array(velocity, float))
 
@@ -149,6 +150,27 @@ def test_joint_states_of_other_devices_are_ignored_and_counted(scara: RobotDynam
     assert "(3 named none of the robot's joints)" in monitor.watchdog_decision(10**9).contacts[0].reason
 
 
+def test_forty_thousand_names_are_compared_once_each(scara: RobotDynamics) -> None:
+    """A quadratic search would compare 800 million pairs."""
+    comparisons = 0
+
+    class Name(str):
+        __slots__ = ()
+        __hash__ = str.__hash__
+
+        def __eq__(self, other: object) -> bool:
+            nonlocal comparisons
+            comparisons += 1
+            return str.__eq__(self, other)
+
+    names = [Name(f"n{i}") for i in range(40_000)]
+    for bad, reason in ((["x", "x"], "joint x is named twice"), (JOINTS[:3], "joint joint4 is missing")):
+        flood = [*names, *map(Name, bad)]
+        verdict, why = Feed(make_monitor(scara))(state(names=flood, position=(), velocity=()))
+        assert (verdict, why) == (Verdict.UNKNOWN, reason)
+    assert comparisons < 5 * len(names)
+
+
 @given(
     order=st.permutations(range(7)),
     position=st.tuples(*[st.floats(-1.0, 1.0)] * 2, st.floats(0.0, 0.4), st.floats(-3.0, 3.0)),
@@ -180,7 +202,7 @@ class TestZeroVelocity:
         feed = Feed(make_monitor(scara))
         results = [feed(state(position=(0.3 + 0.002 * i, *Q[1:]), velocity=(0.0,) * 4), 4 * MS) for i in range(300)]
         assert {verdict for verdict, _ in results} == {Verdict.UNKNOWN}
-        assert any("joint1 moved" in reason for _, reason in results)
+        assert any(reason.startswith("the position of joint1 is +") for _, reason in results)
 
     def test_motion_after_rest_at_zero_velocity_gives_unknown(self, scara: RobotDynamics) -> None:
         feed = Feed(make_monitor(scara))
@@ -189,8 +211,8 @@ class TestZeroVelocity:
         assert verdict is Verdict.OK
         results = [feed(state(position=(0.3 + 0.001 * i, *Q[1:]), velocity=(0.0,) * 4)) for i in range(1, 60)]
         first_unknown = next(i for i, (verdict, _) in enumerate(results) if verdict is Verdict.UNKNOWN)
-        assert first_unknown <= 25  # milliseconds at 1 rad/s: still_speed times the window of half a second
-        assert results[first_unknown][1].startswith("joint1 moved")
+        assert first_unknown <= 12  # milliseconds at 1 rad/s: position_tolerance
+        assert results[first_unknown][1] == "the position of joint1 is +0.0109 rad off the integral of its velocity"
         assert {verdict for verdict, _ in results[first_unknown:]} == {Verdict.UNKNOWN}
 
     def test_rest_is_confirmed_within_a_tenth_of_a_second(self, scara: RobotDynamics) -> None:
@@ -220,8 +242,8 @@ class TestZeroVelocity:
         results = set()
         for i in range(1, 600):
             q = (0.3 + speed * i * 1e-3, 1.2, 0.1, -0.4)
-            results.add(feed(state(position=q, velocity=(0.0, 0.1, 0.1, 0.1)))[0])
-        assert Verdict.UNKNOWN in results
+            results.add(feed(state(position=q, velocity=(0.0,) * 4))[1][:28])
+        assert "the position of joint1 is +0" in results
 
     def test_encoder_drift_is_tolerated(self, scara: RobotDynamics) -> None:
         feed = Feed(make_monitor(scara))
@@ -231,30 +253,81 @@ class TestZeroVelocity:
             assert feed(state(position=q, velocity=(0.0,) * 4))[0] is Verdict.OK
 
 
-class TestTravel:
-    def test_position_jump_gives_unknown(self, scara: RobotDynamics) -> None:
-        """Two senders at different poses on one topic, or an encoder that leaps: faster than any joint."""
+Lie = Callable[[Motion], tuple[FloatArray, FloatArray]]
+LIES: dict[str, Lie] = {
+    "sign": lambda motion: (motion.q, motion.qd * [1.0, -1.0, 1.0, 1.0]),
+    "a third too slow": lambda motion: (motion.q, motion.qd * 0.67),
+    "half too fast": lambda motion: (motion.q, motion.qd * 1.5),
+    "frozen position": lambda motion: (np.array(Q), motion.qd),
+    "frozen velocity": lambda motion: (motion.q, np.array(QD)),
+    "zero velocity": lambda motion: (motion.q, np.zeros(4)),
+    "swapped velocities": lambda motion: (motion.q, motion.qd[[1, 0, 2, 3]]),
+    "swapped positions": lambda motion: (motion.q[[1, 0, 2, 3]], motion.qd),
+}
+
+
+def sweep(t: float, lag: float = 0.0) -> Motion:
+    """Return position and velocity of a robot that sweeps joints 1 and 2, its velocities late by `lag` [s]."""
+    amplitude, rate = np.array([0.8, 0.5, 0.0, 0.4]), np.array([2.0, 3.0, 1.0, 2.5])
+    q = np.array(Q) - [0.0, 0.0, 0.0, 0.4] + amplitude * np.sin(rate * t)
+    return Motion(q, amplitude * rate * np.cos(rate * (t - lag)) + 1e-9, [])
+
+
+class TestVelocityAgainstPosition:
+    """The displacement of each joint must equal the integral of its signed velocity."""
+
+    @pytest.mark.parametrize("lie", LIES.values(), ids=LIES.keys())
+    def test_contradiction_gives_unknown_and_agreement_ends_it(self, scara: RobotDynamics, lie: Lie) -> None:
+        feed = Feed(make_monitor(scara, release_time=0.2))
+        for i in range(3000):
+            position, velocity = lie(sweep(i / 1e3))
+            verdict, _ = feed(state(position=position, velocity=velocity))
+            assert verdict is Verdict.UNKNOWN or i < 250
+        for i in range(3000, 5000):
+            motion = sweep(i / 1e3)
+            verdict, _ = feed(state(position=motion.q, velocity=motion.qd))
+        assert verdict is not Verdict.UNKNOWN
+
+    def test_positions_that_jump_give_unknown(self, scara: RobotDynamics) -> None:
+        """Two publishers at different poses on one topic, or an encoder that leaps."""
         feed = Feed(make_monitor(scara))
         feed()
         for i in range(1, 100):
-            verdict, reason = feed(state(position=(0.3 + 1.2 * (i % 2), *Q[1:])))
-            assert verdict is Verdict.UNKNOWN
-            assert "where its velocity accounts for" in reason
-        assert feed(state(position=(1.5, *Q[1:])))[0] is Verdict.OK
+            verdict, reason = feed(state(position=(0.3 + 0.03 * (i % 2), *Q[1:])))
+            assert verdict is Verdict.UNKNOWN or not i % 2
+            assert reason.startswith("the position of joint1 is +0.0") or not i % 2
+        assert feed.monitor.rejected >= 50
 
-    def test_far_too_small_velocity_gives_unknown(self, scara: RobotDynamics) -> None:
-        feed = Feed(make_monitor(scara, release_time=0.2))
-        results = [feed(state(position=(0.002 * i, *Q[1:]), velocity=(0.001, *QD[1:])))[0] for i in range(500)]
-        assert set(results[30:]) == {Verdict.UNKNOWN}
-
-    def test_rest_at_nonzero_velocity_is_valid_because_it_is_on_the_safe_side(self, scara: RobotDynamics) -> None:
+    def test_one_leap_is_forgotten_within_the_window(self, scara: RobotDynamics) -> None:
         feed = Feed(make_monitor(scara))
-        assert {feed()[0] for _ in range(2000)} == {Verdict.OK}
+        for _ in range(110):
+            feed(state(velocity=(0.0,) * 4))
+        leapt = state(position=(1.5, *Q[1:]), velocity=(0.0,) * 4)
+        verdicts = [feed(leapt)[0] for _ in range(500)]
+        assert set(verdicts[:250]) == {Verdict.UNKNOWN}
+        assert set(verdicts[400:]) == {Verdict.OK}
+
+    @pytest.mark.parametrize("step_ms", [1, 10, 40])
+    @pytest.mark.parametrize("lag", [-0.005, 0.0, 0.02, 0.05])
+    def test_velocities_may_lag_behind_the_positions(self, scara: RobotDynamics, lag: float, step_ms: int) -> None:
+        feed = Feed(make_monitor(scara))
+        for i in range(8000 // step_ms):
+            motion = sweep(i * step_ms / 1e3, lag)
+            _, reason = feed(state(position=motion.q, velocity=motion.qd), step_ms * MS)
+            assert "off the integral" not in reason
+
+    def test_larger_lag_than_the_maximum_gives_unknown(self, scara: RobotDynamics) -> None:
+        feed = Feed(make_monitor(scara, max_velocity_lag=0.01))
+        reasons = []
+        for i in range(4000):
+            motion = sweep(i / 1e3, 0.06)
+            reasons.append(feed(state(position=motion.q, velocity=motion.qd))[1])
+        assert any("off the integral" in reason for reason in reasons)
 
     @given(
         amplitude=st.floats(0.0, 1.0),
         rate=st.floats(0.1, 5.0),
-        step_ms=st.integers(1, 150),
+        step_ms=st.integers(1, 50),
         noise=st.floats(0.0, 0.002),
     )
     def test_consistent_motion_is_valid(
@@ -266,9 +339,28 @@ class TestTravel:
             t = i * step_ms / 1e3
             q = amplitude * math.sin(rate * t) + noise * (-1) ** i
             qd = amplitude * rate * math.cos(rate * (t - 0.005)) + 1e-6
-            verdict, reason = feed(state(position=(q, *Q[1:]), velocity=(qd, *QD[1:])), step_ms * MS)
-            assert "accounts for" not in reason
+            verdict, reason = feed(state(position=(q, *Q[1:]), velocity=(qd, *[1e-6] * 3)), step_ms * MS)
+            assert "off the integral" not in reason
             assert verdict is not Verdict.UNKNOWN
+
+    @pytest.mark.parametrize(("factor", "passes"), [(0.98, True), (1.05, False)])
+    def test_velocity_error_up_to_the_stated_tolerance_passes(
+        self, scara: RobotDynamics, factor: float, *, passes: bool
+    ) -> None:
+        """A constant drift of joint1 at a velocity that reads zero."""
+        validator = JointStateValidator(scara.robot)
+        validator.apply(MonitorSettings())
+        tolerance = 0.01 / WINDOW_S
+        results = []
+        for i in range(5000):
+            now = NOW + i * MS
+            motion = state(now, position=(Q[0] + factor * tolerance * i / 1e3, *Q[1:]), velocity=(0.0,) * 4)
+            results.append(validator.validate(motion, now))
+        if passes:
+            assert isinstance(results[-1], Motion)
+            assert results[-1].velocity_tolerance == pytest.approx([tolerance, tolerance, 0.25 * tolerance, tolerance])
+        else:
+            assert isinstance(results[-1], str)
 
 
 class TestDifferentiation:
@@ -427,35 +519,24 @@ class TestBoundaries:
         feed(state(velocity=(0.0,) * 4))
         assert feed(state(velocity=(0.0,) * 4), duration_ms * MS)[0] is expected
 
-    @pytest.mark.parametrize(("travel", "expected"), [(0.05, Verdict.OK), (0.0501, Verdict.UNKNOWN)])
-    def test_travel_up_to_factor_and_margin_is_valid(
-        self, scara: RobotDynamics, travel: float, expected: Verdict
-    ) -> None:
-        """At 0.1 rad/s for 0.1 s the velocity explains 0.01 rad, and 1.5 times that plus 0.05 rad is valid."""
-        feed = Feed(make_monitor(scara))
-        feed()
-        assert feed(state(position=(Q[0] + 0.015 + travel - 1e-9, *Q[1:])), 100 * MS)[0] is expected
+    @pytest.mark.parametrize("joint", range(4))
+    def test_displacement_is_bounded_by_the_position_tolerance(self, scara: RobotDynamics, joint: int) -> None:
+        """0.01 rad, for a prismatic joint 2.5 mm."""
+        tolerance = (0.01, 0.01, 0.0025, 0.01)[joint]
+        for factor, expected in (
+            (0.99, Verdict.OK),
+            (1.02, Verdict.UNKNOWN),
+            (-0.99, Verdict.OK),
+            (-1.02, Verdict.UNKNOWN),
+        ):
+            feed = Feed(make_monitor(scara))
+            for _ in range(110):
+                feed(state(velocity=(0.0,) * 4))
+            position = list(Q)
+            position[joint] += factor * tolerance
+            assert feed(state(position=position, velocity=(0.0,) * 4))[0] is expected
 
-    @pytest.mark.parametrize(
-        ("travel", "elapsed_ms", "expected"),
-        [
-            (0.00499, 1, Verdict.OK),
-            (0.00501, 1, Verdict.UNKNOWN),
-            (0.00899, 180, Verdict.OK),
-            (0.00901, 180, Verdict.UNKNOWN),
-        ],
-    )
-    def test_travel_at_zero_velocity_is_bounded_by_still_tolerance_and_still_speed(
-        self, scara: RobotDynamics, travel: float, elapsed_ms: int, expected: Verdict
-    ) -> None:
-        """0.005 rad in a short time, 0.05 rad/s in a longer one."""
-        feed = Feed(make_monitor(scara))
-        feed()
-        feed(state(velocity=(0.0,) * 4))
-        moved = state(position=(Q[0] + travel, *Q[1:]), velocity=(0.0,) * 4)
-        assert feed(moved, elapsed_ms * MS)[0] is expected
-
-    def test_gap_restarts_the_travel_window(self, scara: RobotDynamics) -> None:
+    def test_gap_restarts_the_comparison(self, scara: RobotDynamics) -> None:
         feed = Feed(make_monitor(scara))
         feed()
         assert feed(state(position=(1.5, *Q[1:])), 201 * MS)[0] is Verdict.OK
@@ -467,27 +548,3 @@ class TestBoundaries:
         feed = Feed(make_monitor(scara, differentiate_velocity=True))
         feed(state(velocity=()))
         assert feed(state(position=[q + 0.01 for q in Q], velocity=()), gap_ms * MS)[0] is expected
-
-    @pytest.mark.parametrize("speeds", [(0.1, 3.0), (3.0, 0.1)])
-    def test_higher_of_two_speeds_explains_the_travel(self, scara: RobotDynamics, speeds: tuple[float, float]) -> None:
-        feed = Feed(make_monitor(scara))
-        feed(state(velocity=(speeds[0], *QD[1:])))
-        verdict, reason = feed(state(position=(Q[0] + 0.3, *Q[1:]), velocity=(speeds[1], *QD[1:])), 100 * MS)
-        assert (verdict is Verdict.UNKNOWN, reason.startswith("joint1 moved")) == (False, False)
-
-    def test_travel_is_explained_by_the_last_half_second_only(self, scara: RobotDynamics) -> None:
-        """At 0.1 rad/s the velocity explains at most 0.05 rad in the window, and 1.5 times that plus 0.05 rad."""
-        feed = Feed(make_monitor(scara))
-        for _ in range(2000):
-            feed()
-        assert feed(state(position=(Q[0] + 0.15, *Q[1:])))[1].startswith("joint1 moved 0.1500 rad where")
-
-    @pytest.mark.parametrize(("rest_ms", "travel", "expected"), [(500, 0.0249, True), (2000, 0.03, False)])
-    def test_travel_after_rest_is_bounded_by_still_speed_over_half_a_second(
-        self, scara: RobotDynamics, rest_ms: int, travel: float, *, expected: bool
-    ) -> None:
-        feed = Feed(make_monitor(scara))
-        for _ in range(rest_ms):
-            feed(state(velocity=(0.0,) * 4))
-        moved = state(position=(Q[0] + travel, *Q[1:]), velocity=(0.0,) * 4)
-        assert (feed(moved)[0] is Verdict.OK) == expected
