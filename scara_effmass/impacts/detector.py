@@ -19,8 +19,6 @@ from scara_effmass.values import BoolArray, FloatArray, ForceBlock, Impact
 FRAME_TIME = 0.05
 """Approximate length of a frame [s]: long against an impact, short against the start of a recording."""
 MIN_FRAME_SAMPLES = 10
-SETTLING_FRAMES = BASELINE_FRAMES + 3
-"""Number of consecutive quiet frames after which the past has no influence."""
 GAP_TIME = 0.3e-3
 """Minimum time without force between two contacts [s]; at least MIN_GAP_SAMPLES samples."""
 MIN_GAP_SAMPLES = 2
@@ -96,8 +94,8 @@ class Detector:
     tension. Neither does force below the baseline for BASELINE_FRAMES frames, which is a load that was removed.
 
     Detectors that start at different samples of a stream return the same impacts to the last bit once they have
-    settled: after SETTLING_FRAMES consecutive quiet frames (0.4 s at 12.8 kS/s) and `settings.rebound_time` without a
-    contact.
+    settled: after BASELINE_FRAMES + 3 consecutive quiet frames (0.4 s at 12.8 kS/s) and `settings.rebound_time`
+    without a contact.
     """
 
     def __init__(self, settings: DetectionSettings) -> None:

@@ -29,7 +29,7 @@ def test_the_spread_of_gaussian_noise_is_its_standard_deviation_whatever_the_out
 def test_the_spread_of_rounded_noise_is_not_less_than_its_standard_deviation(noise: float) -> None:
     samples = np.round(np.random.default_rng(0).normal(0.0, noise, (BASELINE_FRAMES, 1_000)))
     baseline = Baseline(DetectionSettings(), map(Frame, samples))
-    assert baseline.noise >= 0.9 * noise
+    assert 0.9 * noise <= baseline.noise <= max(0.75, 1.2 * noise)  # 0.74 steps where most samples are equal
 
 
 def test_a_constant_has_no_spread() -> None:
@@ -41,6 +41,12 @@ def test_a_run_is_as_improbable_as_asked() -> None:
     length = improbable_run_length(0.3, 1e-6)
     assert 0.3**length <= 1e-6 < 0.3 ** (length - 1)
     assert improbable_run_length(1.0, 1e-6) == sys.maxsize
+
+
+@pytest.mark.parametrize(("size", "flat_run"), [(100, 5), (640, 4), (6_400, 3)])
+def test_fewer_equal_samples_are_a_dropout_the_more_samples_show_that_they_are_rare(size: int, flat_run: int) -> None:
+    samples = np.random.default_rng(0).normal(0.0, 0.1, (BASELINE_FRAMES, size))
+    assert Baseline(DetectionSettings(), map(Frame, samples)).flat_run == flat_run
 
 
 @pytest.mark.parametrize("size", [8, 128, 129, 640, 6400])

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.detector import SETTLING_FRAMES, Detector
+from scara_effmass.impacts.baseline import BASELINE_FRAMES
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.settings import DetectionSettings
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ FRAME = 640
 SIZE = 160_000
 FIRST = 1_000_003
 """The stream began long ago."""
-SETTLING = max(SETTLING_FRAMES * FRAME, round(DetectionSettings().rebound_time * RATE)) + FRAME
+SETTLING = max((BASELINE_FRAMES + 3) * FRAME, round(DetectionSettings().rebound_time * RATE)) + FRAME
 
 
 class Busy(NamedTuple):

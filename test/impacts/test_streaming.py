@@ -214,6 +214,30 @@ def test_going_back_is_another_recording(make_block: MakeBlock, add_pulse: AddPu
     assert not any(impact.incomplete for impact in impacts)
 
 
+@pytest.mark.parametrize(("factor", "rebound"), [(1.009, 1), (1.011, 0), (0.991, 1), (0.989, 0)])
+def test_another_sample_rate_is_another_recording(
+    make_block: MakeBlock, add_pulse: AddPulse, factor: float, rebound: int
+) -> None:
+    """The clock fit varies the rate by less than 1 %."""
+    force = np.random.default_rng(0).normal(0.0, 0.1, 20_000)
+    for onset in (9_000, 11_000):
+        add_pulse(force, onset, 4e-3, 100.0)
+    detector = Detector(DetectionSettings())
+    impacts = detector.feed(make_block(force[:10_000]))
+    impacts += detector.feed(make_block(force[10_000:], 10_000, RATE * factor)) + detector.finish()
+    assert [impact.rebound for impact in impacts] == [0, rebound]
+
+
+@pytest.mark.parametrize(("pause", "count"), [(2, 1), (3, 1), (5, 2), (8, 2)])
+def test_contacts_are_apart_after_a_third_of_a_millisecond(
+    detect: Detect, add_pulse: AddPulse, pause: int, count: int
+) -> None:
+    force = np.zeros(20_000)
+    for onset in (9_999.5, 9_999.5 + 51 + pause):  # `pause` samples of zero between them
+        add_pulse(force, onset, 51 / RATE, 100.0)
+    assert len(detect(force).impacts) == count
+
+
 def test_samples_that_are_not_finite_are_lost(detect: Detect, add_pulse: AddPulse) -> None:
     force = np.random.default_rng(0).normal(0.0, 0.1, 20_000)
     add_pulse(force, 10_000, 4e-3, 100.0)

@@ -135,6 +135,40 @@ def test_braking_before_the_impact_is_no_slowing_by_it(make_state: MakeState) ->
     assert not state.from_trend
 
 
+@pytest.mark.parametrize(("angle", "is_usable"), [(100.0, True), (118.0, True), (122.0, False)])
+def test_direction_may_turn_by_up_to_120_degrees(make_state: MakeState, angle: float, *, is_usable: bool) -> None:
+    turned = (math.cos(math.radians(angle)), math.sin(math.radians(angle)), 0.0)
+    states = [make_state(START - 5 * MS), make_state(START + 5 * MS, direction=turned)]
+    assert isinstance(history_of(states).at(START, 0), OnsetState) == is_usable
+
+
+def test_trend_is_that_of_the_last_five_states(make_state: MakeState) -> None:
+    """An older state, on another line, does not enter it."""
+    states = [make_state(START - 55 * MS, 9.0)]
+    states += [make_state(START - ms * MS, 0.3 - 0.001 * ms) for ms in (45, 35, 25, 15, 5)]
+    states += [make_state(START + 5 * MS, 0.1)]
+    state = usable(history_of(states).at(START, 0))
+    assert state.speed == pytest.approx(0.3)
+    assert state.from_trend
+
+
+@pytest.mark.parametrize(("age_ms", "from_trend"), [(101, True), (102, False)])
+def test_trend_reaches_back_twice_the_state_tolerance_and_the_uncertainty(
+    make_state: MakeState, age_ms: int, *, from_trend: bool
+) -> None:
+    """100 ms, and 1 ms of clock uncertainty."""
+    states = [make_state(START - ms * MS) for ms in (age_ms, 10)] + [make_state(START + 5 * MS, 0.1)]
+    assert usable(history_of(states).at(START, MS)).from_trend == from_trend
+
+
+@pytest.mark.parametrize(("speed", "from_trend"), [(0.246, False), (0.244, True)])
+def test_state_after_the_onset_may_be_slower_by_two_percent(
+    make_state: MakeState, speed: float, *, from_trend: bool
+) -> None:
+    states = [make_state(START - ms * MS) for ms in (20, 15, 10, 5)] + [make_state(START + 5 * MS, speed)]
+    assert usable(history_of(states).at(START, 0)).from_trend == from_trend
+
+
 def test_velocity_noise_is_not_amplified(make_state: MakeState) -> None:
     """Velocities with 2 % of noise, which often looks like slowing, give the speed to about as much."""
     rng = np.random.default_rng(0)

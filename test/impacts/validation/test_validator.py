@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.settings import MassModel, ValidatorSettings
-from scara_effmass.values import NAN, ForceBlock
+from scara_effmass.values import NAN, ForceBlock, RunInfo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -342,6 +343,10 @@ def block(force: Sequence[float], stamp_ns: int = START) -> ForceBlock:
         ),
         ([0.0, 312.0, -60.0], ""),
         ([0.3, -0.4], ""),
+        ([0.0, -9.9], ""),
+        ([0.0, -11.0], "force goes to -11 N and never above 0 N: compression is positive; set sensor.invert"),
+        ([100.0, -299.0], ""),
+        ([100.0, -301.0], "force goes to -301 N and never above 100 N: compression is positive; set sensor.invert"),
         ([NAN], ""),
     ],
 )
@@ -433,6 +438,48 @@ def test_invalid_obstacle_mass_is_refused(mass: float) -> None:
     with pytest.raises(SettingsError, match=r"^obstacle_mass = .*: must be 0 \(not stated\) to 1000 kg"):
         validator.runs.set(0, obstacle_mass=mass)
     assert validator.runs.latest.obstacle_mass == 0.0
+
+
+@pytest.mark.parametrize(
+    ("info", "problem"),
+    [
+        (RunInfo(obstacle_mass=1000.0, stamp_ns=2**63 - 1), ""),
+        (RunInfo(obstacle_mass=1000.5), "obstacle_mass = 1000.5: must be 0"),
+        (RunInfo(obstacle_mass=-0.1), "obstacle_mass = -0.1: must be 0"),
+        (RunInfo(obstacle_mass=NAN), "obstacle_mass = nan: must be 0"),
+        (RunInfo(stamp_ns=2**63), "stamp = 9223372036854775808 ns: must be ROS time"),
+        (RunInfo(configuration="a\nb"), r"configuration = 'a\\nb': must be printable"),
+    ],
+)
+def test_run_information_that_cannot_be_used_is_refused_and_makes_the_obstacle_unknown(
+    info: RunInfo, problem: str
+) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    with pytest.raises(SettingsError, match=problem) if problem else nullcontext():
+        validator.runs.begin(info, START)
+    assert validator.runs.at(START - 1).obstacle_mass == 2.0
+    assert validator.runs.latest.obstacle_mass == (0.0 if problem else 1000.0)
+
+
+def test_run_information_replaces_the_settings_that_it_states() -> None:
+    runs = Validator(ValidatorSettings(obstacle_mass=2.0, configuration="near")).runs
+    runs.begin(RunInfo(obstacle_mass=3.0), START)  # from its arrival on
+    runs.begin(RunInfo(configuration="far", stamp_ns=START - 10), START + 5)  # from its stamp on
+    stated = [runs.at(since_ns) for since_ns in (0, START - 11, START - 10, START - 1, START)]
+    assert [(run.obstacle_mass, run.configuration) for run in stated] == [
+        (2.0, "near"),
+        (2.0, "near"),
+        (2.0, "far"),
+        (2.0, "far"),
+        (3.0, "near"),
+    ]
+    runs.set(START + 1, obstacle_mass=4.0)
+    runs.begin(RunInfo(configuration="far"), START + 2)
+    assert runs.latest == (START + 2, 4.0, "far")
+    runs.forget_obstacle(START + 3)
+    assert runs.latest == (START + 3, 0.0, "far")
+    runs.restart()
+    assert runs.at(0) == runs.latest == (0, 0.0, "far")
 
 
 def test_reset_begins_a_new_series(campaign: Cell) -> None:
