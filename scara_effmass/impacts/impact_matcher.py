@@ -207,7 +207,7 @@ class ImpactMatcher:
             )
         )
 
-    def matches(self, *, flush: bool = False) -> Iterator[MatchedImpact]:
+    def matches(self, *, flush: bool) -> Iterator[MatchedImpact]:
         """Yield the impacts that can be matched now, in order. `flush`: no more states will arrive."""
         while self.waiting and (flush or self._ready(*self.waiting[0])):
             impact, received_ns = self.waiting.popleft()

@@ -79,6 +79,14 @@ def test_a_ramp_is_not_steady() -> None:
     assert baseline.is_steady(frames, 0.8)
 
 
+@pytest.mark.parametrize(("step", "steady"), [(2.0, True), (2.8, True), (3.2, False)])
+def test_steady_levels_differ_by_at_most_three_standard_deviations(step: float, *, steady: bool) -> None:
+    frame = np.random.default_rng(0).normal(0.0, 10.0, 640)
+    deviation = median_and_deviation(Frame(frame).subsamples)[1]
+    frames = [Frame(frame) for _ in range(4)] + [Frame(frame + step * deviation)]
+    assert Baseline(DetectionSettings()).is_steady(frames) == steady
+
+
 @given(
     st.lists(st.floats(-8.0, 8.0), min_size=BASELINE_FRAMES, max_size=BASELINE_FRAMES),
     st.floats(-16.0, 16.0),

@@ -59,6 +59,14 @@ def test_an_unseen_flank_is_told() -> None:
     assert onset == pytest.approx(0.0)
 
 
+def test_segment_of_nothing_but_contact_holds_one_incomplete_contact() -> None:
+    baseline = Baseline(DetectionSettings(), [Frame(np.random.default_rng(n).normal(0.0, 0.1, 640)) for n in range(5)])
+    samples = np.array([60.0, 80.0, 70.0, 50.0])
+    (contact,) = classify(samples, np.zeros(4, dtype=np.bool_), baseline, 4, 0).contacts
+    assert (contact.first, contact.last, contact.complete) == (0, 3, False)
+    assert contact.peak == pytest.approx(80.0, abs=1.0)
+
+
 @pytest.mark.parametrize("index", [0, 3, 39])
 def test_saturated_sample_clips_the_contact_that_contains_it(index: int) -> None:
     settings = DetectionSettings()

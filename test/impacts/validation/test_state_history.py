@@ -143,9 +143,10 @@ def test_direction_may_turn_by_up_to_120_degrees(make_state: MakeState, angle: f
 
 
 def test_trend_is_that_of_the_last_five_states(make_state: MakeState) -> None:
-    """An older state, on another line, does not enter it."""
-    states = [make_state(START - 55 * MS, 9.0)]
-    states += [make_state(START - ms * MS, 0.3 - 0.001 * ms) for ms in (45, 35, 25, 15, 5)]
+    """Neither an older state, on another line, enters it, nor one at which the robot did not move."""
+    states = [make_state(START - 65 * MS, 9.0)]
+    states += [make_state(START - ms * MS, 0.3 - 0.001 * ms) for ms in (55, 45, 35, 15, 5)]
+    states.insert(4, make_state(START - 25 * MS, 0.0, STILL))
     states += [make_state(START + 5 * MS, 0.1)]
     state = usable(history_of(states).at(START, 0))
     assert state.speed == pytest.approx(0.3)

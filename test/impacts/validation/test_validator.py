@@ -292,6 +292,23 @@ def test_impacts_without_arrival_times_are_matched_by_stamp(campaign: Cell) -> N
     assert run(cell, settings) == run(campaign, settings)
 
 
+@pytest.mark.parametrize(
+    ("delay_ns", "apart"), [(-500 * MS, 0), (-500 * MS - 1, 1), (1500 * MS, 0), (1500 * MS + 1, 1)]
+)
+def test_impact_arrives_between_the_clock_tolerance_before_and_the_delay_after_its_onset(
+    make_state: MakeState, make_impact: MakeImpact, delay_ns: int, apart: int
+) -> None:
+    """Compared with contact states that arrive at their stamps."""
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    for ms in range(-1000, 20, 10):
+        validator.add_state(make_state(START + ms * MS), START + ms * MS)
+    validator.add_impact(make_impact(START - 500 * MS), START - 500 * MS + delay_ns)
+    validator.finish()
+    result = validator.result()
+    assert result.unpaired == ({"force and contact states are seconds apart: their clocks differ": 1} if apart else {})
+    assert bool(result.clock) == bool(apart)
+
+
 def test_impact_without_arrival_time_waits_for_the_states_around_its_onset(
     make_state: MakeState, make_impact: MakeImpact
 ) -> None:
@@ -404,13 +421,16 @@ def test_selected_model(
     assert validator.result().model == model.value
 
 
-@pytest.mark.parametrize("model", [MassModel.FULL, MassModel.LARGEST])
+@pytest.mark.parametrize(
+    ("model", "mass"),
+    [(MassModel.FULL, NAN), (MassModel.LARGEST, NAN), *((MassModel.FULL, mass) for mass in (math.inf, 0.0, 0.9e-6))],
+)
 def test_selected_model_without_a_mass_is_rejected(
-    make_state: MakeState, make_impact: MakeImpact, model: MassModel
+    make_state: MakeState, make_impact: MakeImpact, model: MassModel, mass: float
 ) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0, effective_mass_model=model))
     for ms in (0, 10):
-        validator.add_state(make_state(START + ms * MS, full=NAN), 0)
+        validator.add_state(make_state(START + ms * MS, full=mass), 0)
     assert not validator.add_impact(make_impact(START + 5 * MS), 0)
     assert validator.result().unpaired == {f"no {model.value} mass": 1}
 
