@@ -12,7 +12,7 @@ trap 'kill $busy' EXIT
 trap 'exit 1' INT TERM
 passed=0
 for run in $(seq "$count"); do
-    if timeout 120 .venv/bin/pytest -q -n0 test/nodes/test_validator_twin.py >"/tmp/replay_handshake.$$" 2>&1; then
+    if timeout 120 .venv/bin/pytest -q -n0 -o faulthandler_timeout=100 test/nodes/test_validator_twin.py >"/tmp/replay_handshake.$$" 2>&1; then
         passed=$((passed + 1))
     else
         cat "/tmp/replay_handshake.$$"

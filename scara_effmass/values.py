@@ -46,10 +46,10 @@ class Verdict(IntEnum):
 class ContactAssessment(NamedTuple):
     """Assessment of one contact point at one joint state: `ContactState.msg`, field by field.
 
-    `lumped_mass` and `full_mass` [kg] are NaN if the robot has no such model. Under UNKNOWN,
-    what could not be computed is 0. Masses and `predicted_force` [N] are nominal; `allowable_speed` [m/s]
-    and `margin` [m/s] include the uncertainty margins, on the safe side. `watchdog` marks a state that the monitor's
-    watchdog published because no joint state came.
+    `lumped_mass` and `full_mass` [kg] are NaN if the robot has no such model. Under UNKNOWN, what could not be computed
+    is 0. Masses and `predicted_force` [N] are nominal; `force_bound` [N], `allowable_speed` and `margin` [m/s] include
+    drives and uncertainty margins, on the safe side. `watchdog` marks a state that the monitor's watchdog published
+    because no joint state came.
     """
 
     stamp_ns: int
@@ -76,6 +76,11 @@ class ContactAssessment(NamedTuple):
     mass_capped: bool
     smallest_singular_value: float
     watchdog: bool = False
+    worst_normal_reduced_mass: float = 0.0
+    force_bound: float = 0.0
+    clamping_force: float = 0.0
+    contact_normal: str = ""
+    mass_model: str = ""
 
 
 class Decision(NamedTuple):

@@ -41,8 +41,11 @@ _UNITS = {
     "margin": "margin_m_s",
     "input_age": "input_age_s",
     "smallest_singular_value": "smallest_singular_value",
+    "worst_normal_reduced_mass": "worst_normal_reduced_mass_kg",
+    "force_bound": "force_bound_n",
+    "clamping_force": "clamping_force_n",
 }
-_LABELS = ("contact_point", "body_region", "criterion", "verdict", "reason")
+_LABELS = ("contact_point", "body_region", "criterion", "verdict", "reason", "contact_normal", "mass_model")
 _FLAGS = ("worst_direction_used", "mass_capped", "watchdog")
 
 SCHEMA = pa.schema(

@@ -11,6 +11,7 @@ from scara_effmass.iso15066.contact import (
     transferred_energy,
 )
 from scara_effmass.iso15066.limits import Criterion, Limit, limits_for
+from scara_effmass.iso15066.mobility import Mobility
 from scara_effmass.iso15066.speed_limit import MIN_EFFECTIVE_MASS, SpeedLimit, SpeedLimits
 from scara_effmass.iso15066.table import BODY_POINTS, BODY_REGIONS, EDITION, TABLE_HASH, BodyPoint, BodyRegion
 
@@ -24,6 +25,7 @@ __all__ = [
     "BodyRegion",
     "Criterion",
     "Limit",
+    "Mobility",
     "SpeedLimit",
     "SpeedLimits",
     "force_per_root_stiffness",

@@ -61,18 +61,17 @@ def limits_for(settings: MonitorSettings) -> tuple[Limit, ...]:
     """Return the limits of `settings.body_regions`, from head to foot; by default of all regions that have one.
 
     A limit from `settings` replaces the standard's in the regions where it is stricter. Raises LimitError for a region
-    that is unknown, repeated or without a limit for this contact, and for a setting that is looser than the standard in
-    every chosen region.
+    that is unknown, repeated or of the head, where the standard permits no contact, and for a setting that is looser
+    than the standard in every chosen region.
     """
-    regions = _chosen_regions(settings.body_regions, settings.contact)
+    regions = _chosen_regions(settings.body_regions)
     limits = tuple(_standard_limit(region, settings.contact, settings.contact_area) for region in regions)
     _check_not_looser(settings, limits)
     return tuple(_tightened(limit, settings) for limit in limits)
 
 
-def _chosen_regions(names: tuple[str, ...], contact: ContactType) -> tuple[BodyRegion, ...]:
-    clamped = contact is ContactType.QUASI_STATIC
-    covered = {point.region for point in BODY_POINTS if clamped or point.transient_factor is not None}
+def _chosen_regions(names: tuple[str, ...]) -> tuple[BodyRegion, ...]:
+    covered = {point.region for point in BODY_POINTS if point.transient_factor is not None}
     for name in names:
         if name not in BODY_REGIONS:
             raise LimitError(f"body_regions = {name!r}: must be one of {', '.join(BODY_REGIONS)}")
@@ -81,8 +80,8 @@ def _chosen_regions(names: tuple[str, ...], contact: ContactType) -> tuple[BodyR
         if name not in covered:
             rows = _rows([point for point in BODY_POINTS if point.region == name])
             raise LimitError(
-                f"body_regions = {name!r}: the standard states no transient limit ({rows}): leave it out and prevent "
-                "its contact by other means, or set contact to quasi_static"
+                f"body_regions = {name!r}: the standard permits no contact with head and face ({rows} hold for no "
+                "speed): leave it out and prevent the contact by other means"
             )
     return tuple(region for region in BODY_REGIONS.values() if region.name in (names or covered))
 

@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 from types import MappingProxyType
 
 EDITION = "ISO/TS 15066:2016, Annex A (carried into ISO 10218-2:2025; changes of numbers there unconfirmed)"
+CLAUSE_2025 = "ISO 10218-2:2025, Annex M (measurement: Annex N; by secondary sources)"
+"""Place of both tables in the edition of 2025. The standard itself was not at hand."""
 
 
 @dataclass(frozen=True, slots=True)

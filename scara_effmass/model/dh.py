@@ -49,6 +49,8 @@ class DhJoint(_Strict):
     lower: Number
     upper: Number
     max_speed: Number = Field(gt=0.0)
+    max_effort: Number = Field(0.0, ge=0.0)
+    """Effort limit [N m, N]; 0: unknown."""
     armature: Number | None = Field(None, ge=0.0)
 
     @model_validator(mode="after")
@@ -169,7 +171,7 @@ def _robot(file: DhFile, origin: str, settings: MonitorSettings) -> Robot:
             joint,
             placement,
             row.name,
-            np.array([1e9]),  # maximum effort, unused
+            np.array([row.max_effort]),
             np.array([row.max_speed]),
             np.array([row.lower]),
             np.array([row.upper]),

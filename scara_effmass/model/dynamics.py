@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
+from scara_effmass.iso15066.mobility import Matrix
 from scara_effmass.model.lumping import LumpedModel, lump
 from scara_effmass.model.robot import Robot
 from scara_effmass.values import NAN, ZERO_VECTOR, FloatArray, Vector3
@@ -32,17 +33,30 @@ class EffectiveMasses(NamedTuple):
 
     Below the speed threshold `direction` is zero, and `lumped` and `full` are the masses of the worst direction.
     A mass is infinite in a direction that no joint moves, and NaN if its model does not cover this state;
-    `lumped_reason` then states why.
+    `lumped_reason` then states why. The mobilities A = J_v M^-1 J_v^T [1/kg] of a model are symmetric (3, 3) lists, of
+    which `rank` eigenvalues are not 0 outside singular poses; empty without the model.
     """
 
     speed: float
     direction: Vector3
     lumped: float
     full: float
-    worst_lumped: float
-    worst_full: float
     smallest_singular_value: float
     lumped_reason: str
+    lumped_mobility: Matrix
+    full_mobility: Matrix
+    rank: int
+    has_massless_direction: bool
+
+    @property
+    def worst_lumped(self) -> float:
+        """Largest lumped mass over all directions [kg]; NaN where a joint that moves no lumped mass moves the point."""
+        return NAN if self.has_massless_direction else _worst_mass(self.lumped_mobility, self.rank)
+
+    @property
+    def worst_full(self) -> float:
+        """Largest full mass over all directions in which the contact point can move [kg]."""
+        return _worst_mass(self.full_mobility, self.rank)
 
 
 class RobotDynamics:
@@ -93,25 +107,78 @@ class RobotDynamics:
         speed = math.sqrt(vx * vx + vy * vy + vz * vz)
         moving = speed >= speed_threshold and speed > 0.0
         direction = (vx / speed, vy / speed, vz / speed) if moving else ZERO_VECTOR
-        masses = []
-        for inverse in inverses:
-            mobility = jacobian.dot(inverse).dot(transposed).tolist()
-            min_mobility = smallest_eigenvalue(mobility, rank)
-            worst = 1.0 / min_mobility if min_mobility > 0.0 else math.inf
-            masses.append((_effective_mass(mobility, direction) if moving else worst, worst))
-        full, worst_full = (NAN, NAN) if self.full_reason else masses[-1]
-        lumped, worst_lumped = (NAN, NAN) if self.lumped is None else masses[0]
+        mobilities = [jacobian.dot(inverse).dot(transposed).tolist() for inverse in inverses]
+        lumped_mobility = mobilities[0] if self.lumped is not None else []
+        full_mobility = mobilities[-1] if not self.full_reason else []
+        if moving:
+            lumped, full = _effective_mass(lumped_mobility, direction), _effective_mass(full_mobility, direction)
+        else:
+            lumped, full = _worst_mass(lumped_mobility, rank), _worst_mass(full_mobility, rank)
         reason = self.lumped_reason
+        has_massless_direction = False
         for joint in self._massless_joints:
             x, y, z = jacobian[:, joint].tolist()
             if x * x + y * y + z * z > MIN_LEVER_M * MIN_LEVER_M:
-                worst_lumped = NAN
+                has_massless_direction = True
                 nx, ny, nz = direction
                 if not moving or abs(nx * x + ny * y + nz * z) > MIN_LEVER_M:
                     lumped = NAN
                     reason = f"{self.robot.joint_names[joint]} moves the contact point along n, but no lumped mass"
         singular = math.sqrt(max(smallest_eigenvalue(jacobian.dot(transposed).tolist(), rank), 0.0))
-        return EffectiveMasses(speed, direction, lumped, full, worst_lumped, worst_full, singular, reason)
+        # By position, because keywords cost time in the hot path.
+        return EffectiveMasses(
+            speed,
+            direction,
+            lumped,
+            full,
+            singular,
+            reason,
+            lumped_mobility,
+            full_mobility,
+            rank,
+            has_massless_direction,
+        )
+
+    def in_base(self, q: FloatArray, vector: Vector3, frame: str) -> Vector3:
+        """Return `vector` (3,) of the robot's `frame` in base axes at `q`. Raises RobotError for an unknown frame."""
+        model = self.robot.model
+        if frame in {"", self.robot.base_frame}:
+            return vector
+        if not model.existFrame(frame):
+            names = ", ".join(dict.fromkeys(frame.name for frame in model.frames))
+            raise RobotError(f"{self.robot.origin}: contact_normal_frame = {frame!r}: must be one of {names}")
+        pin.framesForwardKinematics(model, self._kinematics, q)
+        x, y, z = (self._kinematics.oMf[model.getFrameId(frame)].rotation @ vector).tolist()
+        return x, y, z
+
+    def drive_acceleration(self, q: FloatArray, contact: int) -> float:
+        """Return the acceleration [m/s2] of a contact point that the effort limits of the joints allow at most.
+
+        That is sum_i |J_v M^-1 e_i| (tau_max,i + |g_i(q)|) over the joints, in the model with the larger sum; infinite
+        if an effort limit is unknown. `contact` is an index of `contact_points`. Gravity acts along -z of the base.
+        """
+        jacobian = self.jacobian(q, self._contacts[contact][1])
+        effort = self.robot.effort_limits + np.abs(self._gravity(q))
+        if not np.isfinite(effort).all():
+            return math.inf
+        inverses = [self._inverse(model, data, q) for model, data in zip(self._models, self._data, strict=True)]
+        return max(float(np.linalg.norm(jacobian @ inverse, axis=0) @ effort) for inverse in inverses)
+
+    def clamping_force(self, q: FloatArray, contact: int, direction: Vector3) -> float:
+        """Return the largest static force [N] along the unit vector `direction` that the joints can hold at `q`.
+
+        J^T n F + g(q) = tau with |tau_i| <= tau_max,i: the smallest (tau_max,i + s_i g_i) / |(J^T n)_i| over the
+        joints, s_i the sign of the push. 0 along a direction in which no joint pushes; infinite without effort limits.
+        """
+        lever = direction @ self.jacobian(q, self._contacts[contact][1])
+        loaded = np.abs(lever) > MIN_LEVER_M
+        if not loaded.any():
+            return 0.0
+        margin = self.robot.effort_limits - np.sign(lever) * self._gravity(q)
+        return float(max(np.min(margin[loaded] / np.abs(lever[loaded])), 0.0))
+
+    def _gravity(self, q: FloatArray) -> FloatArray:
+        return np.asarray(pin.computeGeneralizedGravity(self.robot.model, self._kinematics, q))
 
     def jacobian(self, q: FloatArray, frame: int) -> FloatArray:
         """Return J_v (3, n): linear velocity of Pinocchio's `frame` in base axes, per joint velocity."""
@@ -169,8 +236,21 @@ def smallest_eigenvalue(matrix: list[list[float]], rank: int) -> float:
     return mean + 2.0 * spread * math.cos(third + _THIRD_TURN)
 
 
-def _effective_mass(mobility: list[list[float]], direction: Vector3) -> float:
-    """Return the effective mass along n, m_n = 1 / (n^T A n) (Eq. 8); infinite if no joint moves the point along n."""
+def _worst_mass(mobility: Matrix, rank: int) -> float:
+    """Return the largest effective mass over all directions [kg]: infinite at a singular pose, NaN without a model."""
+    if not mobility:
+        return NAN
+    min_mobility = smallest_eigenvalue(mobility, rank)
+    return 1.0 / min_mobility if min_mobility > 0.0 else math.inf
+
+
+def _effective_mass(mobility: Matrix, direction: Vector3) -> float:
+    """Return the effective mass along n, m_n = 1 / (n^T A n) (Eq. 8).
+
+    Infinite if no joint moves the point along n, NaN without a model.
+    """
+    if not mobility:
+        return NAN
     (a, b, c), (_, d, e), (_, _, f) = mobility
     x, y, z = direction
     inverse = a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)

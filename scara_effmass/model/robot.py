@@ -14,6 +14,8 @@ from scara_effmass.values import FloatArray, Vector3
 
 PARALLEL = 2e-3
 """Sine of the angle below which two axes count as parallel, because some files write pi as 3.14."""
+UNKNOWN_EFFORT = 1e9
+"""Effort limit from which on none is stated; URDF files write 0 as well."""
 SAMPLES = 64
 """Number of configurations at which structural properties of a model are evaluated."""
 
@@ -51,6 +53,12 @@ class Robot:
     def revolute(self) -> tuple[bool, ...]:
         """Whether each joint is revolute (else prismatic)."""
         return tuple(joint.shortname().startswith("JointModelR") for joint in list(self.model.joints)[1:])
+
+    @property
+    def effort_limits(self) -> FloatArray:
+        """Effort limits (n,) of the joints [N m, N]; infinite where the description states none."""
+        effort = np.asarray(self.model.effortLimit, dtype=np.float64)
+        return np.where((effort > 0.0) & (effort < UNKNOWN_EFFORT), effort, np.inf)
 
     @property
     def moving_mass(self) -> float:

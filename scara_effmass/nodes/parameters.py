@@ -55,7 +55,8 @@ def on_parameters_changed(
     def changed(changes: list[Parameter]) -> Settings:
         settings = current()
         model = type(settings)
-        values = {p.name: from_ros(p) for p in changes if p.name in model.model_fields}
+        fields = flat_fields(model)
+        values = {p.name: from_ros(p) for p in changes if p.name in fields}
         return checked(model, {**settings.model_dump(), **values}, node.get_name())
 
     def on_set(changes: list[Parameter]) -> SetParametersResult:

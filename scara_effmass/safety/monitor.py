@@ -5,14 +5,41 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, SpeedLimit, SpeedLimits, limits_for, peak_force, reduced_mass
+import numpy as np
+
+from scara_effmass.iso15066 import (
+    MIN_EFFECTIVE_MASS,
+    Limit,
+    Mobility,
+    SpeedLimit,
+    SpeedLimits,
+    limits_for,
+    peak_force,
+    reduced_mass,
+)
+from scara_effmass.iso15066.mobility import Matrix
 from scara_effmass.safety.debounce import VerdictDebouncer, severity
 from scara_effmass.safety.joint_state_validator import NANOSECONDS, JointStateValidator, OtherDevice
-from scara_effmass.settings import MassModel, MonitorSettings
-from scara_effmass.values import NAN, ZERO_VECTOR, ContactAssessment, Decision, JointState, Verdict
+from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
+from scara_effmass.values import NAN, ZERO_VECTOR, ContactAssessment, Decision, FloatArray, JointState, Vector3, Verdict
 
 if TYPE_CHECKING:
     from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
+
+
+MIN_NORMAL_COMPONENT = 0.1
+"""Smallest share of the speed that counts along a fixed normal: its direction is known to about 6 degrees."""
+_LUMPED = (MassModel.LUMPED, MassModel.LARGEST)
+_FULL = (MassModel.FULL, MassModel.LARGEST)
+_ISO = (MassModel.ISO, MassModel.LARGEST)
+NO_CLAMPING_FORCE = (
+    "the clamping force is unknown: set the effort limits of the joints in the robot file, or external_force_limit"
+)
+_AXES: tuple[Vector3, ...] = tuple(
+    (sign * x, sign * y, sign * z)
+    for sign in (1.0, -1.0)
+    for x, y, z in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+)
 
 
 class Cause(NamedTuple):
@@ -22,6 +49,13 @@ class Cause(NamedTuple):
     contact_point: str
     verdict: Verdict
     reason: str
+
+
+class _Model(NamedTuple):
+    name: str
+    mass: float
+    worst_mass: float
+    mobility: Matrix
 
 
 class Monitor:
@@ -34,6 +68,7 @@ class Monitor:
         """Watch the robot of `dynamics`. Raises LimitError for `settings` that loosen a limit of the standard."""
         self.dynamics = dynamics
         self._validator = JointStateValidator(dynamics.robot)
+        self._masses_reason = dynamics.robot.masses_reason
         self._iso_mass = 0.0 if dynamics.robot.masses_reason else dynamics.robot.iso_mass
         self._debouncers = {name: VerdictDebouncer() for name in dynamics.contact_points}
         self.first_cause: Cause | None = None
@@ -44,13 +79,21 @@ class Monitor:
         self.apply(settings)
 
     def apply(self, settings: MonitorSettings) -> None:
-        """Apply changed settings, except those of the robot. Raises LimitError, and then changes nothing."""
-        limits = SpeedLimits(limits_for(settings))
+        """Apply changed settings, except those of the robot. Raises LimitError or RobotError, then changes nothing."""
+        limits = SpeedLimits(limits_for(settings), settings)
+        if settings.fixed_normal is not None:
+            self.dynamics.in_base(
+                np.zeros(self.dynamics.robot.model.nv), settings.fixed_normal, settings.contact_normal_frame
+            )
         self.settings = settings
         self._limits = limits
         self._validator.apply(settings)
         self._mass_factor = 1.0 + settings.mass_uncertainty
-        self._stiffness_factor = 1.0 + settings.stiffness_uncertainty
+        self._weakest = min(limits.limits, key=lambda limit: limit.permissible_force_n)
+        self._normal_text = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
+        self._normal_is_known = settings.contact_normal != "worst"
+        self._drives_push = settings.drives is Drives.SERVO
+        self._clamps = settings.contact is ContactType.QUASI_STATIC
         self._closing_speed = settings.person_speed + settings.speed_uncertainty
         for debouncer in self._debouncers.values():
             debouncer.release_ns = round(settings.release_time * NANOSECONDS)
@@ -95,8 +138,10 @@ class Monitor:
                 debouncer.mark_stale(f"no joint state for {(state.stamp_ns - previous_ns) / 1e9:.3f} s")
         effective_masses = self.dynamics.effective_masses(motion.q, motion.qd, self.settings.speed_threshold)
         contacts = [
-            self._assess_contact(name, debouncer, masses, state.stamp_ns, age)
-            for (name, debouncer), masses in zip(self._debouncers.items(), effective_masses, strict=True)
+            self._assess_contact(index, name, debouncer, masses, motion.q, state.stamp_ns, age)
+            for index, ((name, debouncer), masses) in enumerate(
+                zip(self._debouncers.items(), effective_masses, strict=True)
+            )
         ]
         return self._decision(tuple(contacts))
 
@@ -145,28 +190,56 @@ class Monitor:
         return 1.0 if reference_speed <= allowable_speed else allowable_speed / reference_speed
 
     def _assess_contact(
-        self, name: str, debouncer: VerdictDebouncer, masses: EffectiveMasses, stamp_ns: int, age: float
+        self,
+        index: int,
+        name: str,
+        debouncer: VerdictDebouncer,
+        masses: EffectiveMasses,
+        q: FloatArray,
+        stamp_ns: int,
+        age: float,
     ) -> ContactAssessment:
-        settings = self.settings
-        mass, worst_mass, error = self._verdict_mass(masses)
+        settings, cap = self.settings, self.settings.mass_cap
+        models, error = self._models(masses)
+        clamping_force = self._clamping_force(masses, q, index) if self._clamps else 0.0
+        if clamping_force == math.inf:
+            clamping_force = 0.0
+            error = error or NO_CLAMPING_FORCE
+        mass = worst_mass = obstacle_mass = stiffness = mu = worst_mu = force = force_bound = allowable_speed = 0.0
+        region = criterion = model_name = ""
         if error:
-            obstacle_mass = stiffness = mu = force = allowable_speed = 0.0
-            region = criterion = ""
             verdict, reason = Verdict.UNKNOWN, error
         else:
-            speed_limit = self._limits.speed_limit(mass * self._mass_factor, self._stiffness_factor)
+            model_name, mass, worst_mass, _ = models[0]
+            for model in models[1:]:
+                worst_mass = max(worst_mass, model.worst_mass)
+                if model.mass > mass:
+                    mass, model_name = model.mass, model.name
+            any_normal = _any_normal(models, masses)
+            mobilities, share = self._at_normal(models, masses, q) if self._normal_is_known else (any_normal, 1.0)
+            push = (self.dynamics.drive_acceleration(q, index), 1.0 / worst_mass) if self._drives_push else None
+            speed_limit = self._limits.worst_normal(mobilities, self._mass_factor, push)
             limit, criterion = speed_limit.limit, speed_limit.criterion
             region, stiffness, obstacle_mass = limit.region, limit.stiffness_n_m, limit.obstacle_mass_kg
-            mu = min(reduced_mass(mass, obstacle_mass), settings.mass_cap)
+            mu = min(reduced_mass(mass, obstacle_mass), cap)
+            worst_mu = 0.0
+            for mobility in any_normal:
+                worst_mu = max(worst_mu, mobility.worst_reduced_mass(1.0 / obstacle_mass))
+            worst_mu = min(worst_mu, cap)
             if obstacle_mass == math.inf:
                 obstacle_mass = 0.0
             force = peak_force(masses.speed + settings.person_speed, mu, stiffness)
-            allowable_speed = max(0.0, speed_limit.allowable_speed - self._closing_speed)
-            verdict, reason = self._verdict(masses, mass, speed_limit, allowable_speed)
+            force_bound = speed_limit.force(masses.speed * share + self._closing_speed, cap)
+            # Below 0 if the person's own speed is too much.
+            nominal_speed = (speed_limit.allowable_speed - self._closing_speed) / share
+            allowable_speed = max(0.0, nominal_speed)
+            verdict, reason = self._verdict(masses, mass, speed_limit, nominal_speed)
+            if clamping_force > self._weakest.permissible_force_n:
+                allowable_speed = 0.0
+                verdict, reason = Verdict.VIOLATION, _clamping_text(clamping_force, self._weakest)
         verdict, reason = debouncer.update(verdict, reason, stamp_ns)
         if verdict is Verdict.UNKNOWN:
             allowable_speed = 0.0
-        cap = settings.mass_cap
         # By position, because keywords double the time of this call in the hot path.
         return ContactAssessment(
             stamp_ns,
@@ -193,20 +266,44 @@ class Monitor:
             masses.direction == ZERO_VECTOR,
             mass > cap,
             masses.smallest_singular_value,
+            False,  # noqa: FBT003 - watchdog
+            worst_mu,
+            force_bound,
+            clamping_force,
+            self._normal_text,
+            model_name,
         )
 
+    def _at_normal(self, models: list[_Model], masses: EffectiveMasses, q: FloatArray) -> tuple[list[Mobility], float]:
+        """Return the mobilities along the contact normal of the settings, and the share of the speed along it."""
+        settings, velocity = self.settings, masses.direction
+        if settings.fixed_normal is None:
+            return [Mobility.of_mass(model.mass) for model in models], 1.0
+        normal = self.dynamics.in_base(q, settings.fixed_normal, settings.contact_normal_frame)
+        mobilities = [
+            Mobility.of_matrix(model.mobility, normal, masses.rank).along_normal()
+            if model.mobility
+            else Mobility.of_mass(model.mass)
+            for model in models
+        ]
+        share = abs(sum(n * v for n, v in zip(normal, velocity, strict=True)))
+        return mobilities, 1.0 if velocity == ZERO_VECTOR else max(share, MIN_NORMAL_COMPONENT)
+
     def _verdict(
-        self, masses: EffectiveMasses, mass: float, speed_limit: SpeedLimit, allowable_speed: float
+        self, masses: EffectiveMasses, mass: float, speed_limit: SpeedLimit, nominal_speed: float
     ) -> tuple[Verdict, str]:
-        """Return the verdict on this joint state alone, and the reason if it is not OK."""
+        """Return the verdict on this joint state alone, and the reason if it is not OK.
+
+        `nominal_speed` [m/s] is the allowable speed; it may be negative.
+        """
         settings = self.settings
         verdict, reason = Verdict.OK, ""
-        if masses.speed > speed_limit.allowable_speed - self._closing_speed:
+        if masses.speed > nominal_speed:
             verdict = Verdict.VIOLATION
-            reason = f"{masses.speed:.3f} m/s is above {_limit_text(speed_limit, allowable_speed)}"
-        elif masses.speed > settings.warn_ratio * allowable_speed:
+            reason = f"{masses.speed:.3f} m/s is above {_limit_text(speed_limit, nominal_speed)}"
+        elif masses.speed > settings.warn_ratio * nominal_speed:
             verdict = Verdict.WARN
-            reason = f"{masses.speed:.3f} m/s is close to {_limit_text(speed_limit, allowable_speed)}"
+            reason = f"{masses.speed:.3f} m/s is close to {_limit_text(speed_limit, nominal_speed)}"
         best_mass, best_model = (masses.lumped, "lumped") if math.isnan(masses.full) else (masses.full, "full")
         best_mass = min(best_mass, settings.mass_cap)  # near a singular pose both masses exceed the cap
         if mass < best_mass * (1.0 - settings.model_margin):
@@ -215,28 +312,48 @@ class Monitor:
             return max(verdict, Verdict.WARN), f"{reason}; {warning}" if reason else warning
         return verdict, reason
 
-    def _verdict_mass(self, masses: EffectiveMasses) -> tuple[float, float, str]:
-        """Return the effective mass behind the verdict, that of the worst direction, and why there is none."""
-        model = self.settings.effective_mass_model
-        reason = self.dynamics.robot.masses_reason
-        if reason:
-            return 0.0, 0.0, reason
-        if model is MassModel.ISO:
-            mass = worst_mass = self._iso_mass
-        elif model is not MassModel.FULL and math.isnan(masses.lumped):
-            return 0.0, 0.0, f"no lumped mass ({masses.lumped_reason}): choose effective_mass_model full or iso"
-        elif model is not MassModel.LUMPED and math.isnan(masses.full):
-            return 0.0, 0.0, f"no full mass ({self.dynamics.full_reason}): choose effective_mass_model lumped or iso"
-        elif model is MassModel.LUMPED:
-            mass, worst_mass = masses.lumped, masses.worst_lumped
-        elif model is MassModel.FULL:
-            mass, worst_mass = masses.full, masses.worst_full
-        else:
-            mass, worst_mass = max(masses.lumped, masses.full), max(masses.worst_lumped, masses.worst_full)
-        if mass < MIN_EFFECTIVE_MASS:
-            reason = f"{model.value} mass = {mass:.3g} kg: must be at least {MIN_EFFECTIVE_MASS:g} kg: check the robot"
-            return 0.0, 0.0, reason
-        return mass, worst_mass, ""
+    def _models(self, masses: EffectiveMasses) -> tuple[list[_Model], str]:
+        """Return the models behind the verdict (none if there is an error), and why there is none."""
+        choice = self.settings.effective_mass_model
+        if self._masses_reason:
+            return [], self._masses_reason
+        lumped_missing, full_missing = math.isnan(masses.lumped), math.isnan(masses.full)
+        if choice is MassModel.LUMPED and lumped_missing:
+            return [], f"no lumped mass ({masses.lumped_reason}): choose effective_mass_model full or iso"
+        if choice is MassModel.FULL and full_missing:
+            return [], f"no full mass ({self.dynamics.full_reason}): choose effective_mass_model lumped or iso"
+        models = []
+        if choice in _LUMPED and not lumped_missing:
+            models.append(_Model("lumped", masses.lumped, masses.worst_lumped, masses.lumped_mobility))
+        if choice in _FULL and not full_missing:
+            models.append(_Model("full", masses.full, masses.worst_full, masses.full_mobility))
+        if choice in _ISO:
+            models.append(_Model("iso", self._iso_mass, self._iso_mass, []))
+        for model in models:
+            if model.mass < MIN_EFFECTIVE_MASS:
+                minimum = f"must be at least {MIN_EFFECTIVE_MASS:g} kg: check the robot"
+                return [], f"{model.name} mass = {model.mass:.3g} kg: {minimum}"
+            if math.isnan(model.worst_mass) and self.settings.contact_normal != "velocity":
+                return [], (
+                    f"no {model.name} mass for every contact normal, because a joint moves no lumped mass: choose "
+                    "effective_mass_model full or contact_normal velocity"
+                )
+        return models, ""
+
+    def _clamping_force(self, masses: EffectiveMasses, q: FloatArray, index: int) -> float:
+        """Return the largest static force [N] of the drives, along a fixed normal, the velocity, or else any axis.
+
+        Infinite if it is unknown.
+        """
+        settings, dynamics = self.settings, self.dynamics
+        directions: tuple[Vector3, ...] = (masses.direction,)
+        if settings.fixed_normal is not None:
+            x, y, z = dynamics.in_base(q, settings.fixed_normal, settings.contact_normal_frame)
+            directions = (x, y, z), (-x, -y, -z)
+        elif masses.direction == ZERO_VECTOR:
+            directions = _AXES
+        force = max([dynamics.clamping_force(q, index, direction) for direction in directions])
+        return min(force, settings.external_force_limit or math.inf)
 
     def _unknown(self, name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:
         return unknown_contact(name, reason, stamp_ns, age)._replace(iso_mass=self._iso_mass)
@@ -276,8 +393,26 @@ def unknown_contact(name: str, reason: str, stamp_ns: int, age: float) -> Contac
     )
 
 
-def _limit_text(speed_limit: SpeedLimit, allowable_speed: float) -> str:
-    return f"the {allowable_speed:.3f} m/s that the {speed_limit.criterion} limit of {speed_limit.limit.region} allows"
+def _limit_text(speed_limit: SpeedLimit, nominal_speed: float) -> str:
+    limit = f"the {speed_limit.criterion} limit of {speed_limit.limit.region}"
+    return f"the {max(nominal_speed, 0.0):.3f} m/s that {limit} allows"
+
+
+def _clamping_text(force: float, limit: Limit) -> str:
+    permissible = f"the {limit.permissible_force_n:.0f} N of {limit.region}"
+    return f"the drives can clamp with {force:.0f} N, above {permissible}, at any speed"
+
+
+def _any_normal(models: list[_Model], masses: EffectiveMasses) -> list[Mobility]:
+    """Return the mobilities of `models` for any contact normal: at rest those of the worst direction."""
+    if masses.direction == ZERO_VECTOR:
+        return [Mobility.of_mass(model.worst_mass) for model in models]
+    return [
+        Mobility.of_matrix(model.mobility, masses.direction, masses.rank)
+        if model.mobility
+        else Mobility.of_mass(model.mass)
+        for model in models
+    ]
 
 
 def _latched(contact: ContactAssessment, cause: Cause) -> ContactAssessment:

@@ -17,7 +17,7 @@ from scara_effmass.settings.daq import (
     TareSettings,
 )
 from scara_effmass.settings.loading import READ_ONLY, checked, load_settings
-from scara_effmass.settings.monitor import ContactType, MassModel, MonitorSettings
+from scara_effmass.settings.monitor import ContactType, Drives, MassModel, MonitorSettings, ServoSettings
 from scara_effmass.settings.validator import CriterionSettings, ValidatorSettings
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "CriterionSettings",
     "DaqSettings",
     "DetectionSettings",
+    "Drives",
     "FilterKind",
     "FilterSettings",
     "ForceSourceKind",
@@ -36,6 +37,7 @@ __all__ = [
     "MonitorSettings",
     "Ni9230Settings",
     "SensorSettings",
+    "ServoSettings",
     "SimScene",
     "SimSettings",
     "Stamps",

@@ -1,13 +1,15 @@
 """Settings of the monitor."""
 
+import math
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from scara_effmass.settings.loading import READ_ONLY
 from scara_effmass.share import share
+from scara_effmass.values import Vector3
 
 
 class MassModel(str, Enum):
@@ -26,7 +28,24 @@ class ContactType(str, Enum):
     QUASI_STATIC = "quasi_static"
 
 
+class Drives(str, Enum):
+    """Reaction of the drives during a contact: joints free, on a servo whose reference moves on, or immovable."""
+
+    FREE = "free"
+    SERVO = "servo"
+    IMMOVABLE = "immovable"
+
+
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class ServoSettings(BaseModel):
+    """Position control of the joints, for drives = servo."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    bandwidth: float = Field(5.0, gt=0.0, le=1000.0, description="natural frequency of the position control [Hz]")
+    damping: float = Field(0.7, ge=0.05, le=5.0, description="damping ratio of the position control")
 
 
 class MonitorSettings(BaseModel):
@@ -81,7 +100,7 @@ class MonitorSettings(BaseModel):
     )
     effective_mass_model: MassModel = Field(
         MassModel.LUMPED,
-        description=("effective mass behind the verdict: lumped, full, iso (M/2 + m_L), or largest of lumped and full"),
+        description=("effective mass behind the verdict: lumped, full, iso (M/2 + m_L), or the largest that exists"),
     )
     mass_cap: float = Field(
         1000.0,
@@ -115,6 +134,30 @@ class MonitorSettings(BaseModel):
         le=100.0,
         description=(
             "speed at speed_scaling = 1 [m/s]; 0: the current speed, which suits a display but not a closed loop"
+        ),
+    )
+    contact_normal: str = Field(
+        "worst",
+        description=(
+            "normal of the surface that is hit: worst (any normal), velocity (the paper), or x y z for a fixed one, "
+            'such as "0 0 1" of a table'
+        ),
+    )
+    contact_normal_frame: str = Field(
+        "", description="frame of a fixed contact_normal, from the robot description; empty: the base"
+    )
+    drives: Drives = Field(
+        Drives.FREE,
+        description="drives during a contact: free (the standard, the paper), servo (they push on), or immovable",
+    )
+    servo: ServoSettings = ServoSettings()
+    external_force_limit: float = Field(
+        0.0,
+        ge=0.0,
+        le=1e5,
+        description=(
+            "force at which the robot's own monitored safety function stops a quasi-static contact [N]; 0: none, the "
+            "effort limits of the joints count"
         ),
     )
     body_regions: tuple[str, ...] = Field(
@@ -171,7 +214,29 @@ class MonitorSettings(BaseModel):
         default=False, description="compute an empty velocity from positions and header stamps"
     )
 
+    @field_validator("contact_normal")
+    @classmethod
+    def _check_contact_normal(cls, text: str) -> str:
+        if text not in {"worst", "velocity"} and _vector(text) is None:
+            raise ValueError('must be worst, velocity, or three numbers that are not all 0, such as "0 0 1"')
+        return text
+
+    @property
+    def fixed_normal(self) -> Vector3 | None:
+        """Unit vector of a fixed contact normal in `contact_normal_frame`, or None."""
+        return _vector(self.contact_normal)
+
     @property
     def robot_path(self) -> Path:
         """Path of the robot file: `robot`, or the shipped Omron i4-550L where that is empty."""
         return Path(self.robot) if self.robot else share("config", "omron_i4_550l.yaml")
+
+
+def _vector(text: str) -> Vector3 | None:
+    """Return the unit vector along the three numbers in `text`, or None if they give none."""
+    try:
+        x, y, z = map(float, text.split())
+    except ValueError:
+        return None
+    length = math.hypot(x, y, z)
+    return (x / length, y / length, z / length) if 0.0 < length < math.inf else None

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 _DOUBLES = 15
 """From direction.x to margin."""
 _FLOAT64 = struct.Struct("<4sd")
-_END = struct.Struct("<d??6xd?")
-"""From input_age to watchdog."""
+_END = struct.Struct("<d??6xd?7x3d")
+"""From input_age to clamping_force."""
 
 
 def contact_from(message: ContactState) -> ContactAssessment:
@@ -42,7 +42,7 @@ def float64_message(value: float) -> bytes:
 class ContactStateEncoder:
     """Encodes the ContactState messages of one contact point; unchanged texts are encoded once."""
 
-    __slots__ = ("_encoded_texts", "_head", "_start", "_texts")
+    __slots__ = ("_encoded_models", "_encoded_texts", "_head", "_start", "_texts")
 
     def __init__(self, contact_point: str, frame_id: str) -> None:
         """Encode for `contact_point`; `frame_id` is the frame of its direction."""
@@ -50,32 +50,22 @@ class ContactStateEncoder:
         self._head = padded(with_text(with_text(b"", frame_id), contact_point))
         self._start = struct.Struct(f"<4siI{len(self._head)}s{_DOUBLES}d")
         self._texts: tuple[object, ...] = ()
-        self._encoded_texts = b""
+        self._encoded_texts = self._encoded_models = b""
 
     def encode(self, contact: ContactAssessment) -> bytes:
         """Return the CDR bytes of the message."""
-        (
-            stamp_ns,
-            _,
-            direction,
-            *numbers,
-            body_region,
-            criterion,
-            verdict,
-            reason,
-            input_age,
-            worst_direction_used,
-            mass_capped,
-            smallest_singular_value,
-            watchdog,
-        ) = contact
-        texts = (body_region, criterion, verdict, reason)
+        stamp_ns, _, direction, *numbers = contact[:15]
+        body_region, criterion, verdict, reason = contact[15:19]
+        *_, contact_normal, mass_model = contact
+        texts = (body_region, criterion, verdict, reason, contact_normal, mass_model)
         if texts != self._texts:
             encoded = with_text(with_text(b"", body_region), criterion) + bytes((verdict,))
             self._encoded_texts = padded(with_text(encoded, reason))
+            self._encoded_models = with_text(with_text(b"", contact_normal), mass_model)
             self._texts = texts
         return (
             self._start.pack(LITTLE_ENDIAN, *sec_and_nanosec(stamp_ns), self._head, *direction, *numbers)
             + self._encoded_texts
-            + _END.pack(input_age, worst_direction_used, mass_capped, smallest_singular_value, watchdog)
+            + _END.pack(*contact[19:27])
+            + self._encoded_models
         )

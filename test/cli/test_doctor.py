@@ -109,7 +109,7 @@ def test_missing_limit_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture
     file.write_text("/**:\n  ros__parameters:\n    body_regions: [face]\n", encoding="utf-8")
     code, result = run_doctor(capsys, "--params", str(file))
     assert code == 1
-    assert "no transient limit" in texts(result, "wrong")["limits"]
+    assert "permits no contact" in texts(result, "wrong")["limits"]
 
 
 def test_joint_without_limits_is_accepted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -93,7 +93,7 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "missing argument": (["assess", TOUR], "-o/--output"),
     "unknown model": (["doctor", "--model", "heavy"], "'heavy'"),
     "unknown region": (["limits", "--region", "tail"], "body_regions = 'tail': must be one of skull"),
-    "region without a limit": (["limits", "--region", "face"], "no transient limit"),
+    "region without a limit": (["limits", "--region", "face"], "permits no contact"),
     "mass of NaN": (["limits", "--mass", "nan"], "argument --mass: nan: must be a number >= 1e-06 kg"),
     "ROS arguments of a command without a node": (["limits", "--ros-args", "-p", "a:=1"], "--ros-args"),
     "missing robot": (["doctor", "--robot", "no.urdf"], "no.urdf: no such file; must be a URDF or DH YAML file"),

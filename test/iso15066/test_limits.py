@@ -30,10 +30,17 @@ def test_default_is_every_region_with_a_transient_limit() -> None:
     assert tuple(limits()) == TRANSIENT_REGIONS
 
 
-def test_quasi_static_contact_covers_the_head() -> None:
-    clamped = limits(contact="quasi_static")
-    assert tuple(clamped) == tuple(BODY_REGIONS)
-    assert {limit.obstacle_mass_kg for limit in clamped.values()} == {math.inf}
+@pytest.mark.parametrize("contact", list(ContactType))
+def test_head_and_face_never_have_a_limit(contact: ContactType) -> None:
+    without_head = [name for name in BODY_REGIONS if name not in {"skull_forehead", "face"}]
+    assert list(limits(contact=contact)) == without_head
+    for region in ("skull_forehead", "face"):
+        with pytest.raises(LimitError, match="permits no contact with head and face"):
+            limits(contact=contact, body_regions=[region, "chest"])
+
+
+def test_clamped_body_part_is_infinitely_heavy() -> None:
+    assert {limit.obstacle_mass_kg for limit in limits(contact="quasi_static").values()} == {math.inf}
 
 
 @given(selections, contacts)
@@ -117,7 +124,7 @@ def test_settings_equal_to_the_standard_change_nothing() -> None:
         ({"body_regions": ["neck"], "stiffness": 49.0}, ["stiffness = 49 N/mm", "50 N/mm", "neck"]),
         ({"obstacle_mass": 0.5}, ["obstacle_mass = 0.5 kg", "0.6 kg", "hand_fingers"]),
         ({"contact": "quasi_static", "obstacle_mass": 75.0}, ["obstacle_mass = 75 kg", "must be 0", "clamped"]),
-        ({"body_regions": ["face"]}, ["body_regions = 'face'", "no transient limit", "row 3", "quasi_static"]),
+        ({"body_regions": ["face"]}, ["body_regions = 'face'", "no contact with head and face", "row 3"]),
         ({"body_regions": ["skull_forehead"]}, ["body_regions = 'skull_forehead'", "row 1, 2"]),
         ({"body_regions": ["chest", "chest"]}, ["body_regions = 'chest'", "2 times"]),
         ({"body_regions": ["hands"]}, ["body_regions = 'hands'", *BODY_REGIONS]),

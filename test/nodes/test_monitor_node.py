@@ -139,7 +139,7 @@ class TestParameters:
             ("locked_joints", ["*"], "read-only"),
             ("autostart", False, "read-only"),
             ("body_regions", ["tail"], "body_regions = 'tail': must be one of skull_forehead"),
-            ("body_regions", ["face"], "the standard states no transient limit"),
+            ("body_regions", ["face"], "the standard permits no contact"),
             ("max_force", 1e5, "max_force = 100000 N: must be at most the standard's"),
             ("stiffness", 1.0, "stiffness = 1 N/mm: must be at least the standard's"),
             ("obstacle_mass", 0.01, "obstacle_mass = 0.01 kg: must be at least the standard's"),

@@ -65,7 +65,7 @@ def test_invalid_argument_gives_one_line_and_exit_code_2(
         ("latch:=1", "monitor: latch = 1: must be BOOL, is INTEGER"),
         ("contact_points:=tool", "monitor: contact_points = 'tool': must be STRING_ARRAY, is STRING"),
         ("contact:=never", "monitor: contact = 'never': Input should be 'transient' or 'quasi_static'"),
-        ("body_regions:=[face]", "body_regions = 'face': the standard states no transient limit"),
+        ("body_regions:=[face]", "body_regions = 'face': the standard permits no contact"),
         ("max_force:=1000.0", "max_force = 1000 N: must be at most the standard's"),
         ("robot:={typo}", "{typo}: robot: Field required"),
         ("contact_points:=[nose]", "{shipped}: contact_points = 'nose': must be one of tool"),

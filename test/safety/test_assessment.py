@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from scara_effmass.errors import LimitError
 from scara_effmass.iso15066 import BODY_REGIONS, limits_for
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import ContactType, MassModel, MonitorSettings
+from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
 from scara_effmass.values import JointState, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from scara_effmass.model.dynamics import RobotDynamics
+    from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
     from scara_effmass.values import ContactAssessment
 
     Variant = Callable[[Callable[[dict[str, Any]], object]], RobotDynamics]
@@ -85,7 +85,32 @@ any_settings = st.builds(
     body_regions=st.lists(st.sampled_from(TRANSIENT), unique=True).map(tuple),
     contact=st.sampled_from(ContactType),
     contact_area=st.floats(0.05, 10.0),
+    contact_normal=st.sampled_from(["worst", "velocity", "0 0 1", "0.6 -0.8 0"]),
+    drives=st.sampled_from([Drives.FREE, Drives.IMMOVABLE]),
+    external_force_limit=st.just(1.0),
 )
+
+
+def bounding_reduced_mass(
+    masses: EffectiveMasses, model: MassModel, iso_mass: float, obstacle_mass: float, settings: MonitorSettings
+) -> float:
+    """Return the largest (v.n)^2 mu(n) / (share of the speed)^2 of one model, by linear algebra."""
+    if settings.drives is Drives.IMMOVABLE:
+        return obstacle_mass
+    factor = 1.0 + settings.mass_uncertainty
+    if model is MassModel.ISO:
+        return parallel(iso_mass * factor, obstacle_mass)
+    lumped = model is MassModel.LUMPED
+    mobility = np.array(masses.lumped_mobility if lumped else masses.full_mobility) / factor
+    normal = settings.fixed_normal
+    if normal is not None:
+        return parallel(1.0 / (np.array(normal) @ mobility @ np.array(normal)), obstacle_mass)
+    velocity = np.array(masses.direction)
+    if not velocity.any():
+        return parallel(factor * (masses.worst_lumped if lumped else masses.worst_full), obstacle_mass)
+    if settings.contact_normal == "velocity":
+        return parallel(1.0 / (velocity @ mobility @ velocity), obstacle_mass)
+    return float(velocity @ np.linalg.solve(mobility + np.eye(3) / obstacle_mass, velocity))
 
 
 @given(positions, velocities, any_settings)
@@ -98,21 +123,29 @@ def test_assessment_agrees_with_masses_and_limits(
         MassModel.LUMPED: masses.lumped,
         MassModel.FULL: masses.full,
         MassModel.ISO: scara.robot.iso_mass,
-        MassModel.LARGEST: max(masses.lumped, masses.full),
+        MassModel.LARGEST: max(masses.lumped, masses.full, scara.robot.iso_mass),
     }
-    mass = mass_by_model[settings.effective_mass_model]
-    cautious = mass * (1.0 + settings.mass_uncertainty)
-    allowed = {
-        limit.region: limit.permissible_force_n
-        / math.sqrt(
-            parallel(cautious, limit.obstacle_mass_kg) * limit.stiffness_n_m * (1.0 + settings.stiffness_uncertainty)
-        )
-        for limit in limits_for(settings)
-    }
+    model = settings.effective_mass_model
+    mass = mass_by_model[model]
+    models = [m for m in MassModel if m is not MassModel.LARGEST] if model is MassModel.LARGEST else [model]
+    allowed = {}
+    for limit in limits_for(settings):
+        bounds = [
+            bounding_reduced_mass(masses, m, scara.robot.iso_mass, limit.obstacle_mass_kg, settings) for m in models
+        ]
+        stiffness = limit.stiffness_n_m * (1.0 + settings.stiffness_uncertainty)
+        allowed[limit.region] = limit.permissible_force_n / math.sqrt(max(bounds) * stiffness)
+    share = 1.0
+    if settings.fixed_normal is not None and any(masses.direction):
+        share = max(abs(float(np.dot(settings.fixed_normal, masses.direction))), 0.1)
     closing = settings.person_speed + settings.speed_uncertainty
-    expected = max(0.0, min(allowed.values()) - closing)
-    assert contact.allowable_speed == pytest.approx(expected, rel=1e-12, abs=1e-12)
-    assert allowed[contact.body_region] == pytest.approx(min(allowed.values()), rel=1e-12)
+    expected = max(0.0, (min(allowed.values()) - closing) / share)
+    # A clamped part near a singular pose: the smallest eigenvalue decides, which has an error of 1e-7.
+    tolerance = 1e-4 if settings.contact is ContactType.QUASI_STATIC else 1e-6
+    assert contact.allowable_speed == pytest.approx(expected, rel=tolerance, abs=1e-9)
+    assert allowed[contact.body_region] == pytest.approx(min(allowed.values()), rel=tolerance)
+    assert contact.contact_normal == settings.contact_normal
+    assert mass_by_model[MassModel(contact.mass_model)] == mass
     assert contact.margin == contact.allowable_speed - contact.speed
     assert contact.effective_mass == min(mass, settings.mass_cap)
     assert contact.mass_capped == (mass > settings.mass_cap)
@@ -127,9 +160,9 @@ def test_assessment_agrees_with_masses_and_limits(
     assert contact.predicted_force == pytest.approx(force, rel=1e-12)
 
     speed = contact.speed
-    if speed > expected * (1.0 + 1e-9) + 1e-12:
+    if speed > expected * (1.0 + tolerance) + 1e-9:
         assert contact.verdict is Verdict.VIOLATION
-    elif speed < settings.warn_ratio * expected * (1.0 - 1e-9) - 1e-12:
+    elif speed < settings.warn_ratio * expected * (1.0 - tolerance) - 1e-9:
         lighter = mass < min(masses.full, settings.mass_cap) * (1.0 - settings.model_margin)
         assert contact.verdict is (Verdict.WARN if lighter else Verdict.OK)
     assert bool(contact.reason) == (contact.verdict is not Verdict.OK)
@@ -142,7 +175,7 @@ def test_sign_of_the_margin_gives_the_verdict(
     (contact,) = first_assessment(scara, q, qd, settings)
     if contact.margin < 0.0:
         assert contact.verdict is Verdict.VIOLATION
-    elif contact.allowable_speed > 0.0:
+    elif contact.allowable_speed > 0.0 and contact.margin > 0.0:
         assert contact.verdict in {Verdict.OK, Verdict.WARN}
 
 
@@ -161,7 +194,9 @@ def test_only_missing_masses_are_nan(
 
 def test_worst_mass_is_finite_without_lumped_mass_across(offset_scara: RobotDynamics) -> None:
     """Straight down: joint 4, which carries no lumped inertia, moves the rim, but not along this direction."""
-    rim = first_assessment(offset_scara, (0.3, 1.2, 0.1, 0.4), (1e-15, 1e-15, 0.1, 1e-15), settings_of())[1]
+    rim = first_assessment(
+        offset_scara, (0.3, 1.2, 0.1, 0.4), (1e-15, 1e-15, 0.1, 1e-15), settings_of(contact_normal="velocity")
+    )[1]
     assert rim.lumped_mass == pytest.approx(0.55)
     assert rim.worst_direction_mass >= rim.lumped_mass
 
@@ -210,9 +245,13 @@ def test_largest_mass_gives_the_lowest_allowable_speed(scara: RobotDynamics, q: 
         assess_one(scara, q, qd, effective_mass_model=model)
         for model in (MassModel.LUMPED, MassModel.FULL, MassModel.LARGEST)
     )
-    assert largest.effective_mass == max(lumped.effective_mass, full.effective_mass)
-    assert largest.allowable_speed == min(lumped.allowable_speed, full.allowable_speed)
-    assert largest.worst_direction_mass == max(lumped.worst_direction_mass, full.worst_direction_mass)
+    iso = assess_one(scara, q, qd, effective_mass_model=MassModel.ISO)
+    contacts = (lumped, full, iso)
+    assert largest.effective_mass == max(contact.effective_mass for contact in contacts)
+    assert largest.allowable_speed == min(contact.allowable_speed for contact in contacts)
+    assert largest.worst_direction_mass == max(contact.worst_direction_mass for contact in contacts)
+    if not largest.mass_capped:
+        assert largest.mass_model == max(contacts, key=lambda contact: contact.effective_mass).mass_model
     for contact in (lumped, full, largest):
         assert (contact.lumped_mass, contact.full_mass) == (lumped.effective_mass, full.effective_mass)
         assert contact.worst_direction_mass >= contact.effective_mass * (1.0 - 1e-6)
@@ -273,12 +312,12 @@ def test_missing_model_gives_unknown(bare_scara: RobotDynamics, skew_scara: Robo
     bare, skew = (assess_one(dynamics, q, qd, effective_mass_model=model) for dynamics in (bare_scara, skew_scara))
     assert math.isnan(bare.full_mass)
     assert math.isnan(skew.lumped_mass)
-    if model in {MassModel.FULL, MassModel.LARGEST}:
+    if model is MassModel.FULL:
         require_no_numbers(bare)
         assert bare.reason.startswith("no full mass (the file gives no inertia tensors)")
     else:
         assert bare.verdict is Verdict.OK
-    if model in {MassModel.LUMPED, MassModel.LARGEST}:
+    if model is MassModel.LUMPED:
         require_no_numbers(skew)
         assert skew.reason.startswith("no lumped mass (")
         assert skew.reason.endswith("choose effective_mass_model full or iso")
@@ -370,7 +409,8 @@ def test_effective_mass_below_the_minimum_gives_unknown(
         assert light.effective_mass > 0.0
     else:
         require_no_numbers(light)
-        assert light.reason.startswith(f"{model.value} mass = ")
+        name = "lumped" if model is MassModel.LARGEST else model.value
+        assert light.reason.startswith(f"{name} mass = ")
         assert "must be at least 1e-06 kg" in light.reason
 
 

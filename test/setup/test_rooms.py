@@ -40,7 +40,7 @@ IMPORTERS = {
     "jinja2": {"analysis"},
     "matplotlib": {"analysis", "paper"},
     "pyarrow": {"analysis", "bags"},
-    "scipy": {"daq", "analysis", "impacts", "paper", "sim"},
+    "scipy": {"daq", "analysis", "impacts", "iso15066", "paper", "sim"},
 }
 """The rooms that may import a library."""
 MESSAGE_IMPORTERS = {"nodes", "wire", "cli"}

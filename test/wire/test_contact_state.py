@@ -26,6 +26,8 @@ STRATEGIES = {
     "worst_direction_used": st.booleans(),
     "mass_capped": st.booleans(),
     "watchdog": st.booleans(),
+    "contact_normal": TEXT,
+    "mass_model": TEXT,
 }
 CONTACTS = st.builds(ContactAssessment, **{name: STRATEGIES.get(name, NUMBER) for name in ContactAssessment._fields})
 

@@ -1,0 +1,107 @@
+"""Contact while the drives of the robot push on: between free joints and an immovable robot.
+
+Along a contact normal the robot is a mass m_n on a servo spring w_s^2 m_n with the damping ratio zeta, whose reference
+moves on at constant velocity; the contact spring k and the mass m_H of the body part follow. The peak force is
+proportional to the speed, F = v sqrt(mu k), with a reduced mass mu between that of free joints and m_H.
+"""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from scara_effmass.settings import Drives, ServoSettings
+from scara_effmass.values import FloatArray
+
+MAX_MOBILITY = 20.0
+"""Mobility 1/m_n [1/kg] up to which servo contacts are simulated; a lighter robot counts as immovable."""
+DURATION_S = 0.5
+"""Time for which the reference moves on: the longest transient contact of ISO/TS 15066."""
+_MOBILITIES = np.geomspace(0.01, MAX_MOBILITY, 48)
+_TOUCHING = (0.0, 0.1, 0.5, 2.0, 8.0)
+"""Mobilities [1/kg] of the lines that are kept of a hull; any line of it is a bound."""
+_STEP = 0.1
+"""Time step of the simulation times the angular frequency of the contact or of the servo, the larger one."""
+_MARGIN = 1.03
+"""Factor on the simulated reduced mass, for the mobilities between the simulated ones."""
+
+Line = tuple[float, float]
+"""alpha [1/kg] and beta of the bound 1/mu(n) >= alpha + beta / m_n."""
+
+
+@lru_cache(maxsize=8)
+def contact_lines(
+    drives: Drives, servo: ServoSettings, stiffness: tuple[float, ...], obstacle_mass: tuple[float, ...]
+) -> list[tuple[Line, ...]]:
+    """Return for each contact stiffness k [N/m] and mass m_H [kg] the lower bounds of 1/mu; the largest holds.
+
+    Free joints have alpha = 1/m_H and beta = 1 (ISO/TS 15066), an immovable robot beta = 0. The lines of a servo lie on
+    the lower convex hull of 1/mu over 1/m_n, which `servo_reduced_masses` simulates. A servo against a clamped body
+    part (infinite m_H) pushes without bound, as an immovable robot.
+    """
+    alphas = [1.0 / mass for mass in obstacle_mass]
+    if drives is not Drives.SERVO or not any(alphas):
+        beta = 1.0 if drives is Drives.FREE else 0.0
+        return [((alpha, beta),) for alpha in alphas]
+    masses = servo_reduced_masses(
+        _MOBILITIES, np.array(stiffness), np.array(obstacle_mass), servo.bandwidth, servo.damping
+    )
+    # A lighter robot never counts as the harder one.
+    masses = np.maximum.accumulate(masses[:, ::-1] * _MARGIN, axis=1)[:, ::-1]
+    return [_lower_hull(np.maximum(1.0 / mu, alpha), alpha) for mu, alpha in zip(masses, alphas, strict=True)]
+
+
+def _lower_hull(inverse: FloatArray, alpha: float) -> tuple[Line, ...]:
+    """Return the lines at `_TOUCHING` of the lower convex hull of 1/mu at `_MOBILITIES`, and of alpha at 1/m_n = 0."""
+    from scipy.spatial import ConvexHull  # noqa: PLC0415 - slow, and not needed for free drives
+
+    top = inverse.max() + 1.0
+    x, y = np.append(_MOBILITIES, [0.0, 0.0, MAX_MOBILITY]), np.append(inverse, [alpha, top, top])
+    equations = ConvexHull(np.column_stack((x, y))).equations  # n_x x + n_y y + d = 0
+    lower = [(float(-d / ny), float(max(-nx / ny, 0.0))) for nx, ny, d in equations if ny < -1e-9]
+    return tuple({max(lower, key=lambda line: line[0] + line[1] * a) for a in _TOUCHING})
+
+
+def servo_reduced_masses(
+    mobility: FloatArray, stiffness: FloatArray, obstacle_mass: FloatArray, bandwidth_hz: float, damping: float
+) -> FloatArray:
+    """Return mu (m, n) [kg] for m contacts `stiffness` [N/m], `obstacle_mass` [kg] and n `mobility` 1/m_n [1/kg].
+
+    Steps are exact (matrix exponential) and last `DURATION_S`; the contact may open and close. The state is the
+    compression, its rate, the servo error and its rate, at unit speed.
+    """
+    from scipy.linalg import expm  # noqa: PLC0415 - slow, and not needed for free drives
+
+    shape = (len(stiffness), len(mobility))
+    k, alpha = (np.repeat(values, shape[1]) for values in (stiffness, 1.0 / obstacle_mass))
+    a, servo = np.tile(mobility, shape[0]), 2.0 * math.pi * bandwidth_hz
+    dt = _STEP / np.maximum(np.sqrt(k * (a + alpha)), servo)
+    contact, free = (
+        expm(_dynamics(stiffness, a, alpha, servo, damping) * dt[:, None, None]) for stiffness in (k, np.zeros_like(k))
+    )
+    state = np.tile([0.0, 1.0, 0.0, 0.0], (len(k), 1))
+    compression = np.zeros(len(k))
+    order = np.argsort(dt)  # the robots with the longest steps are done first
+    state, contact, free = state[order], contact[order], free[order]
+    steps = np.ceil(DURATION_S / dt[order]).astype(int)
+    running = len(k)
+    for step in range(steps[0]):
+        while steps[running - 1] <= step:
+            running -= 1
+        now = state[:running]
+        touching = (now[:, 0] > 0.0) | ((now[:, 0] == 0.0) & (now[:, 1] > 0.0))
+        matrices = np.where(touching[:, None, None], contact[:running], free[:running])
+        now[:] = np.einsum("nij,nj->ni", matrices, now)
+        np.maximum(compression[:running], now[:, 0], out=compression[:running])
+    peak = np.empty(len(k))
+    peak[order] = compression / math.cos(_STEP / 2.0)  # it lies at most half a step from a sample
+    return np.asarray((k * peak**2).reshape(shape))
+
+
+def _dynamics(k: FloatArray, a: FloatArray, alpha: FloatArray, servo: float, damping: float) -> FloatArray:
+    """Return the system matrices (m, 4, 4) of `servo_reduced_masses`."""
+    matrices = np.zeros((len(k), 4, 4))
+    matrices[:, 0, 1] = matrices[:, 2, 3] = 1.0
+    matrices[:, 1, 0], matrices[:, 3, 0] = -k * (a + alpha), -k * a
+    matrices[:, 1::2, 2], matrices[:, 1::2, 3] = -(servo**2), -2.0 * damping * servo
+    return matrices

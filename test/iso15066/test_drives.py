@@ -1,0 +1,95 @@
+"""Contact with drives that push on: limits, and a simulation of its own with another integrator."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from scara_effmass.iso15066 import Mobility, SpeedLimits, limits_for
+from scara_effmass.iso15066.drives import DURATION_S, MAX_MOBILITY, servo_reduced_masses
+from scara_effmass.settings import MonitorSettings
+
+REGIONS = [limit.region for limit in limits_for(MonitorSettings())]
+
+
+def speed_limits(**changes: object) -> SpeedLimits:
+    checked = MonitorSettings.model_validate(changes)
+    return SpeedLimits(limits_for(checked), checked)
+
+
+def peak_force(mass: float, stiffness: float, obstacle: float, bandwidth: float, damping: float) -> float:
+    """Return the peak force [N] at 1 m/s, integrated by solve_ivp in absolute coordinates within `DURATION_S`."""
+    servo = 2.0 * math.pi * bandwidth
+
+    def rates(t: float, state: np.ndarray) -> list[float]:
+        x, vx, y, vy = state
+        force = stiffness * max(x - y, 0.0)
+        drive = mass * (servo**2 * (t - x) + 2.0 * damping * servo * (1.0 - vx))
+        return [vx, (drive - force) / mass, vy, force / obstacle]
+
+    period = 2.0 * math.pi / math.sqrt(stiffness * (1.0 / mass + 1.0 / obstacle))
+    solution = solve_ivp(rates, (0.0, DURATION_S), [0.0, 1.0, 0.0, 0.0], max_step=period / 40, rtol=1e-8, atol=1e-10)
+    return float(stiffness * np.max(solution.y[0] - solution.y[2]))
+
+
+@given(
+    st.sampled_from(REGIONS),
+    st.floats(1.0 / MAX_MOBILITY, 100.0),
+    st.floats(0.5, 30.0),
+    st.floats(0.3, 1.5),
+)
+@settings(max_examples=40)
+def test_bound_of_a_servo_is_never_exceeded(region: str, mass: float, bandwidth: float, damping: float) -> None:
+    limits = speed_limits(body_regions=[region], drives="servo", servo={"bandwidth": bandwidth, "damping": damping})
+    speed_limit = limits.speed_limit(mass)
+    limit = speed_limit.limit
+    force = peak_force(mass, limit.stiffness_n_m, limit.obstacle_mass_kg, bandwidth, damping)
+    assert force <= speed_limit.force(1.0)
+    assert speed_limit.force(1.0) <= 1.35 * force
+
+
+@given(st.sampled_from(REGIONS), st.floats(0.05, 100.0), st.sampled_from([1.0, 5.0, 20.0]))
+@settings(max_examples=30)
+def test_servo_lies_between_free_and_immovable(region: str, mass: float, bandwidth: float) -> None:
+    free, servo, immovable = (
+        speed_limits(body_regions=[region], drives=drives, servo={"bandwidth": bandwidth}).speed_limit(mass)
+        for drives in ("free", "servo", "immovable")
+    )
+    assert immovable.allowable_speed * (1 - 1e-9) <= servo.allowable_speed <= free.allowable_speed * (1 + 1e-9)
+    limit = immovable.limit
+    assert immovable.force(1.0) == pytest.approx(math.sqrt(limit.obstacle_mass_kg * limit.stiffness_n_m))
+
+
+def test_limits_of_the_bandwidth() -> None:
+    """A slow servo gives the two free masses, a fast one the immovable robot."""
+    stiffness, obstacle, mobility = np.array([25e3]), np.array([40.0]), np.array([0.5])
+    slow = servo_reduced_masses(mobility, stiffness, obstacle, 0.01, 0.7)
+    fast = servo_reduced_masses(mobility, stiffness, obstacle, 300.0, 0.7)
+    assert slow[0, 0] == pytest.approx(1.0 / (0.5 + 1.0 / 40.0), rel=0.01)
+    assert fast[0, 0] == pytest.approx(40.0, rel=0.03)
+
+
+def test_robot_lighter_than_the_simulated_ones_counts_as_immovable() -> None:
+    servo, immovable = (speed_limits(drives=drives).speed_limit(0.04) for drives in ("servo", "immovable"))
+    assert servo.allowable_speed == pytest.approx(immovable.allowable_speed)
+
+
+@given(st.sampled_from(REGIONS), st.floats(0.2, 20.0), st.floats(0.1, 200.0))
+def test_effort_limits_bound_the_push_of_a_servo(region: str, mass: float, push: float) -> None:
+    """A constant push P at the robot's mass: peak P' + sqrt(P'^2 + k mu v^2), P' = P m_H / (m + m_H)."""
+    limits = speed_limits(body_regions=[region], drives="servo", servo={"bandwidth": 30.0})
+    mobility = Mobility.of_mass(mass)
+    bounded = limits.worst_normal([mobility], push=(push / mass, mobility.trace))
+    limit = bounded.limit
+    assert bounded.allowable_speed >= limits.speed_limit(mass).allowable_speed * (1 - 1e-12)
+    assert bounded.force(bounded.allowable_speed) == pytest.approx(limit.permissible_force_n, rel=1e-9)
+    if bounded.push > 0.0:
+        assert bounded.push == pytest.approx(push * limit.obstacle_mass_kg / (mass + limit.obstacle_mass_kg))
+
+
+def test_clamped_body_part_allows_no_speed_against_an_unbounded_push() -> None:
+    for drives in ("servo", "immovable"):
+        assert speed_limits(drives=drives, contact="quasi_static").speed_limit(2.0).allowable_speed == 0.0

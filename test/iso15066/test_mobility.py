@@ -1,0 +1,89 @@
+"""Reduced mass along the worst contact normal: search over directions, linear algebra, energy."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scara_effmass.iso15066 import Mobility
+from scara_effmass.values import FloatArray
+
+OBSTACLES = st.sampled_from([0.6, 1.2, 2.0, 4.4, 40.0, 75.0, 1000.0, math.inf])
+
+
+@st.composite
+def mobilities(draw: st.DrawFn) -> tuple[FloatArray, FloatArray, int]:
+    """Return a mobility (3, 3) [1/kg], a reachable unit velocity (3,), and the rank."""
+    rank = draw(st.integers(1, 3))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    basis = np.linalg.qr(rng.normal(size=(3, 3)))[0][:, :rank]
+    velocity = basis @ rng.normal(size=rank)
+    return basis @ np.diag(10.0 ** rng.uniform(-2, 1, rank)) @ basis.T, velocity / np.linalg.norm(velocity), rank
+
+
+def reduced(mobility: tuple[FloatArray, FloatArray, int], alpha: float, beta: float = 1.0) -> float:
+    matrix, velocity, rank = mobility
+    x, y, z = velocity.tolist()
+    return Mobility.of_matrix(matrix.tolist(), (x, y, z), rank).worst_reduced_mass(alpha, beta)
+
+
+@given(mobilities(), OBSTACLES, st.floats(0.05, 1.0))
+def test_closed_form_is_the_rayleigh_quotient(
+    mobility: tuple[FloatArray, FloatArray, int], obstacle: float, beta: float
+) -> None:
+    matrix, velocity, _ = mobility
+    total = beta * matrix + np.eye(3) / obstacle
+    inverse = np.linalg.pinv(total, rcond=1e-9) if math.isinf(obstacle) else np.linalg.inv(total)
+    assert reduced(mobility, 1.0 / obstacle, beta) == pytest.approx(velocity @ inverse @ velocity, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_normal_of_a_search_exceeds_the_closed_form(seed: int) -> None:
+    """(v.n)^2 mu(n) over 200 000 random normals comes within 3e-4 of the maximum, and not above it."""
+    rng = np.random.default_rng(seed)
+    factor = rng.normal(size=(3, 3))
+    matrix, velocity = factor @ factor.T, rng.normal(size=3)
+    velocity /= np.linalg.norm(velocity)
+    for obstacle in (0.6, 40.0, 75.0):
+        maximum, centre, width = 0.0, np.zeros(3), 1.0
+        for _ in range(2):  # over the sphere, then around the best direction
+            normals = centre + width * rng.normal(size=(100_000, 3))
+            normals /= np.linalg.norm(normals, axis=1)[:, None]
+            along = np.einsum("ni,ij,nj->n", normals, matrix, normals)
+            forces = (normals @ velocity) ** 2 / (along + 1.0 / obstacle)
+            maximum, centre, width = float(forces.max()), normals[forces.argmax()], 0.03
+        closed_form = reduced((matrix, velocity, 3), 1.0 / obstacle)
+        assert maximum <= closed_form * (1.0 + 1e-12)
+        assert math.sqrt(maximum) == pytest.approx(math.sqrt(closed_form), rel=3e-4)
+
+
+@given(mobilities(), OBSTACLES)
+def test_worst_normal_is_never_milder_than_the_velocity(
+    mobility: tuple[FloatArray, FloatArray, int], obstacle: float
+) -> None:
+    matrix, velocity, _ = mobility
+    assert reduced(mobility, 1.0 / obstacle) >= 1.0 / (velocity @ matrix @ velocity + 1.0 / obstacle) * (1.0 - 1e-12)
+
+
+@given(mobilities(), st.floats(0.1, 100.0))
+def test_sticking_contact_takes_up_this_energy(mobility: tuple[FloatArray, FloatArray, int], obstacle: float) -> None:
+    """Momentum and a common velocity in all directions: the energy lost is mu_worst v^2 / 2."""
+    matrix, velocity, _ = mobility
+    impulse = np.linalg.solve(matrix + np.eye(3) / obstacle, velocity)
+    lost = 0.5 * impulse @ velocity
+    assert 0.5 * reduced(mobility, 1.0 / obstacle) == pytest.approx(lost, rel=1e-6)
+
+
+@given(st.floats(1e-3, 1e3), OBSTACLES)
+def test_single_mass_has_the_reduced_mass_of_the_standard(mass: float, obstacle: float) -> None:
+    expected = mass if math.isinf(obstacle) else mass * obstacle / (mass + obstacle)
+    assert Mobility.of_mass(mass).worst_reduced_mass(1.0 / obstacle) == pytest.approx(expected, rel=1e-12)
+
+
+def test_immovable_robot_has_the_mass_of_the_obstacle() -> None:
+    assert Mobility.of_mass(math.inf).worst_reduced_mass(1.0 / 40.0) == pytest.approx(40.0)
+    assert Mobility.of_mass(2.0).worst_reduced_mass(1.0 / 40.0, 0.0) == pytest.approx(40.0)
+    assert Mobility.of_mass(2.0).worst_reduced_mass(0.0, 0.0) == math.inf
+    assert Mobility.of_mass(math.inf).worst_reduced_mass(0.0) == math.inf
