@@ -31,6 +31,7 @@ def noise(size: int, level: float = 0.0) -> FloatArray:
         ([3.0, 4.0, 6.0, 10.0], 1, 0.0),  # the line would reach zero at -2: before the first sample
         ([-20.0, 1.2, 4.0, 8.0, 10.0], 1, 20.0 / 21.2),  # and here at 0.68, where the force is negative
         ([0.0, 0.0, 4.0, 10.0], 1, 1.0),  # at 1.25, when there certainly was contact
+        ([2.0, 0.0, 0.0, 4.0, 10.0], 3, 2.25 - 0.25 * (19 / 6 - 2.25)),  # after the end of another contact
         ([0.0, 0.0, 1.2, 2.0, 3.0, 4.0, 5.0, 10.0], 2, 1.0),  # and here at 0.79, before a sample of exactly zero
     ],
 )

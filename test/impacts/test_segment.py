@@ -64,7 +64,16 @@ def test_segment_of_nothing_but_contact_holds_one_incomplete_contact() -> None:
     samples = np.array([60.0, 80.0, 70.0, 50.0])
     (contact,) = classify(samples, np.zeros(4, dtype=np.bool_), baseline, 4, 0).contacts
     assert (contact.first, contact.last, contact.complete) == (0, 3, False)
+    assert (contact.onset, contact.end) == (0.0, 3.0)
     assert contact.peak == pytest.approx(80.0, abs=1.0)
+    assert contact.area == pytest.approx(205.0, abs=0.5)
+
+
+@pytest.mark.parametrize(("samples", "count"), [([60.0, 80.0], 0), ([60.0, 80.0, 70.0], 1)])
+def test_incomplete_contact_has_at_least_three_samples(samples: list[float], count: int) -> None:
+    baseline = Baseline(DetectionSettings(), [Frame(np.random.default_rng(n).normal(0.0, 0.1, 640)) for n in range(5)])
+    force = np.array([*np.zeros(20), *samples])
+    assert len(classify(force, np.zeros(force.size, dtype=np.bool_), baseline, 4, 0).contacts) == count
 
 
 @pytest.mark.parametrize("index", [0, 3, 39])
