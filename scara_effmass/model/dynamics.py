@@ -9,6 +9,7 @@ can move in. The paper is cited in `scara_effmass.model`.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +35,8 @@ class EffectiveMasses(NamedTuple):
     Below the speed threshold `direction` is zero, and `lumped` and `full` are the masses of the worst direction.
     A mass is infinite in a direction that no joint moves, and NaN if its model does not cover this state;
     `lumped_reason` then states why. The mobilities A = J_v M^-1 J_v^T [1/kg] of a model are symmetric (3, 3) lists, of
-    which `rank` eigenvalues are not 0 outside singular poses; empty without the model.
+    which `rank` eigenvalues are not 0 outside singular poses; empty without the model. `speed_tolerance` [m/s]
+    bounds the error of the speed that the stated errors of the joint velocities can cause.
     """
 
     speed: float
@@ -47,6 +49,7 @@ class EffectiveMasses(NamedTuple):
     full_mobility: Matrix
     rank: int
     has_massless_direction: bool
+    speed_tolerance: float
 
     @property
     def worst_lumped(self) -> float:
@@ -89,17 +92,29 @@ class RobotDynamics:
         """Names of the contact points, in the order of `effective_masses`."""
         return tuple(name for name, _, _ in self._contacts)
 
-    def effective_masses(self, q: FloatArray, qd: FloatArray, speed_threshold: float) -> list[EffectiveMasses]:
+    def effective_masses(
+        self, q: FloatArray, qd: FloatArray, speed_threshold: float, velocity_tolerance: Sequence[float] = ()
+    ) -> list[EffectiveMasses]:
         """Return the effective masses of each contact point at `q` (n,) [rad, m] and `qd` (n,), Eqs. 3-14.
 
         A contact point slower than `speed_threshold` [m/s] has no direction; its masses are of the worst direction.
+        `velocity_tolerance` (n,) bounds the errors of `qd`; empty: no errors.
         """
         pin.computeJointJacobians(self.robot.model, self._kinematics, q)
         inverses = [self._inverse(model, data, q) for model, data in zip(self._models, self._data, strict=True)]
-        return [self._at_contact(qd, frame, rank, inverses, speed_threshold) for _, frame, rank in self._contacts]
+        return [
+            self._at_contact(qd, frame, rank, inverses, speed_threshold, velocity_tolerance)
+            for _, frame, rank in self._contacts
+        ]
 
     def _at_contact(
-        self, qd: FloatArray, frame: int, rank: int, inverses: list[FloatArray], speed_threshold: float
+        self,
+        qd: FloatArray,
+        frame: int,
+        rank: int,
+        inverses: list[FloatArray],
+        speed_threshold: float,
+        velocity_tolerance: Sequence[float],
     ) -> EffectiveMasses:
         jacobian = self._jacobian(frame)
         transposed = jacobian.T
@@ -125,6 +140,9 @@ class RobotDynamics:
                     lumped = NAN
                     reason = f"{self.robot.joint_names[joint]} moves the contact point along n, but no lumped mass"
         singular = math.sqrt(max(smallest_eigenvalue(jacobian.dot(transposed).tolist(), rank), 0.0))
+        tolerance = 0.0
+        for joint_tolerance, x, y, z in zip(velocity_tolerance, *jacobian.tolist(), strict=False):
+            tolerance += joint_tolerance * math.sqrt(x * x + y * y + z * z)
         # By position, because keywords cost time in the hot path.
         return EffectiveMasses(
             speed,
@@ -137,6 +155,7 @@ class RobotDynamics:
             full_mobility,
             rank,
             has_massless_direction,
+            tolerance,
         )
 
     def in_base(self, q: FloatArray, vector: Vector3, frame: str) -> Vector3:

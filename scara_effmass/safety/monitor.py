@@ -136,7 +136,9 @@ class Monitor:
         if previous_ns and state.stamp_ns - previous_ns > validator.timeout_ns:
             for debouncer in self._debouncers.values():
                 debouncer.mark_stale(f"no joint state for {(state.stamp_ns - previous_ns) / 1e9:.3f} s")
-        effective_masses = self.dynamics.effective_masses(motion.q, motion.qd, self.settings.speed_threshold)
+        effective_masses = self.dynamics.effective_masses(
+            motion.q, motion.qd, self.settings.speed_threshold, motion.velocity_tolerance
+        )
         contacts = [
             self._assess_contact(index, name, debouncer, masses, motion.q, state.stamp_ns, age)
             for index, ((name, debouncer), masses) in enumerate(
@@ -229,9 +231,10 @@ class Monitor:
             if obstacle_mass == math.inf:
                 obstacle_mass = 0.0
             force = peak_force(masses.speed + settings.person_speed, mu, stiffness)
-            force_bound = speed_limit.force(masses.speed * share + self._closing_speed, cap)
+            closing_speed = self._closing_speed + masses.speed_tolerance
+            force_bound = speed_limit.force(masses.speed * share + closing_speed, cap)
             # Below 0 if the person's own speed is too much.
-            nominal_speed = (speed_limit.allowable_speed - self._closing_speed) / share
+            nominal_speed = (speed_limit.allowable_speed - closing_speed) / share
             allowable_speed = max(0.0, nominal_speed)
             verdict, reason = self._verdict(masses, mass, speed_limit, nominal_speed)
             if clamping_force > self._weakest.permissible_force_n:

@@ -196,11 +196,11 @@ class MonitorSettings(BaseModel):
     )
     position_tolerance: float = Field(
         0.01,
-        gt=0.0,
+        ge=0.0,
         le=1.0,
         description=(
-            "tolerance of a joint's displacement against the integral of its velocity, for resolution and noise "
-            "[rad or m]"
+            "tolerance of a joint's displacement against the integral of its velocity, for resolution and noise [rad]; "
+            "a quarter of it [m] for a prismatic joint"
         ),
     )
     velocity_tolerance: Fraction = Field(0.01, description="relative tolerance of the joint velocities")

@@ -447,3 +447,19 @@ def test_joint_that_moves_no_inertia_has_no_full_model(
     assert dynamics.full_reason.startswith("joint4 moves no inertia")
     omron_rows["joints"][3]["armature"] = 1e-6
     assert RobotDynamics(load_rows(omron_rows)).full_reason == ""
+
+
+@given(
+    st.tuples(*[st.floats(-1.5, 1.5)] * 4),
+    st.tuples(*[st.floats(0.0, 0.1)] * 4),
+    st.tuples(*[st.floats(-1.0, 1.0)] * 4),
+)
+def test_speed_tolerance_bounds_the_error_of_the_speed(
+    omron_dynamics: RobotDynamics, q: tuple[float, ...], tolerance: tuple[float, ...], error: tuple[float, ...]
+) -> None:
+    qd = np.array([0.5, -0.3, 0.1, 0.2])
+    actual = qd + np.array(error) * tolerance
+    (measured,) = omron_dynamics.effective_masses(np.array(q), qd, 0.0, tolerance)
+    (true,) = omron_dynamics.effective_masses(np.array(q), actual, 0.0)
+    assert abs(true.speed - measured.speed) <= measured.speed_tolerance + 1e-12
+    assert true.speed_tolerance == 0.0

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scara_effmass.errors import LimitError
 from scara_effmass.iso15066 import BODY_REGIONS, limits_for
 from scara_effmass.safety import Monitor
+from scara_effmass.safety.joint_state_validator import METRES_PER_RADIAN, WINDOW_S
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
 from scara_effmass.values import JointState, Verdict
 
@@ -118,7 +119,10 @@ def test_assessment_agrees_with_masses_and_limits(
     scara: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings
 ) -> None:
     (contact,) = first_assessment(scara, q, qd, settings)
-    (masses,) = scara.effective_masses(np.array(q), np.array(qd), settings.speed_threshold)
+    error = settings.position_tolerance / WINDOW_S * np.array([1.0, 1.0, METRES_PER_RADIAN, 1.0])
+    (masses,) = scara.effective_masses(np.array(q), np.array(qd), settings.speed_threshold, error.tolist())
+    # A clamped part is immovable, and the linear algebra below singular at a singular pose.
+    assume(settings.contact is ContactType.TRANSIENT or masses.smallest_singular_value > 1e-3)
     mass_by_model = {
         MassModel.LUMPED: masses.lumped,
         MassModel.FULL: masses.full,
@@ -138,7 +142,7 @@ def test_assessment_agrees_with_masses_and_limits(
     share = 1.0
     if settings.fixed_normal is not None and any(masses.direction):
         share = max(abs(float(np.dot(settings.fixed_normal, masses.direction))), 0.1)
-    closing = settings.person_speed + settings.speed_uncertainty
+    closing = settings.person_speed + settings.speed_uncertainty + masses.speed_tolerance
     expected = max(0.0, (min(allowed.values()) - closing) / share)
     # A clamped part near a singular pose: the smallest eigenvalue decides, which has an error of 1e-7.
     tolerance = 1e-4 if settings.contact is ContactType.QUASI_STATIC else 1e-6
@@ -215,9 +219,19 @@ def test_higher_uncertainty_never_raises_the_allowable_speed(
 @given(positions, velocities, st.sampled_from(["person_speed", "speed_uncertainty"]), st.floats(0.0, 2.0))
 def test_closing_speed_is_subtracted(scara: RobotDynamics, q: Vector, qd: Vector, name: str, closing: float) -> None:
     alone, closer = assess_one(scara, q, qd), assess_one(scara, q, qd, **{name: closing})
-    assert closer.allowable_speed == max(0.0, alone.allowable_speed - closing)
+    assert closer.allowable_speed == pytest.approx(max(0.0, alone.allowable_speed - closing), abs=1e-12)
     assert closer.predicted_force >= alone.predicted_force
     assert (closer.predicted_force > alone.predicted_force) == (name == "person_speed" and closing > 1e-12)
+
+
+def test_what_the_velocity_check_lets_pass_is_added_to_the_speed(scara: RobotDynamics) -> None:
+    q, qd = (0.3, 1.2, 0.1, 0.0), (0.5, 0.3, 0.01, 0.1)
+    exact, default = assess_one(scara, q, qd, position_tolerance=0.0), assess_one(scara, q, qd)
+    levers = np.linalg.norm(scara.jacobian(np.array(q), scara.robot.contact_frames["tool"]), axis=0)
+    added = levers @ [0.01, 0.01, 0.0025, 0.01] / WINDOW_S
+    assert 0.01 < added < 0.02
+    assert default.allowable_speed == pytest.approx(exact.allowable_speed - added, rel=1e-12)
+    assert default.speed == exact.speed
 
 
 def test_person_speed_above_every_limit_gives_violation_at_rest(scara: RobotDynamics) -> None:

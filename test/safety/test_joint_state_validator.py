@@ -370,7 +370,8 @@ class TestDifferentiation:
         """Powers of two throughout, so that the difference quotient is exact."""
         step_ns = 15_625_000
         start = NOW - NOW % step_ns
-        with_velocity, differentiated = make_monitor(scara), make_monitor(scara, differentiate_velocity=True)
+        with_velocity = make_monitor(scara, velocity_tolerance=0.0)
+        differentiated = make_monitor(scara, velocity_tolerance=0.0, differentiate_velocity=True)
         qd = (0.5, -0.25, 0.125, 1.0)
         for i in range(4):
             q = tuple(x + v * i / 64.0 for x, v in zip((0.25, 1.25, 0.125, -0.5), qd, strict=True))
