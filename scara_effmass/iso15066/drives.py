@@ -52,13 +52,18 @@ def contact_lines(
 
 
 def _lower_hull(inverse: FloatArray, alpha: float) -> tuple[Line, ...]:
-    """Return the lines at `_TOUCHING` of the lower convex hull of 1/mu at `_MOBILITIES`, and of alpha at 1/m_n = 0."""
+    """Return the lines at `_TOUCHING` of the lower convex hull of 1/mu at `_MOBILITIES`, and of alpha at 1/m_n = 0.
+
+    Lines that are negative at 1/m_n = 0 bound nothing along the normals with little mobility. The tangent through the
+    origin takes their place.
+    """
     from scipy.spatial import ConvexHull  # noqa: PLC0415 - slow, and not needed for free drives
 
     top = inverse.max() + 1.0
     x, y = np.append(_MOBILITIES, [0.0, 0.0, MAX_MOBILITY]), np.append(inverse, [alpha, top, top])
     equations = ConvexHull(np.column_stack((x, y))).equations  # n_x x + n_y y + d = 0
-    lower = [(float(-d / ny), float(max(-nx / ny, 0.0))) for nx, ny, d in equations if ny < -1e-9]
+    lower = [(float(-d / ny), float(max(-nx / ny, 0.0))) for nx, ny, d in equations if ny < -1e-9 and d >= 0.0]
+    lower.append((0.0, float(np.min(inverse / _MOBILITIES))))
     return tuple({max(lower, key=lambda line: line[0] + line[1] * a) for a in _TOUCHING})
 
 

@@ -63,6 +63,25 @@ def test_servo_lies_between_free_and_immovable(region: str, mass: float, bandwid
     assert immovable.force(1.0) == pytest.approx(math.sqrt(limit.obstacle_mass_kg * limit.stiffness_n_m))
 
 
+@given(st.sampled_from(REGIONS), st.sampled_from([1.0, 5.0, 20.0]), st.integers(0, 2**32 - 1))
+@settings(max_examples=40)
+def test_no_normal_exceeds_the_bound_of_a_servo(region: str, bandwidth: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    basis = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    matrix = basis @ np.diag(10.0 ** rng.uniform(-2.0, 0.7, 3)) @ basis.T
+    x, y, z = basis @ rng.dirichlet([0.3, 0.3, 0.3]) ** 0.5
+    speed_limit = speed_limits(body_regions=[region], drives="servo", servo={"bandwidth": bandwidth}).worst_normal(
+        [Mobility.of_matrix(matrix.tolist(), (x, y, z), 3)]
+    )
+    stiffness, obstacle = speed_limit.limit.stiffness_n_m, speed_limit.limit.obstacle_mass_kg
+    normals = np.linalg.solve(matrix + np.geomspace(1e-3, 10.0, 50)[:, None, None] * np.eye(3), np.array([x, y, z]))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    along = np.einsum("ni,ij,nj->n", normals, matrix, normals)
+    (masses,) = servo_reduced_masses(along, np.array([stiffness]), np.array([obstacle]), bandwidth, 0.7)
+    forces = normals @ [x, y, z] * np.sqrt(masses * stiffness)
+    assert forces.max() <= speed_limit.force(1.0)
+
+
 def test_limits_of_the_bandwidth() -> None:
     """A slow servo gives the two free masses, a fast one the immovable robot."""
     stiffness, obstacle, mobility = np.array([25e3]), np.array([40.0]), np.array([0.5])
