@@ -48,8 +48,8 @@ class ContactAssessment(NamedTuple):
 
     `lumped_mass` and `full_mass` [kg] are NaN if the robot has no such model. Under UNKNOWN, what could not be computed
     is 0. Masses and `predicted_force` [N] are nominal; `force_bound` [N], `allowable_speed` and `margin` [m/s] include
-    drives and uncertainty margins, on the safe side. `watchdog` marks a state that the monitor's watchdog published
-    because no joint state came.
+    drives and uncertainty margins, on the safe side. `watchdog` marks a state that answers no joint state,
+    because none came in time or the monitor ended.
     """
 
     stamp_ns: int

@@ -240,4 +240,4 @@ class _Output:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node with the ROS arguments `args`; None means those of the process."""
-    return run(DaqNode, args)
+    return run("daq", DaqNode, args)

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import argparse
 import gc
+import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 import rclpy
+from rcl_interfaces.msg import Log
 from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.event_handler import (
     PublisherEventCallbacks,
     QoSMessageLostInfo,
@@ -20,13 +26,14 @@ from rclpy.event_handler import (
     QoSSubscriptionMatchedInfo,
     SubscriptionEventCallbacks,
 )
-from rclpy.exceptions import ROSInterruptException
-from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, State, TransitionCallbackReturn
-from rclpy.qos import qos_policy_name_from_kind
+from rclpy.node import Node
+from rclpy.qos import QoSPolicyKind, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
@@ -36,7 +43,7 @@ from std_srvs.srv import Trigger
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.readiness import report_readiness
-from scara_effmass.wire.topics import Qos
+from scara_effmass.wire.topics import INFO_QOS, Qos
 
 if TYPE_CHECKING:
     from lifecycle_msgs.srv import ChangeState
@@ -47,6 +54,15 @@ RCLError = rclpy_implementation.RCLError
 
 _SPIN_S = 1e6
 """Timeout of each spin [s]: without one, EventsExecutor.spin() keeps a core busy in rclpy 7.1."""
+_ROSOUT_WAIT_S = 2.0
+_SETTLE_S = 0.2
+"""Time for a subscriber to discover a publisher that has discovered it."""
+_POLL_S = 0.01
+_PUBLISHER_OVERRIDES = (
+    *(QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DEADLINE),
+    *(QoSPolicyKind.LIFESPAN, QoSPolicyKind.LIVELINESS, QoSPolicyKind.LIVELINESS_LEASE_DURATION),
+)
+"""QoS policies of publishers that parameters may override."""
 
 
 class LifecycleBase(LifecycleNode):
@@ -81,6 +97,9 @@ class LifecycleBase(LifecycleNode):
 
     def deactivate(self) -> None:
         """Undo `activate`, even if it failed halfway; may be called repeatedly."""
+
+    def publish_last(self, reason: str) -> None:
+        """Publish the last message before the outputs end for `reason`, in any thread; later calls do nothing."""
 
     def on_configure(self, state: State) -> TransitionCallbackReturn:
         """Configure; after an error the node stays unconfigured."""
@@ -122,7 +141,7 @@ class LifecycleBase(LifecycleNode):
             event_callbacks=PublisherEventCallbacks(
                 incompatible_qos=partial(self._on_incompatible, f"a subscriber of {topic}")
             ),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            qos_overriding_options=QoSOverridingOptions(_PUBLISHER_OVERRIDES),
         )
         return self.own(publisher, self.destroy_lifecycle_publisher)
 
@@ -180,6 +199,7 @@ class LifecycleBase(LifecycleNode):
     def abort(self, error: EffmassError) -> None:
         """End the process; `run` prints `error` and returns 2."""
         self._abort_error = error
+        self.publish_last(str(error))
         rclpy.try_shutdown()
 
     def raise_abort_error(self) -> None:
@@ -237,45 +257,105 @@ class LifecycleBase(LifecycleNode):
         return response
 
 
-def run(node_class: Callable[[], LifecycleBase], args: Sequence[str] | None) -> int:
-    """Run one node until a signal ends it. Return 0, or 2 with one line on stderr after an error.
+def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] | None) -> int:
+    """Run the node `name` until a signal ends it. Return 0, or 2 with one line on stderr and /rosout after an error.
 
     `args` are the arguments without the program name; None means those of the process.
     """
+    arguments = sys.argv[1:] if args is None else list(args)
     node: LifecycleBase | None = None
     executor: Executor | None = None
-    # A signal ends the ROS context, as rclpy handles it, but never interrupts Python: a launcher sends SIGINT twice,
-    # and the second one would interrupt the clean-up.
-    signals = {signal.SIGINT, signal.SIGTERM}
-    signal.pthread_sigmask(signal.SIG_BLOCK, signals)
-    for number in signals:
-        signal.signal(number, signal.SIG_IGN)
+
+    stopped = False
+    ros_arguments: list[str] = []
+
+    def stop() -> None:
+        nonlocal stopped
+        stopped = True
+        try:
+            if node is not None:
+                node.publish_last("the node shuts down")
+        finally:
+            rclpy.try_shutdown()
+
     try:
-        _init(args)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
-        node = node_class()
-        executor = EventsExecutor()
-        executor.add_node(node)
-        if node.autostart:
-            node.bring_up()
-        # Exempt existing objects: a full garbage collection would stop a 1 kHz stream for milliseconds.
-        gc.collect()
-        gc.freeze()
-        while rclpy.ok():
-            executor.spin_until_future_complete(Future(), timeout_sec=_SPIN_S)
-        node.raise_abort_error()
-    except (ExternalShutdownException, ROSInterruptException):
-        pass
+        with _on_signal(stop):
+            try:
+                _init(arguments)
+                ros_arguments = arguments
+                if stopped:
+                    return 0
+                node = node_class()
+                executor = EventsExecutor()
+                executor.add_node(node)
+                if node.autostart:
+                    node.bring_up()
+                # Exempt existing objects: a full garbage collection would stop a 1 kHz stream for milliseconds.
+                gc.collect()
+                gc.freeze()
+                while rclpy.ok():
+                    executor.spin_until_future_complete(Future(), timeout_sec=_SPIN_S)
+                node.raise_abort_error()
+            except EffmassError:
+                raise
+            except Exception:
+                if rclpy.ok():
+                    raise
+                # A signal ended the context.
+            finally:
+                _end(node, executor)
     except EffmassError as error:
         print(error, file=sys.stderr)  # noqa: T201
+        _log_refusal(name, error, ros_arguments)
         return 2
-    except Exception:
-        if rclpy.ok():
-            raise
-        # A signal ended the context during start-up.
-    finally:
-        _end(node, executor)
     return 0
+
+
+@contextmanager
+def _on_signal(stop: Callable[[], None]) -> Iterator[None]:
+    """Call `stop` in a thread of its own at the first SIGINT or SIGTERM; further ones do nothing.
+
+    rclpy would end the context at once, before a last message. A handler in Python would not run while the executor
+    waits or a callback takes long.
+    """
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: None)
+    signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+
+    def await_signal() -> None:
+        if os.read(reader, 1):
+            stop()
+
+    thread = threading.Thread(target=await_signal, name="signals", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(-1)
+        os.close(writer)
+        thread.join()
+        os.close(reader)
+
+
+def _log_refusal(name: str, error: EffmassError, arguments: list[str]) -> None:
+    """Publish `error` on /rosout for the node `name`, which may not exist; wait up to 2 s for a subscriber."""
+    with ExitStack() as stack:
+        context = Context()
+        stack.callback(context.try_shutdown)
+        rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
+        node = Node(name, context=context, start_parameter_services=False, enable_rosout=False)
+        stack.callback(node.destroy_node)
+        publisher = node.create_publisher(Log, "/rosout", qos_profile(INFO_QOS))
+        end = time.monotonic() + _ROSOUT_WAIT_S
+        while not publisher.get_subscription_count() and time.monotonic() < end:
+            time.sleep(_POLL_S)
+        time.sleep(_SETTLE_S)
+        message = Log(level=Log.FATAL, name=node.get_logger().name, msg=str(error))
+        message.stamp = node.get_clock().now().to_msg()
+        publisher.publish(message)
+        publisher.wait_for_all_acked(Duration(seconds=_ROSOUT_WAIT_S))
 
 
 def _end(node: LifecycleBase | None, executor: Executor | None) -> None:
@@ -289,15 +369,14 @@ def _end(node: LifecycleBase | None, executor: Executor | None) -> None:
     rclpy.try_shutdown()
 
 
-def _init(args: Sequence[str] | None) -> None:
+def _init(arguments: list[str]) -> None:
     """Initialise ROS. Raises SettingsError for unknown arguments."""
-    arguments = sys.argv[1:] if args is None else list(args)
     parser = argparse.ArgumentParser(
         usage="%(prog)s [--ros-args ...]", description="Run one node until a signal ends it.", allow_abbrev=False
     )
     try:
         _, unknown = parser.parse_known_args(remove_ros_args(arguments))
-        rclpy.init(args=arguments)
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         reason = " ".join(str(error).split()).partition(", at /")[0]
         raise SettingsError(f"ROS arguments: {reason}") from None

@@ -1,5 +1,9 @@
-"""`monitor_node`: decode joint states, call `safety.Monitor`, publish its verdicts."""
+"""`monitor_node`: decode joint states, call `safety.Monitor`, publish its verdicts.
 
+The watchdog has a thread of its own, so it also publishes while a callback takes long.
+"""
+
+import threading
 import time
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
@@ -10,7 +14,6 @@ from pydantic import Field
 from rclpy.clock import JumpHandle, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSSubscriptionMatchedInfo
-from rclpy.timer import Timer
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
@@ -23,9 +26,9 @@ from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
-from scara_effmass.nodes.lifecycle import LifecycleBase, run
+from scara_effmass.nodes.lifecycle import LifecycleBase, RCLError, run
 from scara_effmass.nodes.monitor_health import input_status, missing_models, monitor_statuses
-from scara_effmass.safety import Monitor, no_robot_decision
+from scara_effmass.safety import Cause, Monitor, unknown_decision
 from scara_effmass.settings import READ_ONLY, MonitorSettings
 from scara_effmass.values import Decision, Verdict
 from scara_effmass.wire import topics
@@ -35,6 +38,7 @@ from scara_effmass.wire.joint_state import JointStateDecoder
 _NO_ROBOT = ContactStateEncoder("", "")
 _WATCHDOG_CHECKS_PER_TIMEOUT = 4
 _MIN_WATCHDOG_PERIOD_S = 1e-3
+_ACK_TIMEOUT = Duration(seconds=0.5)
 _MIN_REPORT_INTERVAL_NS = 100_000_000
 
 
@@ -56,9 +60,16 @@ class MonitorNode(LifecycleBase):
         parameters.on_parameters_changed(self, lambda: self._settings, self._apply_settings, limits_for)
         self._outputs: dict[str, Any] = {}
         self._monitor: Monitor | None = None
-        self._watchdog: Timer | None = None
-        self._encoders: list[ContactStateEncoder] = []
+        self._first_cause: Cause | None = None
+        """What `latch` holds while there is no robot."""
+        self._encoders: dict[str, ContactStateEncoder] = {}
         self._last_answer_ns = 0
+        self._monitor_lock = threading.Lock()
+        self._output_lock = threading.Lock()
+        """Held while the messages of one decision are published."""
+        self._publishing = False
+        self._watchdog: threading.Thread | None = None
+        self._wake_watchdog = threading.Event()
 
     def configure(self) -> None:
         """Load the robot and create the endpoints. Raises EffmassError."""
@@ -79,12 +90,14 @@ class MonitorNode(LifecycleBase):
             )
         else:
             self._use_robot(load_robot(self._settings.robot_path, self._settings))
-        for message_type, topic in (
-            (ContactState, topics.CONTACT_STATE),
-            (Float64, topics.ALLOWABLE_SPEED),
-            (Float64, topics.SPEED_SCALING),
+        qos = topics.verdict_qos(self._settings.timeout)
+        scalar_qos = qos._replace(lifespan_s=topics.SCALAR_LIFESPAN_S)
+        for message_type, topic, topic_qos in (
+            (ContactState, topics.CONTACT_STATE, qos),
+            (Float64, topics.ALLOWABLE_SPEED, scalar_qos),
+            (Float64, topics.SPEED_SCALING, scalar_qos),
         ):
-            self._outputs[topic] = self.create_owned_publisher(message_type, topic, topics.STREAM_QOS)
+            self._outputs[topic] = self.create_owned_publisher(message_type, topic, topic_qos)
         self._diagnostics = Diagnostics(self, self._statuses)
         self._joint_states = self.create_owned_subscription(
             JointState,
@@ -95,7 +108,6 @@ class MonitorNode(LifecycleBase):
             matched=self._on_matched,
         )
         self.create_owned_trigger("~/reset", self._reset)
-        self._watchdog = self.create_steady_timer(self._watchdog_period_s(), self._on_watchdog)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         jump = self.get_clock().create_jump_callback(backwards, post_callback=self._on_clock_jump)
         self.own(jump, JumpHandle.unregister)
@@ -103,18 +115,49 @@ class MonitorNode(LifecycleBase):
     def activate(self) -> None:
         """Start to publish and to count silence."""
         self._last_answer_ns = time.monotonic_ns()
+        self._publishing = True
+        self._wake_watchdog.clear()
+        self._watchdog = threading.Thread(target=self._watch, name="watchdog", daemon=True)
+        self._watchdog.start()
+
+    def deactivate(self) -> None:
+        """End the watchdog and publish a last UNKNOWN."""
+        watchdog, self._watchdog = self._watchdog, None
+        if watchdog is not None:
+            self._wake_watchdog.set()
+            watchdog.join()
+        self.publish_last("the monitor was deactivated")
+
+    def publish_last(self, reason: str) -> None:
+        """Publish UNKNOWN and a speed of 0, wait until subscribers have them, and publish nothing after it."""
+        with self._output_lock:
+            if not self._publishing or not self.context.ok():
+                return
+            self._publishing = False
+            self._send(self._unknown(reason))
+        for publisher in self._outputs.values():
+            publisher.wait_for_all_acked(_ACK_TIMEOUT)
 
     def _forget_robot(self) -> None:
         self._outputs.clear()
-        self._monitor = self._watchdog = None
-        self._encoders = []
+        self._drop_monitor()
+
+    def _drop_monitor(self) -> None:
+        if self._monitor is not None:
+            self._first_cause = self._monitor.first_cause
+        self._monitor = None
+        self._encoders = {}
 
     def _use_robot(self, robot: Robot) -> None:
         """Monitor `robot`. Raises EffmassError."""
         dynamics = RobotDynamics(robot)
-        self._monitor = Monitor(dynamics, self._settings)
-        self._encoders = [ContactStateEncoder(name, robot.base_frame) for name in dynamics.contact_points]
-        self._no_robot_reason = ""
+        monitor = Monitor(dynamics, self._settings)
+        with self._monitor_lock:
+            self._drop_monitor()
+            monitor.first_cause = self._first_cause
+            self._monitor = monitor
+            self._encoders = {name: ContactStateEncoder(name, robot.base_frame) for name in dynamics.contact_points}
+            self._no_robot_reason = ""
         self.get_logger().info(f"monitoring {robot.name} ({robot.origin}) at {', '.join(dynamics.contact_points)}")
         for line in (*robot.notes, *missing_models(dynamics)):
             self.get_logger().info(line)
@@ -124,38 +167,78 @@ class MonitorNode(LifecycleBase):
             return
         start_ns = time.monotonic_ns()
         self._received += 1
-        monitor = self._monitor
-        if monitor is None:
-            self._publish(no_robot_decision(self._no_robot_reason))
-            return
-        try:
-            decision = monitor.assess(self._decoder.decode(data), self.now_ns())
-        except DecodeError as error:
-            decision = monitor.reject(str(error))
-        if decision is not None:
-            self._last_answer_ns = start_ns
-            self._publish(decision)
-            self._processing_ns.append(time.monotonic_ns() - start_ns)
+        with self._monitor_lock:
+            monitor = self._monitor
+            if monitor is None:
+                self._publish(unknown_decision(self._no_robot_reason, self.now_ns()))
+                return
+            try:
+                decision = monitor.assess(self._decoder.decode(data), self.now_ns())
+            except DecodeError as error:
+                decision = monitor.reject(str(error), self.now_ns())
+            if decision is not None:
+                processing_ns = time.monotonic_ns() - start_ns
+                if processing_ns > self._settings.timeout * 1e9:
+                    first = decision.contacts[0]
+                    reason = f"the assessment took {processing_ns / 1e9:.3f} s"
+                    decision = monitor.reject(reason, first.stamp_ns, first.input_age)
+                self._last_answer_ns = start_ns
+                self._publish(decision)
+                self._processing_ns.append(time.monotonic_ns() - start_ns)
 
     def _watchdog_period_s(self) -> float:
         return max(self._settings.timeout / _WATCHDOG_CHECKS_PER_TIMEOUT, _MIN_WATCHDOG_PERIOD_S)
 
-    def _on_watchdog(self) -> None:
-        silence_ns = time.monotonic_ns() - self._last_answer_ns
-        if not self.active or silence_ns <= self._settings.timeout * 1e9:
-            return
-        if self._monitor is not None:
-            self._publish(self._monitor.watchdog_decision(silence_ns))
-        else:
-            self._publish(no_robot_decision(self._no_robot_reason, watchdog=True))
+    def _watch(self) -> None:
+        """Run the watchdog until the node is deactivated, in its own thread."""
+        while self._watchdog is not None:
+            self._wake_watchdog.wait(self._watchdog_period_s())
+            self._wake_watchdog.clear()
+            try:
+                self._on_watchdog()
+            except RCLError:
+                if self.context.ok():
+                    raise
 
-    def _publish(self, decision: Decision) -> None:
+    def _on_watchdog(self) -> None:
+        if self._silence_ns() == 0:
+            return
+        # A callback that takes long holds the lock.
+        if not self._monitor_lock.acquire(timeout=self._watchdog_period_s()):
+            self._publish(self._unknown("the assessment of a joint state takes too long"))
+            return
+        try:
+            if silence_ns := self._silence_ns():  # no answer since
+                self._publish(
+                    self._monitor.watchdog_decision(silence_ns, self.now_ns())
+                    if self._monitor is not None
+                    else self._unknown(self._no_robot_reason)
+                )
+        finally:
+            self._monitor_lock.release()
+
+    def _silence_ns(self) -> int:
+        """Return the time since the last answer, 0 if it is within the timeout or the node is not active."""
+        silence_ns = time.monotonic_ns() - self._last_answer_ns
+        return silence_ns if self.active and silence_ns > self._settings.timeout * 1e9 else 0
+
+    def _unknown(self, reason: str) -> Decision:
+        """Return UNKNOWN for `reason` and for every contact point, as the answer to no joint state."""
+        return unknown_decision(reason, self.now_ns(), tuple(self._encoders) or ("",), watchdog=True)
+
+    def _send(self, decision: Decision) -> None:
         contact_state = self._outputs[topics.CONTACT_STATE]
-        for encoder, contact in zip(self._encoders or [_NO_ROBOT], decision.contacts, strict=True):
-            contact_state.publish(encoder.encode(contact))
+        for contact in decision.contacts:
+            contact_state.publish(self._encoders.get(contact.contact_point, _NO_ROBOT).encode(contact))
         self._outputs[topics.ALLOWABLE_SPEED].publish(float64_message(decision.allowable_speed))
         self._outputs[topics.SPEED_SCALING].publish(float64_message(decision.speed_scaling))
         self._decision = decision
+
+    def _publish(self, decision: Decision) -> None:
+        with self._output_lock:
+            if not self._publishing:
+                return
+            self._send(decision)
         verdicts = [contact.verdict for contact in decision.contacts]
         if verdicts != self._reported_verdicts and time.monotonic_ns() - self._reported_ns > _MIN_REPORT_INTERVAL_NS:
             self._reported_verdicts = verdicts
@@ -178,22 +261,27 @@ class MonitorNode(LifecycleBase):
         try:
             self._use_robot(parse_urdf(message.data, "robot_description", self._settings))
         except EffmassError as error:
-            self._monitor = None
-            self._encoders = []
-            self._no_robot_reason = str(error)
+            with self._monitor_lock:
+                self._no_robot_reason = str(error)
+                if self._monitor is not None:
+                    self._monitor.reject(self._no_robot_reason, self.now_ns())  # a cause for `latch`
+                self._drop_monitor()
             self.get_logger().error(self._no_robot_reason)
 
     def _reset(self) -> str:
-        if self._monitor is None:
-            raise SettingsError(self._no_robot_reason)
-        cause = self._monitor.first_cause
-        self._monitor.reset()
+        with self._monitor_lock:
+            cause, self._first_cause = self._first_cause, None
+            if self._monitor is not None:
+                cause = self._monitor.first_cause
+                self._monitor.reset()
         return f"cleared: {cause.verdict.name}: {cause.reason}" if cause else "nothing was latched"
 
     def _on_clock_jump(self, _: TimeJump) -> None:
-        if self._monitor is not None:
+        with self._monitor_lock:
+            if self._monitor is None:
+                return
             self._monitor.clear_history()
-            self.get_logger().info("the clock went back: the history of joint states is cleared")
+        self.get_logger().info("the clock went back: the history of joint states is cleared")
 
     def _on_matched(self, matched: QoSSubscriptionMatchedInfo) -> None:
         if matched.current_count > 1:
@@ -202,14 +290,13 @@ class MonitorNode(LifecycleBase):
             )
 
     def _apply_settings(self, settings: NodeSettings, _: AbstractSet[str]) -> None:
-        self._settings = settings
-        if self._monitor is not None:
-            self._monitor.apply(self._settings)
-        if self._watchdog is not None:
-            self._watchdog.timer_period_ns = self._watchdog_period_s() * 1e9
-            self._watchdog.reset()  # else the new period starts after the old one
+        with self._monitor_lock:
+            self._settings = settings
+            if self._monitor is not None:
+                self._monitor.apply(self._settings)
+        self._wake_watchdog.set()  # else the new period starts after the old one
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node with ROS arguments `args`, or those of the process."""
-    return run(MonitorNode, args)
+    return run("monitor", MonitorNode, args)

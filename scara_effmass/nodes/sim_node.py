@@ -153,4 +153,4 @@ def _message(state: values.JointState) -> JointState:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node with ROS arguments `args`, or those of the process."""
-    return run(SimNode, args)
+    return run("sim", SimNode, args)

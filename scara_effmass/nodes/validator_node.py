@@ -163,4 +163,4 @@ class ValidatorNode(LifecycleBase):
 
 def main(args: Sequence[str] | None = None, write_report: WriteReport | None = None) -> int:
     """Run the node with the ROS arguments `args`; default: those of the process."""
-    return run(partial(ValidatorNode, write_report), args)
+    return run("validator", partial(ValidatorNode, write_report), args)

@@ -1,5 +1,5 @@
 """Verdicts: one per contact point and joint state. Pure: time is an argument, in nanoseconds."""
 
-from scara_effmass.safety.monitor import Monitor, no_robot_decision, unknown_contact
+from scara_effmass.safety.monitor import Cause, Monitor, unknown_contact, unknown_decision
 
-__all__ = ["Monitor", "no_robot_decision", "unknown_contact"]
+__all__ = ["Cause", "Monitor", "unknown_contact", "unknown_decision"]

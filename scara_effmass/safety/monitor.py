@@ -132,7 +132,7 @@ class Monitor:
             return None
         age = (now_ns - state.stamp_ns) / 1e9 if state.stamp_ns > 0 else 0.0
         if isinstance(motion, str):
-            return self.reject(motion, state.stamp_ns, age)
+            return self.reject(motion, max(state.stamp_ns, 0) or now_ns, age)
         if previous_ns and state.stamp_ns - previous_ns > validator.timeout_ns:
             for debouncer in self._debouncers.values():
                 debouncer.mark_stale(f"no joint state for {(state.stamp_ns - previous_ns) / 1e9:.3f} s")
@@ -154,16 +154,17 @@ class Monitor:
             debouncer.mark_stale(reason)
         return self._decision(tuple(self._unknown(name, reason, stamp_ns, age) for name in self._debouncers))
 
-    def watchdog_decision(self, elapsed_ns: int) -> Decision:
+    def watchdog_decision(self, elapsed_ns: int, now_ns: int = 0) -> Decision:
         """Return the decision when no joint state has come for `elapsed_ns` of steady time.
 
+        Its stamp is that of the last valid joint state, or `now_ns` on the node's clock if there was none.
         It does not affect later verdicts: those depend on the gap between header stamps alone.
         """
         last_ns, seconds = self._validator.last_stamp_ns, elapsed_ns / 1e9
         reason = f"no joint state for {seconds:.2f} s" if last_ns else "no joint state yet"
         if self.ignored:
             reason += f" ({self.ignored} named none of the robot's joints)"
-        contacts = [self._unknown(name, reason, last_ns, seconds) for name in self._debouncers]
+        contacts = [self._unknown(name, reason, last_ns or now_ns, seconds) for name in self._debouncers]
         return self._decision(tuple(contact._replace(watchdog=True) for contact in contacts))
 
     def _decision(self, contacts: tuple[ContactAssessment, ...]) -> Decision:
@@ -362,9 +363,15 @@ class Monitor:
         return unknown_contact(name, reason, stamp_ns, age)._replace(iso_mass=self._iso_mass)
 
 
-def no_robot_decision(reason: str, *, watchdog: bool = False) -> Decision:
-    """Return the decision while there is no robot to watch; `watchdog`: no joint state came either."""
-    return Decision((unknown_contact("", reason, 0, 0.0)._replace(watchdog=watchdog),), 0.0, 0.0)
+def unknown_decision(
+    reason: str, stamp_ns: int = 0, contact_points: tuple[str, ...] = ("",), *, watchdog: bool = False
+) -> Decision:
+    """Return a decision without a monitor: UNKNOWN for each contact point; `watchdog`: it answers no joint state.
+
+    Without a robot there is one contact point, without a name.
+    """
+    contacts = (unknown_contact(name, reason, stamp_ns, 0.0) for name in contact_points)
+    return Decision(tuple(contact._replace(watchdog=watchdog) for contact in contacts), 0.0, 0.0)
 
 
 def unknown_contact(name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:

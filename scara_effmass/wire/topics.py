@@ -1,5 +1,6 @@
 """Names and quality of service of the suite's topics. Relative names follow the node's namespace."""
 
+import math
 from typing import NamedTuple
 
 CLOCK = "/clock"
@@ -44,10 +45,20 @@ class Qos(NamedTuple):
     reliable: bool = True
     latched: bool = False
     """Transient local: late subscribers receive the last messages."""
+    deadline_s: float = math.inf
+    """Maximum time between two messages that the publisher offers [s]."""
+    lifespan_s: float = math.inf
+    """Age from which a message that was not yet read is discarded [s]."""
+    lease_s: float = math.inf
+    """Time after which a publisher without a sign of life counts as lost [s]."""
 
 
 STREAM_QOS = Qos(1000)
 """1 s of messages at 1 kHz."""
+SCALAR_LIFESPAN_S = 2.0
+"""For allowable_speed and speed_scaling, whose messages have no stamp that shows their age."""
+_DEADLINE_PER_TIMEOUT = 2.0
+_MIN_LEASE_S = 0.1
 FORCE_QOS = Qos(100)
 """A slow subscriber loses blocks; the acquisition never waits."""
 INFO_QOS = Qos(10, latched=True)
@@ -58,3 +69,9 @@ JOINT_STATES_INPUT_QOS = Qos(1000, reliable=False)
 VALIDATOR_INPUT_QOS = Qos(20_000)
 """Holds the messages that arrive while the validator writes a report."""
 CLIENT_QOS = Qos(2000)
+
+
+def verdict_qos(timeout_s: float) -> Qos:
+    """Return the quality of service of `contact_state`, for a monitor that publishes after `timeout_s` of silence."""
+    deadline_s = _DEADLINE_PER_TIMEOUT * timeout_s
+    return STREAM_QOS._replace(deadline_s=deadline_s, lease_s=max(deadline_s, _MIN_LEASE_S))

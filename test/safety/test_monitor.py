@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from scara_effmass.safety import Monitor, no_robot_decision, unknown_contact
+from scara_effmass.safety import Monitor, unknown_contact, unknown_decision
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import JointState, Verdict
 
@@ -84,11 +84,11 @@ def test_gap_of_exactly_the_timeout_holds_nothing(scara: RobotDynamics) -> None:
 
 
 @pytest.mark.parametrize("stamp_ns", [0, -5])
-def test_unusable_stamp_gives_neither_stamp_nor_age(scara: RobotDynamics, stamp_ns: int) -> None:
+def test_unusable_stamp_gives_the_time_of_the_clock_and_no_age(scara: RobotDynamics, stamp_ns: int) -> None:
     state = JointState(stamp_ns, JOINTS, np.zeros(4), np.full(4, 0.01))
     decision = make_monitor(scara).assess(state, NOW)
     assert decision is not None
-    assert (decision.contacts[0].stamp_ns, decision.contacts[0].input_age) == (0, 0.0)
+    assert (decision.contacts[0].stamp_ns, decision.contacts[0].input_age) == (NOW, 0.0)
 
 
 def test_unknown_contact_states_no_number() -> None:
@@ -228,12 +228,12 @@ def test_verdicts_are_counted(scara: RobotDynamics) -> None:
 
 @pytest.mark.parametrize("text", ["no robot_description yet", "robot_description: not XML"])
 def test_no_robot_allows_nothing(text: str) -> None:
-    decision = no_robot_decision(text)
+    decision = unknown_decision(text)
     (contact,) = decision.contacts
     assert (contact.verdict, contact.reason, contact.contact_point) == (Verdict.UNKNOWN, text, "")
     assert (decision.allowable_speed, decision.speed_scaling) == (0.0, 0.0)
     assert not contact.watchdog
-    assert no_robot_decision(text, watchdog=True).contacts[0].watchdog
+    assert unknown_decision(text, watchdog=True).contacts[0].watchdog
 
 
 def test_only_contacts_of_the_watchdog_are_marked(scara: RobotDynamics) -> None:
