@@ -25,7 +25,7 @@ BLOCKS = 60
 
 def measure() -> tuple[float, float]:
     """Return the median time per cycle [us] of the core and of the direct computation, timed in turn."""
-    settings = MonitorSettings()
+    settings = MonitorSettings(contact_points=("tool",))
     robot = load_robot(share("config", "omron_i4_550l.yaml"), settings)
     monitor = Monitor(RobotDynamics(robot), settings)
     states = smooth_motion()
@@ -54,6 +54,22 @@ def measure() -> tuple[float, float]:
         ours.append(_time(core, chunk))
         theirs.append(_time(direct, chunk))
     return float(np.median(ours)), float(np.median(theirs))
+
+
+def measure_contact_points() -> tuple[float, float]:
+    """Return the median time per cycle [us] with four contact points and with one, timed in turn."""
+    states, times = smooth_motion(), []
+    monitors = []
+    for points in ("tool", "elbow", "rim=link4: 0.05 0 0", "fore=link2: 0.1 0 0"), ("tool",):
+        settings = MonitorSettings(contact_points=points)
+        monitors.append(Monitor(RobotDynamics(load_robot(settings=settings)), settings))
+    for block in range(BLOCKS):
+        chunk = states[block * CYCLES_PER_BLOCK : (block + 1) * CYCLES_PER_BLOCK]
+        times.append(
+            [_time(lambda state, monitor=monitor: monitor.assess(state, state.stamp_ns), chunk) for monitor in monitors]
+        )
+    four, one = np.median(times, axis=0).tolist()
+    return four, one
 
 
 def _time(function: Callable[[JointState], object], states: list[JointState]) -> float:

@@ -28,6 +28,7 @@ def main() -> None:
         table.add_row(what, f"{ours:,.1f} {unit}", against, f"{theirs:,.1f} {unit}", f"{ours / theirs:.2f}", goal)
 
     row("core, one cycle", *_around("CRBA + J + solve, one mass", core.measure()), "us", "<= 2")
+    row("core, 4 contact points", *_around("1 contact point", core.measure_contact_points()), "us", "< 4")
     row("bag, joint states", *_around("rosbags", bags.measure()), "1/s", ">= 10")
     row("bag -> verdicts", *_around("rosbags decoding alone", assess.measure()), "1/s", "")
     runs = live.measure()

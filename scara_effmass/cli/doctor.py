@@ -161,7 +161,7 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
         yield CheckResult("ok", "moving mass", f"{robot.moving_mass:.4g} kg without the payload")
         yield CheckResult("ok", "ISO mass", f"M/2 + m_L = {robot.iso_mass:.4g} kg")
     if robot.payload_mass:
-        yield CheckResult("ok", "payload", f"{robot.payload_mass:.4g} kg")
+        yield CheckResult("ok", "payload", robot.payload_text)
     else:
         yield CheckResult("note", "payload", "0 kg: the last link must include the tool and its load")
     warning = robot.rotors.warning

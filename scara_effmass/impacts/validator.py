@@ -88,6 +88,7 @@ class Validator:
         self._matcher = ImpactMatcher(settings)
         self.runs = self._matcher.runs
         self._contact_point = settings.contact_point
+        self._joined_ns = 0
         self._other_contact_points: set[str] = set()
         self._matches: list[MatchedImpact] = []
         self._min_force = self._max_force = 0.0
@@ -96,11 +97,17 @@ class Validator:
     def add_state(self, contact: ContactAssessment, received_ns: int) -> list[ValidatedImpact]:
         """Add a contact state that arrived at `received_ns` (0: unknown); return newly validated impacts."""
         name = contact.contact_point
-        if name != self._contact_point:
-            if self._contact_point or not name:
-                self._other_contact_points |= {name} - {""}
-                return []
-            self._contact_point = name
+        # A subscriber that joined between the contact points of one joint state has missed the first of them.
+        has_joined_late = 0 < self._joined_ns < contact.stamp_ns
+        if name == self._contact_point:
+            self._joined_ns = 0
+        elif name and (has_joined_late or not self._contact_point):
+            self._other_contact_points |= {self._contact_point} - {""}
+            self._matcher.states.clear()
+            self._contact_point, self._joined_ns = name, 0 if has_joined_late else contact.stamp_ns
+        else:
+            self._other_contact_points |= {name} - {""}
+            return []
         validated = self.begin_recording() if self._matcher.states.is_clock_reset(contact.stamp_ns) else []
         self._matcher.states.add(contact, received_ns)
         return validated + self._validate() if self._matcher.waiting else validated

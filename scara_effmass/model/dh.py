@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import reprlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,11 +14,12 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from scara_effmass.errors import RobotError
+from scara_effmass.model.contact_point import ContactPoint, contact_point
 from scara_effmass.model.inertial_check import StatedLink, principal_moments
-from scara_effmass.model.robot import PARALLEL, Robot, build_robot
+from scara_effmass.model.robot import PARALLEL, Robot, add_contact_frame, build_robot
 from scara_effmass.model.rotors import rotor_inertia
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import FloatArray
+from scara_effmass.values import ZERO_VECTOR, FloatArray
 
 
 def _no_bool(value: object) -> object:
@@ -97,6 +99,18 @@ class DhPayload(DhLink):
     com: Point = (0.0, 0.0, 0.0)
 
 
+class DhContactPoint(_Strict):
+    """Point `at` [m] in the frame of `link` (name, or number from 1), that of its com; a list: in the last DH frame."""
+
+    link: str | Annotated[int, BeforeValidator(_no_bool)] = ""
+    at: Point
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_list(cls, value: object) -> object:
+        return {"at": value} if isinstance(value, (list, tuple)) else value
+
+
 class DhFile(_Strict):
     """Content of a DH file."""
 
@@ -106,7 +120,7 @@ class DhFile(_Strict):
     links: tuple[DhLink, ...] = Field(min_length=1)
     rotor_inertia: tuple[tuple[Number, ...], ...] | None = None
     payload: DhPayload = DhPayload(mass=0.0)
-    contact_points: dict[str, Point] = Field(min_length=1)
+    contact_points: dict[str, DhContactPoint] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _consistent(self) -> DhFile:
@@ -115,6 +129,8 @@ class DhFile(_Strict):
             raise ValueError(f"joint names {names}: must differ")
         if len(self.links) != len(self.joints):
             raise ValueError(f"{len(self.links)} links for {len(self.joints)} joints: must be one link per joint")
+        for name, point in self.contact_points.items():
+            self.link_number(point.link, f"contact_points.{name}")
         if self.rotor_inertia is not None:
             if any(joint.armature is not None for joint in self.joints):
                 raise ValueError("rotor_inertia: must be absent where a joint states its armature")
@@ -132,13 +148,24 @@ class DhFile(_Strict):
                     )
         return self
 
+    def link_number(self, link: str | int, key: str) -> int:
+        """Return the number of `link`, 0 for an empty name. Raises ValueError for an unknown one, naming `key`."""
+        names = [link.name for link in self.links]
+        if link in ("", *names):
+            return 0 if not link else names.index(str(link)) + 1
+        if isinstance(link, int) and 1 <= link <= len(names):
+            return link
+        raise ValueError(f"{key}: link = {link!r}: must be 1 to {len(names)}, or one of {', '.join(names)}")
+
 
 def load_dh(path: Path, settings: MonitorSettings) -> Robot:
     """Return the robot of the DH file at `path`, with the contact points of `settings` (default: all of the file).
 
+    The payload of `settings` is added to that of the file.
+
     Raises RobotError for a file that cannot be used, and for settings that the file itself states.
     """
-    for key in ("payload_mass", "locked_joints"):
+    for key in ("locked_joints",):
         value = getattr(settings, key)
         if value and value != type(settings).model_fields[key].default:
             raise RobotError(f"{key} = {value!r}: must be unset for a DH file: set it in {path}")
@@ -153,9 +180,6 @@ def load_dh(path: Path, settings: MonitorSettings) -> Robot:
         key = ".".join(str(part) for part in first["loc"])
         value = f" = {reprlib.repr(first['input'])}" if key and not isinstance(first["input"], dict) else ""
         raise RobotError(f"{path}: {key or 'file'}{value}: {first['msg'].removeprefix('Value error, ')}") from None
-    for name in settings.contact_points:
-        if name not in file.contact_points:
-            raise RobotError(f"{path}: contact_points = {name!r}: must be one of {', '.join(file.contact_points)}")
     return _robot(file, str(path), settings)
 
 
@@ -184,22 +208,40 @@ def _robot(file: DhFile, origin: str, settings: MonitorSettings) -> Robot:
         stated = np.array(file.rotor_inertia)
     joints = [row.name for row in file.joints]
     rotors = rotor_inertia(joints, stated, "the DH file", settings.armature, origin)
-    frames = {}
-    for name in dict.fromkeys(settings.contact_points or file.contact_points):
-        pose = placement * pin.SE3(np.eye(3), np.array(file.contact_points[name]))
-        frames[name] = model.addFrame(pin.Frame(name, parent, 0, pose, pin.FrameType.OP_FRAME))
+    frames: dict[str, int] = {}
+    for name, number, at in _contact_points(file, origin, settings.contact_points):
+        pose = file.joints[number - 1].link_in_joint() if number else placement
+        add_contact_frame(model, frames, name, number or parent, pose, at)
     return build_robot(
         model,
         origin,
-        [StatedLink(link.name, link.mass, np.array(link.com), _tensor(link.inertia)) for link in file.links],
-        rotors,
-        (),
+        settings,
+        links=[StatedLink(link.name, link.mass, np.array(link.com), _tensor(link.inertia)) for link in file.links],
+        rotors=rotors,
+        notes=(),
+        file_payload=file.payload.mass,
+        contact_frames=frames,
+        tip=placement,
         name=file.robot,
         base_frame=file.base_frame,
-        contact_frames=frames,
-        tool_point=tuple(placement.translation.tolist()),
-        payload_mass=file.payload.mass,
     )
+
+
+def _contact_points(file: DhFile, origin: str, entries: Sequence[str]) -> Iterator[tuple[str, int, Point]]:
+    """Yield name, number of the link (0: the last DH frame) and position of each contact point."""
+    for entry in dict.fromkeys(entries or file.contact_points):
+        point = contact_point(entry) if entries else ContactPoint(entry, "", ZERO_VECTOR)
+        stated = file.contact_points.get(point.name)
+        if point.link:
+            try:
+                yield point.name, file.link_number(point.link, f"contact_points = {entry!r}"), point.at
+            except ValueError as error:
+                raise RobotError(f"{origin}: {error}") from None
+        elif stated is None:
+            names = ", ".join(file.contact_points)
+            raise RobotError(f"{origin}: contact_points = {entry!r}: must be one of {names}, or NAME=LINK: X Y Z")
+        else:
+            yield point.name, file.link_number(stated.link, entry), stated.at
 
 
 def _tensor(inertia: Inertia | None) -> FloatArray:

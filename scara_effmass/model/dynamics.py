@@ -8,6 +8,8 @@ The mass of the worst direction is the inverse of A's smallest eigenvalue within
 can move in. The paper is cited in `scara_effmass.model`.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,6 +21,7 @@ from scara_effmass.errors import RobotError
 from scara_effmass.iso15066.mobility import Matrix
 from scara_effmass.model.lumping import LumpedModel, lump
 from scara_effmass.model.robot import Robot
+from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import NAN, ZERO_VECTOR, FloatArray, Vector3
 
 RANK_TOLERANCE = 1e-9
@@ -86,6 +89,10 @@ class RobotDynamics:
         self._kinematics = robot.model.createData()
         self._massless_joints = () if self.lumped is None else self.lumped.massless_joints
         self._contacts = tuple((name, frame, self._rank(name, frame)) for name, frame in robot.contact_frames.items())
+
+    def with_payload(self, settings: MonitorSettings) -> RobotDynamics:
+        """Return the dynamics of the same robot with the load of `settings`."""
+        return RobotDynamics(self.robot.rebuild(settings))
 
     @property
     def contact_points(self) -> tuple[str, ...]:

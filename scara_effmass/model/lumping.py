@@ -109,7 +109,7 @@ def lump(robot: Robot) -> LumpedModel:
 def _distal_axis(robot: Robot, joint: int) -> tuple[FloatArray, FloatArray]:
     """Return a point and the unit direction of the axis after `joint`, in the frame of `joint`."""
     if joint == robot.model.njoints - 1:
-        return np.array(robot.tool_point), robot.axis_in_joint_frame(joint)
+        return robot.tip.translation.copy(), robot.axis_in_joint_frame(joint)
     placement = robot.model.jointPlacements[joint + 1]
     return placement.translation.copy(), placement.rotation @ robot.axis_in_joint_frame(joint + 1)
 

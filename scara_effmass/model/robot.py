@@ -1,7 +1,12 @@
 """Serial robot, independent of its file format."""
 
-from collections.abc import Mapping, Sequence
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -10,6 +15,7 @@ from scara_effmass.errors import RobotError
 from scara_effmass.iso15066 import robot_mass
 from scara_effmass.model.inertial_check import StatedLink, check_inertials
 from scara_effmass.model.rotors import RotorInertia
+from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray, Vector3
 
 PARALLEL = 2e-3
@@ -25,10 +31,11 @@ class Robot:
     """Kinematics, inertial data and limits of one serial robot, payload included.
 
     `model` has one degree of freedom per joint and the inertia tensors that the file states; its armature is the
-    diagonal of the matrix of `rotors`, and `mass_matrix` adds the rest. `contact_frames` maps
-    contact points to frame ids. The distal axis of the last link is parallel to its joint axis through `tool_point`
-    [m], in the last joint's frame. A `*_reason` states why masses, centres of mass (CoM) or inertias are implausible;
-    it is empty if they are plausible.
+    diagonal of the matrix of `rotors`, and `mass_matrix` adds the rest. `contact_frames` maps contact points to frame
+    ids. `tip` is the end of the last link in the last joint's frame; the link's distal axis is parallel to the joint
+    axis through it. `payload` are the masses m_L [kg] of tool and load by source; `rebuild` returns this robot with the
+    load of other settings. A `*_reason` states why masses, centres of mass (CoM) or inertias are implausible; it is
+    empty if they are plausible.
     """
 
     name: str
@@ -36,8 +43,9 @@ class Robot:
     base_frame: str
     model: pin.Model
     contact_frames: Mapping[str, int]
-    tool_point: Vector3
-    payload_mass: float
+    tip: pin.SE3
+    payload: Mapping[str, float]
+    rebuild: Callable[[MonitorSettings], Robot]
     rotors: RotorInertia
     masses_reason: str
     coms_reason: str
@@ -59,6 +67,16 @@ class Robot:
         """Effort limits (n,) of the joints [N m, N]; infinite where the description states none."""
         effort = np.asarray(self.model.effortLimit, dtype=np.float64)
         return np.where((effort > 0.0) & (effort < UNKNOWN_EFFORT), effort, np.inf)
+
+    @property
+    def payload_mass(self) -> float:
+        """Mass m_L of tool and workpiece [kg] (Eq. 17)."""
+        return sum(self.payload.values())
+
+    @property
+    def payload_text(self) -> str:
+        """The payload with its sources, such as "0.25 kg (robot file) + 2 kg (parameter payload_mass)"."""
+        return " + ".join(f"{mass:.4g} kg ({source})" for source, mass in self.payload.items()) or "0 kg (not stated)"
 
     @property
     def moving_mass(self) -> float:
@@ -100,36 +118,84 @@ class Robot:
         return np.asarray(lower + fractions * (upper - lower), dtype=np.float64)
 
 
+def add_contact_frame(
+    model: pin.Model, frames: dict[str, int], name: str, joint: int, pose: pin.SE3, at: Vector3
+) -> None:
+    """Add the contact point `name`, `at` [m] in the frame `pose` of `joint`, to `model` and `frames`.
+
+    Raises RobotError for a name that is taken.
+    """
+    if name in frames:
+        raise RobotError(f"contact_points = {name!r}: must name each point once")
+    place = pose * pin.SE3(np.eye(3), np.array(at))
+    frames[name] = model.addFrame(pin.Frame(name, joint, 0, place, pin.FrameType.OP_FRAME))
+
+
 def build_robot(
-    model: pin.Model,
+    bare: pin.Model,
     origin: str,
+    settings: MonitorSettings,
+    *,
     links: Sequence[StatedLink],
     rotors: RotorInertia,
     notes: Sequence[str],
-    **fields: object,
+    file_payload: float,
+    contact_frames: Mapping[str, int],
+    tip: pin.SE3,
+    name: str,
+    base_frame: str,
 ) -> Robot:
-    """Return the Robot of `model` with `rotors` and the plausibility check of its `links`; `fields` go to Robot.
+    """Return the Robot of the model `bare`, with `rotors`, the load of `settings` and a plausibility check of `links`.
 
-    Raises RobotError for a model without joints or without mass.
+    m_L is `file_payload` [kg], which `bare` includes, the links that match a glob of `settings.tool_links`, and
+    `settings.payload_mass`, a point mass in the frame of the first contact point behind the last joint, or else `tip`.
+
+    Raises RobotError for a model without joints or without mass, and for `tool_links` that match none.
     """
-    if model.nv == 0:
+    fields: dict[str, Any] = {"contact_frames": contact_frames, "tip": tip, "name": name, "base_frame": base_frame}
+    if bare.nv == 0:
         raise RobotError(f"{origin}: must have at least one joint that moves")
     if not any(link.mass > 0.0 for link in links):
         raise RobotError(f"{origin}: the moving links have no mass: every link must have its mass and centre of mass")
+    model = bare.copy()
+    model.armature = np.diag(rotors.matrix)
+    if settings.payload_mass > 0.0:
+        last = model.njoints - 1
+        frames = (model.frames[frame] for frame in contact_frames.values())
+        pose = next((frame.placement for frame in frames if frame.parentJoint == last), tip)
+        load = pin.Inertia(settings.payload_mass, np.array(settings.payload_com), np.zeros((3, 3)))
+        model.appendBodyToJoint(last, load, pose)
     check = check_inertials(links)
     bodies = zip(list(model.names)[1:], list(model.inertias)[1:], strict=True)
     massless = [joint for joint, body in bodies if body.mass == 0.0]
     masses_reason = check.masses
     if massless:
         masses_reason = f"no mass behind {', '.join(massless)}: the robot is heavier than the file says"
-    model.armature = np.diag(rotors.matrix)
+    payload = {
+        "robot file": file_payload,
+        f"tool_links {', '.join(settings.tool_links)}": _tool_mass(links, settings.tool_links, origin),
+        "parameter payload_mass": settings.payload_mass,
+    }
     return Robot(
         model=model,
         origin=origin,
+        payload={source: mass for source, mass in payload.items() if mass},
+        rebuild=partial(
+            build_robot, bare, origin, links=links, rotors=rotors, notes=notes, file_payload=file_payload, **fields
+        ),
         rotors=rotors,
         masses_reason=masses_reason,
         coms_reason=masses_reason or check.coms,
         inertias_reason=masses_reason or check.coms or check.inertias,
         notes=(*notes, *check.notes, *rotors.notes, *filter(None, [rotors.warning])),
-        **fields,  # type: ignore[arg-type]
+        **fields,
     )
+
+
+def _tool_mass(links: Sequence[StatedLink], globs: Sequence[str], origin: str) -> float:
+    """Return the mass [kg] of the `links` whose name matches one of `globs`. Raises RobotError for a glob without."""
+    for glob in globs:
+        if not any(fnmatchcase(link.name, glob) for link in links):
+            names = ", ".join(link.name for link in links)
+            raise RobotError(f"{origin}: tool_links = {glob!r}: must match one of the links {names}")
+    return sum(link.mass for link in links if any(fnmatchcase(link.name, glob) for glob in globs))

@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.robot import Robot, build_robot
+from scara_effmass.model.contact_point import contact_point
+from scara_effmass.model.robot import Robot, add_contact_frame, build_robot
 from scara_effmass.model.rotors import RotorInertia, rotor_inertia
 from scara_effmass.model.transmission import armatures
 from scara_effmass.model.urdf_tree import UrdfTree, read_urdf
@@ -30,26 +31,26 @@ def load_urdf(path: Path, settings: MonitorSettings) -> Robot:
 def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
     """Return the robot of the URDF `text`, such as a robot_description; `origin` names it in errors.
 
-    `settings.contact_points` are link names (default: the tip of the longest chain). The model moves the joints from
-    the base through every contact point to the tip beyond it. All other joints, and those that match a glob of
-    `settings.locked_joints`, are fixed: the mass behind them counts, their motion does not. `settings.payload_mass`
-    is a point mass at the first contact point behind the last joint, or else at the tip. `settings.armature` is
-    the rotor inertia reflected to the joints and wins over the `<transmission>` of the URDF. Raises RobotError.
+    `settings.contact_points` are links, or points in their frames (default: the tip of the longest chain). The model
+    moves the joints from the base through every contact point to the tip beyond it. All other joints, and those that
+    match a glob of `settings.locked_joints`, are fixed: the mass behind them counts, their motion does not.
+    `settings.armature` wins over the rotor inertia of the URDF. `build_robot` adds the payload. Raises RobotError.
     """
-    contact_points = settings.contact_points
     tree = read_urdf(text, origin, settings.locked_joints)
     notes = []
-    if not contact_points:
-        contact_points = (tree.tip(tree.base),)
-        notes.append(
-            f"contact point {contact_points[0]}: the tip of the longest chain (set contact_points for another)"
-        )
-    for name in contact_points:
-        if name not in tree.links:
-            raise RobotError(
-                f"{origin}: contact_points = {name!r}: must be one of the links {', '.join(sorted(tree.links))}"
-            )
-    tips = [tree.tip(name) for name in contact_points]
+    entries = settings.contact_points
+    if not entries:
+        entries = (tree.tip(tree.base),)
+        notes.append(f"contact point {entries[0]}: the tip of the longest chain (set contact_points for another)")
+    entries = tuple(dict.fromkeys(entries))
+    points = [contact_point(entry) for entry in entries]
+    # Without a link of its own, a contact point is the link of its name.
+    links = [point.link or point.name for point in points]
+    for entry, link in zip(entries, links, strict=True):
+        if link not in tree.links:
+            names = ", ".join(sorted(tree.links))
+            raise RobotError(f"{origin}: contact_points = {entry!r}: must be one of {names}, or NAME=LINK: X Y Z")
+    tips = [tree.tip(link) for link in links]
     needed = {joint for tip in tips for joint in tree.chain(tip)}
     for name in sorted(needed):
         tree.require_movable(name)
@@ -58,29 +59,26 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
         notes.append(f"held fixed in the model: {', '.join(sorted(fixed))}")
     model = _reduced_model(tree, fixed)
     rotors = _rotors(tree, list(model.names)[1:], settings.armature)
-    frames = {name: model.getBodyId(name) for name in contact_points}
-    for name, frame in frames.items():
-        if model.frames[frame].parentJoint == 0:
+    frames: dict[str, int] = {}
+    for entry, point, link in zip(entries, points, links, strict=True):
+        body = model.frames[model.getBodyId(link)]
+        if body.parentJoint == 0:
             locked = f" (locked: {', '.join(sorted(tree.locked))})" if tree.locked else ""
-            raise RobotError(f"{origin}: contact_points = {name!r}: must not be fixed to the base{locked}")
-    end = max(
-        (model.frames[model.getBodyId(name)] for name in (*contact_points, *tips)), key=lambda frame: frame.parentJoint
-    )
-    if settings.payload_mass > 0.0:
-        model.appendBodyToJoint(
-            end.parentJoint, pin.Inertia(settings.payload_mass, np.zeros(3), np.zeros((3, 3))), end.placement
-        )
+            raise RobotError(f"{origin}: contact_points = {entry!r}: must not be fixed to the base{locked}")
+        add_contact_frame(model, frames, point.name, body.parentJoint, body.placement, point.at)
+    end = max((model.frames[model.getBodyId(name)] for name in (*links, *tips)), key=lambda frame: frame.parentJoint)
     return build_robot(
         model,
         origin,
-        [link for link in tree.stated if model.frames[model.getBodyId(link.name)].parentJoint > 0],
-        rotors,
-        notes,
+        settings,
+        links=[link for link in tree.stated if model.frames[model.getBodyId(link.name)].parentJoint > 0],
+        rotors=rotors,
+        notes=notes,
+        file_payload=0.0,
+        contact_frames=frames,
+        tip=end.placement,
         name=tree.root.get("name", ""),
         base_frame=tree.base,
-        contact_frames=frames,
-        tool_point=tuple(end.placement.translation.tolist()),
-        payload_mass=settings.payload_mass,
     )
 
 

@@ -35,6 +35,8 @@ def read_urdf(text: str, origin: str, locked_joints: Sequence[str]) -> UrdfTree:
     for joint in root.findall("joint"):
         where = f"{origin}: joint {joint.get('name')}"
         _check_pose(joint, where)
+        for dynamics in joint.findall("dynamics"):
+            dynamics.attrib.setdefault("damping", "0")  # urdfdom refuses an armature alone
         if joint.get("type") in MOVING:
             _check_limit(joint, where)
     return UrdfTree(root, origin, locked_joints)

@@ -91,7 +91,7 @@ def _model_status(monitor: Monitor) -> DiagnosticStatus:
         "full mass": dynamics.full_reason or "available",
         "ISO mass [kg]": robot.masses_reason or f"{robot.iso_mass:.4g}",
         "moving mass [kg]": f"{robot.moving_mass:.4g}",
-        "payload [kg]": f"{robot.payload_mass:.4g}",
+        "payload": robot.payload_text,
         "notes": "; ".join(robot.notes),
         "limits": EDITION,
         "limits hash": TABLE_HASH,

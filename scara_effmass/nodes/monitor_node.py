@@ -159,6 +159,7 @@ class MonitorNode(LifecycleBase):
             self._encoders = {name: ContactStateEncoder(name, robot.base_frame) for name in dynamics.contact_points}
             self._no_robot_reason = ""
         self.get_logger().info(f"monitoring {robot.name} ({robot.origin}) at {', '.join(dynamics.contact_points)}")
+        self.get_logger().info(f"payload {robot.payload_text}")
         for line in (*robot.notes, *missing_models(dynamics)):
             self.get_logger().info(line)
 
@@ -289,11 +290,13 @@ class MonitorNode(LifecycleBase):
                 f"{matched.current_count} publishers on {self._joint_states.topic_name}: handled as one stream"
             )
 
-    def _apply_settings(self, settings: NodeSettings, _: AbstractSet[str]) -> None:
+    def _apply_settings(self, settings: NodeSettings, changed: AbstractSet[str]) -> None:
         with self._monitor_lock:
             self._settings = settings
             if self._monitor is not None:
                 self._monitor.apply(self._settings)
+                if changed & {"payload_mass", "payload_com"}:
+                    self.get_logger().info(f"payload {self._monitor.dynamics.robot.payload_text}")
         self._wake_watchdog.set()  # else the new period starts after the old one
 
 

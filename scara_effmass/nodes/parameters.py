@@ -73,7 +73,7 @@ def on_parameters_changed(
 def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401 - the settings model checks the type
     """Return the value of `parameter` for a settings model."""
     value = parameter.value
-    return tuple(value) if parameter.type_ is Parameter.Type.STRING_ARRAY else value
+    return tuple(value) if parameter.type_ in {Parameter.Type.STRING_ARRAY, Parameter.Type.DOUBLE_ARRAY} else value
 
 
 def _checked_type(node: Node, parameter: Parameter, field: FieldInfo) -> Any:  # noqa: ANN401
@@ -92,7 +92,8 @@ def _checked_type(node: Node, parameter: Parameter, field: FieldInfo) -> Any:  #
 def _parameter(name: str, value: Any) -> Parameter:  # noqa: ANN401
     """Return a setting as a ROS parameter."""
     if isinstance(value, tuple):
-        return Parameter(name, Parameter.Type.STRING_ARRAY, list(value))
+        numbers = value and isinstance(value[0], float)
+        return Parameter(name, Parameter.Type.DOUBLE_ARRAY if numbers else Parameter.Type.STRING_ARRAY, list(value))
     return Parameter(name, value=value.value if isinstance(value, Enum) else value)
 
 
@@ -113,5 +114,6 @@ def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
         descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
         descriptor.additional_constraints = f"above {low:g}" if "gt" in bounds else ""
     elif get_origin(annotation) is tuple:
-        descriptor.additional_constraints = "list of names"
+        is_vector = descriptor.type == Parameter.Type.DOUBLE_ARRAY.value
+        descriptor.additional_constraints = "list of 3 numbers" if is_vector else "list of names"
     return descriptor

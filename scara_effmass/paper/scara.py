@@ -94,13 +94,13 @@ def matrix_masses(
 
     The tool points along the normal (Eq. 24). No pose may be singular.
     """
-    (frame,) = dynamics.robot.contact_frames.values()
+    frame = next(iter(dynamics.robot.contact_frames.values()))
     normal = np.array([np.cos(phi), np.sin(phi), 0.0])
     masses = np.empty((2, len(q1)))
     for i, (angle1, angle2) in enumerate(zip(q1.tolist(), q2.tolist(), strict=True)):
         q = np.array([angle1, angle2, q3, angle1 + angle2 - phi])
         qd = np.linalg.pinv(dynamics.jacobian(q, frame)) @ normal
-        (effective_masses,) = dynamics.effective_masses(q, qd, MIN_SPEED)
+        effective_masses = dynamics.effective_masses(q, qd, MIN_SPEED)[0]
         masses[:, i] = effective_masses.lumped, effective_masses.full
     return masses[0], masses[1]
 

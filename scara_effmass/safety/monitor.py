@@ -66,10 +66,9 @@ class Monitor:
 
     def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
         """Watch the robot of `dynamics`. Raises LimitError for `settings` that loosen a limit of the standard."""
-        self.dynamics = dynamics
+        self._use(dynamics)
+        self.settings = settings
         self._validator = JointStateValidator(dynamics.robot)
-        self._masses_reason = dynamics.robot.masses_reason
-        self._iso_mass = 0.0 if dynamics.robot.masses_reason else dynamics.robot.iso_mass
         self._debouncers = {name: VerdictDebouncer() for name in dynamics.contact_points}
         self.first_cause: Cause | None = None
         self._had_valid_input = False
@@ -78,13 +77,20 @@ class Monitor:
         self.ignored = 0
         self.apply(settings)
 
+    def _use(self, dynamics: RobotDynamics) -> None:
+        self.dynamics = dynamics
+        self._masses_reason = dynamics.robot.masses_reason
+        self._iso_mass = 0.0 if self._masses_reason else dynamics.robot.iso_mass
+
     def apply(self, settings: MonitorSettings) -> None:
-        """Apply changed settings, except those of the robot. Raises LimitError or RobotError, then changes nothing."""
+        """Apply changed settings; of the robot, only the payload. Raises LimitError or RobotError, then unchanged."""
         limits = SpeedLimits(limits_for(settings), settings)
         if settings.fixed_normal is not None:
             self.dynamics.in_base(
                 np.zeros(self.dynamics.robot.model.nv), settings.fixed_normal, settings.contact_normal_frame
             )
+        if (settings.payload_mass, settings.payload_com) != (self.settings.payload_mass, self.settings.payload_com):
+            self._use(self.dynamics.with_payload(settings))
         self.settings = settings
         self._limits = limits
         self._validator.apply(settings)

@@ -36,6 +36,7 @@ class Drives(str, Enum):
     IMMOVABLE = "immovable"
 
 
+Offset = Annotated[float, Field(ge=-10.0, le=10.0)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -72,8 +73,8 @@ class MonitorSettings(BaseModel):
     contact_points: tuple[str, ...] = Field(
         (),
         description=(
-            "links (URDF) or named points (DH YAML) to watch; empty: all points of a DH file, the tip of the longest "
-            "chain of a URDF"
+            'points to watch: a link (URDF) or point (DH YAML) by name, or "name=link: x y z", a point in the frame of '
+            "a link [m]; empty: all points of a DH file, the tip of the longest chain of a URDF"
         ),
         json_schema_extra=READ_ONLY,
     )
@@ -82,12 +83,17 @@ class MonitorSettings(BaseModel):
         description=("joints, by name or glob pattern, fixed in the model: their mass counts, their motion does not"),
         json_schema_extra=READ_ONLY,
     )
-    payload_mass: float = Field(
-        0.0,
-        ge=0.0,
-        le=1000.0,
-        description="payload at the contact point in addition to the robot file [kg]",
+    tool_links: tuple[str, ...] = Field(
+        (),
+        description="links of the tool, by name or glob pattern: their mass belongs to m_L instead of M (M/2 + m_L)",
         json_schema_extra=READ_ONLY,
+    )
+    payload_mass: float = Field(
+        0.0, ge=0.0, le=1000.0, description="load in addition to the tool and payload of the robot file [kg]"
+    )
+    payload_com: tuple[Offset, Offset, Offset] = Field(
+        (0.0, 0.0, 0.0),
+        description="centre of mass of payload_mass in the frame of the first contact point on the last link [m]",
     )
     armature: tuple[str, ...] = Field(
         (),

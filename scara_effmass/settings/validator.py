@@ -31,7 +31,7 @@ class CriterionSettings(FrozenSettings):
 class ValidatorSettings(FrozenSettings):
     """Settings of `validator_node` and `validate`."""
 
-    contact_point: str = fixed("", "contact point of the impacts; empty: the first one received")
+    contact_point: str = fixed("", "contact point of the impacts; empty: the first one of a joint state")
     effective_mass_model: MassModel = fixed(
         MassModel.LUMPED, "effective-mass model to accept: lumped, full, iso (M/2 + m_L), or largest of lumped and full"
     )

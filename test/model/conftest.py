@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +34,8 @@ def omron_file() -> Path:
 
 @pytest.fixture(scope="session")
 def omron() -> Robot:
-    return load_robot(OMRON)
+    """Return the shipped robot with the contact point at its tool alone."""
+    return load_robot(OMRON, MonitorSettings(contact_points=("tool",)))
 
 
 @pytest.fixture(scope="session")
@@ -45,8 +45,9 @@ def omron_dynamics(omron: Robot) -> RobotDynamics:
 
 @pytest.fixture
 def omron_rows() -> dict[str, Any]:
-    """Return the shipped file's content, to be varied."""
-    rows: dict[str, Any] = copy.deepcopy(yaml.safe_load(OMRON.read_text()))
+    """Return the shipped file's content with the tool alone, to be varied."""
+    rows: dict[str, Any] = yaml.safe_load(OMRON.read_text())
+    del rows["contact_points"]["elbow"]
     return rows
 
 

@@ -111,6 +111,14 @@ def test_contact_points_can_be_selected(omron_rows: dict[str, Any], tmp_path: Pa
         ("contact_points", {}, "contact_points: "),
         ("contact_points.tool", [0.0, 0.0], "contact_points.tool"),
         ("contact_points.tool", None, "contact_points.tool"),
+        ("contact_points.tool", {"link": 1}, "contact_points.tool.at: Field required"),
+        ("contact_points.tool", {"link": True, "at": [0, 0, 0]}, r"contact_points\.tool\.link"),
+        (
+            "contact_points.tool",
+            {"link": 5, "at": [0, 0, 0]},
+            "file: contact_points.tool: link = 5: must be 1 to 4, or",
+        ),
+        ("contact_points.tool", {"link": "arm", "at": [0, 0, 0]}, "file: contact_points.tool: link = 'arm': must be 1"),
     ],
 )
 def test_wrong_value_is_named(

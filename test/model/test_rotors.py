@@ -268,7 +268,7 @@ class TestTransmission:
         assert "rotor inertia from the setting armature: j1 0.7" in robot.notes
 
     def test_dynamics_state_the_reflected_inertia(self) -> None:
-        robot = parse_urdf(arm("", '<dynamics armature="0.3" damping="1"/>'), "arm.urdf", MonitorSettings())
+        robot = parse_urdf(arm("", '<dynamics armature="0.3"/>'), "arm.urdf", MonitorSettings())
         assert robot.model.armature.tolist() == [0.3, 0.3]
 
     def test_transmission_without_rotor_inertia_is_named(self, load_urdf_file: Callable[..., Robot]) -> None:

@@ -68,6 +68,7 @@ class NodeHarness:
         self.domain = domain
         self.directory = directory
         self.contact_states: list[ContactState] = []
+        self.elbow_states: list[ContactState] = []
         self.scalars: dict[str, list[float]] = {"allowable_speed": [], "speed_scaling": []}
         self.diagnostics: list[DiagnosticArray] = []
         self.process: subprocess.Popen[str] | None = None
@@ -103,10 +104,14 @@ class NodeHarness:
 
     def subscribe(self) -> None:
         """Subscribe to the topics of the monitor and to /diagnostics."""
-        self.node.create_subscription(ContactState, "contact_state", self.contact_states.append, DEEP_QOS)
+        self.node.create_subscription(ContactState, "contact_state", self.on_contact_state, DEEP_QOS)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, DEEP_QOS)
         for topic, received in self.scalars.items():
             self.node.create_subscription(Float64, topic, partial(self._on_scalar, received), DEEP_QOS)
+
+    def on_contact_state(self, message: ContactState) -> None:
+        """Keep the states of the shipped robot's elbow apart, so that `contact_states` has one for each joint state."""
+        (self.elbow_states if message.contact_point == "elbow" else self.contact_states).append(message)
 
     @staticmethod
     def _on_scalar(received: list[float], message: Float64) -> None:
@@ -225,6 +230,7 @@ class NodeHarness:
 
     def _clear(self) -> None:
         self.contact_states.clear()
+        self.elbow_states.clear()
         for values in self.scalars.values():
             values.clear()
 

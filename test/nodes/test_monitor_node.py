@@ -9,6 +9,7 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -22,6 +23,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.load import load_robot
 from scara_effmass.settings import READ_ONLY, MonitorSettings
 from scara_effmass.share import share
 from test.nodes.conftest import joint_state, stamp_ns
@@ -117,6 +120,8 @@ class TestParameters:
             if descriptor.type == ParameterType.PARAMETER_DOUBLE:
                 (bounds,) = descriptor.floating_point_range
                 assert 0.0 <= bounds.from_value < bounds.to_value
+            elif descriptor.name == "payload_com":
+                assert descriptor.type == ParameterType.PARAMETER_DOUBLE_ARRAY
             elif descriptor.type != ParameterType.PARAMETER_BOOL and descriptor.name != "robot":
                 assert descriptor.additional_constraints
 
@@ -150,6 +155,9 @@ class TestParameters:
             ("warn_ratio", "much", "Wrong parameter type"),
             ("timeout", 1, "Wrong parameter type"),
             ("nonsense", 1.0, "undeclared parameter"),
+            ("payload_mass", -1.0, "out of range"),
+            ("payload_com", [0.0, 0.0], "payload_com.2: Field required"),
+            ("payload_com", [0.0, 0.0, math.inf], "payload_com.2 = inf"),
         ],
     )
     def test_invalid_value_is_refused_with_the_reason(
@@ -161,6 +169,27 @@ class TestParameters:
     ) -> None:
         assert reason in harness.set_parameters(**{name: value})
         assert harness.response_to(joint_state()).verdict == ContactState.OK
+
+    def test_payload_changes_live_and_keeps_the_counts(self, harness: NodeHarness) -> None:
+        """The masses are those of a monitor started with the payload; its origin is in the diagnostics."""
+        light = harness.response_to(joint_state())
+        counted = int(harness.diagnostic("model", "decisions OK", lambda value: int(value) > 0).split(" | ")[1])
+        try:
+            assert harness.set_parameters(payload_mass=2.5, payload_com=[0.0, 0.0, 0.1]) == ""
+            sent = joint_state()
+            heavy = harness.response_to(sent)
+            settings = MonitorSettings(payload_mass=2.5, payload_com=(0.0, 0.0, 0.1))
+            dynamics = RobotDynamics(load_robot(settings=settings))
+            q, qd = np.array(sent.position), np.array(sent.velocity)
+            masses = dynamics.effective_masses(q, qd, settings.speed_threshold)[0]
+            assert (heavy.lumped_mass, heavy.full_mass) == (masses.lumped, masses.full)
+            assert heavy.iso_mass == dynamics.robot.iso_mass == light.iso_mass + 2.5
+            text = harness.diagnostic("model", "payload", lambda value: "2.5" in value)
+            assert text.endswith("| 0.25 kg (robot file) + 2.5 kg (parameter payload_mass)")
+            assert int(harness.diagnostic("model", "decisions OK", bool).split(" | ")[1]) >= counted
+        finally:
+            assert harness.set_parameters(payload_mass=0.0, payload_com=[0.0, 0.0, 0.0]) == ""
+        assert harness.response_to(joint_state()).full_mass == light.full_mass
 
     def test_valid_value_applies_at_once(self, harness: NodeHarness) -> None:
         default = harness.response_to(joint_state())
@@ -401,9 +430,7 @@ def test_every_joint_state_of_a_1_khz_stream_is_answered(
     new_harness: Callable[..., NodeHarness], tmp_path: Path
 ) -> None:
     harness = new_harness("--ros-args", "-p", "timeout:=60.0")
-    harness.node.create_subscription(
-        ContactState, "contact_state", harness.contact_states.append, QoSProfile(depth=20_000)
-    )
+    harness.node.create_subscription(ContactState, "contact_state", harness.on_contact_state, QoSProfile(depth=20_000))
     stamps = tmp_path / "stamps"
     stamps.touch()
     command = [sys.executable, "-c", SENDER, "5000", str(stamps)]

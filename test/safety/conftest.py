@@ -20,8 +20,9 @@ SHIPPED = share("config", "omron_i4_550l.yaml")
 
 
 def variant(directory: Path, change: Callable[[dict[str, Any]], object]) -> RobotDynamics:
-    """Return the shipped SCARA with its file changed by `change`."""
+    """Return the shipped SCARA, watched at its tool alone, with its file changed by `change`."""
     file = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
+    del file["contact_points"]["elbow"]
     change(file)
     path = directory / "robot.yaml"
     path.write_text(yaml.safe_dump(file, sort_keys=False), encoding="utf-8")
@@ -37,7 +38,7 @@ def scara_variant(tmp_path: Path) -> Callable[[Callable[[dict[str, Any]], object
 @pytest.fixture(scope="session")
 def scara() -> RobotDynamics:
     """The shipped SCARA, one contact point on the tool axis."""
-    return RobotDynamics(load_robot(SHIPPED, MonitorSettings()))
+    return RobotDynamics(load_robot(SHIPPED, MonitorSettings(contact_points=("tool",))))
 
 
 @pytest.fixture(scope="session")

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 POINTS = [(0.3, 0.2), (0.3, 0.0), (0.3, -0.2)]
 MASSES = [0.50, 2.39, 3.72, 7.35]
 NO_TORQUE = np.zeros(4)
-SETTINGS = MonitorSettings()
+SETTINGS = MonitorSettings(contact_points=("tool",))
 ROBOT = share("config", "omron_i4_550l.yaml")
 X: Vector3 = (1.0, 0.0, 0.0)
 Q3 = 0.236

@@ -48,7 +48,7 @@ def test_impact_is_at_mid_path_at_the_papers_speed(run: ImpactRun) -> None:
 
 
 def test_masses_agree_with_the_model(run: ImpactRun) -> None:
-    settings = MonitorSettings()
+    settings = MonitorSettings(contact_points=("tool",))
     index, rest_ns = divmod(run.impact.onset_ns - EPOCH_NS, 1_000_000)
     before = run.joint_states[index]
     at_onset = before.position + before.velocity * rest_ns / 1e9
