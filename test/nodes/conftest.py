@@ -145,9 +145,7 @@ class NodeHarness:
     def set_parameters(self, **values: Any) -> str:  # noqa: ANN401
         """Set parameters one by one; return the reason of the first rejection, or an empty string."""
         parameters = [
-            Parameter(name, Parameter.Type.STRING_ARRAY, value)
-            if isinstance(value, list)
-            else Parameter(name, value=value)
+            Parameter(name, Parameter.Type.STRING_ARRAY, value) if value == [] else Parameter(name, value=value)
             for name, value in values.items()
         ]
         request = SetParameters.Request(parameters=[parameter.to_parameter_msg() for parameter in parameters])

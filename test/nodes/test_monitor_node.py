@@ -183,7 +183,7 @@ class TestParameters:
             q, qd = np.array(sent.position), np.array(sent.velocity)
             masses = dynamics.effective_masses(q, qd, settings.speed_threshold)[0]
             assert (heavy.lumped_mass, heavy.full_mass) == (masses.lumped, masses.full)
-            assert heavy.iso_mass == dynamics.robot.iso_mass == light.iso_mass + 2.5
+            assert heavy.iso_mass == dynamics.robot.iso_mass == pytest.approx(light.iso_mass + 2.5)
             text = harness.diagnostic("model", "payload", lambda value: "2.5" in value)
             assert text.endswith("| 0.25 kg (robot file) + 2.5 kg (parameter payload_mass)")
             assert int(harness.diagnostic("model", "decisions OK", bool).split(" | ")[1]) >= counted
