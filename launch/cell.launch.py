@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from launch import LaunchDescription
@@ -11,6 +12,7 @@ from launch_ros.actions import Node
 
 if TYPE_CHECKING:
     from launch import LaunchContext
+    from launch.events.process import ProcessExited
 
 ARGUMENTS = (
     DeclareLaunchArgument(
@@ -50,13 +52,29 @@ ARGUMENTS = (
 
 
 def nodes(context: LaunchContext) -> list[Node]:
-    """Return the nodes; an empty launch argument sets no parameter."""
+    """Return the nodes; an empty launch argument sets no parameter. Raises FileNotFoundError for a missing params_file.
+
+    ROS would start the nodes without the file, and so the monitor with the shipped robot.
+    """
     arguments = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
+    params_file = arguments["params_file"]
+    if params_file and not Path(params_file).is_file():
+        raise FileNotFoundError(f"params_file = {params_file}: must be an existing file")
     actions = [_node("monitor_node", arguments, {"robot": arguments["robot"]} if arguments["robot"] else {})]
     if arguments["source"] != "none":
         actions.append(_node("daq_node", arguments, {"source": arguments["source"]}))
         actions.append(_node("validator_node", arguments, {}))
     return actions
+
+
+def end_launch(event: ProcessExited, context: LaunchContext) -> None:
+    """End the launch with status 1 when a node ends before it; only a recording that is over may end `daq_node`.
+
+    An exception is the only way to a status other than 0.
+    """
+    is_finished = event.returncode == 0 and event.process_name.startswith("daq_node")
+    if not context.is_shutdown and not is_finished:
+        raise RuntimeError(f"{event.process_name} ended with status {event.returncode}")
 
 
 def _node(executable: str, arguments: dict[str, str], node_parameters: dict[str, str]) -> Node:
@@ -70,6 +88,7 @@ def _node(executable: str, arguments: dict[str, str], node_parameters: dict[str,
         parameters=[*parameters, node_parameters],
         arguments=["--ros-args", "--log-level", arguments["log_level"]],
         output="screen",
+        on_exit=end_launch,
     )
 
 

@@ -39,7 +39,7 @@ def daq_statuses(
 def _source_status(acquisition: Acquisition, signal: SignalConditioner, unconnected: str) -> DiagnosticStatus:
     source, statistics, jumps = acquisition.source, acquisition.statistics(), signal.clock.restarts
     lost = statistics.samples_lost + statistics.samples_dropped
-    level = _LEVELS.get(statistics.state, DiagnosticStatus.STALE)
+    level = _LEVELS.get(statistics.state, DiagnosticStatus.ERROR)
     problem = ""
     if level == DiagnosticStatus.OK:
         problems = (

@@ -16,7 +16,7 @@ class Diagnostics:
     def __init__(self, node: LifecycleBase, statuses: Callable[[], list[DiagnosticStatus]]) -> None:
         """Publish what `statuses` returns, unless it is empty, while `node` is configured.
 
-        The name of each status is preceded by that of the node.
+        The name of each status is preceded by that of the node with its namespace, so that it is unique.
         """
         self._node = node
         self._statuses = statuses
@@ -29,7 +29,7 @@ class Diagnostics:
         """Publish the statuses now."""
         if statuses := self._statuses():
             for entry in statuses:
-                entry.name = f"{self._node.get_name()}: {entry.name}"
+                entry.name = f"{self._node.get_fully_qualified_name()}: {entry.name}"
             array = DiagnosticArray(status=statuses)
             array.header.stamp = self._node.get_clock().now().to_msg()
             self._publisher.publish(array)

@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     from scara_effmass.model.dynamics import RobotDynamics
     from scara_effmass.safety import Monitor
 
+_NO_ROBOT = "no robot"
 _LEVELS = {
     Verdict.OK: DiagnosticStatus.OK,
     Verdict.WARN: DiagnosticStatus.WARN,
     Verdict.VIOLATION: DiagnosticStatus.ERROR,
-    Verdict.UNKNOWN: DiagnosticStatus.STALE,
+    Verdict.UNKNOWN: DiagnosticStatus.ERROR,  # STALE is the aggregator's word for a dead node
 }
 
 
@@ -41,7 +42,7 @@ def monitor_statuses(
     if decision is not None:
         statuses += [_contact_status(contact) for contact in decision.contacts]
     for entry in statuses:
-        entry.hardware_id = monitor.dynamics.robot.name if monitor else ""
+        entry.hardware_id = (monitor.dynamics.robot.name if monitor else "") or _NO_ROBOT
     return statuses
 
 

@@ -10,12 +10,18 @@ from scara_effmass.nodes.diagnostics import status
 
 
 def series_status(
-    validator: Validator, undecodable: Counter[str], lost: Mapping[str, int], incompatible_qos: Collection[str]
+    validator: Validator,
+    undecodable: Counter[str],
+    lost: Mapping[str, int],
+    incompatible_qos: Collection[str],
+    *,
+    contact_states: int,
+    robot: str,
 ) -> DiagnosticStatus:
     """Return the status of the series.
 
-    `undecodable` counts messages by error, `lost` those that the middleware lost by topic; `incompatible_qos` has one
-    line per endpoint that cannot be connected.
+    `contact_states` came since the last report, without those of the watchdog. `undecodable` counts messages by error,
+    `lost` those that the middleware lost by topic; `incompatible_qos` has a line per endpoint that cannot be connected.
     """
     result = validator.result()
     selected = next(model for model in result.models if model.model == result.model).overall
@@ -25,6 +31,10 @@ def series_status(
         problem = f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}"
     if not problem and lost:
         problem = ", ".join(f"{count} messages of {topic} lost" for topic, count in lost.items())
+    if not problem and not contact_states:
+        problem = "no contact states"
+    if not problem and result.waiting:
+        problem = f"{result.waiting} impacts wait for contact states"
     values: dict[str, object] = {
         "model": result.model,
         "contact point": result.contact_point,
@@ -50,4 +60,4 @@ def series_status(
     for group, counts in (("excluded:", result.excluded), ("not paired:", result.unpaired), ("lost of", lost)):
         values |= {f"{group} {name}": count for name, count in sorted(counts.items())}
     message = f"{len(result.impacts)} impacts, {'accepted' if result.accepted else result.reason}"
-    return status("series", message, values, problem=problem)
+    return status("series", message, values, problem=problem, hardware_id=robot)

@@ -68,6 +68,7 @@ class ValidatorNode(LifecycleBase):
         """Create the endpoints."""
         settings = self._settings
         self._undecodable: Counter[str] = Counter()
+        self._contact_states = 0
         self._validator = Validator(settings)
         self._detector = Detector(settings.detection)
         self._publisher = self.create_owned_publisher(ImpactValidation, topics.IMPACT_VALIDATION, topics.STREAM_QOS)
@@ -87,6 +88,7 @@ class ValidatorNode(LifecycleBase):
 
     def _on_contact_state(self, message: ContactState) -> None:
         if self.active:
+            self._contact_states += not message.watchdog
             self._publish(self._validator.add_state(contact_from(message), self.now_ns()))
 
     def _on_impact(self, data: bytes) -> None:
@@ -140,7 +142,17 @@ class ValidatorNode(LifecycleBase):
             self._publisher.publish(message)
 
     def _statuses(self) -> list[DiagnosticStatus]:
-        return [series_status(self._validator, self._undecodable, self.lost, self.incompatible_qos)]
+        contact_states, self._contact_states = self._contact_states, 0
+        return [
+            series_status(
+                self._validator,
+                self._undecodable,
+                self.lost,
+                self.incompatible_qos,
+                contact_states=contact_states,
+                robot=Path(self._settings.robot or "omron_i4_550l").stem,
+            )
+        ]
 
     def _reset(self) -> str:
         count = len(self._validator.result().impacts)

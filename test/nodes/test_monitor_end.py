@@ -9,6 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Log
@@ -41,6 +42,10 @@ def change(harness: NodeHarness, *transitions: int) -> None:
     for transition in transitions:
         request = ChangeState.Request(transition=Transition(id=transition))
         assert harness.call_service(ChangeState, "change_state", request).success
+
+
+def _first(received: list[DiagnosticArray]) -> DiagnosticArray | None:
+    return received[0] if received else None
 
 
 def answer(harness: NodeHarness, verdict: int, **fields: object) -> ContactState:
@@ -105,6 +110,19 @@ def test_deactivation_leaves_latch_and_debounce_alone(new_harness: Callable[...,
     harness.spin_until(lambda: harness.contact_states[-1].watchdog)
     answer(harness, ContactState.OK)
     assert {c.verdict for c in harness.contact_states} == {ContactState.OK}
+
+
+def test_names_of_diagnostics_differ_between_cells(new_harness: Callable[..., NodeHarness]) -> None:
+    names = []
+    for cell in ("/cell1", "/cell2"):
+        harness = new_harness(namespace=cell)
+        harness.start("--ros-args", "-r", f"__ns:={cell}")
+        harness.subscribe()
+        array = harness.spin_until(partial(_first, harness.diagnostics))
+        names += [status.name for status in array.status]
+        assert all(status.name.startswith(f"{cell}/monitor: ") for status in array.status)
+        assert all(status.hardware_id == "omron_i4_550l" for status in array.status)
+    assert len(set(names)) == len(names)
 
 
 BUSY = """

@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.nodes.monitor_health import monitor_statuses
-from scara_effmass.safety import Monitor
+from scara_effmass.safety import Monitor, unknown_decision
 from scara_effmass.settings import MonitorSettings
 
 if TYPE_CHECKING:
@@ -20,6 +20,12 @@ def model_status(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[s
     monitor = Monitor(RobotDynamics(load_robot(settings=settings)), settings)
     _, status = monitor_statuses(monitor, None, DiagnosticStatus())
     return status, {pair.key: pair.value for pair in status.values}
+
+
+def test_unknown_is_an_error_and_without_a_robot_there_is_a_hardware_id() -> None:
+    statuses = monitor_statuses(None, unknown_decision("no robot_description yet"), DiagnosticStatus())
+    assert statuses[-1].level == DiagnosticStatus.ERROR
+    assert {status.hardware_id for status in statuses} == {"no robot"}
 
 
 def test_joints_without_rotor_inertia_are_a_warning() -> None:
