@@ -65,7 +65,7 @@ def input_status(
     if publishers == 0:
         problem = "no publisher of joint states"
     elif publishers > 1:
-        problem = f"{publishers} publishers of joint states, handled as one stream"
+        problem = f"{publishers} publishers of joint states: only one may send the robot's joints"
     elif lost:
         problem = f"{lost} joint states lost"
     values = {

@@ -5,8 +5,9 @@ The watchdog has a thread of its own, so it also publishes while a callback take
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
+from functools import wraps
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -102,7 +103,7 @@ class MonitorNode(LifecycleBase):
         self._joint_states = self.create_owned_subscription(
             JointState,
             topics.JOINT_STATES,
-            self._on_joint_state,
+            _with_info(self._on_joint_state),
             topics.JOINT_STATES_INPUT_QOS,
             raw=True,
             matched=self._on_matched,
@@ -163,7 +164,7 @@ class MonitorNode(LifecycleBase):
         for line in (*robot.notes, *missing_models(dynamics)):
             self.get_logger().info(line)
 
-    def _on_joint_state(self, data: bytes) -> None:
+    def _on_joint_state(self, data: bytes, info: dict[str, int | None]) -> None:
         if not self.active:
             return
         start_ns = time.monotonic_ns()
@@ -174,7 +175,8 @@ class MonitorNode(LifecycleBase):
                 self._publish(unknown_decision(self._no_robot_reason, self.now_ns()))
                 return
             try:
-                decision = monitor.assess(self._decoder.decode(data), self.now_ns())
+                state = self._decoder.decode(data)
+                decision = monitor.assess(state, self.now_ns(), info["publication_sequence_number"])
             except DecodeError as error:
                 decision = monitor.reject(str(error), self.now_ns())
             if decision is not None:
@@ -286,8 +288,9 @@ class MonitorNode(LifecycleBase):
 
     def _on_matched(self, matched: QoSSubscriptionMatchedInfo) -> None:
         if matched.current_count > 1:
+            topic = self._joint_states.topic_name
             self.get_logger().warning(
-                f"{matched.current_count} publishers on {self._joint_states.topic_name}: handled as one stream"
+                f"{matched.current_count} publishers on {topic}: only one may send the robot's joints"
             )
 
     def _apply_settings(self, settings: NodeSettings, changed: AbstractSet[str]) -> None:
@@ -298,6 +301,16 @@ class MonitorNode(LifecycleBase):
                 if changed & {"payload_mass", "payload_com"}:
                     self.get_logger().info(f"payload {self._monitor.dynamics.robot.payload_text}")
         self._wake_watchdog.set()  # else the new period starts after the old one
+
+
+def _with_info(callback: Callable[[bytes, dict[str, int | None]], None]) -> Callable[..., None]:
+    """Return `callback` for any executor: the EventsExecutor of rclpy 7.1 passes message and info as one tuple."""
+
+    @wraps(callback)
+    def receive(*received: Any) -> None:  # noqa: ANN401
+        callback(*(received if len(received) > 1 else received[0]))
+
+    return receive
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -94,20 +94,29 @@ class JointStateValidator:
     def reset(self) -> None:
         """Discard the history of joint states, as after a jump of the clock."""
         self.last_stamp_ns = 0
+        self._last_sequence_number: int | None = None
         self._last_q: FloatArray | None = None
         self._unconfirmed = set(range(len(self._joints)))
         self._start_ns = self._observed_ns = 0
         self._comparisons: list[_Comparison] = []
         self._lag_correlation = self._lag_excitation = 0.0
 
-    def validate(self, state: JointState, now_ns: int) -> Motion | OtherDevice | str:
-        """Return the motion in `state`, or the reason why it is invalid; `now_ns` is the node's clock."""
+    def validate(
+        self, state: JointState, now_ns: int, sequence_number: int | None = None
+    ) -> Motion | OtherDevice | str:
+        """Return the motion in `state`, or the reason why it is invalid.
+
+        `now_ns` is the node's clock, `sequence_number` that of the message at its publisher, None if unknown.
+        """
         if state.names is not self._names:
             self._layout = self._joint_indices(state.names)
             self._names = state.names
         layout = self._layout
         if isinstance(layout, (str, OtherDevice)):
             return layout
+        last, self._last_sequence_number = self._last_sequence_number, sequence_number
+        if last is not None and sequence_number is not None and sequence_number <= last:
+            return f"a second publisher, or a restarted one: joint state number {sequence_number} follows number {last}"
         return self._length_error(state) or self._stamp_error(state.stamp_ns, now_ns) or self._motion(state, layout)
 
     def _joint_indices(self, names: tuple[str, ...]) -> IndexArray | str | OtherDevice | None:

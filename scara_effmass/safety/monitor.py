@@ -121,8 +121,11 @@ class Monitor:
         for debouncer in self._debouncers.values():
             debouncer.clear()
 
-    def assess(self, state: JointState, now_ns: int) -> Decision | None:
+    def assess(self, state: JointState, now_ns: int, sequence_number: int | None = None) -> Decision | None:
         """Return the decision on `state`, received at `now_ns` on the node's clock.
+
+        `sequence_number` counts the messages of one publisher; joint states whose number does not increase come from
+        several publishers, and give UNKNOWN.
 
         None for a joint state that names none of the robot's joints: it belongs to another device.
         """
@@ -132,7 +135,7 @@ class Monitor:
             # System time was set back, which raises no jump callback.
             self.clear_history()
             previous_ns = 0
-        motion = validator.validate(state, now_ns)
+        motion = validator.validate(state, now_ns, sequence_number)
         if isinstance(motion, OtherDevice):
             self.ignored += 1
             return None

@@ -171,6 +171,34 @@ def test_forty_thousand_names_are_compared_once_each(scara: RobotDynamics) -> No
     assert comparisons < 5 * len(names)
 
 
+def test_number_that_does_not_increase_gives_unknown(scara: RobotDynamics) -> None:
+    """Of a second publisher, or once of a restarted one; other devices on the topic do not count."""
+    monitor = make_monitor(scara)
+    gripper = state(names=("finger",), position=(0.0,), velocity=())
+    results = []
+    for i, (joint_state, number) in enumerate(
+        (
+            (state(), 8),
+            (state(), 9),
+            (gripper, 3),
+            (state(), 12),
+            (state(), 12),
+            (state(), 1),
+            (state(), 2),
+            (state(), None),
+        )
+    ):
+        now = NOW + i * MS
+        decision = monitor.assess(joint_state._replace(stamp_ns=now), now, number)
+        results.append(decision and decision.contacts[0].reason)
+    prefix = "a second publisher, or a restarted one: joint state number"
+    assert results == ["", "", None, "", f"{prefix} 12 follows number 12", f"{prefix} 1 follows number 12", "", ""]
+    monitor.clear_history()
+    decision = monitor.assess(state(NOW + 9 * MS), NOW + 9 * MS, 1)
+    assert decision is not None
+    assert decision.contacts[0].verdict is Verdict.OK
+
+
 @given(
     order=st.permutations(range(7)),
     position=st.tuples(*[st.floats(-1.0, 1.0)] * 2, st.floats(0.0, 0.4), st.floats(-3.0, 3.0)),
