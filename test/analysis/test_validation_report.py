@@ -130,6 +130,10 @@ def test_page_states_result_limits_and_origin(
         assert any(text.startswith(f"{model.overall.correlation:.5f} (") for text in texts)
 
 
+def test_page_names_the_joints_without_rotor_inertia(files: dict[str, bytes]) -> None:
+    assert "no rotor inertia for joint1, joint2, joint3, joint4" in files["report.html"].decode()
+
+
 def test_json_report_is_complete_and_finite(
     files: dict[str, bytes], validation: Validation, dynamics: RobotDynamics
 ) -> None:

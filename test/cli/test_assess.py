@@ -231,6 +231,7 @@ def test_report_shows_every_contact_point_and_episode(swing_bag: Path, cli: Cli,
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 4
     assert "not a certified safety function" in page
+    assert "no rotor inertia for joint1" in page
 
     again = cli(*words, "--force")
     assert again.returncode == 0

@@ -387,6 +387,20 @@ def test_other_contact_points_are_named(make_state: MakeState, make_impact: Make
     assert validator.result().other_contact_points == ("elbow",)
 
 
+def test_subscriber_that_joins_late_takes_the_first_contact_point_of_a_joint_state(
+    make_state: MakeState, make_impact: MakeImpact
+) -> None:
+    """It missed the tool of the joint state in which it joined; the elbow must not stay, nor leave a state behind."""
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    validator.add_state(make_state(START, 0.9, contact_point="elbow"), 0)
+    for ms in range(8, 200, 8):
+        validator.add_state(make_state(START + ms * MS, 0.25, contact_point="tool"), 0)
+        validator.add_state(make_state(START + ms * MS, 0.9, contact_point="elbow"), 0)
+    (validated,) = validator.add_impact(make_impact(START + 100 * MS), 0)
+    assert (validated.contact_point, validated.speed) == ("tool", 0.25)
+    assert validator.result().other_contact_points == ("elbow",)
+
+
 def test_the_first_contact_point_where_none_is_chosen(make_state: MakeState) -> None:
     validator = Validator(ValidatorSettings())
     for name in ("", "elbow", "tool"):  # the first one: there is no robot yet
