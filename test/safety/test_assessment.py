@@ -123,6 +123,8 @@ def test_assessment_agrees_with_masses_and_limits(
     (masses,) = scara.effective_masses(np.array(q), np.array(qd), settings.speed_threshold, error.tolist())
     # A clamped part is immovable, and the linear algebra below singular at a singular pose.
     assume(settings.contact is ContactType.TRANSIENT or masses.smallest_singular_value > 1e-3)
+    # Against a clamped part, linear algebra has no solution at a singular pose.
+    assume(settings.contact is ContactType.TRANSIENT or masses.smallest_singular_value > 1e-3)
     mass_by_model = {
         MassModel.LUMPED: masses.lumped,
         MassModel.FULL: masses.full,
