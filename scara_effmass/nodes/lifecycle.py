@@ -55,6 +55,8 @@ RCLError = rclpy_implementation.RCLError
 _SPIN_S = 1e6
 """Timeout of each spin [s]: without one, EventsExecutor.spin() keeps a core busy in rclpy 7.1."""
 _ROSOUT_WAIT_S = 2.0
+_ROSOUT_ACK_S = 5.0
+"""Fast DDS sends again after 3 s what a subscriber missed."""
 _SETTLE_S = 0.2
 """Time for a subscriber to discover a publisher that has discovered it."""
 _POLL_S = 0.01
@@ -355,7 +357,7 @@ def _log_refusal(name: str, error: EffmassError, arguments: list[str]) -> None:
         message = Log(level=Log.FATAL, name=node.get_logger().name, msg=str(error))
         message.stamp = node.get_clock().now().to_msg()
         publisher.publish(message)
-        publisher.wait_for_all_acked(Duration(seconds=_ROSOUT_WAIT_S))
+        publisher.wait_for_all_acked(Duration(seconds=_ROSOUT_ACK_S))
 
 
 def _end(node: LifecycleBase | None, executor: Executor | None) -> None:

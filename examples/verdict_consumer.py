@@ -1,0 +1,105 @@
+"""Stop on every sign that the monitor's last permissive value is void: docs/consuming.md explains each.
+
+    python examples/verdict_consumer.py [--timeout SECONDS]
+
+Prints a line for every change between a speed and STOP. A robot controller would set its speed there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import LivelinessPolicy, QoSProfile
+from rclpy.task import Future
+from rclpy.time import Time
+from scara_effmass_msgs.msg import ContactState
+
+
+class VerdictConsumer(Node):
+    """Follows `contact_state` and stops on UNKNOWN, VIOLATION, an old stamp, a missed deadline or a lost monitor."""
+
+    def __init__(
+        self, timeout_s: float, on_change: Callable[[float, str], None], max_age_s: float | None = None
+    ) -> None:
+        """Call `on_change(speed, reason)` at every change; `timeout_s` is the `timeout` of the monitor.
+
+        `max_age_s` is the largest age of a header stamp; default: `timeout_s`.
+        """
+        super().__init__("verdict_consumer")
+        self._max_age = Duration(seconds=timeout_s if max_age_s is None else max_age_s)
+        self._on_change = on_change
+        self._speeds: dict[str, float] = {}
+        self._limit: tuple[float, str] | None = None
+        # The monitor offers twice its timeout; a request below that does not match, and then nothing arrives.
+        patience = Duration(seconds=2.0 * timeout_s)
+        qos = QoSProfile(
+            depth=10,
+            deadline=patience,
+            liveliness=LivelinessPolicy.AUTOMATIC,
+            liveliness_lease_duration=patience,
+        )
+        events = SubscriptionEventCallbacks(
+            deadline=lambda _: self._stop("deadline missed"), liveliness=self._on_liveliness
+        )
+        self.create_subscription(ContactState, "contact_state", self._on_contact_state, qos, event_callbacks=events)
+        # Neither event comes before the first match: start stopped.
+        self._stop("no contact state yet")
+
+    def _on_contact_state(self, state: ContactState) -> None:
+        age = self.get_clock().now() - Time.from_msg(state.header.stamp, clock_type=self.get_clock().clock_type)
+        if state.verdict in {ContactState.UNKNOWN, ContactState.VIOLATION}:
+            self._stop(f"{state.contact_point}: {state.reason}")
+        elif age > self._max_age:  # a queue or a network delayed it
+            self._stop(f"{state.contact_point}: the state is {age.nanoseconds / 1e9:.3f} s old")
+        else:
+            self._speeds[state.contact_point] = state.allowable_speed
+            self._change(min(self._speeds.values()), "")
+
+    def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
+        if event.alive_count == 0:
+            self._stop("liveliness lost")
+
+    def _stop(self, reason: str) -> None:
+        self._speeds.clear()
+        self._change(0.0, reason)
+
+    def _change(self, speed: float, reason: str) -> None:
+        if self._limit is None or (speed, reason) != self._limit:
+            self._limit = (speed, reason)
+            self._on_change(speed, reason)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the changes until a signal comes."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--timeout", type=float, default=0.2, help="parameter `timeout` of the monitor [s]")
+    timeout_s = parser.parse_args(arguments).timeout
+
+    def show(speed: float, reason: str) -> None:
+        print(f"{time.time():.4f} {f'STOP: {reason}' if reason else f'{speed:.3f} m/s'}", flush=True)  # noqa: T201
+
+    rclpy.init(args=[])
+    node = VerdictConsumer(timeout_s, show)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    try:
+        executor.spin_until_future_complete(Future(), timeout_sec=1e9)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

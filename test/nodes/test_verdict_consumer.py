@@ -1,0 +1,83 @@
+"""The example of a consumer stops for every reason that docs/consuming.md names."""
+
+from __future__ import annotations
+
+import os
+import runpy
+import signal
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from test.nodes.conftest import TIMEOUT_S, joint_state
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from test.nodes.conftest import NodeHarness
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "verdict_consumer.py"
+TIMEOUT = 1.0
+"""Of the monitor [s]."""
+
+
+@pytest.mark.parametrize(
+    ("fault", "reasons"),
+    [
+        ("deactivate", {"tool: the monitor was deactivated"}),
+        ("no input", {"tool: no joint state for"}),
+        ("old stamp", {"tool: the state is"}),
+        ("SIGTERM", {"tool: the node shuts down"}),
+        ("SIGKILL", {"liveliness lost", "deadline missed"}),
+        ("SIGSTOP", {"liveliness lost", "deadline missed"}),
+    ],
+)
+def test_consumer_stops(new_harness: Callable[..., NodeHarness], fault: str, reasons: set[str]) -> None:
+    arguments = ("-p", f"timeout:={TIMEOUT}", "-p", "release_time:=0.0")
+    harness = new_harness("--ros-args", *arguments)
+    changes: list[tuple[float, str]] = []
+    rclpy.init(domain_id=harness.domain, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        example = runpy.run_path(str(EXAMPLE))
+        consumer: Any = example["VerdictConsumer"](TIMEOUT, lambda *change: changes.append(change), 0.5 * TIMEOUT)
+        executor = SingleThreadedExecutor()
+        executor.add_node(consumer)
+        delay_ns = 0
+
+        def spin_until(done: Callable[[], object], *, sending: bool = True) -> None:
+            end = time.monotonic() + TIMEOUT_S
+            while not done():
+                assert time.monotonic() < end, changes
+                if sending:
+                    harness.send(joint_state(time.time_ns() - delay_ns, velocity=(0.0,) * 4))
+                executor.spin_once(timeout_sec=0.05)
+
+        assert changes == [(0.0, "no contact state yet")]
+        spin_until(lambda: changes[-1][0] > 0.0)
+        changes.clear()
+        sending = fault != "no input"
+        if fault == "deactivate":
+            client = consumer.create_client(ChangeState, "monitor/change_state")
+            spin_until(client.service_is_ready)
+            client.call_async(ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE)))
+        elif fault == "old stamp":
+            delay_ns = round(0.7e9 * TIMEOUT)
+        elif fault.startswith("SIG"):
+            assert harness.process is not None
+            os.kill(harness.process.pid, getattr(signal, fault))
+        spin_until(lambda: any(reason.startswith(tuple(reasons)) for _, reason in changes), sending=sending)
+        assert next(speed for speed, reason in changes if reason) == 0.0
+        executor.shutdown()
+        consumer.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+        if fault == "SIGSTOP":
+            assert harness.process is not None
+            harness.process.kill()
