@@ -12,7 +12,11 @@ from scara_effmass.iso15066 import BODY_POINTS, BODY_REGIONS, EDITION, TABLE_HAS
 from scara_effmass.settings import ContactType, MonitorSettings
 
 if TYPE_CHECKING:
+    import subprocess
+    from collections.abc import Callable
     from pathlib import Path
+
+    Cli = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def result(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
@@ -71,3 +75,29 @@ def test_max_force_parameter_overrides_the_standard(tmp_path: Path, capsys: pyte
     (custom,) = result(capsys, *words, "--params", str(file))["allowable_speeds"]
     assert custom["allowable_speed_m_s"] == pytest.approx(standard["allowable_speed_m_s"] * 100.0 / 280.0)
     assert "own limit" in custom["clause"]
+
+
+@pytest.mark.parametrize("contact", ContactType)
+@pytest.mark.parametrize("region", ["skull_forehead", "face"])
+def test_head_and_face_never_get_a_speed(
+    region: str, contact: ContactType, cli: Cli, refused: Callable[..., str], swing_bag: Path, tmp_path: Path
+) -> None:
+    chosen = ("--region", region, "--contact", contact.value)
+    for command in (("limits", "--mass", "2.77"), ("assess", str(swing_bag), "-o", str(tmp_path / "a.csv"))):
+        assert f"body_regions = '{region}'" in refused(*command, *chosen)
+        assert "no contact with head and face" in refused(*command, "--region", "chest", *chosen)
+    rows = json.loads(cli("limits", "--json", "--mass", "2.77", "--contact", contact.value).stdout)["allowable_speeds"]
+    assert region not in {row["region"] for row in rows}
+    table = cli("limits", "--mass", "2.77", "--contact", contact.value).stdout
+    assert region not in table[table.index("Allowable speed [mm/s]") :]
+    out = tmp_path / "swing.csv"
+    assert cli("assess", swing_bag, "-o", out, "--contact", contact.value).returncode == 0
+    assert region not in out.read_text(encoding="utf-8")
+
+
+@pytest.mark.usefixtures("own_domain")
+@pytest.mark.parametrize("region", ["skull_forehead", "face"])
+def test_monitor_refuses_head_and_face(region: str, refused: Callable[..., str]) -> None:
+    for contact in ContactType:
+        words = ("-p", f"body_regions:=['{region}']", "-p", f"contact:={contact.value}")
+        assert "no contact with head and face" in refused("monitor", "--ros-args", *words)
