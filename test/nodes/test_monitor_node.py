@@ -26,6 +26,7 @@ from std_srvs.srv import Trigger
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import READ_ONLY, MonitorSettings
+from scara_effmass.settings.loading import flat_fields
 from scara_effmass.share import share
 from test.nodes.conftest import joint_state, stamp_ns
 
@@ -38,7 +39,8 @@ if TYPE_CHECKING:
 MS = 1_000_000
 S = 1_000_000_000
 FAST = (8.0, 0.1, 0.1, 0.1)
-READ_ONLY_NAMES = {name for name, field in MonitorSettings.model_fields.items() if field.json_schema_extra == READ_ONLY}
+FREE_TEXT = {"robot", "contact_normal", "contact_normal_frame"}
+READ_ONLY_NAMES = {name for name, field in flat_fields(MonitorSettings).items() if field.json_schema_extra == READ_ONLY}
 
 
 def change(harness: NodeHarness, transition: int) -> bool:
@@ -108,7 +110,7 @@ class TestLifecycle:
 
 class TestParameters:
     def test_every_parameter_has_a_description_and_a_range(self, shared_harness: NodeHarness) -> None:
-        fields = MonitorSettings.model_fields
+        fields = flat_fields(MonitorSettings)
         names = [*fields, "autostart"]
         descriptors = shared_harness.call_service(
             DescribeParameters, "describe_parameters", DescribeParameters.Request(names=names)
@@ -122,12 +124,12 @@ class TestParameters:
                 assert 0.0 <= bounds.from_value < bounds.to_value
             elif descriptor.name == "payload_com":
                 assert descriptor.type == ParameterType.PARAMETER_DOUBLE_ARRAY
-            elif descriptor.type != ParameterType.PARAMETER_BOOL and descriptor.name != "robot":
+            elif descriptor.type != ParameterType.PARAMETER_BOOL and descriptor.name not in FREE_TEXT:
                 assert descriptor.additional_constraints
 
     def test_every_parameter_is_listed_with_its_value(self, shared_harness: NodeHarness) -> None:
         names = shared_harness.call_service(ListParameters, "list_parameters", ListParameters.Request()).result.names
-        assert set(MonitorSettings.model_fields) <= set(names)
+        assert set(flat_fields(MonitorSettings)) <= set(names)
         # `ros2 param dump` requests all at once and gets nothing if one has no value.
         values = shared_harness.call_service(GetParameters, "get_parameters", GetParameters.Request(names=names)).values
         assert len(values) == len(names)
