@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import suppress
 from functools import wraps
 from typing import Any
 
@@ -47,6 +48,16 @@ class NodeSettings(MonitorSettings):
     """Settings of the monitor and of its node."""
 
     autostart: bool = Field(default=True, description="configure and activate at start", json_schema_extra=READ_ONLY)
+    command_tolerance: float = Field(
+        0.0,
+        ge=0.0,
+        le=10.0,
+        description=(
+            "maximum distance of a joint from its command on joint_commands [rad; a quarter of it in m for a prismatic "
+            "joint]; 0: no commands are expected"
+        ),
+        json_schema_extra=READ_ONLY,
+    )
 
 
 class MonitorNode(LifecycleBase):
@@ -108,6 +119,11 @@ class MonitorNode(LifecycleBase):
             raw=True,
             matched=self._on_matched,
         )
+        if self._settings.command_tolerance:
+            self._command_decoder = JointStateDecoder()
+            self.create_owned_subscription(
+                JointState, topics.JOINT_COMMANDS, self._on_command, topics.JOINT_STATES_INPUT_QOS, raw=True
+            )
         self.create_owned_trigger("~/reset", self._reset)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         jump = self.get_clock().create_jump_callback(backwards, post_callback=self._on_clock_jump)
@@ -153,6 +169,8 @@ class MonitorNode(LifecycleBase):
         """Monitor `robot`. Raises EffmassError."""
         dynamics = RobotDynamics(robot)
         monitor = Monitor(dynamics, self._settings)
+        if self._settings.command_tolerance:
+            monitor.expect_commands(self._settings.command_tolerance)
         with self._monitor_lock:
             self._drop_monitor()
             monitor.first_cause = self._first_cause
@@ -188,6 +206,12 @@ class MonitorNode(LifecycleBase):
                 self._last_answer_ns = start_ns
                 self._publish(decision)
                 self._processing_ns.append(time.monotonic_ns() - start_ns)
+
+    def _on_command(self, data: bytes) -> None:
+        with self._monitor_lock:
+            if self._monitor is not None:
+                with suppress(DecodeError):
+                    self._monitor.take_command(self._command_decoder.decode(data), self.now_ns())
 
     def _watchdog_period_s(self) -> float:
         return max(self._settings.timeout / _WATCHDOG_CHECKS_PER_TIMEOUT, _MIN_WATCHDOG_PERIOD_S)

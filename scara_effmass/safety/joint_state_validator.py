@@ -36,7 +36,7 @@ LAG_PRIOR = 0.01
 MAX_EXCESS = 1.5
 """Multiple of the tolerance up to which an error is remembered: it bounds the time that a mismatch lasts."""
 METRES_PER_RADIAN = 0.25
-"""Position tolerance of a prismatic joint [m] per radian of that of a revolute joint."""
+"""Tolerance of the position of a prismatic joint [m] per radian of that of a revolute joint."""
 DEFAULT_MAX_SPEED = (60.0, 10.0)
 """Maximum speed of a revolute [rad/s] and of a prismatic joint [m/s] whose description states none."""
 
@@ -67,6 +67,9 @@ class JointStateValidator:
         self._robot = robot
         self._joints = robot.joint_names
         self._units = ["rad" if revolute else "m" for revolute in robot.revolute]
+        self._command_tolerances: list[float] = []
+        self._command: list[float] = []
+        self._command_ns = 0
         self._names: tuple[str, ...] | None = None
         self._layout: IndexArray | str | OtherDevice | None = None
         self.reset()
@@ -85,14 +88,26 @@ class JointStateValidator:
         self.timeout_ns = round(settings.timeout * NANOSECONDS)
         self.future_tolerance_ns = round(settings.future_tolerance * NANOSECONDS)
         self._differentiate = settings.differentiate_velocity
-        self._position_tolerances = [
-            settings.position_tolerance * (1.0 if revolute else METRES_PER_RADIAN) for revolute in robot.revolute
-        ]
+        self._position_tolerances = self._per_joint(settings.position_tolerance)
         self._velocity_tolerance = settings.velocity_tolerance
         self._max_lag = settings.max_velocity_lag
 
+    def expect_commands(self, tolerance: float) -> None:
+        """Require positions within `tolerance` [rad] of the latest command; scaled for prismatic joints."""
+        self._command_tolerances = self._per_joint(tolerance)
+
+    def take_command(self, command: JointState, now_ns: int) -> None:
+        """Take the positions that the controller commanded at `now_ns`; a command without all joints is ignored."""
+        layout = self._joint_indices(command.names)
+        if isinstance(layout, (str, OtherDevice)) or len(command.position) != len(command.names):
+            return
+        q = command.position if layout is None else command.position[layout]
+        self._command = q.tolist()
+        self._command_ns = now_ns
+
     def reset(self) -> None:
         """Discard the history of joint states, as after a jump of the clock."""
+        self._command.clear()
         self.last_stamp_ns = 0
         self._last_sequence_number: int | None = None
         self._last_q: FloatArray | None = None
@@ -117,7 +132,29 @@ class JointStateValidator:
         last, self._last_sequence_number = self._last_sequence_number, sequence_number
         if last is not None and sequence_number is not None and sequence_number <= last:
             return f"a second publisher, or a restarted one: joint state number {sequence_number} follows number {last}"
-        return self._length_error(state) or self._stamp_error(state.stamp_ns, now_ns) or self._motion(state, layout)
+        motion = self._length_error(state) or self._stamp_error(state.stamp_ns, now_ns) or self._motion(state, layout)
+        if self._command_tolerances and isinstance(motion, Motion):
+            return self._command_error(motion.q.tolist(), now_ns) or motion
+        return motion
+
+    def _command_error(self, positions: list[float], now_ns: int) -> str:
+        """Return why the latest command contradicts `positions`, or an empty string.
+
+        Positions and velocities that freeze together, or joints that are exchanged in both, contradict nothing else.
+        """
+        if not self._command:
+            return "no joint command yet"
+        if now_ns - self._command_ns > self.timeout_ns:
+            return f"no joint command for {(now_ns - self._command_ns) / 1e9:.3f} s"
+        for i, (x, commanded, tolerance) in enumerate(
+            zip(positions, self._command, self._command_tolerances, strict=True)
+        ):
+            if not abs(x - commanded) <= tolerance:  # also NaN
+                return f"{self._joints[i]} is {x - commanded:+.4f} {self._units[i]} off its command"
+        return ""
+
+    def _per_joint(self, tolerance: float) -> list[float]:
+        return [tolerance * (1.0 if revolute else METRES_PER_RADIAN) for revolute in self._robot.revolute]
 
     def _joint_indices(self, names: tuple[str, ...]) -> IndexArray | str | OtherDevice | None:
         """Return the indices of the robot's joints in `names`; None if `names` are exactly these, in order."""

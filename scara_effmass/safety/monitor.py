@@ -121,6 +121,14 @@ class Monitor:
         for debouncer in self._debouncers.values():
             debouncer.clear()
 
+    def expect_commands(self, tolerance: float) -> None:
+        """Give UNKNOWN unless each position is within `tolerance` [rad] of the latest command, [m / 4] if prismatic."""
+        self._validator.expect_commands(tolerance)
+
+    def take_command(self, command: JointState, now_ns: int) -> None:
+        """Take the positions that the controller commanded, received at `now_ns` on the node's clock."""
+        self._validator.take_command(command, now_ns)
+
     def assess(self, state: JointState, now_ns: int, sequence_number: int | None = None) -> Decision | None:
         """Return the decision on `state`, received at `now_ns` on the node's clock.
 

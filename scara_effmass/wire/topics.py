@@ -6,6 +6,7 @@ from typing import NamedTuple
 CLOCK = "/clock"
 DIAGNOSTICS = "/diagnostics"
 JOINT_STATES = "joint_states"
+JOINT_COMMANDS = "joint_commands"
 ROBOT_DESCRIPTION = "robot_description"
 CONTACT_STATE = "contact_state"
 ALLOWABLE_SPEED = "allowable_speed"

@@ -287,3 +287,26 @@ def test_two_publishers_are_never_merged(harness: NodeHarness, pose: tuple[float
         harness.node.destroy_publisher(second)
         harness.node.destroy_publisher(gripper)
     harness.send_until_ok()
+
+
+def test_commands_are_compared_on_request(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = new_harness(
+        "--ros-args", "-p", "command_tolerance:=0.1", "-p", "timeout:=60.0", "-p", "release_time:=0.0"
+    )
+    harness.subscribe()
+    commands = harness.node.create_publisher(JointStateMessage, "joint_commands", 10)
+
+    def answered(reason: str) -> bool:
+        return any(contact.reason.startswith(reason) for contact in harness.contact_states)
+
+    harness.spin_until(lambda: answered("no joint command yet"), repeat=lambda: harness.send(joint_state()))
+    commands.publish(b"damaged")
+    for position, reason in (((Q[0] + 0.2, *Q[1:]), "joint1 is -0.2000 rad off its command"), (Q, "")):
+
+        def send(position: tuple[float, ...] = position) -> None:
+            commands.publish(joint_state(position=position, velocity=()))
+            harness.send(joint_state())
+
+        harness.contact_states.clear()
+        harness.spin_until(lambda: harness.contact_states and answered(reason), repeat=send)  # noqa: B023
+    harness.send_until_ok()

@@ -391,6 +391,56 @@ class TestVelocityAgainstPosition:
             assert isinstance(results[-1], str)
 
 
+class TestCommands:
+    """The controller's commands reveal lies in which positions and velocities agree."""
+
+    @pytest.mark.parametrize("expected", [True, False])
+    @pytest.mark.parametrize("lie", ["frozen", "exchanged", ""])
+    def test_lie_without_contradiction_is_found_with_commands(
+        self, scara: RobotDynamics, lie: str, *, expected: bool
+    ) -> None:
+        feed = Feed(make_monitor(scara, release_time=0.2))
+        if expected:
+            feed.monitor.expect_commands(0.1)
+        verdicts = []
+        for i in range(1200, 1600):
+            command = sweep((i + 20) / 1e3).q
+            feed.monitor.take_command(state(names=(*JOINTS, "x"), position=(*command, 0.0), velocity=()), feed.now_ns)
+            q, qd, _ = sweep(1.2 if lie == "frozen" else i / 1e3)
+            qd *= lie != "frozen"
+            order = [1, 0, 2, 3] if lie == "exchanged" else [0, 1, 2, 3]
+            verdicts.append(feed(state(position=q[order], velocity=qd[order]))[0])
+        assert (verdicts[-1] is Verdict.UNKNOWN) == (expected and lie != "")
+
+    @pytest.mark.parametrize("joint", range(4))
+    def test_position_at_the_tolerance_of_the_command_is_valid(self, scara: RobotDynamics, joint: int) -> None:
+        for offset, valid in ((0.125, True), (0.126, False), (-0.125, True), (-0.126, False), (NAN, False)):
+            feed = Feed(make_monitor(scara))
+            feed.monitor.expect_commands(0.125)
+            command = list(Q)
+            command[joint] += offset * (0.25 if joint == 2 else 1.0) * (1.0 - 1e-9)
+            feed.monitor.take_command(state(position=command), feed.now_ns)
+            verdict, reason = feed()
+            assert (verdict is Verdict.OK) == valid
+            assert reason == "" or "off its command" in reason
+
+    def test_missing_commands_give_unknown(self, scara: RobotDynamics) -> None:
+        feed = Feed(make_monitor(scara))
+        feed.monitor.expect_commands(0.1)
+        assert feed() == (Verdict.UNKNOWN, "no joint command yet")
+        for refused in (
+            state(names=JOINTS[:3], position=Q[:3]),
+            state(position=Q[:3]),
+            state(names=("x",), position=(0.0,)),
+        ):
+            feed.monitor.take_command(refused, feed.now_ns)
+            assert feed() == (Verdict.UNKNOWN, "no joint command yet")
+        feed.monitor.take_command(state(), feed.now_ns)
+        slow = state(velocity=(1e-6,) * 4)
+        assert feed(slow, 200 * MS) == (Verdict.OK, "")
+        assert feed(slow) == (Verdict.UNKNOWN, "no joint command for 0.201 s")
+
+
 class TestDifferentiation:
     """A velocity differentiated from positions uses header time."""
 
