@@ -101,10 +101,12 @@ def test_demo_at_rate_0_gives_the_result_of_assess(swing_bag: Path, cli: Cli, cl
     assert "1000 joint states sent, 1000 answered, 0 lost" in done.stdout
     assert "VIOLATION" in done.stdout
     assert str(tmp_path / "out" / "report.html") in done.stdout
-    assert (tmp_path / "out" / "run.png").read_bytes().startswith(PNG)
-    assert ET.parse(tmp_path / "out" / "run.svg").getroot().tag.endswith("svg")  # noqa: S314 - our own file
+    figures = {f"{name}.{suffix}" for name in ("run", "run_2") for suffix in ("png", "svg")}  # tool and elbow
+    for name in ("run", "run_2"):
+        assert (tmp_path / "out" / f"{name}.png").read_bytes().startswith(PNG)
+        assert ET.parse(tmp_path / "out" / f"{name}.svg").getroot().tag.endswith("svg")  # noqa: S314 - our own file
     files = {path.name for path in (tmp_path / "out").iterdir()}
-    assert files == {"recording", "report.html", "run.png", "run.svg", "summary.json"}
+    assert files == {"recording", "report.html", "summary.json", *figures}
     assert result["recording"]["lost"] == 0
     with open_bag(swing_bag) as sent, open_bag(tmp_path / "out" / "recording") as recorded:
         pairs = zip(sent.messages(["/joint_states"]), recorded.messages(["/joint_states"]), strict=True)
