@@ -10,6 +10,7 @@ from scara_effmass.cli.settings import monitor_settings
 from scara_effmass.iso15066 import (
     BODY_POINTS,
     BODY_REGIONS,
+    CLAUSE_2025,
     EDITION,
     TABLE_HASH,
     Limit,
@@ -17,6 +18,7 @@ from scara_effmass.iso15066 import (
     limits_for,
     transferred_energy,
 )
+from scara_effmass.settings import MonitorSettings
 
 POINT_COLUMNS = (
     *("clause", "name", "region", "quasi_static_force_n", "quasi_static_pressure_n_cm2"),
@@ -28,6 +30,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the rows of the chosen regions, and the allowable speeds of the masses."""
     settings = monitor_settings(args)
     limits = limits_for(settings)
+    nominal = settings.model_copy(update={"stiffness_uncertainty": 0.0})
     # Without --region the table also has the regions without a limit for this type of contact.
     regions = [BODY_REGIONS[limit.region] for limit in limits] if settings.body_regions else list(BODY_REGIONS.values())
     names = {region.name for region in regions}
@@ -39,36 +42,38 @@ def run(args: argparse.Namespace) -> int:
             "body_points": [
                 {
                     **asdict(point),
+                    "clause_2025": CLAUSE_2025,
                     "transient_force_n": point.transient_force_n,
                     "transient_pressure_n_cm2": point.transient_pressure_n_cm2,
                 }
                 for point in points
             ],
-            "body_regions": [asdict(region) for region in regions],
+            "body_regions": [{**asdict(region), "clause_2025": CLAUSE_2025} for region in regions],
             "contact": settings.contact.value,
             "contact_area_cm2": settings.contact_area,
-            "allowable_speeds": [_speed(mass, limit) for mass in args.masses for limit in limits],
+            "allowable_speeds": [_speed(mass, limit, nominal) for mass in args.masses for limit in limits],
         }
         print_json(result)
         return 0
     print_table(
-        "Body points: permissible force [N] and pressure [N/cm²]",
+        "Body points (2016: Table A.2): permissible force [N] and pressure [N/cm²]",
         ("row", "point", "region", "clamped force", "clamped pressure", "transient force", "transient pressure"),
         ([getattr(point, name) for name in POINT_COLUMNS] for point in points),
     )
     print_table(
-        "Body regions: Table A.3; energy for information",
+        "Body regions (2016: Table A.3); energy for information",
         ("region", "stiffness [N/mm]", "mass [kg]", "energy [J]"),
         ((region.name, region.stiffness_n_m / 1e3, region.mass_kg, region.energy_j) for region in regions),
     )
     if args.masses:
-        _print_speeds(args.masses, limits)
+        _print_speeds(args.masses, limits, nominal)
     printer().print(f"{EDITION}; hash {TABLE_HASH}")
+    printer().print(f"both tables: {CLAUSE_2025}")
     return 0
 
 
-def _speed(mass: float, limit: Limit) -> dict[str, Any]:
-    speed_limit = SpeedLimits([limit]).speed_limit(mass)
+def _speed(mass: float, limit: Limit, settings: MonitorSettings) -> dict[str, Any]:
+    speed_limit = SpeedLimits([limit], settings).speed_limit(mass)
     return {
         "effective_mass_kg": mass,
         "region": limit.region,
@@ -83,18 +88,18 @@ def _speed(mass: float, limit: Limit) -> dict[str, Any]:
     }
 
 
-def _print_speeds(masses: list[float], limits: tuple[Limit, ...]) -> None:
+def _print_speeds(masses: list[float], limits: tuple[Limit, ...], settings: MonitorSettings) -> None:
     rows = []
     for limit in limits:
-        speed_limits = (SpeedLimits([limit]).speed_limit(mass) for mass in masses)
+        speed_limits = (SpeedLimits([limit], settings).speed_limit(mass) for mass in masses)
         speeds = (f"{1e3 * speed.allowable_speed:.0f} ({speed.criterion})" for speed in speed_limits)
         rows.append((limit.region, *speeds, limit.clause))
     if len(limits) > 1:
-        speed_limits = (SpeedLimits(limits).speed_limit(mass) for mass in masses)
+        speed_limits = (SpeedLimits(limits, settings).speed_limit(mass) for mass in masses)
         speeds = (f"{1e3 * s.allowable_speed:.0f} ({s.limit.region}, {s.criterion})" for s in speed_limits)
         rows.append(("lowest", *speeds, ""))
     headings = ("region", *(f"{mass:g} kg" for mass in masses), "limits")
     print_table("Allowable speed [mm/s] and the limit that sets it", headings, rows)
     person = "clamped body part" if math.isinf(limits[0].obstacle_mass_kg) else "body part free to recoil"
     area = f"contact area {limits[0].contact_area_cm2:g} cm²"
-    printer().print(f"{limits[0].contact.value} contact, {person}; {area}")
+    printer().print(f"{limits[0].contact.value} contact, {person}; {area}; drives {settings.drives.value}")

@@ -13,11 +13,20 @@ from scara_effmass.iso15066.contact import (
 from scara_effmass.iso15066.limits import Criterion, Limit, limits_for
 from scara_effmass.iso15066.mobility import Mobility
 from scara_effmass.iso15066.speed_limit import MIN_EFFECTIVE_MASS, SpeedLimit, SpeedLimits
-from scara_effmass.iso15066.table import BODY_POINTS, BODY_REGIONS, EDITION, TABLE_HASH, BodyPoint, BodyRegion
+from scara_effmass.iso15066.table import (
+    BODY_POINTS,
+    BODY_REGIONS,
+    CLAUSE_2025,
+    EDITION,
+    TABLE_HASH,
+    BodyPoint,
+    BodyRegion,
+)
 
 __all__ = [
     "BODY_POINTS",
     "BODY_REGIONS",
+    "CLAUSE_2025",
     "EDITION",
     "MIN_EFFECTIVE_MASS",
     "TABLE_HASH",
