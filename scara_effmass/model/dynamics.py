@@ -190,18 +190,21 @@ class RobotDynamics:
         inverses = [self._inverse(model, data, q) for model, data in zip(self._models, self._data, strict=True)]
         return max(float(np.linalg.norm(jacobian @ inverse, axis=0) @ effort) for inverse in inverses)
 
-    def clamping_force(self, q: FloatArray, contact: int, direction: Vector3) -> float:
-        """Return the largest static force [N] along the unit vector `direction` that the joints can hold at `q`.
+    def clamping_force(self, q: FloatArray, contact: int, *directions: Vector3) -> float:
+        """Return the largest static force [N] along one of the unit vectors `directions` that the joints can hold.
 
-        J^T n F + g(q) = tau with |tau_i| <= tau_max,i: the smallest (tau_max,i + s_i g_i) / |(J^T n)_i| over the
-        joints, s_i the sign of the push. 0 along a direction in which no joint pushes; infinite without effort limits.
+        J^T n F + g(q) = tau with |tau_i| <= tau_max,i: the smallest (tau_max,i - s_i g_i) / |(J^T n)_i| over the
+        joints, s_i the sign of (J^T n)_i. 0 along a direction in which no joint pushes; infinite without effort limits.
         """
-        lever = direction @ self.jacobian(q, self._contacts[contact][1])
-        loaded = np.abs(lever) > MIN_LEVER_M
-        if not loaded.any():
-            return 0.0
-        margin = self.robot.effort_limits - np.sign(lever) * self._gravity(q)
-        return float(max(np.min(margin[loaded] / np.abs(lever[loaded])), 0.0))
+        jacobian, gravity = self.jacobian(q, self._contacts[contact][1]), self._gravity(q)
+        largest = 0.0
+        for direction in directions:
+            lever = direction @ jacobian
+            loaded = np.abs(lever) > MIN_LEVER_M
+            if loaded.any():
+                margin = self.robot.effort_limits - np.sign(lever) * gravity
+                largest = max(largest, float(np.min(margin[loaded] / np.abs(lever[loaded]))))
+        return largest
 
     def _gravity(self, q: FloatArray) -> FloatArray:
         return np.asarray(pin.computeGeneralizedGravity(self.robot.model, self._kinematics, q))
@@ -237,7 +240,7 @@ class RobotDynamics:
         return rank
 
 
-def smallest_eigenvalue(matrix: list[list[float]], rank: int) -> float:
+def smallest_eigenvalue(matrix: Matrix, rank: int) -> float:
     """Return the smallest of the `rank` (1 to 3) largest eigenvalues of a symmetric (3, 3) matrix.
 
     Closed form (O. K. Smith, "Eigenvalues of a symmetric 3 x 3 matrix", Communications of the ACM 4(4), 168, 1961),

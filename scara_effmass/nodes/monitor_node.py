@@ -69,7 +69,7 @@ class MonitorNode(LifecycleBase):
         self._settings = parameters.declare(self, NodeSettings)
         self.autostart = self._settings.autostart
         limits_for(self._settings)
-        parameters.on_parameters_changed(self, lambda: self._settings, self._apply_settings, limits_for)
+        parameters.on_parameters_changed(self, lambda: self._settings, self._apply_settings, self._check_settings)
         self._outputs: dict[str, Any] = {}
         self._monitor: Monitor | None = None
         self._first_cause: Cause | None = None
@@ -316,6 +316,13 @@ class MonitorNode(LifecycleBase):
             self.get_logger().warning(
                 f"{matched.current_count} publishers on {topic}: only one may send the robot's joints"
             )
+
+    def _check_settings(self, settings: NodeSettings) -> None:
+        """Raise EffmassError for settings that the monitor would refuse."""
+        if self._monitor is None:
+            limits_for(settings)
+        else:
+            self._monitor.check(settings)
 
     def _apply_settings(self, settings: NodeSettings, changed: AbstractSet[str]) -> None:
         with self._monitor_lock:

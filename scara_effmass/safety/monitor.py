@@ -26,7 +26,6 @@ from scara_effmass.values import NAN, ZERO_VECTOR, ContactAssessment, Decision, 
 if TYPE_CHECKING:
     from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 
-
 MIN_NORMAL_COMPONENT = 0.1
 """Smallest share of the speed that counts along a fixed normal: its direction is known to about 6 degrees."""
 _LUMPED = (MassModel.LUMPED, MassModel.LARGEST)
@@ -65,7 +64,7 @@ class Monitor:
     """
 
     def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
-        """Watch the robot of `dynamics`. Raises LimitError for `settings` that loosen a limit of the standard."""
+        """Watch the robot of `dynamics`. Raises LimitError or RobotError for `settings` that `check` refuses."""
         self._use(dynamics)
         self.settings = settings
         self._validator = JointStateValidator(dynamics.robot)
@@ -82,13 +81,15 @@ class Monitor:
         self._masses_reason = dynamics.robot.masses_reason
         self._iso_mass = 0.0 if self._masses_reason else dynamics.robot.iso_mass
 
+    def check(self, settings: MonitorSettings) -> SpeedLimits:
+        """Return the speed limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
+        q = np.zeros(self.dynamics.robot.model.nv)
+        self.dynamics.in_base(q, settings.fixed_normal or ZERO_VECTOR, settings.contact_normal_frame)
+        return SpeedLimits(limits_for(settings), settings)
+
     def apply(self, settings: MonitorSettings) -> None:
-        """Apply changed settings; of the robot, only the payload. Raises LimitError or RobotError, then unchanged."""
-        limits = SpeedLimits(limits_for(settings), settings)
-        if settings.fixed_normal is not None:
-            self.dynamics.in_base(
-                np.zeros(self.dynamics.robot.model.nv), settings.fixed_normal, settings.contact_normal_frame
-            )
+        """Apply changed settings; of the robot, only the payload. Raises as `check`, and then changes nothing."""
+        limits = self.check(settings)
         if (settings.payload_mass, settings.payload_com) != (self.settings.payload_mass, self.settings.payload_com):
             self._use(self.dynamics.with_payload(settings))
         self.settings = settings
@@ -373,7 +374,7 @@ class Monitor:
             directions = (x, y, z), (-x, -y, -z)
         elif masses.direction == ZERO_VECTOR:
             directions = _AXES
-        force = max([dynamics.clamping_force(q, index, direction) for direction in directions])
+        force = dynamics.clamping_force(q, index, *directions)
         return min(force, settings.external_force_limit or math.inf)
 
     def _unknown(self, name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:

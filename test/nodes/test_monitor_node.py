@@ -158,6 +158,8 @@ class TestParameters:
             ("timeout", 1, "Wrong parameter type"),
             ("nonsense", 1.0, "undeclared parameter"),
             ("payload_mass", -1.0, "out of range"),
+            ("contact_normal", "up", "contact_normal = 'up': Value error, must be worst, velocity, or three numbers"),
+            ("contact_normal_frame", "nowhere", "contact_normal_frame = 'nowhere': must be one of"),
             ("payload_com", [0.0, 0.0], "payload_com.2: Field required"),
             ("payload_com", [0.0, 0.0, math.inf], "payload_com.2 = inf"),
         ],
