@@ -88,7 +88,8 @@ class Validator:
         self._matcher = ImpactMatcher(settings)
         self.runs = self._matcher.runs
         self._contact_point = settings.contact_point
-        self._joined_ns = 0
+        self._is_settled = bool(settings.contact_point)
+        self._stamp_ns = self._joint_states = 0
         self._other_contact_points: set[str] = set()
         self._matches: list[MatchedImpact] = []
         self._min_force = self._max_force = 0.0
@@ -96,21 +97,32 @@ class Validator:
 
     def add_state(self, contact: ContactAssessment, received_ns: int) -> list[ValidatedImpact]:
         """Add a contact state that arrived at `received_ns` (0: unknown); return newly validated impacts."""
-        name = contact.contact_point
-        # A subscriber that joined between the contact points of one joint state has missed the first of them.
-        has_joined_late = 0 < self._joined_ns < contact.stamp_ns
-        if name == self._contact_point:
-            self._joined_ns = 0
-        elif name and (has_joined_late or not self._contact_point):
-            self._other_contact_points |= {self._contact_point} - {""}
-            self._matcher.states.clear()
-            self._contact_point, self._joined_ns = name, 0 if has_joined_late else contact.stamp_ns
-        else:
-            self._other_contact_points |= {name} - {""}
+        if not self._is_selected(contact):
             return []
         validated = self.begin_recording() if self._matcher.states.is_clock_reset(contact.stamp_ns) else []
         self._matcher.states.add(contact, received_ns)
         return validated + self._validate() if self._matcher.waiting else validated
+
+    def _is_selected(self, contact: ContactAssessment) -> bool:
+        """Return whether `contact` is of the contact point of the series: without a setting the first of a joint state.
+
+        A subscriber can miss the first one while it joins; another one is then selected until the first one comes.
+        """
+        name, selected = contact.contact_point, self._contact_point
+        begins = not contact.watchdog and contact.stamp_ns != self._stamp_ns
+        if begins:
+            self._joint_states += 1
+            self._stamp_ns = contact.stamp_ns
+        if name == selected:
+            return True
+        if name and (not selected or (begins and not self._is_settled)):
+            self._other_contact_points.add(selected)
+            self._matcher.states.clear()
+            self._contact_point = name
+            return True
+        self._other_contact_points.add(name)
+        self._is_settled |= not begins and not contact.watchdog and self._joint_states > 1
+        return False
 
     def add_impact(self, impact: Impact, received_ns: int) -> list[ValidatedImpact]:
         """Add an impact that arrived at `received_ns` (0: unknown); return newly validated impacts."""
@@ -176,7 +188,7 @@ class Validator:
             simulated=sum(match.impact.simulated for match in self._matches),
             excluded=Counter(impact.reason for impact in refused if impact.excluded),
             unpaired=Counter(impact.reason for impact in refused if not impact.excluded),
-            other_contact_points=tuple(sorted(self._other_contact_points)),
+            other_contact_points=tuple(sorted(self._other_contact_points - {"", self._contact_point})),
             late_states=self._matcher.states.late,
             clock=clock,
             force_sign=force_sign,

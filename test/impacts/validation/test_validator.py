@@ -387,18 +387,41 @@ def test_other_contact_points_are_named(make_state: MakeState, make_impact: Make
     assert validator.result().other_contact_points == ("elbow",)
 
 
+JOINED_LATE = {
+    "after the tool": [(0, "elbow", False)],
+    "in a decision of the watchdog before the clock": [(-START // MS, "elbow", True)],
+    "in a decision of the watchdog": [(0, "elbow", True)],
+    "and the tool is lost once more": [(0, "elbow", False), (4, "elbow", False)],
+    "and the tool is lost then": [(0, "tool", False), (0, "elbow", False), (4, "elbow", False)],
+    "without a robot": [(0, "", True), (0, "elbow", True)],
+}
+
+
+@pytest.mark.parametrize("heard", JOINED_LATE.values(), ids=JOINED_LATE)
 def test_subscriber_that_joins_late_takes_the_first_contact_point_of_a_joint_state(
-    make_state: MakeState, make_impact: MakeImpact
+    make_state: MakeState, make_impact: MakeImpact, heard: list[tuple[int, str, bool]]
 ) -> None:
     """It missed the tool of the joint state in which it joined; the elbow must not stay, nor leave a state behind."""
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
-    validator.add_state(make_state(START, 0.9, contact_point="elbow"), 0)
+    for ms, name, watchdog in heard:
+        state = make_state(START + ms * MS, 0.9 if name == "elbow" else 0.25, contact_point=name)
+        validator.add_state(state._replace(watchdog=watchdog), 0)
     for ms in range(8, 200, 8):
         validator.add_state(make_state(START + ms * MS, 0.25, contact_point="tool"), 0)
         validator.add_state(make_state(START + ms * MS, 0.9, contact_point="elbow"), 0)
     (validated,) = validator.add_impact(make_impact(START + 100 * MS), 0)
     assert (validated.contact_point, validated.speed) == ("tool", 0.25)
     assert validator.result().other_contact_points == ("elbow",)
+
+
+def test_a_lost_contact_state_does_not_change_the_contact_point(make_state: MakeState, make_impact: MakeImpact) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    for ms in range(0, 200, 8):
+        if ms != 96:
+            validator.add_state(make_state(START + ms * MS, 0.25, contact_point="tool"), 0)
+        validator.add_state(make_state(START + ms * MS, 0.9, contact_point="elbow"), 0)
+    (validated,) = validator.add_impact(make_impact(START + 100 * MS), 0)
+    assert (validated.contact_point, validated.speed) == ("tool", 0.25)
 
 
 def test_the_first_contact_point_where_none_is_chosen(make_state: MakeState) -> None:
