@@ -275,8 +275,7 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
         nonlocal stopped
         stopped = True
         try:
-            if node is not None:
-                node.publish_last("the node shuts down")
+            _publish_last(node, "the node shuts down")
         finally:
             rclpy.try_shutdown()
 
@@ -300,8 +299,9 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
                 node.raise_abort_error()
             except EffmassError:
                 raise
-            except Exception:
+            except Exception as error:
                 if rclpy.ok():
+                    _publish_last(node, f"the node ends: {error!r}")
                     raise
                 # A signal ended the context.
             finally:
@@ -358,6 +358,11 @@ def _log_refusal(name: str, error: EffmassError, arguments: list[str]) -> None:
         message.stamp = node.get_clock().now().to_msg()
         publisher.publish(message)
         publisher.wait_for_all_acked(Duration(seconds=_ROSOUT_ACK_S))
+
+
+def _publish_last(node: LifecycleBase | None, reason: str) -> None:
+    if node is not None:
+        node.publish_last(reason)
 
 
 def _end(node: LifecycleBase | None, executor: Executor | None) -> None:

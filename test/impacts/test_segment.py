@@ -89,6 +89,18 @@ def test_saturated_sample_clips_the_contact_that_contains_it(index: int) -> None
     assert clipped == [index < 4, index >= 36]
 
 
+def test_contacts_with_force_in_the_valley_between_them_share_no_sample() -> None:
+    """The valley is above a tenth of the first peak, where its flank would end, and below the release level."""
+    baseline = Baseline(DetectionSettings(), [Frame(np.random.default_rng(n).normal(0.0, 0.1, 640)) for n in range(5)])
+    force = np.interp(np.arange(80), [20, 30, 38, 46, 54, 64], [0.0, 20.0, 2.2, 2.2, 18.0, 0.0])
+    force += np.random.default_rng(9).normal(0.0, 0.05, 80)
+    first, second = classify(force, np.zeros(80, dtype=np.bool_), baseline, 4, 20).contacts
+    assert first.end <= second.first
+    assert second.onset >= first.last
+    assert first.area == pytest.approx(190.0, rel=0.1)
+    assert (first.complete, second.complete) == (True, True)
+
+
 def test_buffer_keeps_a_saturated_sample_at_index_0(make_block: MakeBlock) -> None:
     buffer = SampleBuffer(100)
     buffer.append(make_block(np.arange(5.0), 100, saturated=[0]))

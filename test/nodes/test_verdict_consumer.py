@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import runpy
 import signal
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from test.nodes.conftest import TIMEOUT_S, joint_state
+from test.nodes.conftest import TIMEOUT_S, Q, joint_state
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,6 +27,17 @@ if TYPE_CHECKING:
 EXAMPLE = Path(__file__).parents[2] / "examples" / "verdict_consumer.py"
 TIMEOUT = 1.0
 """Of the monitor [s]."""
+FAULTY_MONITOR = """
+from scara_effmass.nodes import monitor_node
+class FaultyDecoder(monitor_node.JointStateDecoder):
+    def decode(self, data):
+        state = super().decode(data)
+        if state.position[0] > 1.0:
+            raise ValueError("surprise")
+        return state
+monitor_node.JointStateDecoder = FaultyDecoder
+raise SystemExit(monitor_node.main())
+"""
 
 
 @pytest.mark.parametrize(
@@ -36,12 +48,15 @@ TIMEOUT = 1.0
         ("old stamp", {"tool: the state is"}),
         ("SIGTERM", {"tool: the node shuts down"}),
         ("SIGKILL", {"liveliness lost", "deadline missed"}),
+        ("SIGABRT", {"liveliness lost", "deadline missed"}),
         ("SIGSTOP", {"liveliness lost", "deadline missed"}),
+        ("exception", {"tool: the node ends: ValueError('surprise')"}),
     ],
 )
 def test_consumer_stops(new_harness: Callable[..., NodeHarness], fault: str, reasons: set[str]) -> None:
-    arguments = ("-p", f"timeout:={TIMEOUT}", "-p", "release_time:=0.0")
-    harness = new_harness("--ros-args", *arguments)
+    arguments = ("--ros-args", "-p", f"timeout:={TIMEOUT}", "-p", "release_time:=0.0")
+    harness = new_harness()
+    process = harness.start(*arguments, command=(sys.executable, "-c", FAULTY_MONITOR))
     changes: list[tuple[float, str]] = []
     rclpy.init(domain_id=harness.domain, signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -50,13 +65,14 @@ def test_consumer_stops(new_harness: Callable[..., NodeHarness], fault: str, rea
         executor = SingleThreadedExecutor()
         executor.add_node(consumer)
         delay_ns = 0
+        position = Q
 
         def spin_until(done: Callable[[], object], *, sending: bool = True) -> None:
             end = time.monotonic() + TIMEOUT_S
             while not done():
                 assert time.monotonic() < end, changes
                 if sending:
-                    harness.send(joint_state(time.time_ns() - delay_ns, velocity=(0.0,) * 4))
+                    harness.send(joint_state(time.time_ns() - delay_ns, position=position, velocity=(0.0,) * 4))
                 executor.spin_once(timeout_sec=0.05)
 
         assert changes == [(0.0, "no contact state yet")]
@@ -69,15 +85,19 @@ def test_consumer_stops(new_harness: Callable[..., NodeHarness], fault: str, rea
             client.call_async(ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE)))
         elif fault == "old stamp":
             delay_ns = round(0.7e9 * TIMEOUT)
+        elif fault == "exception":
+            position = (1.2, *Q[1:])
         elif fault.startswith("SIG"):
-            assert harness.process is not None
-            os.kill(harness.process.pid, getattr(signal, fault))
+            os.kill(process.pid, getattr(signal, fault))
         spin_until(lambda: any(reason.startswith(tuple(reasons)) for _, reason in changes), sending=sending)
         assert next(speed for speed, reason in changes if reason) == 0.0
         executor.shutdown()
         consumer.destroy_node()
+        if fault == "exception":
+            _, errors = process.communicate(timeout=TIMEOUT_S)
+            assert "ValueError: surprise" in errors
+            assert process.returncode == 1
     finally:
         rclpy.try_shutdown()
         if fault == "SIGSTOP":
-            assert harness.process is not None
-            harness.process.kill()
+            process.kill()
