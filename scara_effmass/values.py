@@ -20,6 +20,8 @@ RANGE_TOLERANCE = 1e-3
 MAX_LOST_SAMPLES = 2**32 - 1
 """Largest value of `ForceBlock.lost_samples`."""
 ZERO_VECTOR: Vector3 = (0.0, 0.0, 0.0)
+NONE_SATURATED: NDArray[np.uint32] = np.empty(0, np.uint32)
+NONE_SATURATED.flags.writeable = False
 
 
 class JointState(NamedTuple):
@@ -106,15 +108,15 @@ class ForceBlock(NamedTuple):
     first_sample: int
     sample_rate: float
     force: FloatArray
-    lost_samples: int
-    saturated_samples: NDArray[np.uint32]
-    clock_residual: float
-    filter_delay: float
-    source: str
-    simulated: bool
-    tare: float
-    tare_stamp_ns: int
-    relative_uncertainty: float
+    lost_samples: int = 0
+    saturated_samples: NDArray[np.uint32] = NONE_SATURATED
+    clock_residual: float = 0.0
+    filter_delay: float = 0.0
+    source: str = ""
+    simulated: bool = False
+    tare: float = 0.0
+    tare_stamp_ns: int = 0
+    relative_uncertainty: float = 0.0
 
 
 class Impact(NamedTuple):

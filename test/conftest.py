@@ -1,23 +1,18 @@
 """Settings and fixtures of all tests: reproducible Hypothesis runs, ROS domains, the `live` marker."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
 import sys
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 from scara_effmass.cli.processes import DOMAINS, domain_is_free
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from contextlib import AbstractContextManager
 
 # No deadline: the machine may be busy. The same examples in every run: a failure must be reproducible.
 settings.register_profile("reproducible", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])

@@ -1,16 +1,15 @@
 """An open bag of any format."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from rosbags.interfaces import MessageDefinition
 from rosbags.typesys.store import Typestore
+from typing_extensions import Self
 
 from scara_effmass.bags.batches import MAX_TIME_NS, LossLog, MessageBatch, Topic, merged_topics
 from scara_effmass.bags.definitions import check_definition, types_of
@@ -19,9 +18,6 @@ from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.force import decode_force_block
 from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE
-
-if TYPE_CHECKING:
-    from typing import Self
 
 
 class RawMessage(NamedTuple):

@@ -1,7 +1,5 @@
 """The recorder of live messages."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 import threading
@@ -12,6 +10,7 @@ from pathlib import Path
 from typing import final
 
 from rosbags.typesys.store import Typestore
+from typing_extensions import Self
 
 from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import definition_of, known_types
@@ -19,7 +18,7 @@ from scara_effmass.bags.recording_report import RecordedTopic, RecordingReport, 
 from scara_effmass.bags.rosbag2 import check_output
 from scara_effmass.bags.split_writer import DiskSpace, SplitWriter
 from scara_effmass.bags.writer import FileOpener, open_unbuffered
-from scara_effmass.errors import OutputError, SettingsError
+from scara_effmass.errors import OutputError
 
 NS = 1_000_000_000
 POLL_S = 0.05
@@ -30,7 +29,7 @@ WAKE_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class RecorderOptions:
-    """Options of a recording. Raises SettingsError for invalid values."""
+    """Options of a recording."""
 
     compress: bool = True
     """Compress chunks with zstd."""
@@ -49,13 +48,6 @@ class RecorderOptions:
     """Free space below which the recorder warns."""
     warn_before_s: float = 600.0
     """The recorder also warns if the disk will be full in less than this time at the present rate."""
-
-    def __post_init__(self) -> None:
-        minima = {"flush_period_s": 0.001, "queue_bytes": 1, "queue_messages": 1}
-        for key in self.__slots__:
-            value, minimum = getattr(self, key), minima.get(key, 0)
-            if not value >= minimum:
-                raise SettingsError(f"record: {key} = {value}: must be >= {minimum}")
 
 
 @final
@@ -170,7 +162,7 @@ class BagRecorder:
             raise OutputError(f"{self.folder}: recording failed: {self._failure}") from self._failure
         return self.report()
 
-    def __enter__(self) -> BagRecorder:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,7 +1,5 @@
 """Writers of MCAP files and of complete bags, with profile, schemas, channels and messages as rosbag2 writes them."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import tempfile
@@ -13,6 +11,7 @@ from typing import IO, cast, final
 
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys.store import Typestore
+from typing_extensions import Self
 
 from scara_effmass.bags.batches import MAX_TIME_NS, Topic
 from scara_effmass.bags.definitions import definition_of, known_types
@@ -245,7 +244,7 @@ class BagWriter:
             # Repeated in case a signal interrupted it.
             self._temporary.cleanup()
 
-    def __enter__(self) -> BagWriter:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

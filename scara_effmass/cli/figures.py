@@ -7,7 +7,8 @@ from pathlib import Path
 from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.cli.settings import load_dynamics
 from scara_effmass.paper.claims import Outcome
-from scara_effmass.paper.figure_set import STEPS, FigureSet, make_figure_set, read_inputs
+from scara_effmass.paper.figure_set import STEPS, FigureSet, make_figure_set
+from scara_effmass.paper.runs import read_inputs
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 

@@ -80,5 +80,8 @@ LIMITS = (
     ),
     Option("--contact", "type of contact (default: transient)", choices=[contact.value for contact in ContactType]),
 )
+NOT_NEGATIVE = number("a number >= 0", lambda value: 0.0 <= value < math.inf)
+POSITIVE = number("a number > 0", lambda value: value > 0.0)
+COUNT = number("a whole number from 1", lambda count: count >= 1, int)
 MASS = number("a number from 0.001 to 1000", lambda mass: 1e-3 <= mass <= 1e3)
 REPEATED = "may be repeated (default: the paper's experiment)"

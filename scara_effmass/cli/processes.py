@@ -12,7 +12,8 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Self
+
+from typing_extensions import Self
 
 from scara_effmass.errors import EffmassError
 from scara_effmass.nodes.monitor_client import MonitorClient

@@ -14,6 +14,7 @@ from scara_effmass.bags.recording_report import RecordingReport
 from scara_effmass.bags.repair import RepairReport, repair
 from scara_effmass.cli.console import print_result
 from scara_effmass.errors import SettingsError
+from scara_effmass.wire.topics import RECORDED
 
 MB = 1_000_000
 NS = 1_000_000_000
@@ -25,23 +26,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _record(args: argparse.Namespace) -> int:
-    from scara_effmass.nodes.record import RecordOptions, record  # noqa: PLC0415 - rclpy, not needed for --repair
+    from scara_effmass.nodes.record import record  # noqa: PLC0415 - rclpy, not needed for --repair
 
-    for option, value in (("--max-size", args.max_size), ("--max-duration", args.max_duration)):
-        if not 0.0 <= value < math.inf:
-            raise SettingsError(f"record: {option} = {value}: must be >= 0 (0: never)")
-    options = RecordOptions(
-        folder=args.output,
-        topics=tuple(args.topics),
-        all_topics=args.all,
-        duration_s=args.duration,
-        overwrite=args.force,
-        recorder=RecorderOptions(
-            compress=not args.no_compression,
-            max_file_bytes=math.ceil(args.max_size * MB),
-            max_file_ns=math.ceil(args.max_duration * NS),
-        ),
-        ros_arguments=tuple(args.ros_arguments),
+    if args.all and args.topics:
+        raise SettingsError(f"record: topics = {args.topics[0]!r}: must be empty with --all")
+    options = RecorderOptions(
+        compress=not args.no_compression,
+        max_file_bytes=math.ceil(args.max_size * MB),
+        max_file_ns=math.ceil(args.max_duration * NS),
     )
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     status = Status("waiting for messages", console=console)
@@ -51,7 +43,16 @@ def _record(args: argparse.Namespace) -> int:
         status.update(f"{seconds:.0f} s: {current.recorded} messages{lost}, {current.size_bytes / MB:.1f} MB")
 
     with status if console.is_terminal else nullcontext():
-        report = record(options, show, console.print)
+        report = record(
+            args.output,
+            () if args.all else args.topics or RECORDED,
+            options,
+            duration_s=args.duration,
+            overwrite=args.force,
+            ros_arguments=args.ros_arguments,
+            progress=show,
+            warn=console.print,
+        )
     recording = report.recording
     fields = asdict(recording)
     result = {

@@ -13,7 +13,7 @@ from scara_effmass.daq.clock_fit import ClockFit
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.daq.tare import Tare
 from scara_effmass.settings import DaqSettings, FilterKind
-from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, BoolArray, FloatArray, ForceBlock
+from scara_effmass.values import MAX_LOST_SAMPLES, NONE_SATURATED, RANGE_TOLERANCE, BoolArray, FloatArray, ForceBlock
 
 if TYPE_CHECKING:
     from scara_effmass.daq.lowpass import Lowpass
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 NS = 1e9
 NO_FORCE: FloatArray = np.empty(0)
 NO_FORCE.flags.writeable = False
-NONE_SATURATED: NDArray[np.uint32] = np.empty(0, np.uint32)
-NONE_SATURATED.flags.writeable = False
 
 
 class SignalConditioner:
@@ -86,13 +84,10 @@ class SignalConditioner:
             sample_rate=sample_rate,
             force=NO_FORCE,
             lost_samples=lost,
-            saturated_samples=NONE_SATURATED,
             clock_residual=residual,
             filter_delay=self._source.filter_delay,
             source=self._source.description,
             simulated=self._source.simulated,
-            tare=0.0,
-            tare_stamp_ns=0,
             relative_uncertainty=self._uncertainty if stated is None else stated,
         )
         saturated: Sequence[BoolArray | None] = [None] * len(self.channels)

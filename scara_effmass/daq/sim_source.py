@@ -1,9 +1,10 @@
-"""The source `sim`: simulated force at the pace of a converter with a clock of its own."""
+"""The source `sim`: simulated force at the pace of a converter."""
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
+from itertools import count
 from typing import final
 
 import numpy as np
@@ -14,6 +15,8 @@ from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
 from scara_effmass.values import FloatArray
 
 NS = 1_000_000_000
+MAX_POLL_S = 0.005
+"""Longest polling period of the clock that sets the pace: ROS time may run at any speed."""
 
 
 def make_sim_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
@@ -25,77 +28,90 @@ def make_sim_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSo
     return source
 
 
-def simulated_reading(first: int, samples: FloatArray, limit: float, now_ns: int) -> Reading:
-    """Return a reading of `samples` (channels, n), read-only, with those at the limit [N] marked."""
-    saturated = np.abs(samples) >= limit
-    saturated.flags.writeable = False
-    return Reading(first, samples, 0, now_ns, saturated=saturated if saturated.any() else None)
+class SimSource(ForceSource):
+    """Simulated force; each block is computed ahead and returned when it is due, as by a device.
+
+    A block that is not read in time waits, and no sample is ever lost.
+    """
+
+    simulated = True
+
+    def __init__(self, settings: DaqSettings, now_ns: Callable[[], int], pace_ns: Callable[[], int]) -> None:
+        """Return blocks when the clock `pace_ns` has reached the time at which they are due."""
+        self.requested_rate = self.sample_rate = settings.sim.sample_rate
+        self._settings = settings
+        self._now_ns = now_ns
+        self._pace_ns = pace_ns
+        self._closed = threading.Event()
+        self._blocks: Iterator[tuple[int, int, FloatArray]] | None = None
+        self._next: tuple[int, int, FloatArray] | None = None
+
+    def compute_blocks(self) -> Iterator[tuple[int, int, FloatArray]]:
+        """Yield for each block when it is due [ns], the number of its first sample, and its samples (channels, n)."""
+        raise NotImplementedError
+
+    def start(self) -> None:
+        """Begin at sample 0."""
+        self._blocks = self.compute_blocks()
+        self._next = next(self._blocks)
+        self._closed.clear()
+
+    def read(self, timeout_s: float) -> Reading | None:
+        """Return the next block when it is due; None if that takes longer or the source was closed."""
+        blocks = self._blocks
+        if blocks is None:
+            return None
+        due_ns, first, samples = self._next = self._next or next(blocks)
+        left_s = timeout_s
+        while (wait_s := (due_ns - self._pace_ns()) / NS) > 0.0:
+            poll_s = min(wait_s, left_s, MAX_POLL_S)
+            if poll_s <= 0.0 or self._closed.wait(poll_s):
+                return None
+            left_s -= poll_s
+        self._next = None
+        saturated = np.abs(samples) >= self.limit
+        saturated.flags.writeable = samples.flags.writeable = False
+        return Reading(first, samples, 0, self._now_ns(), saturated=saturated if saturated.any() else None)
+
+    def close(self) -> None:
+        """End a `read` that waits, and delete the simulation."""
+        self._closed.set()
+        self._blocks = None
 
 
 @final
-class HalfSineSource(ForceSource):
+class HalfSineSource(SimSource):
     """Noise and half-sine impacts, one block each `block_time`.
 
     The steady clock sets the pace, whatever ROS time does; the simulated converter deviates from it by
-    `sim.clock_error`. A block that is not read in time waits, and no sample is ever lost.
+    `sim.clock_error`.
     """
 
     filter_delay = 0.0
-    simulated = True
 
     def __init__(
         self, settings: DaqSettings, now_ns: Callable[[], int], steady_ns: Callable[[], int] = time.monotonic_ns
     ) -> None:
-        sim = settings.sim
-        self.channels = tuple(f"sim{number}" for number in range(sim.channels))
-        self.description = f"simulated force: noise and half-sine impacts, seed {sim.seed}"
-        self.requested_rate = self.sample_rate = sim.sample_rate
+        super().__init__(settings, now_ns, steady_ns)
+        self.channels = tuple(f"sim{number}" for number in range(settings.sim.channels))
+        self.description = f"simulated force: noise and half-sine impacts, seed {settings.sim.seed}"
         self.limit = np.inf
-        self._settings = settings
-        self._now_ns = now_ns
-        self._steady_ns = steady_ns
-        self._block = max(1, round(settings.block_time * sim.sample_rate))
-        self._true_rate = sim.sample_rate * (1.0 + sim.clock_error)
-        self._closed = threading.Event()
-        self._signal: SyntheticSignal | None = None
-        self._start_ns = 0
-        self._next = 0
 
-    def start(self) -> None:
-        """Create the signal, and begin at sample 0."""
-        sim = self._settings.sim
-        self._signal = SyntheticSignal(
+    def compute_blocks(self) -> Iterator[tuple[int, int, FloatArray]]:
+        """See `SimSource`."""
+        sim, sensor = self._settings.sim, self._settings.sensor
+        signal = SyntheticSignal(
             channels=sim.channels,
             sample_rate=sim.sample_rate,
             noise=sim.noise,
             seed=sim.seed,
-            sensitivity=self._settings.sensor.sensitivity,
+            sensitivity=sensor.sensitivity,
             pulses=RandomPulses(sim.seed, sim.sample_rate, sim.impact_period),
         )
-        self.limit = self._signal.limit
-        self._next = 0
-        self._closed.clear()
-        self._start_ns = self._steady_ns()
-
-    def read(self, timeout_s: float) -> Reading | None:
-        """Return the next block after its last sample; None if that takes longer or the source was closed."""
-        signal = self._signal
-        if signal is None:
-            return None
-        end = self._next + self._block
-        due_ns = self._start_ns + round(end * NS / self._true_rate)
-        wait_s = (due_ns - self._steady_ns()) / NS
-        if self._closed.wait(min(max(wait_s, 0.0), timeout_s)) or wait_s > timeout_s:
-            return None
-        samples = signal.samples(self._next, self._block)
-        if self._settings.sensor.invert:
-            samples = -samples
-            samples.flags.writeable = False
-        reading = simulated_reading(self._next, samples, self.limit, self._now_ns())
-        self._next = end
-        return reading
-
-    def close(self) -> None:
-        """End a `read` that waits, and delete the signal."""
-        self._closed.set()
-        self._signal = None
+        self.limit = signal.limit
+        true_rate = sim.sample_rate * (1.0 + sim.clock_error)
+        start_ns = self._pace_ns()
+        size = max(1, round(self._settings.block_time * sim.sample_rate))
+        for first in count(0, size):
+            samples = signal.samples(first, size)
+            yield start_ns + round((first + size) * NS / true_rate), first, -samples if sensor.invert else samples

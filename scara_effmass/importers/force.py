@@ -168,11 +168,8 @@ def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iter
                 lost_samples=min(lost, MAX_LOST_SAMPLES),
                 saturated_samples=np.flatnonzero(np.abs(run_force) >= saturation).astype(np.uint32),
                 clock_residual=block.clock_residual,
-                filter_delay=0.0,
                 source=file.description,
                 simulated=file.simulated,
-                tare=0.0,
-                tare_stamp_ns=0,
                 # The sensor behind a file in newtons is unknown.
                 relative_uncertainty=sensor.sensitivity_uncertainty if is_voltage and not file.simulated else 0.0,
             )

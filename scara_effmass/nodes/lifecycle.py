@@ -1,7 +1,5 @@
 """Lifecycle of every node of the suite: start, spin, end."""
 
-from __future__ import annotations
-
 import argparse
 import gc
 import os
@@ -12,9 +10,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import rclpy
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Log
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
@@ -44,9 +43,6 @@ from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.readiness import report_readiness
 from scara_effmass.wire.topics import INFO_QOS, Qos
-
-if TYPE_CHECKING:
-    from lifecycle_msgs.srv import ChangeState
 
 Entity = TypeVar("Entity")
 

@@ -1,21 +1,15 @@
 """Diagnostics of the monitor: its input, its model and each contact point."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.diagnostics import status
+from scara_effmass.safety import Monitor
 from scara_effmass.values import ContactAssessment, Decision, Verdict
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.safety import Monitor
 
 _NO_ROBOT = "no robot"
 _LEVELS = {

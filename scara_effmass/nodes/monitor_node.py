@@ -12,7 +12,6 @@ from functools import wraps
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from pydantic import Field
 from rclpy.clock import JumpHandle, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSSubscriptionMatchedInfo
@@ -31,7 +30,8 @@ from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, RCLError, run
 from scara_effmass.nodes.monitor_health import input_status, missing_models, monitor_statuses
 from scara_effmass.safety import Cause, Monitor, unknown_decision
-from scara_effmass.settings import READ_ONLY, MonitorSettings
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings.loading import fixed
 from scara_effmass.values import Decision, Verdict
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message
@@ -47,16 +47,13 @@ _MIN_REPORT_INTERVAL_NS = 100_000_000
 class NodeSettings(MonitorSettings):
     """Settings of the monitor and of its node."""
 
-    autostart: bool = Field(default=True, description="configure and activate at start", json_schema_extra=READ_ONLY)
-    command_tolerance: float = Field(
+    autostart: bool = fixed(default=True, description="configure and activate at start")
+    command_tolerance: float = fixed(
         0.0,
+        "maximum distance of a joint from its command on joint_commands [rad; a quarter of it in m for a prismatic "
+        "joint]; 0: no commands are expected",
         ge=0.0,
         le=10.0,
-        description=(
-            "maximum distance of a joint from its command on joint_commands [rad; a quarter of it in m for a prismatic "
-            "joint]; 0: no commands are expected"
-        ),
-        json_schema_extra=READ_ONLY,
     )
 
 

@@ -5,8 +5,8 @@ The log time of a message is its receive time on the node's clock: system time, 
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import BaseModel
@@ -14,7 +14,6 @@ from pydantic import BaseModel
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
 from scara_effmass.bags.recording_report import RecordingReport
-from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.client import ClientNode, spin_for
 from scara_effmass.nodes.topic_recorder import TopicRecorder, resolve_topic
@@ -28,27 +27,6 @@ _DRAIN_TIMEOUT_S = 10.0
 
 class _NoSettings(BaseModel):
     """The recorder has only the parameters of every node."""
-
-
-@dataclass(frozen=True, slots=True)
-class RecordOptions:
-    """Options of a recording. Raises SettingsError for invalid values."""
-
-    folder: Path
-    topics: tuple[str, ...] = ()
-    """None: the topics of the suite."""
-    all_topics: bool = False
-    """Record all topics except hidden ones, which have a token that begins with an underscore."""
-    duration_s: float = math.inf
-    overwrite: bool = False
-    recorder: RecorderOptions = field(default_factory=RecorderOptions)
-    ros_arguments: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not self.duration_s > 0.0:
-            raise SettingsError(f"record: duration = {self.duration_s}: must be > 0 s")
-        if self.all_topics and self.topics:
-            raise SettingsError(f"record: topics = {self.topics[0]!r}: must be empty with --all")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,29 +44,35 @@ class RecordReport:
 
 
 def record(
-    options: RecordOptions,
+    folder: Path,
+    topics: Sequence[str] = RECORDED,
+    options: RecorderOptions | None = None,
+    *,
+    duration_s: float = math.inf,
+    overwrite: bool = False,
+    ros_arguments: Sequence[str] = (),
     progress: Callable[[RecordingReport, float], None] = lambda *_: None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> RecordReport:
     """Record until SIGINT, SIGTERM or the end of `duration_s`, in a ROS context of its own.
 
-    `progress` is called about ten times a second with the report and the elapsed time [s]; `warn` is called with
-    warnings, also from another thread. Raises SettingsError or OutputError.
+    Without `topics`, record all except hidden ones, which have a token that begins with an underscore. `progress` is
+    called about ten times a second with the report and the elapsed time [s]; `warn` is called with warnings, also from
+    another thread. Raises SettingsError or OutputError.
     """
     known_types()  # slow on the first call: before messages arrive
-    with ClientNode("recorder", arguments=options.ros_arguments) as client:
+    with ClientNode("recorder", arguments=ros_arguments) as client:
         node, context = client.node, client.context
         parameters.declare(node, _NoSettings)
-        topics = () if options.all_topics else options.topics or RECORDED
         names = [resolve_topic(node, topic) for topic in topics]
         parents = [resolve_topic(node, topic) for topic in FORCE_OUTPUTS if topics is RECORDED]
-        with BagRecorder(options.folder, options.recorder, overwrite=options.overwrite, warn=warn) as recorder:
+        with BagRecorder(folder, options, overwrite=overwrite, warn=warn) as recorder:
             topic_recorder = TopicRecorder(node, recorder, names, warn, parents)
             start = time.monotonic()
             seconds = 0.0
-            while not client.signals and context.ok() and recorder.is_running and seconds < options.duration_s:
+            while not client.signals and context.ok() and recorder.is_running and seconds < duration_s:
                 topic_recorder.discover()
-                client.spin_for(min(options.duration_s - seconds, _PERIOD_S))
+                client.spin_for(min(duration_s - seconds, _PERIOD_S))
                 seconds = time.monotonic() - start
                 progress(recorder.report(), seconds)
             if context.ok():

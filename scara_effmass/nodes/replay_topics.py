@@ -1,21 +1,17 @@
 """Publishers of a replay: which topics of a bag are replayed, under which name, and why others are not."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from rclpy.node import Node
 
+from scara_effmass.bags.bag import Bag
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.wire import topics as wire_topics
 from scara_effmass.wire.message_types import message_class
 from scara_effmass.wire.topics import CLOCK, STREAM_QOS
-
-if TYPE_CHECKING:
-    from scara_effmass.bags.bag import Bag
 
 JOINT_STATES = f"/{wire_topics.JOINT_STATES}"
 NODE_OUTPUTS = {

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from scara_effmass.iso15066 import reduced_mass
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.scara_closed_form import scara_max_lumped_mass
 from scara_effmass.paper.density import density_peaks, sampled_distribution, workspace_distribution
 from scara_effmass.paper.runs import (
@@ -36,9 +36,6 @@ from scara_effmass.paper.scara import (
 )
 from scara_effmass.settings import DaqSettings
 from scara_effmass.sim.motion import ElbowConfig
-
-if TYPE_CHECKING:
-    from scara_effmass.model.dynamics import RobotDynamics
 
 ROUNDING_KG = 0.005
 EQUAL = 1e-9

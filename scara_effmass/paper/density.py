@@ -1,18 +1,14 @@
 """Fig. 8: distribution of the effective mass over the workspace."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from scara_effmass.analysis.plot_style import CYCLE, INK, ISO_RED, new_figure
+from scara_effmass.paper.runs import FigureInputs
 from scara_effmass.paper.scara import Scara, equal_area_poses
 from scara_effmass.values import FloatArray
-
-if TYPE_CHECKING:
-    from scara_effmass.paper.figure_set import FigureInputs
 
 FINE_GRID = 1500
 """Values of each angle for the whole workspace: accurate to 1e-3 for shares and median, to 1e-3 kg for the mean."""

@@ -1,19 +1,13 @@
 """Figs. 17, 18 and 19: the impact tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from scara_effmass.analysis.plot_style import CYCLE, ISO_RED, MARKERS, new_figure
-from scara_effmass.paper.runs import Point, mass_at, mean_peaks, origin, points_by_mass, root_reduced_mass
+from scara_effmass.paper.runs import FigureInputs, Point, mass_at, mean_peaks, origin, points_by_mass, root_reduced_mass
 from scara_effmass.paper.scara import OBSTACLES_KG, SHOWN_OBSTACLE_KG, Scara
-
-if TYPE_CHECKING:
-    from scara_effmass.paper.figure_set import FigureInputs
 
 
 def figure_17(inputs: FigureInputs) -> Figure:

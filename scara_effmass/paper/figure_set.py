@@ -1,12 +1,10 @@
 """All figures, the page and the claims: what they need, and how they are written, all or nothing."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -28,43 +26,10 @@ from scara_effmass.paper.maps import (
     figure_14,
     figure_15,
 )
-from scara_effmass.paper.runs import POINT_OF_FIG_17, RecordedRun, read_runs
-from scara_effmass.paper.scara import (
-    SHOWN_OBSTACLE_KG,
-    ModelAgreement,
-    Scara,
-    compare_models,
-    equal_area_poses,
-    scara_of,
-)
-
-if TYPE_CHECKING:
-    from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.paper.runs import FigureInputs
+from scara_effmass.paper.scara import ModelAgreement, compare_models, equal_area_poses
 
 PAGE, CLAIMS = "index.html", "claims.json"
-
-
-@dataclass(frozen=True, slots=True)
-class FigureInputs:
-    """Robot and recorded runs, at least one."""
-
-    dynamics: RobotDynamics
-    scara: Scara
-    runs: tuple[RecordedRun, ...]
-
-    @property
-    def shown_run(self) -> RecordedRun:
-        """The run of Fig. 17: at its impact point with the usual obstacle mass, if there is one."""
-        return min(self.runs, key=lambda run: (run.point != POINT_OF_FIG_17, run.obstacle_mass != SHOWN_OBSTACLE_KG))
-
-
-def read_inputs(dynamics: RobotDynamics, campaign: Path) -> FigureInputs:
-    """Return the inputs for the SCARA in `dynamics` with the runs in the folder `campaign`.
-
-    Raises RobotError for another robot, BagError as `read_runs`.
-    """
-    scara = scara_of(dynamics)
-    return FigureInputs(dynamics, scara, read_runs(campaign, scara, dynamics.robot.joint_names[:2]))
 
 
 DrawFigure = Callable[[FigureInputs], Figure]

@@ -1,11 +1,9 @@
 """Figs. 6, 7, 9 to 12, 14 and 15: poses, and maps of effective mass, reduced mass and the simplified model's error."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -18,6 +16,7 @@ from matplotlib.patheffects import Stroke, withStroke
 from scara_effmass.analysis.plot_style import CYCLE, INK, ISO_RED, new_figure
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.model.scara_closed_form import scara_max_lumped_mass
+from scara_effmass.paper.runs import FigureInputs
 from scara_effmass.paper.scara import (
     ALONG_X,
     ALONG_Y,
@@ -32,9 +31,6 @@ from scara_effmass.paper.scara import (
 )
 from scara_effmass.sim.motion import ElbowConfig
 from scara_effmass.values import FloatArray
-
-if TYPE_CHECKING:
-    from scara_effmass.paper.figure_set import FigureInputs
 
 LIGHT_Q1, HEAVY_Q1 = math.radians(25.0), math.radians(-50.0)
 """Of Fig. 7, chosen here: the text of the paper does not give the angles of its two poses."""

@@ -15,7 +15,8 @@ from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.iso15066 import reduced_mass
-from scara_effmass.paper.scara import ALONG_X, Scara
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.paper.scara import ALONG_X, SHOWN_OBSTACLE_KG, Scara, scara_of
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
 from scara_effmass.values import FloatArray, Impact
@@ -75,6 +76,29 @@ def read_runs(folder: Path, scara: Scara, joints: tuple[str, ...]) -> tuple[Reco
     point, or without joint states around the impact.
     """
     return tuple(_read_run(path, scara, joints) for path in find_bags(folder))
+
+
+@dataclass(frozen=True, slots=True)
+class FigureInputs:
+    """Robot and recorded runs, at least one."""
+
+    dynamics: RobotDynamics
+    scara: Scara
+    runs: tuple[RecordedRun, ...]
+
+    @property
+    def shown_run(self) -> RecordedRun:
+        """The run of Fig. 17: at its impact point with the usual obstacle mass, if there is one."""
+        return min(self.runs, key=lambda run: (run.point != POINT_OF_FIG_17, run.obstacle_mass != SHOWN_OBSTACLE_KG))
+
+
+def read_inputs(dynamics: RobotDynamics, campaign: Path) -> FigureInputs:
+    """Return the inputs for the SCARA in `dynamics` with the runs in the folder `campaign`.
+
+    Raises RobotError for another robot, BagError as `read_runs`.
+    """
+    scara = scara_of(dynamics)
+    return FigureInputs(dynamics, scara, read_runs(campaign, scara, dynamics.robot.joint_names[:2]))
 
 
 def _read_run(path: Path, scara: Scara, joints: tuple[str, ...]) -> RecordedRun:

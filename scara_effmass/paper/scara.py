@@ -1,21 +1,17 @@
 """The paper's robot as functions of q1 and q2: full, simplified and standard model, and the poses of its figures."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from scara_effmass.errors import RobotError
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.scara_closed_form import ScaraInertia, scara_full_mass, scara_lumped_mass
 from scara_effmass.sim.motion import ElbowConfig
 from scara_effmass.values import FloatArray
-
-if TYPE_CHECKING:
-    from scara_effmass.model.dynamics import RobotDynamics
 
 ALONG_X, ALONG_Y = 0.0, math.pi / 2.0
 OBLIQUE = math.atan2(0.8, 0.6)

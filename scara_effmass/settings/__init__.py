@@ -16,12 +16,11 @@ from scara_effmass.settings.daq import (
     Stamps,
     TareSettings,
 )
-from scara_effmass.settings.loading import READ_ONLY, checked, load_settings
+from scara_effmass.settings.loading import checked, load_settings
 from scara_effmass.settings.monitor import ContactType, Drives, MassModel, MonitorSettings, ServoSettings
 from scara_effmass.settings.validator import CriterionSettings, ValidatorSettings
 
 __all__ = [
-    "READ_ONLY",
     "BagSettings",
     "ContactType",
     "Coupling",

@@ -6,10 +6,10 @@ import re
 from enum import Enum
 from typing import Any
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from scara_effmass.settings.loading import FrozenSettings, fixed
+from scara_effmass.settings.loading import FrozenSettings, fixed, tunable
 
 
 class ForceSourceKind(str, Enum):
@@ -185,13 +185,13 @@ class DaqSettings(FrozenSettings):
 class ImportSettings(FrozenSettings):
     """Select the force in a file and state what the file does not."""
 
-    topic: str = Field("", description="topic, CSV column or TDMS channel of the force; empty: the only one")
-    axis: str = Field("z", pattern="^[xyz]$", description="component of a wrench: x, y or z")
-    unit: str = Field(
+    topic: str = tunable("", "topic, CSV column or TDMS channel of the force; empty: the only one")
+    axis: str = tunable("z", "component of a wrench: x, y or z", pattern="^[xyz]$")
+    unit: str = tunable(
         "",
+        "unit of the values: N, kN, lbf, kgf, V or mV; empty: as the file states, N for messages",
         pattern="^(|N|kN|lbf|kgf|V|mV)$",
-        description="unit of the values: N, kN, lbf, kgf, V or mV; empty: as the file states, N for messages",
     )
-    time_column: str = Field("", description="CSV column of the times; empty: the first column")
-    frame_id: str = Field("force_sensor", description="frame of the sensor; its z axis points along compression")
-    sensor: SensorSettings = Field(SensorSettings(), description="sensor that recorded the file")
+    time_column: str = tunable("", "CSV column of the times; empty: the first column")
+    frame_id: str = tunable("force_sensor", "frame of the sensor; its z axis points along compression")
+    sensor: SensorSettings = tunable(SensorSettings(), "sensor that recorded the file")

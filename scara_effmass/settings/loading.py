@@ -27,6 +27,11 @@ def fixed(default: object, description: str, **limits: Any) -> Any:  # noqa: ANN
     return Field(default, description=description, json_schema_extra=READ_ONLY, **limits)
 
 
+def tunable(default: object, description: str, **limits: Any) -> Any:  # noqa: ANN401 - as pydantic's Field
+    """Return the field of a setting that can change on a running node."""
+    return Field(default, description=description, **limits)
+
+
 class FrozenSettings(BaseModel):
     """Settings that refuse unknown names and numbers that are not finite. Raises ValidationError; see `checked`."""
 

@@ -1,8 +1,6 @@
 """Settings of the validator: matching of impacts and contact states, and the acceptance criterion."""
 
-from pydantic import Field
-
-from scara_effmass.settings.loading import FrozenSettings, fixed
+from scara_effmass.settings.loading import FrozenSettings, fixed, tunable
 from scara_effmass.settings.monitor import MassModel
 
 MAX_OBSTACLE_MASS = 1000.0
@@ -35,10 +33,10 @@ class ValidatorSettings(FrozenSettings):
     effective_mass_model: MassModel = fixed(
         MassModel.LUMPED, "effective-mass model to accept: lumped, full, iso (M/2 + m_L), or largest of lumped and full"
     )
-    obstacle_mass: float = Field(
-        0.0, ge=0.0, le=MAX_OBSTACLE_MASS, description="mass of the obstacle, m_H [kg]; 0: unknown, no predictions"
+    obstacle_mass: float = tunable(
+        0.0, "mass of the obstacle, m_H [kg]; 0: unknown, no predictions", ge=0.0, le=MAX_OBSTACLE_MASS
     )
-    configuration: str = Field("", description="name of the robot's configuration; results are grouped by it")
+    configuration: str = tunable("", "name of the robot's configuration; results are grouped by it")
     stiffness: float = fixed(
         0.0, "contact stiffness [N/mm]; 0: fitted to the series, including the current impact", ge=0.0, le=1e5
     )

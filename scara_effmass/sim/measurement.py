@@ -198,7 +198,6 @@ def measure_force(
                 first_sample=first,
                 sample_rate=sensor.true_rate,
                 force=force,
-                lost_samples=0,
                 saturated_samples=saturated,
                 clock_residual=STAMP_DELAY_S + STAMP_JITTER_S,
                 filter_delay=sensor.filter_delay,
@@ -206,7 +205,6 @@ def measure_force(
                 simulated=True,
                 tare=tare,
                 tare_stamp_ns=stamp_ns(tare_samples, delay * STAMP_DELAY_S),
-                relative_uncertainty=0.0,
             )
         )
     return tuple(blocks)

@@ -156,8 +156,6 @@ def synthetic_force(pulses: Sequence[Pulse], duration_s: float, start_ns: int, s
         sensitivity=SENSITIVITY,
         pulses=lambda _channel, _first, _end: pulses,
     )
-    none_saturated = np.empty(0, np.uint32)
-    none_saturated.flags.writeable = False
     for number in range(int(duration_s * SAMPLE_RATE) // BLOCK_SAMPLES):
         first = number * BLOCK_SAMPLES
         yield ForceBlock(
@@ -166,15 +164,8 @@ def synthetic_force(pulses: Sequence[Pulse], duration_s: float, start_ns: int, s
             first_sample=first,
             sample_rate=SAMPLE_RATE,
             force=signal.samples(first, BLOCK_SAMPLES)[0],
-            lost_samples=0,
-            saturated_samples=none_saturated,
-            clock_residual=0.0,
-            filter_delay=0.0,
             source=SOURCE,
             simulated=True,
-            tare=0.0,
-            tare_stamp_ns=0,
-            relative_uncertainty=0.0,
         )
 
 

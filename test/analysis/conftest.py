@@ -1,12 +1,12 @@
 """A small campaign on the simulated cell, and recordings made wrong from it."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
 
 import pytest
 
-from scara_effmass.analysis.validation import ValidationSettings, validate
+from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.model.dynamics import RobotDynamics
@@ -14,16 +14,10 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.campaign import Campaign, run_campaign
+from scara_effmass.values import ForceBlock
 from scara_effmass.wire.force import decode_force_block, force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from scara_effmass.analysis.validation import Validation
-    from scara_effmass.values import ForceBlock
 
 MASSES = (0.5, 7.35)
 

@@ -1,11 +1,9 @@
 """The figure of a run shows every line, verdict, gap and impact with its label."""
 
-from __future__ import annotations
-
 from io import BytesIO
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from scara_effmass.analysis.figure import draw_run
@@ -14,9 +12,6 @@ from scara_effmass.analysis.report import report_figure
 from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Impact, Verdict
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def run(seconds: float = 10.0, *, max_mass: float = 3.0, full: bool = True, gap: bool = False) -> TimeSeries:

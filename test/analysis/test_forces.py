@@ -1,8 +1,6 @@
 """Force and impacts read from a recording."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -13,9 +11,6 @@ from scara_effmass.share import share
 from scara_effmass.values import ForceBlock, Impact
 from scara_effmass.wire.force import force_block_message, impact_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 START_NS = 1_800_000_000_000_000_000
 MS = 1_000_000

@@ -1,16 +1,11 @@
 """Output files appear complete or not at all."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.errors import OutputError
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_complete_file_and_its_folders_are_created(tmp_path: Path) -> None:

@@ -1,19 +1,13 @@
 """Cycles, times and reasons of a summary match hand counts."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from scara_effmass.analysis.summary import MAX_REASONS, OTHER_REASONS, Summary
 from scara_effmass.safety import unknown_contact
-from scara_effmass.values import JointState, Verdict
-
-if TYPE_CHECKING:
-    from scara_effmass.values import ContactAssessment
+from scara_effmass.values import ContactAssessment, JointState, Verdict
 
 MS = 1_000_000
 TIMEOUT_NS = 200 * MS

@@ -1,9 +1,6 @@
 """Time series, decimation and episodes keep every peak, gap and verdict."""
 
-from __future__ import annotations
-
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -12,15 +9,13 @@ from hypothesis import strategies as st
 
 from scara_effmass.analysis.time_series import (
     NO_JOINT_STATE,
+    TimeSeries,
     TimeSeriesBuilder,
     decimate,
     intervals,
 )
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
-
-if TYPE_CHECKING:
-    from scara_effmass.analysis.time_series import TimeSeries
 
 OK, WARN, VIOLATION, UNKNOWN = Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN
 TIMEOUT = 0.2

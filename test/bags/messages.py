@@ -1,15 +1,11 @@
 """Messages of any known type, encoded by rosbags."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import HEADER, TIME
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 
 def serialized(message_type: str, fields: Mapping[str, Any]) -> bytes:

@@ -1,9 +1,7 @@
 """Reading needs the memory of a few chunks, whatever the length of the bag."""
 
-from __future__ import annotations
-
 import tracemalloc
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +10,6 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import joint_state_message
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 COUNT = 60_000
 JOINTS = 24

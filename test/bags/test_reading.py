@@ -1,17 +1,16 @@
 """Bags of every format give the same messages; damaged ones give what is readable, and name what is lost."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sqlite3
 import struct
 import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -29,17 +28,13 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
 from test.bags.messages import serialized
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from scara_effmass.bags.bag import Bag
 
 JOINTS = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"

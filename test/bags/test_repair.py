@@ -1,12 +1,12 @@
 """Repair: incomplete bags get an index, and no bag is made worse."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
 import struct
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 import yaml
@@ -21,10 +21,6 @@ from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
 from scara_effmass.bags.recording_report import LOSSES_RECORD
 from scara_effmass.bags.repair import RepairReport, repair
 from scara_effmass.errors import BagError, OutputError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
 
 STRING = "std_msgs/msg/String"
 FLOAT64 = "std_msgs/msg/Float64"

@@ -1,12 +1,11 @@
 """Recordings, and the command line in this process or in one of its own."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,11 +14,7 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.cli import main
 from scara_effmass.values import JointState
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    Cli = Callable[..., subprocess.CompletedProcess[str]]
+Cli = Callable[..., subprocess.CompletedProcess[str]]
 
 START_NS = 1_767_225_600_000_000_000
 STEP_NS = 2_000_000

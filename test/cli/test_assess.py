@@ -1,15 +1,15 @@
 """`assess`: output files contain the verdicts of `safety.Monitor`, in bounded memory, and replace no file."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
 from shutil import copyfile
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from pyarrow import parquet
@@ -26,16 +26,9 @@ from scara_effmass.safety import Monitor
 from scara_effmass.safety.debounce import severity
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
-from scara_effmass.values import Verdict
+from scara_effmass.values import ContactAssessment, Verdict
 from scara_effmass.wire.joint_state import JointStateDecoder
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from scara_effmass.values import ContactAssessment
-
-    Cli = Callable[..., subprocess.CompletedProcess[str]]
+from test.cli.conftest import Cli
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 UNITS = ("", "_m_s", "_kg", "_n_m", "_n", "_s")

@@ -1,18 +1,11 @@
 """`demo`: all nodes live on the simulated cell, and the report of their impacts."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
-if TYPE_CHECKING:
-    import subprocess
-    from collections.abc import Callable
-    from pathlib import Path
-
-    Cli = Callable[..., subprocess.CompletedProcess[str]]
+from test.cli.conftest import Cli
 
 
 def test_every_live_impact_is_in_the_recording(cli_process: Cli, tmp_path: Path) -> None:

@@ -1,12 +1,11 @@
 """`doctor`: the shipped robot is healthy, and each missing prerequisite is named."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys
 from ctypes.util import find_library
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,9 +15,6 @@ from scara_effmass.daq.ni9230 import Ni9230Source
 from scara_effmass.errors import DriverMissingError
 from scara_effmass.settings import DaqSettings
 from scara_effmass.share import share
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SHIPPED = share("config", "omron_i4_550l.yaml")
 

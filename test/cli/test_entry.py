@@ -1,14 +1,12 @@
 """All commands: help, version, errors in one line, signals, and no slow imports for --help."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -16,11 +14,7 @@ from scara_effmass import __version__
 from scara_effmass.cli import main
 from scara_effmass.cli.commands import COMMANDS
 from scara_effmass.share import share
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Cli = Callable[..., subprocess.CompletedProcess[str]]
+from test.cli.conftest import Cli
 
 HEAVY = ("rclpy", "pinocchio", "matplotlib", "pyarrow", "rosbags", "scara_effmass_msgs")
 LOADED_BY_HELP = """
@@ -120,7 +114,12 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
         ["assess", TOUR, "-o", "/proc/none/a.mcap"],
         "/proc/none/a.mcap: cannot be written",
     ),
-    "negative rate": (["replay", TOUR, "--rate", "-1"], "rate = -1.0: must be 0 or more"),
+    "negative rate": (["replay", TOUR, "--rate", "-1"], "argument --rate: -1: must be a number >= 0"),
+    "infinite rate": (["replay", TOUR, "--rate", "inf"], "argument --rate: inf: must be a number >= 0"),
+    "negative start": (["replay", TOUR, "--start", "-0.1"], "argument --start: -0.1: must be a number >= 0"),
+    "duration of NaN": (["replay", TOUR, "--duration", "nan"], "argument --duration: nan: must be a number > 0"),
+    "no subscribers": (["replay", TOUR, "--subscribers", "0"], "--subscribers: 0: must be a whole number from 1"),
+    "negative wait": (["replay", TOUR, "--wait", "-1"], "argument --wait: -1: must be a number >= 0"),
     "missing bag to replay": (["replay", "no.mcap"], "no.mcap: does not exist"),
 }
 

@@ -1,20 +1,12 @@
 """`figures`: writes the paper's figures and claims, and refuses an existing output."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from matplotlib.image import imread
 
 from scara_effmass.share import share
-
-if TYPE_CHECKING:
-    import subprocess
-    from collections.abc import Callable
-    from pathlib import Path
-
-    Cli = Callable[..., subprocess.CompletedProcess[str]]
+from test.cli.conftest import Cli
 
 FIGURES = [f"figure_{number}" for number in (6, 7, 8, 9, 10, 11, 12, 14, 15, 17, 18, 19)]
 

@@ -1,22 +1,16 @@
 """`limits`: the printed table and speeds are those of `iso15066`."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from scara_effmass.cli import main
 from scara_effmass.iso15066 import BODY_POINTS, BODY_REGIONS, EDITION, TABLE_HASH, SpeedLimits, limits_for
 from scara_effmass.settings import ContactType, MonitorSettings
-
-if TYPE_CHECKING:
-    import subprocess
-    from collections.abc import Callable
-    from pathlib import Path
-
-    Cli = Callable[..., subprocess.CompletedProcess[str]]
+from test.cli.conftest import Cli
 
 
 def result(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:

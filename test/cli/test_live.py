@@ -1,13 +1,13 @@
 """`monitor`, `replay` and `demo --bag`: real nodes over DDS, in a ROS domain of the test."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
 import socket
+import subprocess
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from unittest.mock import Mock
 from xml.etree import ElementTree as ET
 
@@ -19,13 +19,9 @@ from scara_effmass.cli import main
 from scara_effmass.cli.nodes import node_arguments
 from scara_effmass.cli.processes import isolate_ros_domain
 from scara_effmass.share import share
+from test.cli.conftest import Cli
 
-if TYPE_CHECKING:
-    import subprocess
-    from collections.abc import Callable
-
-    Cli = Callable[..., subprocess.CompletedProcess[str]]
-    Start = Callable[..., subprocess.Popen[str]]
+Start = Callable[..., subprocess.Popen[str]]
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 PNG = b"\x89PNG\r\n\x1a\n"

@@ -1,15 +1,15 @@
 """`scara-effmass record` as a process: stopped by signals, killed, and repaired."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 import rclpy
@@ -20,12 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 from scara_effmass.bags.files import open_bag
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    Cli = Callable[..., subprocess.CompletedProcess[str]]
+from test.cli.conftest import Cli
 
 pytestmark = pytest.mark.usefixtures("own_domain")
 
@@ -138,8 +133,8 @@ REFUSALS = {
     "no task": (["record"], "one of the arguments -o/--output --repair is required"),
     "two tasks": (["record", "-o", "a", "--repair", "b"], "not allowed with argument"),
     "file as output": (["record", "-o", "a.mcap"], "a.mcap: must be a folder name without .mcap"),
-    "negative size": (["record", "-o", "a", "--max-size", "-1"], "--max-size = -1.0: must be >= 0 (0: never)"),
-    "zero duration": (["record", "-o", "a", "--duration", "0"], "duration = 0.0: must be > 0 s"),
+    "negative size": (["record", "-o", "a", "--max-size", "-1"], "--max-size: -1: must be a number >= 0"),
+    "zero duration": (["record", "-o", "a", "--duration", "0"], "--duration: 0: must be a number > 0"),
     "topics with --all": (["record", "-o", "a", "b", "--all"], "topics = 'b': must be empty with --all"),
     "invalid topic": (["record", "-o", "a", "b c"], "record: topic 'b c': "),
     "unwritable": (["record", "-o", "/proc/none/a"], "/proc/none/a: cannot be written"),

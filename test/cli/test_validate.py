@@ -1,9 +1,7 @@
 """`validate`: a report, a summary, and an exit code that says whether the criterion is met."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -11,13 +9,7 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.sim.campaign import Campaign, run_campaign
 from scara_effmass.sim.experiment import CONFIGURATIONS
-
-if TYPE_CHECKING:
-    import subprocess
-    from collections.abc import Callable
-    from pathlib import Path
-
-    Cli = Callable[..., subprocess.CompletedProcess[str]]
+from test.cli.conftest import Cli
 
 FIGURES = ("force_over_root_mu", "force_over_obstacle_mass", "bland_altman", "exponent")
 FILES = {"report.html", "report.json", *(f"{name}.{suffix}" for name in FIGURES for suffix in ("png", "svg"))}

@@ -1,24 +1,18 @@
 """Simulated NI-9230: NI's client on a simulated driver with its own clock."""
 
-from __future__ import annotations
-
 import math
 import threading
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 from nidaqmx._base_interpreter import BaseInterpreter
-from nidaqmx.constants import ChannelType, TaskMode, UsageTypeAI
+from nidaqmx.constants import ChannelType, DigitalWidthUnits, TaskMode, UsageTypeAI
 from nidaqmx.errors import DaqError, DaqReadError
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from nidaqmx.constants import DigitalWidthUnits
-    from numpy.typing import NDArray
-
-    Signal = Callable[[int, NDArray[np.int64]], NDArray[np.float64]]
+Signal = Callable[[int, NDArray[np.int64]], NDArray[np.float64]]
 
 START_NS = 1_767_225_600_000_000_000
 MAX_RATE = 12_800.0

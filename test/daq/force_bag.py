@@ -1,8 +1,8 @@
 """Bags with ForceBlocks for the tests."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,10 +10,6 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
 
 MS = 10**6
 RATE = 1000.0

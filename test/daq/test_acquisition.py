@@ -1,11 +1,10 @@
-from __future__ import annotations
-
 import math
 import threading
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import chain, repeat
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,13 +16,8 @@ from scara_effmass.daq.sim_source import HalfSineSource
 from scara_effmass.daq.source import ForceSource, Reading, make_source
 from scara_effmass.errors import DaqError, DeviceLostError, DeviceMissingError, OverrunError
 from scara_effmass.settings import BagSettings, DaqSettings, ForceSourceKind, Ni9230Settings, Stamps
+from test.daq.conftest import NiDevice
 from test.daq.force_bag import force_block, write_blocks
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
-
-    from test.daq.conftest import NiDevice
 
 RATE = 1000.0
 BLOCK = 100

@@ -1,9 +1,9 @@
 """Force from the ForceBlocks of a bag: gaps, damage, and what is refused."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,18 +11,13 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.daq.bag_source import BagSource
+from scara_effmass.daq.source import Reading
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.settings import BagSettings, DaqSettings
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK
 from test.bags.messages import serialized
 from test.daq.force_bag import MS, START_NS, block_messages, force_block, write_blocks, write_messages
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from scara_effmass.daq.source import Reading
 
 NS = 10**9
 

@@ -1,23 +1,18 @@
 """Pace of a played bag on wall clocks and replay clocks."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from scara_effmass.daq.bag_source import MAX_LEAD_NS, BagSource
+from scara_effmass.daq.source import Reading
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import BagSettings, DaqSettings, Stamps
 from test.daq.force_bag import MS, START_NS, force_block, write_blocks
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from scara_effmass.daq.source import Reading
-
-    Play = Callable[..., BagSource]
+Play = Callable[..., BagSource]
 
 NS = 10**9
 NOW = 1_800_000_000 * NS

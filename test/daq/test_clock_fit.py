@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -13,11 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scara_effmass.daq.clock_fit import JUMP_S, JUMP_TIME_S, SETTLED_READS, ClockFit
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 START_NS = 1_700_000_000_123_456_789
 MS = 1_000_000

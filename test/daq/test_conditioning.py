@@ -1,30 +1,23 @@
 """From readings to blocks of force: nothing invented, nothing lost unsaid, and every sample at its time."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.typing import ArrayLike
 
 from scara_effmass.daq.conditioning import SignalConditioner
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import DaqSettings, FilterKind, checked
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import ArrayLike
-
-    from scara_effmass.values import BoolArray, FloatArray, ForceBlock
+from scara_effmass.values import BoolArray, FloatArray, ForceBlock
 
 NOW = 1_700_000_000_000_000_000
 RATE = 1000.0

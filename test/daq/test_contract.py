@@ -1,29 +1,22 @@
 """Contract of all force sources."""
 
-from __future__ import annotations
-
 import threading
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import chain, pairwise, repeat
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from scara_effmass.daq.sim_cell_source import SimCellSource
 from scara_effmass.daq.sim_source import HalfSineSource
-from scara_effmass.daq.source import make_source
+from scara_effmass.daq.source import ForceSource, Reading, make_source
 from scara_effmass.errors import BagError, DaqError, EffmassError, SettingsError
 from scara_effmass.settings import DaqSettings, checked
+from test.daq.conftest import NiDevice
 from test.daq.force_bag import force_block, write_blocks
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from scara_effmass.daq.source import ForceSource, Reading
-    from test.daq.conftest import NiDevice
 
 NS = 1_000_000_000
 NOW_NS = 1_767_225_600 * NS

@@ -1,10 +1,7 @@
 """Tests of the low-pass filters."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -12,13 +9,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from scara_effmass.daq.lowpass import MAX_TAPS, NEGLIGIBLE, make_lowpass
+from scara_effmass.daq.lowpass import MAX_TAPS, NEGLIGIBLE, Lowpass, make_lowpass
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import FilterKind, FilterSettings
-
-if TYPE_CHECKING:
-    from scara_effmass.daq.lowpass import Lowpass
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 RATE = 12_800.0
 KINDS = (FilterKind.CAUSAL, FilterKind.ZERO_PHASE)

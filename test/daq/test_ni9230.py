@@ -1,12 +1,11 @@
 """Tests of the source ni9230: NI's client on a simulated driver, with faults."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys
+from collections.abc import Callable, Iterator
 from ctypes.util import find_library
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import hypothesis
 import hypothesis.strategies as st
@@ -24,7 +23,7 @@ from nidaqmx.errors import DaqFunctionNotSupportedError, DaqNotSupportedError
 
 from scara_effmass.daq.ni9230 import Ni9230Source
 from scara_effmass.daq.ni_driver import devices, driver_version
-from scara_effmass.daq.source import make_source
+from scara_effmass.daq.source import Reading, make_source
 from scara_effmass.errors import (
     DaqError,
     DeviceLostError,
@@ -35,15 +34,10 @@ from scara_effmass.errors import (
     SettingsError,
 )
 from scara_effmass.settings import DaqSettings, checked
+from scara_effmass.values import FloatArray
+from test.daq.conftest import NiDevice
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from scara_effmass.daq.source import Reading
-    from scara_effmass.values import FloatArray
-    from test.daq.conftest import NiDevice
-
-    Open = Callable[..., Ni9230Source]
+Open = Callable[..., Ni9230Source]
 
 BLOCK = 1280
 

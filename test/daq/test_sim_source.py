@@ -1,17 +1,10 @@
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 
 from scara_effmass.daq.sim_source import HalfSineSource
-from scara_effmass.daq.source import make_source
+from scara_effmass.daq.source import Reading, make_source
 from scara_effmass.settings import DaqSettings, ForceSourceKind, SensorSettings, SimSettings, checked
 from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
-
-if TYPE_CHECKING:
-    from scara_effmass.daq.source import Reading
 
 NS = 1_000_000_000
 NOW_NS = 1_767_225_600 * NS

@@ -1,9 +1,5 @@
 """Tests of the tare."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,9 +7,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.daq.tare import Tare
 from scara_effmass.settings import TareSettings
-
-if TYPE_CHECKING:
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 RATE = 1000.0
 N = 500

@@ -1,18 +1,12 @@
 """Import of force files as the tests call it."""
 
-from __future__ import annotations
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
-from typing import TYPE_CHECKING, Any
-
-from scara_effmass.importers.force import import_force
+from scara_effmass.importers.force import ImportedForce, import_force
 from scara_effmass.settings import ImportSettings, checked
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from scara_effmass.importers.force import ImportedForce
-    from scara_effmass.values import ForceBlock
+from scara_effmass.values import ForceBlock
 
 NS = 10**9
 

@@ -1,10 +1,9 @@
 """Import of force from CSV files as programs of load cells write them."""
 
-from __future__ import annotations
-
 import tracemalloc
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +12,6 @@ from hypothesis import strategies as st
 
 from scara_effmass.errors import BagError, EffmassError, SettingsError
 from test.importers.conftest import NS, force_of, imported, lost_in, open_import
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 CARTS = Path(__file__).parents[1] / "recordings" / "cart_impacts"
 ROWS = [(0.01 * n, 0.5 * n) for n in range(100)]

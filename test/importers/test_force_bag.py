@@ -1,9 +1,7 @@
 """`scara-effmass import`: force of files in a new bag."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +10,6 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.cli import main
 from scara_effmass.errors import BagError
 from test.importers.conftest import force_of, imported
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.fixture

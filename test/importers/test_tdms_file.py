@@ -1,8 +1,7 @@
 """Import of force from TDMS files of LabVIEW and NI-DAQmx."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +9,6 @@ from nptdms import ChannelObject, TdmsWriter
 
 from scara_effmass.errors import BagError, SettingsError
 from test.importers.conftest import NS, force_of, imported, lost_in, open_import
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 START = np.datetime64("2024-03-01T12:00:00.000250", "us")
 START_NS = int(START.astype("datetime64[ns]").astype(np.int64))

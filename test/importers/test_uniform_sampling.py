@@ -1,18 +1,12 @@
 """Conversion of stamped samples to blocks of uniform sampling."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from scara_effmass.importers.force import SampleBlock
 from scara_effmass.importers.uniform_sampling import CHUNK, uniform_samples
-
-if TYPE_CHECKING:
-    from scara_effmass.importers.force import SampleBlock
 
 NS = 10**9
 T0 = 1_700_000_000 * NS

@@ -1,9 +1,9 @@
 """Import of force from topics of wrenches and numbers in a bag."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +16,6 @@ from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, STRING, WRENC
 from scara_effmass.wire.topics import RECORDING_INFO
 from test.bags.messages import header, message, serialized
 from test.importers.conftest import force_of, imported, lost_in, open_import
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
 
 NS = 10**9
 MS = 10**6

@@ -1,15 +1,14 @@
 """Fixtures for tests of a node: a harness that runs it as a process and talks to it over ROS."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
 import time
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import pytest
 import rclpy
@@ -26,12 +25,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from scara_effmass.errors import EffmassError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from contextlib import AbstractContextManager
-
-    from scara_effmass.nodes.lifecycle import LifecycleBase
+from scara_effmass.nodes.lifecycle import LifecycleBase
 
 TIMEOUT_S = 120.0
 """Maximum wait [s] for any event; a test that waits longer fails."""

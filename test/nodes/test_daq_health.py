@@ -1,9 +1,7 @@
 """Diagnostic statuses of the force measurement."""
 
-from __future__ import annotations
-
 import threading
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,9 +14,6 @@ from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes.daq_health import daq_statuses
 from scara_effmass.settings import DaqSettings, checked
 from test.daq.force_bag import force_block, write_blocks
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 WAIT_S = 20.0
 

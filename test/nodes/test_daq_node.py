@@ -1,14 +1,13 @@
 """Tests of daq_node over DDS: topics, lifecycle, refusals and exit."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import time
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,14 +25,10 @@ from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes.daq_node import DaqNode
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import ForceBlock as Block
+from scara_effmass.values import Impact as ImpactValue
 from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from scara_effmass.values import Impact as ImpactValue
-    from test.nodes.conftest import NodeHarness
+from test.nodes.conftest import NodeHarness
 
 EXECUTABLE = Path(sys.executable).with_name("daq_node")
 DEEP = QoSProfile(depth=20_000)

@@ -1,10 +1,8 @@
 """MonitorClient collects the contact states of a monitor in cycles."""
 
-from __future__ import annotations
-
 import os
 import signal
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import pytest
 import rclpy
@@ -22,9 +20,6 @@ from scara_effmass.safety import unknown_contact
 from scara_effmass.values import ContactAssessment, Verdict
 from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from
 from test.nodes.conftest import TIMEOUT_S
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 NS = 1_000_000_000
 DEEP = QoSProfile(depth=1000)

@@ -1,12 +1,10 @@
 """No permissive value outlives its reason: end of the monitor, busy callbacks, latch, QoS and start-up refusals."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -18,12 +16,7 @@ from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from test.nodes.conftest import TIMEOUT_S, joint_state, stamp_ns
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from test.nodes.conftest import NodeHarness
+from test.nodes.conftest import TIMEOUT_S, NodeHarness, joint_state, stamp_ns
 
 S = 1_000_000_000
 STILL = (0.0,) * 4

@@ -1,8 +1,6 @@
 """Diagnostic status of the monitor's robot model."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -11,9 +9,6 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.nodes.monitor_health import monitor_statuses
 from scara_effmass.safety import Monitor, unknown_decision
 from scara_effmass.settings import MonitorSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 
 def model_status(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[str, str]]:

@@ -1,10 +1,9 @@
 """Invalid joint states give UNKNOWN in the live monitor, and the next valid one gives OK."""
 
-from __future__ import annotations
-
 import struct
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,14 +17,8 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
-from scara_effmass.values import JointState
-from test.nodes.conftest import JOINTS, QD, Q, joint_state, stamp_ns
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.values import ContactAssessment
-    from test.nodes.conftest import NodeHarness
+from scara_effmass.values import ContactAssessment, JointState
+from test.nodes.conftest import JOINTS, QD, NodeHarness, Q, joint_state, stamp_ns
 
 NAN, INF = float("nan"), float("inf")
 S = 1_000_000_000

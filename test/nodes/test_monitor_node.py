@@ -1,13 +1,13 @@
 """Live monitor node: lifecycle, parameters, time, robot_description and a 1 kHz stream."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,16 +25,10 @@ from std_srvs.srv import Trigger
 
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
-from scara_effmass.settings import READ_ONLY, MonitorSettings
-from scara_effmass.settings.loading import flat_fields
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings.loading import READ_ONLY, flat_fields
 from scara_effmass.share import share
-from test.nodes.conftest import joint_state, stamp_ns
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from test.nodes.conftest import NodeHarness
+from test.nodes.conftest import NodeHarness, joint_state, stamp_ns
 
 MS = 1_000_000
 S = 1_000_000_000

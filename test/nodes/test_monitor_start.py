@@ -1,23 +1,16 @@
 """Start and end of the monitor: one error line and exit code 2 for invalid input, 0 after a signal."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from scara_effmass.nodes.monitor_node import MonitorNode
 from scara_effmass.share import share
-from test.nodes.conftest import MONITOR_NODE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from test.nodes.conftest import NodeHarness
+from test.nodes.conftest import MONITOR_NODE, NodeHarness
 
 PARAMS = "/**:\n  ros__parameters:\n    {}\n"
 

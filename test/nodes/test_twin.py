@@ -1,24 +1,18 @@
 """Compare a bag replayed to the live monitor with its offline assessment, bit for bit."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rclpy.serialization import deserialize_message
 from scara_effmass_msgs.msg import ContactState
 
 from scara_effmass.bags.files import open_bag
 from scara_effmass.share import share
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from test.nodes.conftest import NodeHarness
+from test.nodes.conftest import NodeHarness
 
 COMMAND = str(Path(sys.executable).with_name("scara-effmass"))
 JOINT_STATES = 1900

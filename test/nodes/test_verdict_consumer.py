@@ -1,14 +1,13 @@
 """The example of a consumer stops for every reason that docs/consuming.md names."""
 
-from __future__ import annotations
-
 import os
 import runpy
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 import rclpy
@@ -17,12 +16,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from test.nodes.conftest import TIMEOUT_S, Q, joint_state
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from test.nodes.conftest import NodeHarness
+from test.nodes.conftest import TIMEOUT_S, NodeHarness, Q, joint_state
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "verdict_consumer.py"
 TIMEOUT = 1.0

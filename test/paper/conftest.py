@@ -1,24 +1,24 @@
 """The paper's robot, the shipped campaign, and synthetic impacts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
-from scara_effmass.paper.figure_set import FigureInputs, read_inputs
-from scara_effmass.paper.runs import REPETITIONS, SPEED, points_by_mass, root_reduced_mass
-from scara_effmass.paper.scara import OBSTACLES_KG
+from scara_effmass.paper.runs import (
+    REPETITIONS,
+    SPEED,
+    FigureInputs,
+    RecordedRun,
+    points_by_mass,
+    read_inputs,
+    root_reduced_mass,
+)
+from scara_effmass.paper.scara import OBSTACLES_KG, Scara
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
-
-if TYPE_CHECKING:
-    from scara_effmass.paper.runs import RecordedRun
-    from scara_effmass.paper.scara import Scara
 
 STIFFNESS = 1e6
 

@@ -1,20 +1,13 @@
 """Claims match where the numbers agree, and only there."""
 
-from __future__ import annotations
-
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from scara_effmass.paper.claims import Basis, Claim, Outcome, all_claims, run_claims
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from scara_effmass.paper.figure_set import FigureInputs
-    from scara_effmass.paper.runs import RecordedRun
+from scara_effmass.paper.runs import FigureInputs, RecordedRun
 
 CONTRADICTED = {"sensitivity", "turned_plots", "repetitions"}
 """The shipped campaign has one run per case."""

@@ -1,16 +1,10 @@
 """The distribution of Fig. 8 agrees with independent numbers."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 
 from scara_effmass.paper.density import MassDistribution, density_peaks, sampled_distribution, workspace_distribution
-
-if TYPE_CHECKING:
-    from scara_effmass.paper.scara import Scara
+from scara_effmass.paper.scara import Scara
 
 
 def test_distribution_over_the_workspace_has_the_known_values(scara: Scara) -> None:

@@ -1,23 +1,16 @@
 """Figures, page and claims are written together and reproducibly; the page is self-contained."""
 
-from __future__ import annotations
-
 import json
 from html.parser import HTMLParser
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from scara_effmass.errors import OutputError
 from scara_effmass.paper.experiment import figure_18, figure_19
-from scara_effmass.paper.figure_set import FIGURES, make_figure_set
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from matplotlib.figure import Figure
-
-    from scara_effmass.paper.figure_set import DrawFigure, FigureInputs
+from scara_effmass.paper.figure_set import FIGURES, DrawFigure, make_figure_set
+from scara_effmass.paper.runs import FigureInputs
 
 FEW: dict[DrawFigure, str] = {draw: FIGURES[draw] for draw in (figure_18, figure_19)}
 FILES = {"figure_18.png", "figure_18.svg", "figure_19.png", "figure_19.svg", "index.html", "claims.json"}

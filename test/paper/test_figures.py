@@ -1,28 +1,22 @@
 """Every figure has titles and units, nothing is cut off, and the red line is at the standard's value."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.contour import QuadContourSet
+from matplotlib.figure import Figure
 
 from scara_effmass.analysis.plot_style import ISO_RED, STYLE
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.paper.figure_set import FIGURES
+from scara_effmass.paper.runs import FigureInputs
+from scara_effmass.paper.scara import Scara
 from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from scara_effmass.paper.figure_set import FigureInputs
-    from scara_effmass.paper.scara import Scara
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 BY_NUMBER = {int(draw.__name__.removeprefix("figure_")): draw for draw in FIGURES}
 

@@ -1,9 +1,9 @@
 """Impacts and motions read from campaign recordings agree with the ground truth."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,18 +12,12 @@ from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
-from scara_effmass.paper.runs import AFTER_ONSET_S, BEFORE_ONSET_S, read_runs
+from scara_effmass.paper.runs import AFTER_ONSET_S, BEFORE_ONSET_S, FigureInputs, read_runs
+from scara_effmass.paper.scara import Scara
 from scara_effmass.share import share
+from scara_effmass.values import JointState, RunInfo
 from scara_effmass.wire.message_types import RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from scara_effmass.paper.figure_set import FigureInputs
-    from scara_effmass.paper.scara import Scara
-    from scara_effmass.values import JointState, RunInfo
 
 JOINTS = ("joint1", "joint2")
 RUN = "300_0_500g_1"

@@ -1,9 +1,7 @@
 """The closed forms have the parameters of the robot file and agree with the mass matrices."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +11,7 @@ from scara_effmass.errors import RobotError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.paper.scara import (
+    Scara,
     compare_models,
     equal_area_poses,
     joint_grid,
@@ -23,11 +22,6 @@ from scara_effmass.paper.scara import (
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from scara_effmass.paper.scara import Scara
 
 
 def test_parameters_equal_those_of_the_file(scara: Scara) -> None:

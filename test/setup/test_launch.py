@@ -1,7 +1,5 @@
 """The launch file, against small fakes of the launch API, because `launch` has no wheel."""
 
-from __future__ import annotations
-
 import runpy
 import sys
 from pathlib import Path

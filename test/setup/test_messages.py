@@ -1,19 +1,14 @@
 """The compiled messages match `msg_schemas/msg` and the public contract."""
 
-from __future__ import annotations
-
 import importlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 import rclpy
+from rclpy.node import Node
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from rclpy.node import Node
 
 SCHEMAS = Path(__file__).parents[2] / "msg_schemas/msg"
 

@@ -1,14 +1,9 @@
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from scara_effmass.errors import EffmassError
 from scara_effmass.share import share
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 MODULE = "scara_effmass/share.py"
 

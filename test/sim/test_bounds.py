@@ -1,7 +1,5 @@
 """The force bounds of the verdict against MuJoCo, a free plate and an explicit spring; see docs/bounds.md."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 from types import SimpleNamespace

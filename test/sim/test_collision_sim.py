@@ -1,7 +1,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -18,12 +19,7 @@ from scara_effmass.share import share
 from scara_effmass.sim.cart import HERTZ, Cart, SpringContact
 from scara_effmass.sim.collision_sim import FINE_STEP_NS, CollisionSim, ContactSample, find_contacts
 from scara_effmass.sim.motion import ElbowConfig, joint_positions_at, joint_rates
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from scara_effmass.values import FloatArray, Vector3
+from scara_effmass.values import FloatArray, Vector3
 
 POINTS = [(0.3, 0.2), (0.3, 0.0), (0.3, -0.2)]
 MASSES = [0.50, 2.39, 3.72, 7.35]

@@ -1,20 +1,14 @@
-from __future__ import annotations
-
 import time
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from scara_effmass.sim import live
 from scara_effmass.sim.experiment import CONFIGURATIONS
-from scara_effmass.sim.live import LiveSim
+from scara_effmass.sim.live import LiveOutput, LiveSim
 from scara_effmass.sim.measurement import ForceSensor
 from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
-
-if TYPE_CHECKING:
-    from scara_effmass.sim.live import LiveOutput
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 START_NS = 1_800_000_000_123_456_789
 SECOND = 1_000_000_000

@@ -1,8 +1,6 @@
-from __future__ import annotations
-
 import math
+from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -11,11 +9,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.sim.collision_sim import ContactSample
 from scara_effmass.sim.measurement import FILTER_DELAY, Adc, ForceSensor
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 RATE = 12_800.0
 QUIET = ForceSensor(noise=0.0)

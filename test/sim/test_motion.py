@@ -1,10 +1,7 @@
-from __future__ import annotations
-
 import math
 import random
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -22,19 +19,17 @@ from scara_effmass.sim.motion import (
     ElbowConfig,
     JointMove,
     LinearMove,
+    Move,
     QuinticScaling,
+    TimeScaling,
     TrapezoidalScaling,
     inverse_kinematics,
     joint_positions_at,
     joint_rates,
     sample_moves,
 )
-from scara_effmass.sim.recordings import RECORDINGS, straight, tour_moves
-
-if TYPE_CHECKING:
-    from scara_effmass.sim.motion import Move, TimeScaling
-    from scara_effmass.sim.recordings import ReferenceRecording
-    from scara_effmass.values import FloatArray
+from scara_effmass.sim.recordings import RECORDINGS, ReferenceRecording, straight, tour_moves
+from scara_effmass.values import FloatArray
 
 ROBOT = load_robot(Path(__file__).parents[2] / "config" / "omron_i4_550l.yaml", MonitorSettings())
 

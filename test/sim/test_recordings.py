@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import hashlib
 import shutil
 import subprocess
@@ -7,7 +5,6 @@ import sys
 from collections import Counter
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -23,12 +20,8 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.sim.__main__ import CAMPAIGN, CHECKSUMS, generate
 from scara_effmass.sim.measurement import FORCE_SENSOR, POSITION_STEP, VELOCITY_STEP
-from scara_effmass.sim.recordings import EPOCH_NS, FORCE_TOPIC, RECORDINGS, SEED, TOUR_PULSES
-from scara_effmass.values import Verdict
-
-if TYPE_CHECKING:
-    from scara_effmass.sim.recordings import ReferenceRecording
-    from scara_effmass.values import ContactAssessment, FloatArray, ForceBlock, JointState, RunInfo
+from scara_effmass.sim.recordings import EPOCH_NS, FORCE_TOPIC, RECORDINGS, SEED, TOUR_PULSES, ReferenceRecording
+from scara_effmass.values import ContactAssessment, FloatArray, ForceBlock, JointState, RunInfo, Verdict
 
 ROOT = Path(__file__).parents[2]
 BAGS = ROOT / "bags"

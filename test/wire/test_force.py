@@ -1,8 +1,7 @@
 """The CDR of ForceBlock and Impact equals that of rosbags and rclpy."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +16,6 @@ from scara_effmass.errors import DecodeError
 from scara_effmass.values import ForceBlock, Impact
 from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message, impact_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 NS = 10**9
 NUMBER = st.floats(width=64)

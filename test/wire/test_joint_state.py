@@ -1,8 +1,6 @@
 """JointState messages of rosbags and rclpy are decoded."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +11,8 @@ from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState as RosJointState
 
 from scara_effmass.errors import DecodeError
+from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import JointStateDecoder
-
-if TYPE_CHECKING:
-    from scara_effmass.values import JointState
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 NS = 10**9
