@@ -32,6 +32,9 @@ RESPONSE_TIME = 0.5
 
 def finite_parts(block: ForceBlock) -> list[ForceBlock]:
     """Split `block` at samples that are not finite, which are left out."""
+    finite = np.isfinite(block.force)
+    if block.force.size and finite.all():
+        return [block]  # fast path
     saturated = block.saturated_samples
     return [
         block._replace(
@@ -40,7 +43,7 @@ def finite_parts(block: ForceBlock) -> list[ForceBlock]:
             force=block.force[start:stop],
             saturated_samples=saturated[(saturated >= start) & (saturated < stop)] - np.uint32(start),
         )
-        for start, stop in zip(*runs(np.isfinite(block.force)), strict=True)
+        for start, stop in zip(*runs(finite), strict=True)
     ]
 
 

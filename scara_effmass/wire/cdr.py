@@ -59,6 +59,7 @@ FORMATS = {
 """Formats of `struct` and alignment of the fields of fixed size; times are int [ns], vectors (x, y, z)."""
 
 
+_PACK = {kind: (struct.Struct(f"<{layout}").pack, size) for kind, (layout, size) in FORMATS.items()}
 DTYPES = {"float64[]": "<f8", "uint32[]": "<u4"}
 
 
@@ -68,27 +69,29 @@ def encode(fields: Mapping[str, str], values: Mapping[str, Any]) -> bytes:
     `fields` gives the kind of each field in the order of the message: a key of `FORMATS`, "text", "float64[]",
     "uint32[]" or "text[]".
     """
-    data = b""
+    data = bytearray()
     for name, kind in fields.items():
-        data = _with_field(data, kind, values[name])
-    return LITTLE_ENDIAN + data
+        _append(data, kind, values[name])
+    return LITTLE_ENDIAN + bytes(data)
 
 
-def _with_field(data: bytes, kind: str, value: Any) -> bytes:  # noqa: ANN401 - a value of this kind
-    if kind == "text":
-        return with_text(data, value)
+def _append(data: bytearray, kind: str, value: Any) -> None:  # noqa: ANN401 - a value of this kind
+    """Append a field to the message in place: copies of a long message cost more than all other fields."""
     if kind in FORMATS:
-        layout, size = FORMATS[kind]
+        pack, size = _PACK[kind]
         numbers = sec_and_nanosec(value) if kind == "time" else value if kind == "vector" else (value,)
-        return data + b"\x00" * (-len(data) % size) + struct.pack(f"<{layout}", *numbers)
-    data = _with_field(data, "uint32", len(value))
-    if kind == "text[]":
-        for text in value:
-            data = with_text(data, text)
-    elif len(value):  # an empty sequence has no padding after its length
-        items = np.asarray(value, DTYPES[kind])
-        data += b"\x00" * (-len(data) % items.itemsize) + items.tobytes()
-    return data
+        data += bytes(-len(data) % size) + pack(*numbers)
+    elif kind == "text":
+        data += bytes(-len(data) % 4) + with_text(b"", value)
+    else:
+        _append(data, "uint32", len(value))
+        if kind == "text[]":
+            for text in value:
+                _append(data, "text", text)
+        elif len(value):  # an empty sequence has no padding after its length
+            items = np.asarray(value, DTYPES[kind])
+            data += bytes(-len(data) % items.itemsize)
+            data += items.tobytes()
 
 
 def decode(data: bytes, message_type: str, fields: Mapping[str, str]) -> dict[str, Any]:

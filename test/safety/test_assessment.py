@@ -174,6 +174,15 @@ def test_assessment_agrees_with_masses_and_limits(
     assert bool(contact.reason) == (contact.verdict is not Verdict.OK)
 
 
+def test_fixed_normal_turns_with_its_frame(scara: RobotDynamics) -> None:
+    q, qd = (0.7, 1.2, 0.1, -0.4), (0.4, 0.2, 0.1, 0.3)
+    turned = assess_one(scara, q, qd, contact_normal="1 0 0", contact_normal_frame="tool")
+    angle = q[0] + q[1] - q[3]  # joint 4 turns about -z
+    in_base = assess_one(scara, q, qd, contact_normal=f"{math.cos(angle)!r} {math.sin(angle)!r} 0")
+    assert turned.allowable_speed == pytest.approx(in_base.allowable_speed, rel=1e-12)
+    assert turned.allowable_speed != pytest.approx(assess_one(scara, q, qd, contact_normal="1 0 0").allowable_speed)
+
+
 @given(positions, velocities, any_settings)
 def test_sign_of_the_margin_gives_the_verdict(
     scara: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings
