@@ -4,9 +4,8 @@ import json
 import os
 import shutil
 import struct
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 import yaml
@@ -21,19 +20,12 @@ from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
 from scara_effmass.bags.recording_report import LOSSES_RECORD
 from scara_effmass.bags.repair import RepairReport, repair
 from scara_effmass.errors import BagError, OutputError
+from test.bags.messages import Message, write_mcap
 
 STRING = "std_msgs/msg/String"
 FLOAT64 = "std_msgs/msg/Float64"
 T0 = 1_700_000_000_123_456_789
-DEFINITIONS = {STRING: b"string data\n", FLOAT64: b"float64 data\n"}
-
-
-class Message(NamedTuple):
-    topic: str
-    log_time_ns: int
-    data: bytes
-    publish_time_ns: int
-    sequence: int
+DEFINITIONS = {STRING: "string data\n", FLOAT64: "float64 data\n"}
 
 
 def text(number: int) -> bytes:
@@ -42,47 +34,22 @@ def text(number: int) -> bytes:
 
 
 MESSAGES = [
-    Message("/text", T0 + i, text(i), T0 + i - 5, i)
+    Message("/text", STRING, T0 + i, text(i), T0 + i - 5, i)
     if i % 3
-    else Message("/number", T0 + i, b"\x00\x01\x00\x00" + struct.pack("<d", i), T0 + i - 9, 7 * i)
+    else Message("/number", FLOAT64, T0 + i, b"\x00\x01\x00\x00" + struct.pack("<d", i), T0 + i - 9, 7 * i)
     for i in range(200)
 ]
 
 
-def write(
-    path: Path,
-    messages: Iterable[Message] = MESSAGES,
-    compression: CompressionType = CompressionType.ZSTD,
-    *,
-    chunked: bool = True,
-    summary: bool = True,
-) -> Path:
-    """Write with `mcap`, including an attachment and metadata, which `BagRecorder` never writes."""
-    with path.open("wb") as file:
-        writer = Writer(
-            file,
-            chunk_size=600,
-            compression=compression,
-            use_chunking=chunked,
-            use_statistics=summary,
-            repeat_channels=summary,
-            repeat_schemas=summary,
-        )
-        writer.start("ros2", "somebody else")
+def write(path: Path, **options: Any) -> Path:  # noqa: ANN401 - of write_mcap
+    """Write the messages, and an attachment and metadata, which `BagRecorder` never writes."""
+
+    def add_records(writer: Writer) -> None:
         writer.add_attachment(T0, T0 + 1, "photo", "image/png", b"pixels")
         writer.add_metadata("cell", {"operator": "Ada"})
-        channels: dict[str, int] = {}
-        for message in messages:
-            if message.topic not in channels:
-                message_type = STRING if message.topic == "/text" else FLOAT64
-                schema = writer.register_schema(message_type, "ros2msg", DEFINITIONS[message_type])
-                channels[message.topic] = writer.register_channel(message.topic, "cdr", schema, {"mine": "yes"})
-            number = channels[message.topic]
-            writer.add_message(
-                number, message.log_time_ns, message.data, message.publish_time_ns, sequence=message.sequence
-            )
-        writer.finish()  # type: ignore[no-untyped-call]
-    return path
+
+    options = {"chunk_size": 600, "library": "somebody else", "definitions": DEFINITIONS, **options}
+    return write_mcap(path, MESSAGES, channel_metadata={"mine": "yes"}, add_records=add_records, **options)
 
 
 def indexed(path: Path) -> list[Message]:
@@ -93,18 +60,19 @@ def indexed(path: Path) -> list[Message]:
         assert summary is not None
         assert summary.statistics is not None
         messages = [
-            Message(channel.topic, message.log_time, message.data, message.publish_time, message.sequence)
-            for _, channel, message in reader.iter_messages()
+            Message(channel.topic, schema.name, message.log_time, message.data, message.publish_time, message.sequence)
+            for schema, channel, message in reader.iter_messages()
+            if schema is not None
         ]
         assert summary.statistics.message_count == len(messages)
     return messages
 
 
-def readable(path: Path) -> list[tuple[str, int, bytes]]:
+def readable(path: Path) -> list[tuple[str, str, int, bytes]]:
     """Read without a repair; empty if nothing is readable."""
     try:
         with open_bag(path) as bag:
-            return [(raw.topic, raw.log_time_ns, raw.data) for raw in bag.messages()]
+            return [tuple(raw) for raw in bag.messages()]
     except BagError:
         return []
 
@@ -158,7 +126,7 @@ class TestFile:
         report = repair(path)
         assert not report.intact
         after = indexed(path)
-        assert [message[:3] for message in after] == before
+        assert [message[:4] for message in after] == before
         assert after == MESSAGES[: len(after)]
         assert report.files[0].messages == len(after)
         assert report.files[0].kept_original is None
@@ -185,11 +153,11 @@ class TestFile:
             "/text": {"mine": "yes"},
             "/number": {"mine": "yes"},
         }
-        assert {schema.name: schema.data for schema in summary.schemas.values()} == DEFINITIONS
+        assert {schema.name: schema.data.decode() for schema in summary.schemas.values()} == DEFINITIONS
         assert {chunk.compression for chunk in summary.chunk_indexes} == {"zstd"}
 
     def test_without_an_index_gets_one(self, tmp_path: Path) -> None:
-        path = write(tmp_path / "a.mcap", summary=False)
+        path = write(tmp_path / "a.mcap", indexed=False)
         assert not repair(path).intact
         assert indexed(path) == MESSAGES
 
@@ -226,7 +194,7 @@ class TestFile:
         (file_report,) = repair(path).files
         after = indexed(path)
         assert 0 < len(after) < len(MESSAGES)
-        assert [message[:3] for message in after] == before
+        assert [message[:4] for message in after] == before
         assert file_report.lost
         assert file_report.kept_original is not None
 
@@ -293,7 +261,7 @@ class TestFolder:
         assert about(folder)["relative_file_paths"] == ["bag_0.mcap", "bag_1.mcap", "bag_2.mcap"]
         assert about(folder)["custom_data"]["cell"] == "7"
         with AnyReader([folder]) as reader:
-            assert [(c.topic, t, data) for c, t, data in reader.messages()] == whole
+            assert [(c.topic, c.msgtype, t, data) for c, t, data in reader.messages()] == whole
         assert repair(folder).intact
         assert names(folder) == ["bag_0.mcap", "bag_1.mcap", "bag_2.mcap", "metadata.yaml"]
 

@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState as RosJointState
 
 from scara_effmass.errors import DecodeError
 from scara_effmass.values import JointState
-from scara_effmass.wire.joint_state import JointStateDecoder
+from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 NS = 10**9
@@ -187,3 +187,15 @@ def test_names_beyond_the_maximum_are_refused_before_any_is_decoded(count: int, 
 def test_trailing_bytes_are_refused() -> None:
     with pytest.raises(DecodeError, match="16 bytes follow effort: must be <= 15"):
         JointStateDecoder().decode(by_rosbags(SIMPLE) + bytes(16))
+
+
+@pytest.mark.parametrize("velocity", [[], [2.0, 3.0]])
+def test_encoded_state_is_read_by_rosbags(velocity: list[float]) -> None:
+    data = joint_state_message(JointState(NS, ("a", "b"), np.array([1.0, 2.0]), np.array(velocity)), "base")
+    message: Any = TYPES.deserialize_cdr(data, "sensor_msgs/msg/JointState")
+    assert (message.header.stamp.sec, message.header.frame_id, message.name) == (1, "base", ["a", "b"])
+    assert [array.tolist() for array in (message.position, message.velocity, message.effort)] == [
+        [1.0, 2.0],
+        velocity,
+        [],
+    ]

@@ -1,0 +1,222 @@
+"""The encoded messages equal those of rclpy and rosbags, field by field; invalid ones are refused."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, get_type_hints
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from scara_effmass_msgs import msg
+from std_msgs.msg import Float64
+
+from scara_effmass.bags.definitions import known_types
+from scara_effmass.errors import DecodeError
+from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RunInfo, Vector3, Verdict
+from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message
+from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message, impact_message
+from scara_effmass.wire.message_types import CONTACT_STATE, FORCE_BLOCK, IMPACT, RUN_INFO
+from scara_effmass.wire.run_info import decode_run_info, run_info_message
+
+NS = 10**9
+NUMBER = st.floats(width=64)
+TEXT = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=12)
+STAMP_NS = st.integers(-(2**31) * NS, 2**31 * NS - 1)
+UINT32 = st.integers(0, 2**32 - 1)
+OF_TYPE: dict[object, st.SearchStrategy[Any]] = {
+    float: NUMBER,
+    str: TEXT,
+    bool: st.booleans(),
+    Vector3: st.tuples(NUMBER, NUMBER, NUMBER),
+    Verdict: st.sampled_from(Verdict),
+    int: UINT32,
+}
+WITH_NAME = {"stamp_ns": STAMP_NS, "tare_stamp_ns": STAMP_NS, "true_onset_ns": STAMP_NS}
+
+
+def values_of(kind: Any, **fields: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:  # noqa: ANN401 - a named tuple
+    """Return values with any content, and with that of `fields`."""
+    fields = WITH_NAME | fields
+    return st.builds(kind, **{name: fields.get(name, OF_TYPE.get(of)) for name, of in get_type_hints(kind).items()})
+
+
+@st.composite
+def blocks(draw: st.DrawFn) -> ForceBlock:
+    force = np.array(draw(st.lists(NUMBER, max_size=9)), np.float64)
+    saturated = draw(st.sets(st.integers(0, len(force) - 1))) if len(force) else set[int]()
+    block: ForceBlock = draw(
+        values_of(
+            ForceBlock,
+            first_sample=st.integers(0, 2**64 - 1),
+            force=st.just(force),
+            saturated_samples=st.just(np.array(sorted(saturated), np.uint32)),
+        )
+    )
+    return block
+
+
+class Kind(NamedTuple):
+    """A message of this package: its class, type, conversion and values, and a value to damage."""
+
+    ros_class: Any
+    type: str
+    encode: Callable[[Any], bytes]
+    decode: Callable[[bytes], Any]
+    values: st.SearchStrategy[Any]
+    simple: Any
+
+    @property
+    def name(self) -> str:
+        return type(self.simple).__name__
+
+
+SIMPLE = ForceBlock(NS, "f", 5, 100.0, np.array([1.0, 2.0]), saturated_samples=np.array([1], np.uint32), source="s")
+SIMPLE_IMPACT = Impact(NS, "f", 1.0, 2.0, 3.0, 4.0, *(False, False, 0, 0.0, 0.0, 0.0, "s", False))
+KINDS = [
+    Kind(msg.ForceBlock, FORCE_BLOCK, force_block_message, decode_force_block, blocks(), SIMPLE),
+    Kind(msg.Impact, IMPACT, impact_message, decode_impact, values_of(Impact), SIMPLE_IMPACT),
+    Kind(msg.RunInfo, RUN_INFO, run_info_message, decode_run_info, values_of(RunInfo), RunInfo(note="n")),
+]
+every_kind = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+
+
+def value_in(message: Any, like: Any) -> Any:  # noqa: ANN401 - of rclpy or rosbags; a named tuple
+    """Return a message as a value of the type of `like`."""
+
+    def field(name: str) -> object:
+        if name == "frame_id":
+            return message.header.frame_id
+        if name.endswith("_ns"):
+            time = message.header.stamp if name == "stamp_ns" else getattr(message, name.removesuffix("_ns"))
+            return time.sec * NS + time.nanosec
+        content = getattr(message, name)
+        if name == "verdict":
+            return Verdict(content)
+        return (content.x, content.y, content.z) if hasattr(content, "x") else content
+
+    return type(like)(*map(field, like._fields))
+
+
+def text(value: Any) -> str:  # noqa: ANN401 - a named tuple
+    """Return all fields as text; different floats, also signed zeros, give different texts, NaNs equal ones."""
+    return repr([field.tolist() if hasattr(field, "tolist") else field for field in value])
+
+
+@every_kind
+@given(data=st.data())
+def test_message_is_read_by_rclpy_rosbags_and_this_package(kind: Kind, data: st.DataObject) -> None:
+    """ROS does not clear the padding and appends bytes; rosbags writes either byte order."""
+    value = data.draw(kind.values)
+    encoded = kind.encode(value)
+    of_ros = deserialize_message(encoded, kind.ros_class)
+    of_rosbags: Any = known_types().deserialize_cdr(encoded, kind.type)
+    for message in (of_ros, of_rosbags):
+        assert text(value_in(message, value)) == text(value)
+        if isinstance(value, ForceBlock):
+            assert message.saturated == bool(len(value.saturated_samples))
+    by_rosbags = [known_types().serialize_cdr(of_rosbags, kind.type, little_endian=order) for order in (True, False)]
+    for data_of_any in (encoded, serialize_message(of_ros), *by_rosbags):
+        decoded = kind.decode(bytes(data_of_any))
+        assert text(decoded) == text(value)
+        for array in (field for field in decoded if isinstance(field, np.ndarray)):
+            assert array.dtype.isnative
+            assert array.flags.aligned
+            assert not array.flags.writeable
+
+
+def assert_refused_or_within(kind: Kind, data: bytes) -> None:
+    refusal = f"{kind.name}: "
+    try:
+        value = kind.decode(data)
+    except DecodeError as error:
+        refusal = str(error)
+    else:
+        if isinstance(value, ForceBlock):
+            assert 8 * len(value.force) <= len(data)
+            assert (value.saturated_samples < len(value.force)).all()
+    assert refusal.startswith(f"{kind.name}: ")
+    assert "\n" not in refusal
+
+
+@every_kind
+@settings(max_examples=300)
+@given(data=st.data())
+def test_damaged_messages_are_refused_or_decoded_within_the_buffer(kind: Kind, data: st.DataObject) -> None:
+    intact = kind.encode(data.draw(kind.values))
+    damaged = bytearray(intact[: data.draw(st.integers(0, len(intact)))])
+    for _ in range(data.draw(st.integers(0, 4))):
+        if damaged:
+            damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    assert_refused_or_within(kind, bytes(damaged))
+
+
+@every_kind
+@given(data=st.binary(max_size=300))
+def test_random_bytes_are_refused_or_decoded(kind: Kind, data: bytes) -> None:
+    for encapsulation in (b"", b"\x00\x01\x00\x00"):
+        assert_refused_or_within(kind, encapsulation + data)
+
+
+@every_kind
+def test_every_truncation_is_refused(kind: Kind) -> None:
+    encoded = kind.encode(kind.simple)
+    for end in range(len(encoded)):
+        with pytest.raises(DecodeError, match=f"{kind.name}: "):
+            kind.decode(encoded[:end])
+
+
+@pytest.mark.parametrize(
+    ("at", "new", "message"),
+    [
+        (0, b"\x00\x07", "CDR byte order = 0007: must be 0000 or 0001"),
+        (12, b"\xff\xff\xff\xff", r"frame_id has length 4294967295, but only \d+ bytes follow"),
+        (36, b"\xff", r"force has length 255, but only \d+ bytes follow"),
+        (64, b"\x02", "saturated = 2: must be 0 or 1"),
+        (64, b"\x00", "saturated = false: must be true with 1 saturated_samples"),
+        (68, b"\x0f", r"saturated_samples has length 15, but only \d+ bytes follow|ends at byte"),
+        (72, b"\x02", "saturated_samples = 2: must be < 2, the number of samples"),
+    ],
+)
+def test_invalid_bytes_name_the_field(at: int, new: bytes, message: str) -> None:
+    data = bytearray(force_block_message(SIMPLE))
+    data[at : at + len(new)] = new
+    with pytest.raises(DecodeError, match=message):
+        decode_force_block(bytes(data))
+
+
+def test_trailing_bytes_are_refused() -> None:
+    with pytest.raises(DecodeError, match="16 bytes follow relative_uncertainty: must be <= 15"):
+        decode_force_block(force_block_message(SIMPLE) + bytes(16))
+
+
+def test_lost_samples_are_limited_to_the_range_of_the_field() -> None:
+    assert decode_force_block(force_block_message(SIMPLE._replace(lost_samples=2**40))).lost_samples == 2**32 - 1
+
+
+def test_saturated_block_without_samples_is_saturated_everywhere() -> None:
+    message = deserialize_message(force_block_message(SIMPLE), msg.ForceBlock)
+    message.saturated_samples = []
+    assert decode_force_block(bytes(serialize_message(message))).saturated_samples.tolist() == [0, 1]
+
+
+CONTACTS = values_of(ContactAssessment, stamp_ns=st.integers(0, 2**31 * NS - 1))
+
+
+@given(st.lists(CONTACTS, min_size=1, max_size=3), TEXT)
+def test_contact_states_are_read_by_rclpy_and_rosbags(contacts: list[ContactAssessment], frame_id: str) -> None:
+    """One encoder writes all messages of a contact point, each of the size of rclpy's."""
+    point = contacts[0].contact_point
+    encoder = ContactStateEncoder(point, frame_id)
+    for contact in (contact._replace(contact_point=point) for contact in contacts):
+        data = encoder.encode(contact)
+        of_ros = deserialize_message(data, msg.ContactState)
+        for message in (of_ros, known_types().deserialize_cdr(data, CONTACT_STATE)):
+            assert text(value_in(message, contact)) == text(contact)
+            assert message.header.frame_id == frame_id
+        assert len(data) == len(serialize_message(of_ros))
+
+
+@given(NUMBER)
+def test_number_is_decoded(value: float) -> None:
+    assert repr(deserialize_message(float64_message(value), Float64).data) == repr(value)
