@@ -42,7 +42,6 @@ class AcquisitionStatistics:
     samples_lost: int
     """Samples that never came: the device lost them or was disconnected."""
     samples_waiting: int
-    readings_dropped: int
     reconnects: int
     latency_p50_s: float
     """See `ReadLatency`; NaN of a recording."""
@@ -66,7 +65,6 @@ class SampleQueue:
         self.samples = 0
         """Samples per channel in the queue."""
         self.dropped_samples = 0
-        self.dropped_readings = 0
 
     def put(self, reading: Reading, max_samples: float) -> None:
         """Add a reading if the queue is empty or then holds at most `max_samples`; otherwise drop it or wait."""
@@ -79,7 +77,6 @@ class SampleQueue:
                 self._unreported = 0
                 self.samples += count
             else:
-                self.dropped_readings += 1
                 self.dropped_samples += count
                 self._unreported += reading.lost + count
 
@@ -234,7 +231,6 @@ class Acquisition:
                 samples_dropped=self._queue.dropped_samples,
                 samples_lost=self._samples_lost,
                 samples_waiting=self._queue.samples,
-                readings_dropped=self._queue.dropped_readings,
                 reconnects=self._run,
                 latency_p50_s=p50_s,
                 latency_max_s=max_s,

@@ -17,10 +17,8 @@ MS = 1_000_000
 
 
 def block(number: int, first: int, lost: int = 0) -> ForceBlock:
-    none = np.empty(0, np.uint32)
     force = np.arange(first, first + 10.0)
-    stamp_ns = START_NS + number * MS
-    return ForceBlock(stamp_ns, "cell", first, 1e4, force, lost, none, 0.0, 0.0, "test", *(False, 0.0, 0, 0.0))
+    return ForceBlock(START_NS + number * MS, "cell", first, 1e4, force, lost, source="test")
 
 
 def test_lost_samples_give_a_nan_between_blocks(tmp_path: Path) -> None:

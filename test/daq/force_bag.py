@@ -24,14 +24,9 @@ def force_block(first: int, count: int = 100, **changes: Any) -> ForceBlock:  # 
         first_sample=first,
         sample_rate=RATE,
         force=np.arange(first, first + count, dtype=np.float64),
-        lost_samples=0,
-        saturated_samples=np.empty(0, np.uint32),
         clock_residual=1e-5,
         filter_delay=3e-3,
         source="test",
-        simulated=False,
-        tare=0.0,
-        tare_stamp_ns=0,
         relative_uncertainty=0.15,
     )
     return block._replace(**changes)

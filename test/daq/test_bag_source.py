@@ -163,16 +163,6 @@ def test_read_waits_for_the_clock(play: Play) -> None:
     assert (reading.stamp_ns, calls) == (START_NS, 4)
 
 
-def test_bag_can_be_started_again(play: Play) -> None:
-    source = play(Clock(NOW), rate=0.0)
-    first = due_stamps_ms(source)
-    source.start()
-    assert not source.ended
-    reading = source.read(0.0)
-    assert reading is not None
-    assert (reading.first_sample, reading.lost, first) == (0, 0, list(range(0, 1000, 100)))
-
-
 def test_replay_clock_set_back_continues_from_there(play: Play) -> None:
     clock = Clock(START_NS)
     source = play(clock)

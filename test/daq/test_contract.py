@@ -280,8 +280,9 @@ def test_restart_begins_at_sample_zero(subject: Subject) -> None:
     source.close()
     source.start()
     again = block(source)
+    assert not source.ended
     assert again.first_sample == first.first_sample == 0
-    assert again.samples.shape == first.samples.shape
+    assert np.array_equal(again.samples, first.samples)
 
 
 def test_closed_source_has_no_reading_and_can_be_closed_again(subject: Subject) -> None:

@@ -373,15 +373,8 @@ def test_module_without_overload_detection_is_read(ni_device: NiDevice, started:
     assert ni_device.overload_queries == 1
 
 
-def test_close_is_allowed_at_any_time_and_again(ni_device: NiDevice, make: Open) -> None:
-    source = make()
-    source.close()
-    assert source.read(1.0) is None
-    source.start()
-    source.close()
-    source.close()
-    assert source.read(1.0) is None
-    source.start()
+def test_lost_device_is_closed(ni_device: NiDevice, started: Open) -> None:
+    source = started()
     ni_device.fail("clear_task", -201003)
     source.close()
     assert not ni_device.tasks

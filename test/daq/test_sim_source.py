@@ -105,19 +105,6 @@ def test_simulated_converter_has_the_clock_error(error: float) -> None:
     assert source.sample_rate == 1000.0  # the nominal rate
 
 
-def test_started_again_it_begins_anew() -> None:
-    source, clock = started()
-    clock.ns += NS
-    first = block(source)
-    source.close()
-    source.start()
-    assert source.read(0.0) is None
-    clock.ns += NS
-    again = block(source)
-    assert again.first_sample == 0
-    assert np.array_equal(again.samples, first.samples)
-
-
 def test_inverted_sensor_changes_the_sign() -> None:
     source, clock = started(SETTINGS.model_copy(update={"sensor": SensorSettings(invert=True)}))
     plain, plain_clock = started()

@@ -77,29 +77,12 @@ def write_recording(folder: Path, pulses: Sequence[float] = (0.6, 1.1)) -> Path:
     force = np.random.default_rng(3).normal(0.0, 0.1, t.size)
     for start in pulses:
         force += 100.0 * np.where((t > start) & (t < start + 0.002), np.sin(np.pi * (t - start) / 0.002), 0.0)
-    none = np.empty(0, np.uint32)
-    block = Block(
-        0,
-        "cell",
-        0,
-        RATE,
-        force[:0],
-        0,
-        none,
-        0.0,
-        0.003,
-        "test",
-        simulated=True,
-        tare=0.0,
-        tare_stamp_ns=0,
-        relative_uncertainty=0.0,
-    )
     begin_ns = 1_800_000_000 * S
     with BagWriter(path) as bag:
         for first in range(0, t.size, n):
             stamp_ns = begin_ns + round(first / RATE * S)
-            part = block._replace(stamp_ns=stamp_ns, first_sample=first, force=force[first : first + n])
-            bag.write("/force", FORCE_BLOCK, stamp_ns + S // 10, force_block_message(part))
+            block = Block(stamp_ns, "cell", first, RATE, force[first : first + n], filter_delay=0.003, simulated=True)
+            bag.write("/force", FORCE_BLOCK, stamp_ns + S // 10, force_block_message(block))
     return path
 
 
