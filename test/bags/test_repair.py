@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,11 +69,11 @@ def indexed(path: Path) -> list[Message]:
     return messages
 
 
-def readable(path: Path) -> list[tuple[str, str, int, bytes]]:
+def readable(path: Path) -> Sequence[tuple[str, str, int, bytes]]:
     """Read without a repair; empty if nothing is readable."""
     try:
         with open_bag(path) as bag:
-            return [tuple(raw) for raw in bag.messages()]
+            return list(bag.messages())
     except BagError:
         return []
 

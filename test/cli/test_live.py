@@ -57,15 +57,6 @@ def is_up(monitor: subprocess.Popen[str]) -> bool:
     return any("monitoring omron_i4_550l" in line for line in monitor.stderr)
 
 
-def test_monitor_exits_with_0_after_ctrl_c(start: Start) -> None:
-    process = start("monitor")
-    assert is_up(process)
-    process.send_signal(signal.SIGINT)
-    _, rest = process.communicate()
-    assert process.returncode == 0
-    assert "Traceback" not in rest
-
-
 def test_replay_reports_sent_and_answered_joint_states(swing_bag: Path, cli_process: Cli, start: Start) -> None:
     monitor = start("monitor", "--", "-p", "use_sim_time:=true")
     assert is_up(monitor)

@@ -12,19 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 from scara_effmass.bags.files import open_bag
 from test.cli.conftest import Cli
+from test.nodes.conftest import TIMEOUT_S, ros_node
 
 pytestmark = pytest.mark.usefixtures("own_domain")
 
-TIMEOUT_S = 120.0
 RECORD = (sys.executable, "-m", "scara_effmass", "record")
 
 
@@ -49,27 +45,19 @@ def saved(bag: Path) -> int:
 @contextmanager
 def recording(bag: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Record ten notes; they are on the disk inside the `with`."""
-    context = Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    node = Node("notes", context=context)
-    publisher = node.create_publisher(String, "notes", QoSProfile(depth=100))
-    process = subprocess.Popen(
-        [*RECORD, "-o", str(bag), *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        wait_until(publisher.get_subscription_count, process)
-        for number in range(10):
-            publisher.publish(String(data=str(number)))
-        wait_until(lambda: saved(bag) == 10, process)
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
-        node.destroy_node()
-        context.try_shutdown()
+    command = [*RECORD, "-o", str(bag), *arguments]
+    with ros_node("notes") as node:
+        publisher = node.create_publisher(String, "notes", QoSProfile(depth=100))
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        try:
+            wait_until(publisher.get_subscription_count, process)
+            for number in range(10):
+                publisher.publish(String(data=str(number)))
+            wait_until(lambda: saved(bag) == 10, process)
+            yield process
+        finally:
+            process.kill()
+            process.communicate()
 
 
 @pytest.mark.parametrize("stop_signal", [signal.SIGINT, signal.SIGTERM])

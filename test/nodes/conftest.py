@@ -5,7 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, final
@@ -13,6 +13,8 @@ from typing import Any, final
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -55,6 +57,19 @@ def stamp_ns(message: Any) -> int:  # noqa: ANN401 - any stamped message
     return int(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
 
 
+@contextmanager
+def ros_node(name: str, namespace: str = "/", domain: int | None = None) -> Iterator[Node]:
+    """Give a node in a ROS context of its own."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    node = Node(name, context=context, namespace=namespace)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+
+
 @final
 class NodeHarness:
     """A node process in its own ROS domain, and a test node that talks to it."""
@@ -69,10 +84,9 @@ class NodeHarness:
         self.process: subprocess.Popen[str] | None = None
         self.process_may_end = False
         self._name = f"{namespace}/{name}"
-        self._context = Context()
-        rclpy.init(context=self._context, domain_id=self.domain, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node("tester", context=self._context, namespace=namespace or None)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._stack = ExitStack()
+        self.node = self._stack.enter_context(ros_node("tester", namespace or "/", domain))
+        self._executor = SingleThreadedExecutor(context=self.node.context)
         self._executor.add_node(self.node)
         self._input: Any = None
 
@@ -86,8 +100,7 @@ class NodeHarness:
             if self.process is not None:
                 self.process.kill()
             self._executor.shutdown()
-            self.node.destroy_node()
-            self._context.try_shutdown()
+            self._stack.close()
 
     def start(self, *arguments: str, command: Sequence[str] = (str(MONITOR_NODE),)) -> subprocess.Popen[str]:
         """Start the node with `arguments`, its output piped."""
@@ -136,6 +149,11 @@ class NodeHarness:
         self.spin_until(future.done)
         self.node.destroy_client(client)
         return future.result()
+
+    def change_state(self, *transitions: int) -> bool:
+        """Request lifecycle transitions up to the first refusal; return whether there was none."""
+        requests = (ChangeState.Request(transition=Transition(id=transition)) for transition in transitions)
+        return all(self.call_service(ChangeState, "change_state", request).success for request in requests)
 
     def set_parameters(self, **values: Any) -> str:  # noqa: ANN401
         """Set parameters one by one; return the reason of the first rejection, or an empty string."""

@@ -7,14 +7,12 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from scara_effmass_msgs.msg import ForceBlock, Impact
@@ -28,7 +26,7 @@ from scara_effmass.values import ForceBlock as Block
 from scara_effmass.values import Impact as ImpactValue
 from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
-from test.nodes.conftest import NodeHarness
+from test.nodes.conftest import NodeHarness, ros_node, stamp_ns
 
 EXECUTABLE = Path(sys.executable).with_name("daq_node")
 DEEP = QoSProfile(depth=20_000)
@@ -64,11 +62,6 @@ def start_node(new_harness: Callable[..., NodeHarness], *arguments: str) -> Node
     return harness
 
 
-def change_state(harness: NodeHarness, transition: int) -> bool:
-    request = ChangeState.Request(transition=Transition(id=transition))
-    return bool(harness.call_service(ChangeState, "change_state", request).success)
-
-
 def write_recording(folder: Path, pulses: Sequence[float] = (0.6, 1.1)) -> Path:
     """Write 1.5 s of noise with half-sines of 2 ms and 100 N that start at `pulses` [s]."""
     path = folder / "force.mcap"
@@ -94,9 +87,9 @@ def test_simulated_force_is_complete_and_marked_simulated(
     harness.subscribe()
     topics = ForceTopics(harness)
     harness.spin_until(lambda: len(topics.blocks) >= 20 and len(topics.impacts) >= 2 and topics.wrenches)
-    harness.spin_until(lambda: stamp(topics.wrenches[-1]) - stamp(topics.wrenches[0]) > 1.5 * S)
+    harness.spin_until(lambda: stamp_ns(topics.wrenches[-1]) - stamp_ns(topics.wrenches[0]) > 1.5 * S)
     blocks = [decode_force_block(data) for data in topics.blocks]
-    harness.spin_until(lambda: stamp(topics.wrenches[-1]) >= blocks[-1].stamp_ns)
+    harness.spin_until(lambda: stamp_ns(topics.wrenches[-1]) >= blocks[-1].stamp_ns)
     now_ns = time.time_ns()
     for before, after in pairwise(blocks):
         assert after.first_sample == before.first_sample + len(before.force) + after.lost_samples
@@ -117,8 +110,8 @@ def test_simulated_force_is_complete_and_marked_simulated(
     assert all(decode_impact(data).simulated for data in topics.impacts)
     # Wrenches are samples of the blocks, 100 of them in a second.
     samples = {value for block in blocks for value in block.force.tolist()}
-    first = next(i for i, block in enumerate(blocks) if block.stamp_ns > stamp(topics.wrenches[0]))
-    some = [w for w in topics.wrenches if blocks[first].stamp_ns <= stamp(w) < blocks[-1].stamp_ns]
+    first = next(i for i, block in enumerate(blocks) if block.stamp_ns > stamp_ns(topics.wrenches[0]))
+    some = [w for w in topics.wrenches if blocks[first].stamp_ns <= stamp_ns(w) < blocks[-1].stamp_ns]
     assert {w.wrench.force.z for w in some} <= samples
     assert len(some) == pytest.approx(100 * (blocks[-1].stamp_ns - blocks[first].stamp_ns) / 1e9, rel=0.1)
     assert harness.diagnostic("daq: source", "samples lost by the device", bool).endswith("0")
@@ -126,18 +119,14 @@ def test_simulated_force_is_complete_and_marked_simulated(
     assert float(harness.diagnostic("daq: channel sim0", "samples published", bool).rpartition(" ")[2]) > 0
 
 
-def stamp(message: Any) -> int:  # noqa: ANN401 - any stamped message
-    return int(message.header.stamp.sec * S + message.header.stamp.nanosec)
-
-
 def test_live_impacts_equal_offline_impacts_of_the_published_blocks(new_harness: Callable[..., NodeHarness]) -> None:
     harness = start_node(new_harness, *SIM, "-p", "autostart:=false")
     topics = ForceTopics(harness)
-    assert change_state(harness, Transition.TRANSITION_CONFIGURE)
+    assert harness.change_state(Transition.TRANSITION_CONFIGURE)
     harness.spin_until(lambda: harness.node.count_publishers("force") and harness.node.count_publishers("impact"))
-    assert change_state(harness, Transition.TRANSITION_ACTIVATE)
+    assert harness.change_state(Transition.TRANSITION_ACTIVATE)
     harness.spin_until(lambda: len(topics.impacts) >= 5)
-    assert change_state(harness, Transition.TRANSITION_DEACTIVATE)
+    assert harness.change_state(Transition.TRANSITION_DEACTIVATE)
     live = [decode_impact(data) for data in topics.impacts]
 
     def offline_impacts() -> list[ImpactValue]:
@@ -172,15 +161,15 @@ def test_reset_tares(new_harness: Callable[..., NodeHarness]) -> None:
 def test_inactive_node_publishes_and_acquires_nothing(new_harness: Callable[..., NodeHarness]) -> None:
     harness = start_node(new_harness, *SIM, "-p", "autostart:=false")
     topics = ForceTopics(harness)
-    assert change_state(harness, Transition.TRANSITION_CONFIGURE)
+    assert harness.change_state(Transition.TRANSITION_CONFIGURE)
     harness.spin_until(lambda: harness.node.count_publishers("force"))
     answer = harness.call_service(Trigger, "reset", Trigger.Request())
     assert (answer.success, answer.message) == (False, "refused: no acquisition is running")
     assert not topics.blocks
     for times in (1, 2):
-        assert change_state(harness, Transition.TRANSITION_ACTIVATE)
+        assert harness.change_state(Transition.TRANSITION_ACTIVATE)
         harness.spin_until(partial(has_restarted, topics, times))
-        assert change_state(harness, Transition.TRANSITION_DEACTIVATE)
+        assert harness.change_state(Transition.TRANSITION_DEACTIVATE)
 
 
 def has_restarted(topics: ForceTopics, times: int) -> bool:
@@ -197,9 +186,9 @@ def test_stop_at_end_plays_the_recording_and_ends_the_process(
     words = ["-p", "source:=bag", "-p", f"bag.path:={write_recording(tmp_path)}", "-p", "stop_at_end:=true"]
     words += ["-p", "bag.rate:=0.0", "-p", "autostart:=false"]
     process = harness.start("--ros-args", *words, command=[str(EXECUTABLE)])
-    assert change_state(harness, Transition.TRANSITION_CONFIGURE)
+    assert harness.change_state(Transition.TRANSITION_CONFIGURE)
     harness.spin_until(lambda: harness.node.count_publishers("force") and harness.node.count_publishers("impact"))
-    assert change_state(harness, Transition.TRANSITION_ACTIVATE)
+    assert harness.change_state(Transition.TRANSITION_ACTIVATE)
     harness.process_may_end = True
     harness.spin_until(lambda: len(topics.blocks) == 15 and len(topics.impacts) == 2)
     process.communicate()
@@ -214,18 +203,12 @@ def test_stop_at_end_plays_the_recording_and_ends_the_process(
 
 def test_stuck_subscriber_does_not_delay_others(new_harness: Callable[..., NodeHarness]) -> None:
     harness = start_node(new_harness, *SIM)
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=harness.domain, signal_handler_options=SignalHandlerOptions.NO)
-    asleep = rclpy.create_node("asleep", context=context)
-    asleep.create_subscription(ForceBlock, "force", print, QoSProfile(depth=1))  # never spun
-    topics = ForceTopics(harness)
-    try:
+    with ros_node("asleep", domain=harness.domain) as asleep:
+        asleep.create_subscription(ForceBlock, "force", print, QoSProfile(depth=1))  # never spun
+        topics = ForceTopics(harness)
         harness.spin_until(lambda: harness.node.count_subscribers("force") == 2)
         topics.blocks.clear()
         harness.spin_until(lambda: len(topics.blocks) >= 20)
-    finally:
-        asleep.destroy_node()
-        context.try_shutdown()
     blocks = [decode_force_block(data) for data in topics.blocks]
     assert blocks[-1].first_sample - blocks[0].first_sample == sum(len(block.force) for block in blocks[:-1])
 

@@ -5,12 +5,9 @@ import signal
 from collections.abc import Iterator
 
 import pytest
-import rclpy
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import Float64
@@ -19,7 +16,7 @@ from scara_effmass.nodes.monitor_client import MonitorClient
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import ContactAssessment, Verdict
 from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from
-from test.nodes.conftest import TIMEOUT_S
+from test.nodes.conftest import TIMEOUT_S, ros_node
 
 NS = 1_000_000_000
 DEEP = QoSProfile(depth=1000)
@@ -30,13 +27,10 @@ Cycle = tuple[tuple[ContactAssessment, ...], int]
 class FakeMonitor:
     """Publishes on the monitor's topics and on /clock on request."""
 
-    def __init__(self, context: Context) -> None:
-        self.node = Node("monitor", context=context)
-        self._contact_state = self.node.create_publisher(ContactState, "contact_state", DEEP)
-        self._scalars = [
-            self.node.create_publisher(Float64, name, DEEP) for name in ("allowable_speed", "speed_scaling")
-        ]
-        self._clock = self.node.create_publisher(Clock, "/clock", DEEP)
+    def __init__(self, node: Node) -> None:
+        self._contact_state = node.create_publisher(ContactState, "contact_state", DEEP)
+        self._scalars = [node.create_publisher(Float64, name, DEEP) for name in ("allowable_speed", "speed_scaling")]
+        self._clock = node.create_publisher(Clock, "/clock", DEEP)
 
     def publish(self, *contacts: ContactAssessment, scalars: tuple[float, float] = (0.5, 0.25)) -> None:
         for contact in contacts:
@@ -75,12 +69,8 @@ def watchdog_contact(reason: str, stamp_ns: int, age: float) -> ContactAssessmen
 
 @pytest.fixture
 def monitor(own_domain: int) -> Iterator[FakeMonitor]:  # noqa: ARG001
-    context = Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    fake = FakeMonitor(context)
-    yield fake
-    fake.node.destroy_node()
-    context.try_shutdown()
+    with ros_node("monitor") as node:
+        yield FakeMonitor(node)
 
 
 def test_contact_state_message_is_decoded_unchanged() -> None:

@@ -9,7 +9,6 @@ from functools import partial
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
 from scara_effmass_msgs.msg import ContactState
@@ -29,12 +28,6 @@ ONE_LINK = """<robot name="one_link"><link name="base"/>
   <joint name="hinge" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
     <limit lower="-3" upper="3" velocity="3" effort="9"/></joint>
   <joint name="flange" type="fixed"><parent link="arm"/><child link="tip"/><origin xyz="0.5 0 0"/></joint></robot>"""
-
-
-def change(harness: NodeHarness, *transitions: int) -> None:
-    for transition in transitions:
-        request = ChangeState.Request(transition=Transition(id=transition))
-        assert harness.call_service(ChangeState, "change_state", request).success
 
 
 def _first(received: list[DiagnosticArray]) -> DiagnosticArray | None:
@@ -74,7 +67,7 @@ def test_last_message_before_the_end_is_unknown(
     contact = answer(harness, ContactState.OK)
     assert contact.allowable_speed > 0.0
     if isinstance(end, list):
-        change(harness, *end)
+        assert harness.change_state(*end)
     else:
         harness.process_may_end = True
         assert harness.process is not None
@@ -99,7 +92,7 @@ def test_deactivation_leaves_latch_and_debounce_alone(new_harness: Callable[...,
     harness = new_harness(*PATIENT, "-p", "latch:=true")
     harness.subscribe()
     answer(harness, ContactState.OK)
-    change(harness, Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE)
+    assert harness.change_state(Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE)
     harness.spin_until(lambda: harness.contact_states[-1].watchdog)
     answer(harness, ContactState.OK)
     assert {c.verdict for c in harness.contact_states} == {ContactState.OK}
@@ -164,8 +157,8 @@ def test_latch_survives_a_new_robot_and_cleanup_and_ends_by_reset(new_harness: C
     assert latched_answer().startswith("robot_description: ")
     descriptions.publish(String(data=ONE_LINK))
     harness.spin_until(lambda: latched_answer().startswith("latched until reset: tip: robot_description: "))
-    change(harness, Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP)
-    change(harness, Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE)
+    assert harness.change_state(Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP)
+    assert harness.change_state(Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE)
     harness.spin_until(lambda: latched_answer().startswith("latched until reset: tip: robot_description: "))
     response = harness.call_service(Trigger, "reset", Trigger.Request())
     assert response.message.startswith("cleared: UNKNOWN: robot_description: ")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetState
+from lifecycle_msgs.srv import GetState
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -37,11 +37,6 @@ FREE_TEXT = {"robot", "contact_normal", "contact_normal_frame"}
 READ_ONLY_NAMES = {name for name, field in flat_fields(MonitorSettings).items() if field.json_schema_extra == READ_ONLY}
 
 
-def change(harness: NodeHarness, transition: int) -> bool:
-    request = ChangeState.Request(transition=Transition(id=transition))
-    return bool(harness.call_service(ChangeState, "change_state", request).success)
-
-
 def label(harness: NodeHarness) -> str:
     return str(harness.call_service(GetState, "get_state", GetState.Request()).current_state.label)
 
@@ -51,13 +46,13 @@ class TestLifecycle:
         harness = new_harness("--ros-args", "-p", "autostart:=false", "-p", "timeout:=60.0", "-p", "release_time:=0.0")
         harness.subscribe()
         assert label(harness) == "unconfigured"
-        assert change(harness, Transition.TRANSITION_CONFIGURE)
+        assert harness.change_state(Transition.TRANSITION_CONFIGURE)
         assert label(harness) == "inactive"
         harness.send(joint_state())
         harness.spin_until(lambda: harness.node.count_subscribers("joint_states") == 1)
         harness.send(joint_state())
         assert label(harness) == "inactive"  # the joint state has arrived by now
-        assert change(harness, Transition.TRANSITION_ACTIVATE)
+        assert harness.change_state(Transition.TRANSITION_ACTIVATE)
         assert harness.contact_states == []
         harness.send_until_ok()
 
@@ -65,25 +60,25 @@ class TestLifecycle:
         assert harness.set_parameters(timeout=0.05) == ""
         harness.spin_until(lambda: harness.contact_states[-1].reason.startswith("no joint state for "), timeout_s=14.0)
 
-        assert change(harness, Transition.TRANSITION_DEACTIVATE)
+        assert harness.change_state(Transition.TRANSITION_DEACTIVATE)
         harness.discard_received()
         harness.send(joint_state())
         assert label(harness) == "inactive"
         assert harness.contact_states == []
         assert harness.set_parameters(timeout=60.0) == ""
         assert harness.contact_states == []
-        assert change(harness, Transition.TRANSITION_CLEANUP)
+        assert harness.change_state(Transition.TRANSITION_CLEANUP)
         assert label(harness) == "unconfigured"
         for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-            assert change(harness, transition)
+            assert harness.change_state(transition)
         harness.send_until_ok()
-        assert change(harness, Transition.TRANSITION_ACTIVE_SHUTDOWN)
+        assert harness.change_state(Transition.TRANSITION_ACTIVE_SHUTDOWN)
         assert label(harness) == "finalized"
         assert harness.node.count_publishers("contact_state") == 0
 
     def test_invalid_transition_is_refused_and_the_node_continues(self, harness: NodeHarness) -> None:
         for transition in (Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_CONFIGURE, 99):
-            assert not change(harness, transition)
+            assert not harness.change_state(transition)
         assert label(harness) == "active"
         harness.send_until_ok()
 
@@ -92,10 +87,10 @@ class TestLifecycle:
     ) -> None:
         robot = tmp_path / "robot.yaml"
         harness = new_harness("--ros-args", "-p", "autostart:=false", "-p", f"robot:={robot}")
-        assert not change(harness, Transition.TRANSITION_CONFIGURE)
+        assert not harness.change_state(Transition.TRANSITION_CONFIGURE)
         assert label(harness) == "unconfigured"
         robot.write_bytes(share("config", "omron_i4_550l.yaml").read_bytes())
-        assert change(harness, Transition.TRANSITION_CONFIGURE)
+        assert harness.change_state(Transition.TRANSITION_CONFIGURE)
         assert harness.process is not None
         harness.process.send_signal(signal.SIGINT)
         output, errors = harness.process.communicate()

@@ -5,20 +5,18 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
-import rclpy
-from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from scara_effmass_msgs.msg import ForceBlock
@@ -33,28 +31,21 @@ from scara_effmass.nodes import topic_recorder
 from scara_effmass.nodes.record import RecordReport, record
 from scara_effmass.nodes.topic_recorder import TopicRecorder
 from scara_effmass.wire.message_types import message_class, message_definition
+from test.nodes.conftest import TIMEOUT_S, ros_node
 
-TIMEOUT_S = 120.0
 DEEP = QoSProfile(depth=1000)
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class Rig:
-    """A publishing node in a context of its own, and a recorder."""
+    """A publishing node and a recorder."""
 
-    def __init__(self, bag: Path, namespace: str) -> None:
-        context = Context()
-        rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node("publisher", context=context, namespace=namespace)
+    def __init__(self, bag: Path, node: Node) -> None:
+        self.node = node
         self.bag = bag
         self.warnings: list[str] = []
         self.report: RecordingReport | None = None
-        self._context = context
-
-    def close(self) -> None:
-        self.node.destroy_node()
-        self._context.try_shutdown()
 
     def recorded(self, *topics: str) -> int:
         """Return the number of messages so far, of `topics` (none: all)."""
@@ -86,15 +77,8 @@ class Rig:
 
 @pytest.fixture
 def make_rig(tmp_path: Path, own_domain: int) -> Iterator[Callable[..., Rig]]:  # noqa: ARG001 - sets the domain
-    rigs: list[Rig] = []
-
-    def make(namespace: str = "/") -> Rig:
-        rigs.append(Rig(tmp_path / "bag", namespace))
-        return rigs[-1]
-
-    yield make
-    for rig in rigs:
-        rig.close()
+    with ExitStack() as stack:
+        yield lambda namespace="/": Rig(tmp_path / "bag", stack.enter_context(ros_node("publisher", namespace)))
 
 
 @pytest.fixture

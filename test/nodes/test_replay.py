@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from functools import partial
 from itertools import dropwhile, pairwise
 from pathlib import Path
@@ -17,18 +18,14 @@ from typing import Any, final
 
 import numpy as np
 import pytest
-import rclpy
 from builtin_interfaces.msg import Time
 from hypothesis import given
 from hypothesis import strategies as st
-from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
@@ -46,7 +43,7 @@ from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
 from scara_effmass.wire.topics import READINESS
 from test.bags.messages import serialized
-from test.nodes.conftest import JOINTS, TIMEOUT_S
+from test.nodes.conftest import JOINTS, TIMEOUT_S, ros_node
 
 START_NS = 1_767_225_600_000_000_000
 MS = 1_000_000
@@ -116,9 +113,8 @@ class Receiver:
         self._changed = threading.Condition()
         self._matched = threading.Event()
         self._stop = Future()
-        self._context = Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("receiver", context=self._context)
+        self._stack = ExitStack()
+        self._node = self._stack.enter_context(ros_node("receiver"))
         self._answering = answers
         self._answers: Publisher | None = None
         # Subscribe to the joint states last: a replay that has matched them has matched the other topics.
@@ -135,7 +131,7 @@ class Receiver:
         if readiness is not None:
             reports = self._node.create_publisher(NodeReadiness, READINESS, DEEP)
             self._node.create_timer(0.05, lambda: reports.publish(readiness))
-        self._executor = EventsExecutor(context=self._context)
+        self._executor = EventsExecutor(context=self._node.context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin)
         self._thread.start()
@@ -172,8 +168,7 @@ class Receiver:
         self._executor.wake()
         self._thread.join()
         self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._stack.close()
 
     def _spin(self) -> None:
         self._executor.spin_until_future_complete(self._stop, timeout_sec=1e6)

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from rclpy.node import Node
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from test.nodes.conftest import ros_node
 
 SCHEMAS = Path(__file__).parents[2] / "msg_schemas/msg"
 
@@ -54,12 +55,8 @@ def test_contract_names_every_message() -> None:
 
 @pytest.fixture
 def node(own_domain: int) -> Iterator[Node]:  # noqa: ARG001 - isolates the node
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node("type_hashes", context=context)
-    yield node
-    node.destroy_node()
-    rclpy.shutdown(context=context)
+    with ros_node("type_hashes") as node:
+        yield node
 
 
 @pytest.mark.parametrize("name", CONTRACT)

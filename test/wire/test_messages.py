@@ -38,7 +38,8 @@ WITH_NAME = {"stamp_ns": STAMP_NS, "tare_stamp_ns": STAMP_NS, "true_onset_ns": S
 def values_of(kind: Any, **fields: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:  # noqa: ANN401 - a named tuple
     """Return values with any content, and with that of `fields`."""
     fields = WITH_NAME | fields
-    return st.builds(kind, **{name: fields.get(name, OF_TYPE.get(of)) for name, of in get_type_hints(kind).items()})
+    types = get_type_hints(kind).items()
+    return st.builds(kind, **{name: fields[name] if name in fields else OF_TYPE[of] for name, of in types})
 
 
 @st.composite
@@ -211,7 +212,8 @@ def test_contact_states_are_read_by_rclpy_and_rosbags(contacts: list[ContactAsse
     for contact in (contact._replace(contact_point=point) for contact in contacts):
         data = encoder.encode(contact)
         of_ros = deserialize_message(data, msg.ContactState)
-        for message in (of_ros, known_types().deserialize_cdr(data, CONTACT_STATE)):
+        of_rosbags: Any = known_types().deserialize_cdr(data, CONTACT_STATE)
+        for message in (of_ros, of_rosbags):
             assert text(value_in(message, contact)) == text(contact)
             assert message.header.frame_id == frame_id
         assert len(data) == len(serialize_message(of_ros))
