@@ -345,6 +345,42 @@ examples:
         FORCE,
         JSON,
     ),
+    "evidence": Command(
+        "simulate random impacts at the allowed speed: is the limit kept?",
+        """\
+A SCARA, two arms with six axes and one with seven hit a free plate with random motions, regions and plate normals, with
+joints free and on a servo, each at exactly the speed that the monitor allows (MuJoCo); nothing is measured. DIR gets
+impacts.csv, with a row for each impact and setting, report.html, summary.json, and a figure as PNG and SVG. Existing
+impacts of the same seed and version are kept, so an interrupted run can be resumed. 10 000 impacts take about half an
+hour on two cores.
+
+examples:
+  scara-effmass evidence -o out/evidence
+  scara-effmass evidence -o out/short --impacts 200 --seed 7 --json
+""",
+        output("DIR", "folder for table and report"),
+        Option(
+            "--impacts",
+            "number of impacts (default: 10000)",
+            "N",
+            number("a whole number from 1", lambda count: count >= 1, int),
+            default=10_000,
+        ),
+        Option(
+            "--seed",
+            "random seed (default: 1)",
+            kind=number("a whole number from 0", lambda seed: seed >= 0, int),
+            default=1,
+        ),
+        Option(
+            "--jobs",
+            "number of processes (default: one per core)",
+            "J",
+            number("a whole number from 1", lambda jobs: jobs >= 1, int),
+        ),
+        FORCE,
+        JSON,
+    ),
     "limits": Command(
         "print the body-region limits and the allowable speeds",
         """\

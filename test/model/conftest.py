@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 OMRON = REPOSITORY / "config" / "omron_i4_550l.yaml"
-TEST_ROBOTS = REPOSITORY / "test" / "robots"
+ROBOT_FOLDERS = (REPOSITORY / "test" / "robots", REPOSITORY / "config" / "robots")
 
 
 @pytest.fixture(scope="session")
@@ -80,10 +80,11 @@ def along() -> Callable[..., EffectiveMasses]:
 
 @pytest.fixture(scope="session")
 def load_urdf_file() -> Callable[..., Robot]:
-    """Load a URDF of `test/robots` with the monitor settings given by keyword."""
+    """Load a URDF of `test/robots` or `config/robots` with the monitor settings given by keyword."""
 
     def load(name: str, **options: object) -> Robot:
-        return load_robot(TEST_ROBOTS / name, MonitorSettings.model_validate(options))
+        (path,) = (folder / name for folder in ROBOT_FOLDERS if (folder / name).exists())
+        return load_robot(path, MonitorSettings.model_validate(options))
 
     return load
 

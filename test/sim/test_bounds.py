@@ -9,37 +9,33 @@ import numpy as np
 import pytest
 
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.share import share
+from scara_effmass.sim.plate_sim import JointServo
+from scara_effmass.sim.random_impacts import NOW_NS, TINY, MonitoredArm, arm_of
 from scara_effmass.values import JointState, Verdict
 
 SWEEPS: Any = SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "bounds.py")))
 TOLERANCE = 1.005
 REGIONS = ["lower_leg", "chest", "hand_fingers"]
-NOW = SWEEPS.NOW
 
 
-@pytest.fixture(scope="module")
-def scara() -> Any:  # noqa: ANN401
-    return SWEEPS.Arm(SWEEPS.SCARA)
+@pytest.fixture(params=["i4-550L", "UR5", "UR10"])
+def arm(request: pytest.FixtureRequest) -> MonitoredArm:
+    return arm_of(request.param)
 
 
-@pytest.fixture(scope="module")
-def ur5() -> Any:  # noqa: ANN401
-    return SWEEPS.Arm(SWEEPS.ROBOTS / "ur5_robot.urdf")
+@pytest.fixture
+def scara() -> MonitoredArm:
+    return arm_of("i4-550L")
 
 
-@pytest.fixture(scope="module")
-def ur10() -> Any:  # noqa: ANN401
-    return SWEEPS.Arm(SWEEPS.ROBOTS / "ur10_robot.urdf", 0.1)
-
-
-@pytest.fixture(params=["scara", "ur5", "ur10"])
-def arm(request: pytest.FixtureRequest) -> Any:  # noqa: ANN401
-    return request.getfixturevalue(request.param)
+@pytest.fixture
+def ur5() -> MonitoredArm:
+    return arm_of("UR5")
 
 
 @pytest.mark.parametrize("region", REGIONS)
-def test_worst_normal_reaches_the_limit_and_does_not_exceed_it(arm: Any, region: str) -> None:  # noqa: ANN401
+def test_worst_normal_reaches_the_limit_and_does_not_exceed_it(arm: MonitoredArm, region: str) -> None:
     rng = np.random.default_rng(1)
     held = SWEEPS.contacts(arm, region, 30, rng, pace=SWEEPS.HELD)[:, 0]
     assert held.min() > 0.995
@@ -47,20 +43,20 @@ def test_worst_normal_reaches_the_limit_and_does_not_exceed_it(arm: Any, region:
 
 
 @pytest.mark.parametrize("region", REGIONS)
-def test_no_random_plate_exceeds_the_limit(arm: Any, region: str) -> None:  # noqa: ANN401
+def test_no_random_plate_exceeds_the_limit(arm: MonitoredArm, region: str) -> None:
     rng = np.random.default_rng(2)
     assert SWEEPS.contacts(arm, region, 30, rng, plate="random", pace=SWEEPS.HELD)[:, 0].max() < TOLERANCE
 
 
 @pytest.mark.parametrize("region", REGIONS)
-def test_allowed_speed_itself_keeps_the_limit_while_the_joints_hardly_turn(scara: Any, region: str) -> None:  # noqa: ANN401
+def test_allowed_speed_itself_keeps_the_limit_while_the_joints_hardly_turn(scara: MonitoredArm, region: str) -> None:
     ratio, turn = SWEEPS.contacts(scara, region, 60, np.random.default_rng(3)).T
     assert abs(np.median(ratio) - 1.0) < 0.002
     assert ratio[turn <= SWEEPS.SMALL_TURN].max() < TOLERANCE
 
 
 @pytest.mark.parametrize(("region", "median"), [("lower_leg", 1.1), ("chest", 1.1), ("hand_fingers", 1.005)])
-def test_normal_along_the_velocity_allows_too_much(scara: Any, region: str, median: float) -> None:  # noqa: ANN401
+def test_normal_along_the_velocity_allows_too_much(scara: MonitoredArm, region: str, median: float) -> None:
     rng = np.random.default_rng(4)
     ratio = SWEEPS.contacts(scara, region, 30, rng, contact_normal="velocity", pace=SWEEPS.HELD)[:, 0]
     assert np.median(ratio) > median
@@ -70,8 +66,8 @@ def test_normal_along_the_velocity_allows_too_much(scara: Any, region: str, medi
 
 @pytest.mark.parametrize("bandwidth", [1.0, 5.0, 20.0])
 @pytest.mark.parametrize("region", ["abdomen", "chest", "lower_leg"])
-def test_servo_that_pushes_on_stays_within_its_bound(arm: Any, region: str, bandwidth: float) -> None:  # noqa: ANN401
-    options = {"pushing": SWEEPS.Servo(bandwidth), "pace": SWEEPS.HELD}
+def test_servo_that_pushes_on_stays_within_its_bound(arm: MonitoredArm, region: str, bandwidth: float) -> None:
+    options = {"pushing": JointServo(bandwidth), "pace": SWEEPS.HELD}
     rng = np.random.default_rng(5)
     servo = {"bandwidth": bandwidth}
     bounded = SWEEPS.contacts(arm, region, 4, rng, drives="servo", servo=servo, **options)[:, 0]
@@ -81,8 +77,8 @@ def test_servo_that_pushes_on_stays_within_its_bound(arm: Any, region: str, band
     assert free.min() > 1.0
 
 
-def test_immovable_bounds_every_servo(scara: Any) -> None:  # noqa: ANN401
-    pushing = SWEEPS.Servo(60.0)
+def test_immovable_bounds_every_servo(scara: MonitoredArm) -> None:
+    pushing = JointServo(60.0)
     rng = np.random.default_rng(6)
     ratio = SWEEPS.contacts(scara, "abdomen", 6, rng, pushing=pushing, drives="immovable", pace=SWEEPS.HELD)[:, 0]
     assert ratio.max() < TOLERANCE
@@ -92,8 +88,9 @@ def test_immovable_bounds_every_servo(scara: Any) -> None:  # noqa: ANN401
 @pytest.mark.parametrize("coupled", [True, False])
 def test_effort_limits_bound_the_push_of_stiff_drives(coupled: bool) -> None:  # noqa: FBT001
     effort = (4.0, 2.0, 15.0, 0.5)
-    arm = SWEEPS.Arm(SWEEPS.SCARA, effort=effort)
-    pushing = SWEEPS.Servo(20.0, 0.7, coupled)
+    arm = MonitoredArm(share("config", "omron_i4_550l.yaml"))
+    arm.dynamics.robot.model.effortLimit = np.array(effort)
+    pushing = JointServo(20.0, 0.7, coupled)
     settings = {"drives": "servo", "servo": {"bandwidth": 1000.0}}
     held = SWEEPS.contacts(arm, "chest", 30, np.random.default_rng(7), pushing=pushing, pace=SWEEPS.HELD, **settings)[
         :, 0
@@ -101,12 +98,12 @@ def test_effort_limits_bound_the_push_of_stiff_drives(coupled: bool) -> None:  #
     assert held.max() < TOLERANCE
 
 
-def test_clamping_force_is_that_of_a_linear_programme(ur5: Any) -> None:  # noqa: ANN401
+def test_clamping_force_is_that_of_a_linear_programme(ur5: MonitoredArm) -> None:
     rng = np.random.default_rng(8)
     forces = []
     for _ in range(200):
-        q, qd = ur5.draw(rng)
-        velocity = ur5.kinematics(q)[0] @ qd
+        q, qd = SWEEPS.draw(ur5, rng, SWEEPS.settings_for())
+        velocity = ur5.sim.kinematics(q)[0] @ qd
         direction = velocity / np.linalg.norm(velocity)
         force = ur5.dynamics.clamping_force(q, 0, tuple(direction))
         assert force == pytest.approx(SWEEPS.clamping_force(ur5, q, direction), rel=1e-9, abs=1e-9)
@@ -114,26 +111,26 @@ def test_clamping_force_is_that_of_a_linear_programme(ur5: Any) -> None:  # noqa
     assert 200.0 < np.median(forces) < 500.0
 
 
-def assess(arm: Any, q: Any, qd: Any, **settings: object) -> Any:  # noqa: ANN401
-    monitor = Monitor(arm.dynamics, MonitorSettings.model_validate(SWEEPS.NO_MARGINS | settings))
-    decision = monitor.assess(JointState(NOW, arm.names, q, qd), NOW)
+def assess(arm: MonitoredArm, q: Any, qd: Any, **settings: object) -> Any:  # noqa: ANN401
+    monitor = Monitor(arm.dynamics, SWEEPS.settings_for(**settings))
+    decision = monitor.assess(JointState(NOW_NS, arm.dynamics.robot.joint_names, q, qd), NOW_NS)
     assert decision is not None
     return decision
 
 
 @pytest.mark.parametrize("speed", [0.0, 1e-3, 0.05, 0.2])
-def test_clamping_by_a_ur5_is_a_violation_at_any_speed(ur5: Any, speed: float) -> None:  # noqa: ANN401
+def test_clamping_by_a_ur5_is_a_violation_at_any_speed(ur5: MonitoredArm, speed: float) -> None:
     rng = np.random.default_rng(9)
     clamped = {"contact": "quasi_static", "body_regions": ["hand_fingers"]}
     for _ in range(10):
-        q, qd = ur5.draw(rng)
-        velocity = ur5.kinematics(q)[0] @ qd
+        q, qd = SWEEPS.draw(ur5, rng, SWEEPS.settings_for())
+        velocity = ur5.sim.kinematics(q)[0] @ qd
         length = np.linalg.norm(velocity)
         if SWEEPS.clamping_force(ur5, q, velocity / length) <= 140.0:
             continue
-        qd = qd * speed / length + SWEEPS.TINY
+        qd = qd * speed / length + TINY
         decision = assess(ur5, q, qd, **clamped)
-        (contact,) = decision.contacts
+        contact = decision.contacts[0]
         assert contact.verdict is Verdict.VIOLATION
         assert "the drives can clamp with" in contact.reason
         assert (decision.allowable_speed, decision.speed_scaling) == (0.0, 0.0)
@@ -142,30 +139,31 @@ def test_clamping_by_a_ur5_is_a_violation_at_any_speed(ur5: Any, speed: float) -
         assert monitored.clamping_force == 139.0
 
 
-def test_clamping_without_effort_limits_is_unknown(scara: Any) -> None:  # noqa: ANN401
-    q, qd = scara.draw(np.random.default_rng(10))
+def test_clamping_without_effort_limits_is_unknown(scara: MonitoredArm) -> None:
+    q, qd = SWEEPS.draw(scara, np.random.default_rng(10), SWEEPS.settings_for())
     decision = assess(scara, q, qd, contact="quasi_static")
     assert decision.contacts[0].verdict is Verdict.UNKNOWN
     assert decision.contacts[0].reason.startswith("the clamping force is unknown")
     assert decision.allowable_speed == 0.0
 
 
-def test_tool_at_its_limit_does_not_allow_too_fast_an_elbow(scara: Any) -> None:  # noqa: ANN401
+def test_tool_at_its_limit_does_not_allow_too_fast_an_elbow(scara: MonitoredArm) -> None:
     """Where the elbow is above its own limit, speed and scaling are those that bring it back to it."""
     rng = np.random.default_rng(11)
     options = {"body_regions": ["hand_fingers"], "contact_normal": "velocity"}
     too_fast = 0
     for _ in range(100):
-        q, qd = scara.draw(rng, **options)
-        qd[2] = SWEEPS.TINY  # horizontal
-        alone = scara.assess(q, qd, **options)
-        qd *= alone.allowable_speed / alone.speed
+        q, creep = scara.draw_motion(rng)
+        creep[2] = TINY  # horizontal
+        qd = scara.allowed(q, creep, SWEEPS.settings_for(**options))
+        if qd is None:
+            continue
         decision = assess(scara, q, qd, **options)
         if decision.contacts[0].verdict is Verdict.UNKNOWN:  # a joint is above its speed limit
             continue
         tool, elbow = decision.contacts
         assert (tool.contact_point, elbow.contact_point) == ("tool", "elbow")
-        assert tool.margin == pytest.approx(0.0, abs=1e-9)
+        assert tool.margin == pytest.approx(0.0, abs=1e-8)
         assert decision.allowable_speed == min(tool.allowable_speed, elbow.allowable_speed)
         if elbow.margin > -1e-9:
             continue

@@ -1,0 +1,62 @@
+"""The table of random impacts: a CSV file that grows impact by impact, so that an interrupted run can be resumed."""
+
+import signal
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+from scara_effmass.errors import OutputError
+from scara_effmass.sim.random_impacts import Row, simulate
+
+
+def extend_table(path: Path, seed: int, impacts: int, jobs: int = 1) -> Iterator[int]:
+    """Append random impacts of the series `seed` to the CSV file `path` until it has `impacts`; yield their number.
+
+    The last impact of an existing table is simulated again and must be the same: the result is that of a run without
+    interruption. `jobs` processes simulate; call it in the main thread. Raises OutputError where the table is of
+    another seed or version, or cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a+", encoding="utf-8", newline="\n") as file:
+            file.seek(0)
+            lines = [line for line in file.read().splitlines(keepends=True) if line.endswith("\n")]
+            number = lines[-1].partition(",")[0] if lines else ""
+            last = int(number) if number.isdecimal() else 0
+            kept = [line for line in lines if not line.startswith(f"{last},")]
+            rows = simulate(seed, last)
+            header, again = ",".join(rows[0]) + "\n", _lines(rows)
+            if lines and (lines[0] != header or not again.startswith("".join(lines[len(kept) :]))):
+                raise OutputError(f"{path}: must be of this seed and version; choose another folder, or use --force")
+            file.truncate(sum(map(len, kept)))
+            file.write(again if kept else header + again)
+            file.flush()
+            yield last + 1
+            for index, rows in enumerate(_simulated(seed, range(last + 1, impacts), jobs), start=last + 1):
+                file.write(_lines(rows))
+                file.flush()
+                yield index + 1
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def _lines(rows: Iterable[Row]) -> str:
+    return "".join(",".join(map(str, row.values())) + "\n" for row in rows)
+
+
+def _simulated(seed: int, indices: Iterable[int], jobs: int) -> Iterator[list[Row]]:
+    """Yield the rows of each impact, in order."""
+    task = partial(simulate, seed)
+    if jobs == 1:
+        yield from map(task, indices)
+        return
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        # The workers inherit that they ignore Ctrl-C: this process ends them.
+        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            results = pool.map(task, indices)
+        finally:
+            signal.signal(signal.SIGINT, handler)
+        yield from results

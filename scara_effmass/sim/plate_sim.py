@@ -1,0 +1,209 @@
+"""Impact of an arm on a free plate: MuJoCo moves the arm, an explicit spring is the contact.
+
+MuJoCo reads the robot file by itself: mass matrix and kinematics are independent of the room `model`, which gives only
+the joints, their limits and where the contact points are. The plate has the mass m_H of the body part and moves along
+its normal only; there is no friction and no damping.
+"""
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree as ET
+
+import mujoco
+import numpy as np
+
+from scara_effmass.iso15066 import Limit
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.sim.cart import Cart
+from scara_effmass.sim.collision_sim import sim_mjcf
+from scara_effmass.values import FloatArray
+
+PHASE_STEP = 0.04
+"""Time step times the angular frequency of contact or servo, the larger one; the error of the peak is below 2e-4."""
+MAX_STEP_S = 2e-3
+"""Longest time step without contact."""
+PUSH_S = 0.5
+"""Time for which drives push on: the longest transient contact of ISO/TS 15066."""
+GRAVITY = -9.81
+_CART = Cart((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0)
+
+
+class JointServo(NamedTuple):
+    """Position control in joint space whose reference moves on at constant velocity; it carries the weight.
+
+    `bandwidth` [Hz] and `damping` ratio. `coupled`: computed torque, else an independent controller per joint, tuned to
+    the inertia of its joint at the start.
+    """
+
+    bandwidth: float
+    damping: float = 0.7
+    coupled: bool = True
+
+
+class Peak(NamedTuple):
+    """Peak `force` [N], its time after the first touch [s], and the largest turn of a joint until then [rad, m]."""
+
+    force: float
+    time: float
+    turn: float
+
+
+class PlateSim:
+    """An arm that touches a plate with one of its contact points."""
+
+    def __init__(self, path: Path, dynamics: RobotDynamics) -> None:
+        """Load the robot file `path` of `dynamics`, a URDF or a DH file."""
+        self._robot = robot = dynamics.robot
+        self.n = robot.model.nv
+        if path.suffix == ".yaml":
+            mjcf, _ = sim_mjcf(path, _CART)
+            self.model = mujoco.MjModel.from_xml_string(mjcf)
+        else:
+            self.model = _urdf_model(path, robot.joint_names)
+        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        self.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+        self.model.dof_armature[: self.n] = robot.model.armature
+        self.model.dof_damping[:] = 0.0
+        self.data = mujoco.MjData(self.model)
+        self._nominal = self.model.body_mass.copy(), self.model.body_inertia.copy(), self.model.dof_armature.copy()
+        self._row = np.zeros((3, self.model.nv))
+        frames = [robot.model.frames[frame] for frame in robot.contact_frames.values()]
+        self._points = [
+            (int(self.model.jnt_bodyid[frame.parentJoint - 1]), np.array(frame.placement.translation))
+            for frame in frames
+        ]
+
+    def scale_masses(self, factors: FloatArray) -> None:
+        """Multiply mass, inertia and armature behind each joint by `factors` (n,)."""
+        mass, inertia, armature = self._nominal
+        by_joint = np.ones(self.model.nv + 1)  # the last one is that of the base
+        by_joint[: self.n] = factors
+        by_body = by_joint[self.model.body_dofadr[self.model.body_weldid]]
+        self.model.body_mass[:] = mass * by_body
+        self.model.body_inertia[:] = inertia * by_body[:, None]
+        self.model.dof_armature[:] = armature * by_joint[:-1]
+        mujoco.mj_setConst(self.model, self.data)
+
+    def kinematics(self, q: FloatArray, point: int = 0) -> tuple[FloatArray, FloatArray]:
+        """Return J_v (3, n) of contact point number `point`, and the mass matrix (n, n), at `q` (n,)."""
+        self.data.qpos[: self.n] = q
+        mujoco.mj_fwdPosition(self.model, self.data)
+        full = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, self.data, full)
+        return self._jacobian(point)[:, : self.n].copy(), full[: self.n, : self.n]
+
+    def gravity(self, q: FloatArray) -> FloatArray:
+        """Return the joint torques (n,) of the weight at `q` (n,) [N m, N]."""
+        self.model.opt.gravity[2] = GRAVITY
+        self.data.qpos[: self.n], self.data.qvel[:] = q, 0.0
+        mujoco.mj_forward(self.model, self.data)
+        return np.array(self.data.qfrc_bias[: self.n])
+
+    def worst_normal(self, q: FloatArray, qd: FloatArray, obstacle_mass: float, point: int = 0) -> FloatArray:
+        """Return the unit normal (3,) along (A + I / m_H)^-1 v, where free joints give the largest force."""
+        jacobian, mass_matrix = self.kinematics(q, point)
+        mobility = jacobian @ np.linalg.solve(mass_matrix, jacobian.T)
+        normal = np.linalg.solve(mobility + np.eye(3) / obstacle_mass, jacobian @ qd)
+        return np.asarray(normal / np.linalg.norm(normal))
+
+    def touch(
+        self,
+        q: FloatArray,
+        qd: FloatArray,
+        normal: FloatArray,
+        limit: Limit,
+        servo: JointServo | None = None,
+        point: int = 0,
+        pace: float = 1.0,
+        phase_step: float = PHASE_STEP,
+    ) -> Peak:
+        """Return the peak of the force on a plate with the unit `normal` (3,) that contact point `point` touches.
+
+        Stiffness and mass are those of `limit`. Without `servo` the joints are free, weightless, and the contact ends
+        with the first separation. With `pace` below 1 velocities, effort limits and weight are smaller and the peak is
+        scaled up: the arm stays in the pose of the first touch.
+        """
+        n, model, data, k = self.n, self.model, self.data, limit.stiffness_n_m
+        mujoco.mj_resetData(model, data)
+        jacobian, mass_matrix = self.kinematics(q, point)
+        row = normal @ jacobian
+        rate = math.sqrt(k * (row @ np.linalg.solve(mass_matrix, row) + 1.0 / limit.obstacle_mass_kg))
+        coarse, duration = 0.0, 4.0 / rate
+        model.opt.gravity[2] = 0.0
+        start = data.qpos.copy()
+        velocity, gains, effort = np.zeros((3, model.nv))
+        velocity[:n], effort[:n] = qd * pace, self._robot.effort_limits * pace
+        if servo is not None:
+            w = 2.0 * math.pi * servo.bandwidth
+            rate, coarse, duration = max(rate, w), min(phase_step / w, MAX_STEP_S), PUSH_S
+            gains[:n] = np.diag(mass_matrix)
+            model.opt.gravity[2] = GRAVITY * pace
+        fine = phase_step / rate
+        body = self._points[point][0]
+        offset = float(normal @ self._position(point))
+        acceleration, half = np.zeros(model.nv), velocity.copy()
+        plate = plate_half = time = depth = step = 0.0
+        peak = Peak(0.0, 0.0, 0.0)
+        while time < duration:
+            # Leapfrog: `half` and `plate_half` are velocities half a step earlier.
+            data.qvel[:] = half + 0.5 * step * acceleration
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            position = self._position(point)
+            last_depth, depth = depth, float(normal @ position) - offset - plate
+            force = max(k * depth, 0.0)
+            if servo is None and depth <= 0.0 < time:
+                break
+            if force > peak.force:
+                peak = Peak(force, time, float(np.max(np.abs(data.qpos[:n] - start[:n]))))
+            torque = data.qfrc_applied
+            torque[:] = 0.0
+            if servo is not None:
+                demand = w * w * (start + velocity * time - data.qpos) + 2.0 * servo.damping * w * (
+                    velocity - data.qvel
+                )
+                torque[:] = np.clip(self._torque(demand, None if servo.coupled else gains), -effort, effort)
+            if force > 0.0:
+                mujoco.mj_jac(model, data, self._row, None, position, body)
+                torque -= force * (normal @ self._row)
+            mujoco.mj_fwdAcceleration(model, data)
+            acceleration[:] = data.qacc_smooth
+            closing_speed = max(depth - last_depth, 0.0) / step if step else 0.0
+            last_step, step = step, fine if depth >= -2.0 * closing_speed * coarse else max(fine, coarse)
+            half += 0.5 * (last_step + step) * acceleration
+            plate_half += 0.5 * (last_step + step) * force / limit.obstacle_mass_kg
+            data.qpos += step * half
+            plate += step * plate_half
+            time += step
+        return Peak(peak.force / pace, peak.time, peak.turn)
+
+    def _torque(self, acceleration: FloatArray, gains: FloatArray | None) -> FloatArray:
+        """Return the joint torques for `acceleration` (all joints), by computed torque or the inertias `gains`."""
+        torque = np.zeros(self.model.nv)
+        if gains is None:
+            mujoco.mj_mulM(self.model, self.data, torque, acceleration)
+        else:
+            torque[:] = gains * acceleration
+        return np.asarray(self.data.qfrc_bias + torque)
+
+    def _position(self, point: int) -> FloatArray:
+        body, place = self._points[point]
+        return np.asarray(self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ place)
+
+    def _jacobian(self, point: int) -> FloatArray:
+        mujoco.mj_jac(self.model, self.data, self._row, None, self._position(point), self._points[point][0])
+        return self._row
+
+
+def _urdf_model(path: Path, joints: tuple[str, ...]) -> mujoco.MjModel:
+    """Return the URDF `path` with `joints`; all other joints are fixed at zero, as the monitor fixes them."""
+    root = ET.parse(path).getroot()  # noqa: S314 - a robot file that the user chose
+    for link in root.iter("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(shape)
+    for joint in root.findall("joint"):
+        if joint.get("name") not in joints:
+            joint.set("type", "fixed")
+    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", fusestatic="false")
+    return mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))

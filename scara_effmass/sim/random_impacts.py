@@ -1,0 +1,298 @@
+"""Random impacts at the speed that the monitor allows: does the peak force keep the limit?
+
+Pose, motion, contact point, region, plate normal, drives and the errors of the link masses are random. The same impact
+is simulated once for each setting of the monitor, at the speed that this setting allows.
+"""
+
+import math
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from scara_effmass.iso15066 import Limit, limits_for
+from scara_effmass.iso15066.drives import servo_reduced_masses
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.load import load_robot
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import MonitorSettings, ServoSettings
+from scara_effmass.share import share
+from scara_effmass.sim.plate_sim import JointServo, Peak, PlateSim
+from scara_effmass.values import ContactAssessment, FloatArray, JointState, Verdict
+
+Row = dict[str, str | int | float]
+
+NOW_NS = 1_767_225_600_000_000_000
+CREEP_MPS = 0.006
+"""Speed just above the default `speed_threshold`, below which a contact point has no direction."""
+TINY = 1e-12
+"""Added to joint velocities: the monitor takes a velocity of exactly 0 for a missing one."""
+BELOW = 1.0 - 1e-9
+"""Factor on the largest allowed motion, against rounding."""
+BANDWIDTHS_HZ = (1.0, 2.0, 5.0, 10.0, 20.0)
+DAMPING_RATIOS = (0.5, 0.7, 1.0)
+FREE, COMPUTED_TORQUE, PER_JOINT = "free", "computed_torque", "per_joint"
+"""Drives: joints free, or on a servo that is coupled or a controller per joint."""
+NORMALS = 24
+"""Number of plate normals among which the worst one for drives that push on is searched."""
+MIN_LEVER = 1e-3
+"""Ratio of the speeds of contact point and joints [m] below which a motion is drawn again."""
+
+NO_MARGINS: Mapping[str, Any] = {
+    "mass_uncertainty": 0.0,
+    "velocity_tolerance": 0.0,
+    "max_velocity_lag": 0.0,
+    "position_tolerance": 0.0,
+}
+SETTINGS: Mapping[str, Mapping[str, Any]] = {
+    "paper": {**NO_MARGINS, "effective_mass_model": "lumped", "contact_normal": "velocity"},
+    "iso": {**NO_MARGINS, "effective_mass_model": "iso"},
+    "default": {},
+    "servo": {"drives": "servo"},
+}
+"""Settings of the monitor that are compared, beside its defaults; `servo` knows bandwidth and damping.
+
+Neither the paper nor the standard's fixed mass has margins.
+"""
+
+
+class RobotCase(NamedTuple):
+    """A robot of the comparison: file in `config`, contact points, and armature of every joint [kg m2]."""
+
+    file: tuple[str, ...]
+    contact_points: tuple[str, ...]
+    armature: float = 0.0
+
+
+ROBOTS: Mapping[str, RobotCase] = {
+    "i4-550L": RobotCase(("omron_i4_550l.yaml",), ("tool", "elbow")),
+    "UR5": RobotCase(("robots", "ur5_robot.urdf"), ("ee_link", "elbow=forearm_link", "wrist=wrist_2_link")),
+    "UR10": RobotCase(("robots", "ur10_robot.urdf"), ("ee_link", "elbow=forearm_link", "wrist=wrist_2_link"), 0.1),
+    "Panda": RobotCase(("robots", "panda.urdf"), ("panda_hand_tcp", "elbow=panda_link4", "wrist=panda_link6"), 0.1),
+}
+"""The robots: a SCARA, two arms with six axes and one with seven."""
+
+
+class Impact(NamedTuple):
+    """One random impact, and the joint velocities `qd` (n,) that each setting allows.
+
+    `mass_factors` (n,) are the true masses behind the joints over those of the robot file. `draws` counts the motions
+    until one that no setting allows beyond the speed limit of a joint.
+    """
+
+    robot: str
+    point: int
+    limit: Limit
+    plate: str
+    normal: FloatArray
+    servo: JointServo
+    drives: str
+    mass_factors: FloatArray
+    q: FloatArray
+    qd: Mapping[str, FloatArray]
+    draws: int
+
+
+class MonitoredArm:
+    """One robot in the monitor (Pinocchio) and in the simulation (MuJoCo)."""
+
+    def __init__(self, path: Path, settings: MonitorSettings | None = None, armature: float = 0.0) -> None:
+        """Load the robot file `path` with the contact points of `settings`; `armature` [kg m2] of every joint."""
+        settings = settings or MonitorSettings()
+        if armature:
+            names = load_robot(path, settings).joint_names
+            settings = settings.model_copy(update={"armature": tuple(f"{name}={armature}" for name in names)})
+        self.dynamics = RobotDynamics(load_robot(path, settings))
+        self.sim = PlateSim(path, self.dynamics)
+        limits = self.dynamics.robot.model
+        self.lower = np.maximum(limits.lowerPositionLimit, -math.pi)
+        self.upper = np.minimum(limits.upperPositionLimit, math.pi)
+        self.max_speed = limits.velocityLimit
+        self._monitors: dict[MonitorSettings, Monitor] = {}
+
+    def draw_motion(
+        self, rng: np.random.Generator, point: int = 0, *, straight: bool = True
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return a random pose (n,), and joint velocities (n,) that move contact point `point` at CREEP_MPS.
+
+        A `straight` motion has a random direction, and the smallest joint velocities that it needs; another one has
+        random joint velocities.
+        """
+        while True:
+            q = rng.uniform(self.lower, self.upper)
+            jacobian, _ = self.sim.kinematics(q, point)
+            qd = np.linalg.pinv(jacobian) @ rng.normal(size=3)
+            if not straight:
+                qd = rng.uniform(-self.max_speed, self.max_speed)
+            speed = float(np.linalg.norm(jacobian @ qd))
+            if speed > MIN_LEVER * np.linalg.norm(qd):
+                return q, qd * (CREEP_MPS / speed) + TINY
+
+    def assess(
+        self, q: FloatArray, qd: FloatArray, settings: MonitorSettings, point: int = 0
+    ) -> ContactAssessment | str:
+        """Return the monitor's assessment of contact point `point`, or its reason for UNKNOWN."""
+        monitor = self._monitors.get(settings) or self._monitors.setdefault(settings, Monitor(self.dynamics, settings))
+        monitor.clear_history()
+        state = JointState(NOW_NS, self.dynamics.robot.joint_names, q, qd)
+        decision = monitor.assess(state, NOW_NS)
+        if decision is None:
+            raise ValueError("the monitor must know the joints of its own robot")
+        contact = decision.contacts[point]
+        return contact.reason if contact.verdict is Verdict.UNKNOWN else contact
+
+    def allowed(self, q: FloatArray, qd: FloatArray, settings: MonitorSettings, point: int = 0) -> FloatArray | None:
+        """Return `qd` (n,) scaled to exactly the speed that the monitor allows; zeros where it allows no motion.
+
+        None where a joint would exceed its speed limit, or the monitor has no verdict.
+        """
+
+        def margin(scale: float) -> float:
+            contact = self.assess(q, scale * qd, settings, point)
+            return math.nan if isinstance(contact, str) else contact.allowable_speed - contact.speed
+
+        fastest = float(np.min(self.max_speed / np.maximum(np.abs(qd), TINY)))
+        slow, fast = margin(1.0), margin(fastest) if fastest > 1.0 else math.nan
+        if slow <= 0.0:
+            return np.zeros_like(qd)
+        if not fast < 0.0:
+            return None
+        return qd * (BELOW * float(brentq(margin, 1.0, fastest, xtol=1e-12, rtol=1e-10)))
+
+
+@cache
+def arm_of(robot: str) -> MonitoredArm:
+    """Return the arm of ROBOTS named `robot`."""
+    case = ROBOTS[robot]
+    settings = MonitorSettings(contact_points=case.contact_points)
+    return MonitoredArm(share("config", *case.file), settings, case.armature)
+
+
+def draw_impact(seed: int, index: int) -> Impact:
+    """Return random impact number `index` of the series `seed`.
+
+    Robot, plate normal (the worst one of the pose, or a random one) and drives (joints free, or on a servo) take
+    turns. Motions that a setting allows beyond the speed limit of a joint are drawn again.
+    """
+    rng = np.random.default_rng((seed, index))
+    turn, robot = divmod(index, len(ROBOTS))
+    name = list(ROBOTS)[robot]
+    arm = arm_of(name)
+    limits = limits_for(MonitorSettings())
+    bandwidth, damping = float(rng.choice(BANDWIDTHS_HZ)), float(rng.choice(DAMPING_RATIOS))
+    servo = JointServo(bandwidth, damping, coupled=bool(rng.integers(2)))
+    uncertainty = MonitorSettings().mass_uncertainty
+    factors = rng.uniform(1.0 - uncertainty, 1.0 + uncertainty, arm.sim.n)
+    drives = FREE if turn // 2 % 2 == 0 else COMPUTED_TORQUE if servo.coupled else PER_JOINT
+    arm.sim.scale_masses(factors)
+    draws = 0
+    while True:
+        draws += 1
+        point = int(rng.integers(len(arm.dynamics.contact_points)))
+        limit = limits[int(rng.integers(len(limits)))]
+        q, creep = arm.draw_motion(rng, point, straight=bool(rng.integers(2)))
+        settings = settings_of(arm.dynamics, limit.region, servo)
+        qd: dict[str, FloatArray] = {}
+        for setting, values in settings.items():
+            motion = arm.allowed(q, creep, values, point)
+            if motion is None:
+                break
+            qd[setting] = motion
+        else:
+            break
+    if worst := turn % 2 == 0:
+        normal = _worst_normal(arm.sim, q, creep, limit, None if drives == FREE else servo, point)
+    else:
+        normal = rng.normal(size=3)
+        normal *= np.sign(normal @ arm.sim.kinematics(q, point)[0] @ creep) / np.linalg.norm(normal)
+    plate = "worst" if worst else "random"
+    return Impact(name, point, limit, plate, normal, servo, drives, factors, q, qd, draws)
+
+
+def settings_of(dynamics: RobotDynamics, region: str, servo: JointServo) -> dict[str, MonitorSettings]:
+    """Return SETTINGS for one body region and one servo; without `paper` where the robot has no lumped model."""
+    values: dict[str, Any] = {
+        "body_regions": (region,),
+        "servo": ServoSettings(bandwidth=servo.bandwidth, damping=servo.damping),
+    }
+    if dynamics.lumped is None:
+        values["effective_mass_model"] = "full"
+    return {
+        name: MonitorSettings.model_validate({**values, **changes})
+        for name, changes in SETTINGS.items()
+        if dynamics.lumped is not None or changes.get("effective_mass_model") != "lumped"
+    }
+
+
+def _worst_normal(
+    sim: PlateSim, q: FloatArray, qd: FloatArray, limit: Limit, servo: JointServo | None, point: int
+) -> FloatArray:
+    """Return the unit normal (3,) along which the force is largest, in the pose of the first touch.
+
+    For a servo by the two-mass model: it is one of (A + s I)^-1 v, from s = 1 / m_H, that of free joints, to infinity,
+    that of an immovable robot.
+    """
+    free = sim.worst_normal(q, qd, limit.obstacle_mass_kg, point)
+    if servo is None:
+        return free
+    jacobian, mass_matrix = sim.kinematics(q, point)
+    mobility, velocity = jacobian @ np.linalg.solve(mass_matrix, jacobian.T), jacobian @ qd
+    shifts = np.geomspace(
+        1.0 / limit.obstacle_mass_kg, 1e3 * (np.trace(mobility) + 1.0 / limit.obstacle_mass_kg), NORMALS
+    )
+    normals = np.linalg.solve(mobility + shifts[:, None, None] * np.eye(3), velocity[:, None])[:, :, 0]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    mu = servo_reduced_masses(
+        np.einsum("ni,ij,nj->n", normals, mobility, normals),
+        np.array([limit.stiffness_n_m]),
+        np.array([limit.obstacle_mass_kg]),
+        servo.bandwidth,
+        servo.damping,
+    )[0]
+    return np.asarray(normals[np.argmax((normals @ velocity) ** 2 * mu)])
+
+
+def simulate(seed: int, index: int) -> list[Row]:
+    """Return a row for each setting of random impact number `index`: units are in the names, vectors are text."""
+    impact = draw_impact(seed, index)
+    arm, servo = arm_of(impact.robot), impact.servo
+    jacobian, _ = arm.sim.kinematics(impact.q, impact.point)
+    rows: list[Row] = []
+    for setting, qd in impact.qd.items():
+        peak = Peak(0.0, 0.0, 0.0)
+        if qd.any():
+            peak = arm.sim.touch(
+                impact.q, qd, impact.normal, impact.limit, None if impact.drives == FREE else servo, impact.point
+            )
+        rows.append(
+            {
+                "index": index,
+                "robot": impact.robot,
+                "contact_point": arm.dynamics.contact_points[impact.point],
+                "region": impact.limit.region,
+                "plate": impact.plate,
+                "drives": impact.drives,
+                "bandwidth_hz": servo.bandwidth,
+                "damping": servo.damping,
+                "draws": impact.draws,
+                "setting": setting,
+                "allowable_speed_m_s": float(np.linalg.norm(jacobian @ qd)),
+                "limit_n": impact.limit.permissible_force_n,
+                "peak_n": peak.force,
+                "ratio": peak.force / impact.limit.permissible_force_n,
+                "time_to_peak_s": peak.time,
+                "turn_to_peak": peak.turn,
+                "normal": _text(impact.normal),
+                "mass_factors": _text(impact.mass_factors),
+                "q": _text(impact.q),
+                "qd": _text(qd),
+            }
+        )
+    return rows
+
+
+def _text(vector: FloatArray) -> str:
+    return " ".join(map(repr, vector.tolist()))
