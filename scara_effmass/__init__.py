@@ -30,29 +30,6 @@ if TYPE_CHECKING:
         Verdict,
     )
 
-_MODULES = {
-    "ContactAssessment": "values",
-    "Decision": "values",
-    "DetectionSettings": "settings",
-    "Detector": "impacts.detector",
-    "EffectiveMasses": "model.dynamics",
-    "EffmassError": "errors",
-    "ForceBlock": "values",
-    "Impact": "values",
-    "JointState": "values",
-    "Monitor": "safety",
-    "MonitorSettings": "settings",
-    "Result": "impacts.validator",
-    "Robot": "model.robot",
-    "RobotDynamics": "model.dynamics",
-    "ValidatedImpact": "values",
-    "Validator": "impacts.validator",
-    "ValidatorSettings": "settings",
-    "Verdict": "values",
-    "load_robot": "model.load",
-}
-"""The public names and the modules that define them."""
-
 __all__ = [
     "ContactAssessment",
     "Decision",
@@ -77,9 +54,23 @@ __all__ = [
 
 __version__ = version("scara_effmass")
 
+_MODULES = [
+    "errors",
+    "values",
+    "settings",
+    "impacts.detector",
+    "impacts.validator",
+    "safety",
+    "model.robot",
+    "model.load",
+    "model.dynamics",
+]
+"""Modules of the public names; those that load Pinocchio come last."""
+
 
 def __getattr__(name: str) -> object:
     """Import the public name `name` on first use."""
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    for module in map(import_module, (f"{__name__}.{module}" for module in _MODULES if name in __all__)):
+        if hasattr(module, name):
+            return getattr(module, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

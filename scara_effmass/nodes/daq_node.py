@@ -136,7 +136,8 @@ class DaqNode(LifecycleBase):
             for output, blocks in channels:
                 output.publish(blocks)
             for output, blocks in channels:
-                output.detect_impacts(blocks)
+                for block in blocks:
+                    output.publish_impacts(output.detector.feed(block))
         state = acquisition.state
         if state is not self._state:
             self._state = state
@@ -148,7 +149,7 @@ class DaqNode(LifecycleBase):
 
     def _on_end(self, losses: str) -> None:
         for output in self._outputs:
-            output.finish()
+            output.publish_impacts(output.detector.finish())
         self._diagnostics.report()
         if not any(channel.samples for channel in self._signal.channels):
             raise DaqError(f"{self._source.description}: has no usable sample; must have finite numbers")
@@ -206,21 +207,13 @@ class _Output:
             if wrenches:
                 self._publish_wrenches(block)
 
-    def detect_impacts(self, blocks: Sequence[values.ForceBlock]) -> None:
-        """Detect and publish the impacts in the blocks."""
-        for block in blocks:
-            self._publish_impacts(self.detector.feed(block))
-
-    def finish(self) -> None:
-        """Publish the impacts that were waiting for further samples."""
-        self._publish_impacts(self.detector.finish())
-
     def wait_delivered(self) -> None:
         """Wait until all reliable subscribers have acknowledged all messages, for at most 5 s per topic."""
         for publisher in (self._force, self._impact):
             publisher.wait_for_all_acked(Duration(seconds=_ACK_TIMEOUT_S))
 
-    def _publish_impacts(self, impacts: Sequence[values.Impact]) -> None:
+    def publish_impacts(self, impacts: Sequence[values.Impact]) -> None:
+        """Publish and count detected impacts."""
         self.impacts += len(impacts)
         for impact in impacts:
             self._impact.publish(impact_message(impact))

@@ -9,24 +9,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import BaseModel
-
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
 from scara_effmass.bags.recording_report import RecordingReport
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.client import ClientNode, spin_for
 from scara_effmass.nodes.topic_recorder import TopicRecorder, resolve_topic
+from scara_effmass.settings.loading import FrozenSettings
 from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED
 
 _PERIOD_S = 0.1
 """Period of topic discovery and of the check for a stop signal."""
 _DRAIN_TIMEOUT_S = 10.0
 """Maximum time to record the messages that have arrived before the end."""
-
-
-class _NoSettings(BaseModel):
-    """The recorder has only the parameters of every node."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +58,7 @@ def record(
     known_types()  # slow on the first call: before messages arrive
     with ClientNode("recorder", arguments=ros_arguments) as client:
         node, context = client.node, client.context
-        parameters.declare(node, _NoSettings)
+        parameters.declare(node, FrozenSettings)  # only the parameters of every node
         names = [resolve_topic(node, topic) for topic in topics]
         parents = [resolve_topic(node, topic) for topic in FORCE_OUTPUTS if topics is RECORDED]
         with BagRecorder(folder, options, overwrite=overwrite, warn=warn) as recorder:

@@ -1,7 +1,6 @@
 """`sim_node`: the robot of the simulated cell; `daq_node` with the scene `cell` publishes its force."""
 
 import time
-from array import array
 from collections import deque
 from collections.abc import Sequence
 from functools import partial
@@ -20,6 +19,7 @@ from scara_effmass.settings.loading import FrozenSettings, fixed
 from scara_effmass.sim.experiment import ImpactSetup
 from scara_effmass.sim.live import LiveSim
 from scara_effmass.wire import topics
+from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.run_info import run_info_message
 
 _NS = 1_000_000_000
@@ -97,7 +97,7 @@ class SimNode(LifecycleBase):
             note = f"simulated (MuJoCo): the robot hits a cart\ngenerator = sim_node, seed = {self._settings.seed}"
             self._info.publish(run_info_message(self._carts.popleft().run_info(note)))
         while self._states and self._states[0].stamp_ns <= now_ns:
-            self._joint_states.publish(_message(self._states.popleft()))
+            self._joint_states.publish(joint_state_message(self._states.popleft()))
 
 
 class SimClock:
@@ -142,13 +142,6 @@ class SimClock:
 
     def _on_done(self, topic: str, data: bytes) -> None:
         self._done_ns[topic] = max(self._done_ns.get(topic, 0), header_stamp_ns(data))
-
-
-def _message(state: values.JointState) -> JointState:
-    message = JointState(name=list(state.names))
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(state.stamp_ns, _NS)
-    message.position, message.velocity = array("d", state.position), array("d", state.velocity)
-    return message
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -15,6 +15,7 @@ from scara_effmass.cli import main
 from scara_effmass.values import JointState
 
 Cli = Callable[..., subprocess.CompletedProcess[str]]
+Refused = Callable[..., str]
 
 START_NS = 1_767_225_600_000_000_000
 STEP_NS = 2_000_000
@@ -81,15 +82,18 @@ def cli(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 
 @pytest.fixture
-def refused(cli: Cli, tmp_path: Path) -> Callable[..., str]:
-    """Run a command that must fail with exit code 2, leave no file, and print one line, which is returned."""
+def refused(cli: Cli, tmp_path: Path) -> Refused:
+    """Run a command that must fail with exit code 2, write no file, and print one line, which is returned."""
 
-    def run(*arguments: str) -> str:
+    def run(*arguments: str | Path) -> str:
+        def files() -> dict[Path, int]:
+            return {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+
+        before = files()
         done = cli(*arguments)
-        assert done.returncode == 2, done.stderr
+        assert (done.returncode, done.stdout) == (2, ""), done.stderr
         (line,) = done.stderr.splitlines()
-        assert done.stdout == ""
-        assert list(tmp_path.iterdir()) == []
+        assert files() == before
         return line
 
     return run

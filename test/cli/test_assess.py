@@ -28,7 +28,7 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import ContactAssessment, Verdict
 from scara_effmass.wire.joint_state import JointStateDecoder
-from test.cli.conftest import Cli
+from test.cli.conftest import Cli, Refused
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 UNITS = ("", "_m_s", "_kg", "_n_m", "_n", "_s")
@@ -181,15 +181,12 @@ def test_undecodable_joint_state_gives_unknown_and_the_run_continues(swing_bag: 
     assert rows[499]["verdict"] != "UNKNOWN" != rows[800]["verdict"]
 
 
-def test_wrong_robot_writes_no_file(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+def test_wrong_robot_is_refused(swing_bag: Path, refused: Refused, tmp_path: Path) -> None:
     robot = tmp_path / "other.yaml"
     text = share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8")
     robot.write_text(text.replace("name: joint", "name: axis"), encoding="utf-8")
-    out = tmp_path / "a.csv"
-    done = cli("assess", swing_bag, "-o", out, "--robot", robot)
-    assert done.returncode == 2
-    assert "none of its joint states names a joint of the robot (axis1, axis2, axis3, axis4)" in done.stderr
-    assert not out.exists()
+    line = refused("assess", swing_bag, "-o", tmp_path / "a.csv", "--robot", robot)
+    assert "none of its joint states names a joint of the robot (axis1, axis2, axis3, axis4)" in line
 
 
 def test_gaps_and_joint_states_of_other_devices_are_counted(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
@@ -236,29 +233,22 @@ def test_report_shows_every_contact_point_and_episode(swing_bag: Path, cli: Cli,
     assert not (tmp_path / "a.csv").exists()
 
 
-def test_several_topics_need_the_topic_option(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+def test_several_topics_need_the_topic_option(swing_bag: Path, cli: Cli, refused: Refused, tmp_path: Path) -> None:
     with open_bag(swing_bag) as bag, BagWriter(tmp_path / "two.mcap") as two:
         for message in bag.messages(["/joint_states"]):
             two.write("/left/joint_states", JOINT_STATE, message.log_time_ns, message.data)
             two.write("/right/joint_states", JOINT_STATE, message.log_time_ns, message.data)
-    done = cli("assess", tmp_path / "two.mcap", "-o", tmp_path / "a.csv")
-    assert done.returncode == 2
+    words = ("assess", tmp_path / "two.mcap", "-o", tmp_path / "a.csv")
     choice = "several topics hold joint states; --topic must be one of /left/joint_states, /right/joint_states"
-    assert choice in done.stderr
-    assert not (tmp_path / "a.csv").exists()
-    assert (
-        cli("assess", tmp_path / "two.mcap", "-o", tmp_path / "a.csv", "--topic", "left/joint_states").returncode == 0
-    )
+    assert choice in refused(*words)
+    assert cli(*words, "--topic", "left/joint_states").returncode == 0
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".csv", ".mcap"])
-def test_existing_output_needs_force(suffix: str, swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+def test_existing_output_needs_force(suffix: str, swing_bag: Path, cli: Cli, refused: Refused, tmp_path: Path) -> None:
     out = tmp_path / f"a{suffix}"
     out.write_bytes(b"existing")
-    done = cli("assess", swing_bag, "-o", out)
-    assert done.returncode == 2
-    assert done.stderr.startswith(f"{out}: already exists")
-    assert out.read_bytes() == b"existing"
+    assert refused("assess", swing_bag, "-o", out).startswith(f"{out}: already exists")
     assert cli("assess", swing_bag, "-o", out, "--force").returncode == 0
     assert out.read_bytes() != b"existing"
     assert list(tmp_path.iterdir()) == [out]

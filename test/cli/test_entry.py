@@ -4,7 +4,6 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from scara_effmass import __version__
 from scara_effmass.cli import main
 from scara_effmass.cli.commands import COMMANDS
 from scara_effmass.share import share
-from test.cli.conftest import Cli
+from test.cli.conftest import Cli, Refused
 
 HEAVY = ("rclpy", "pinocchio", "matplotlib", "pyarrow", "rosbags", "scara_effmass_msgs")
 LOADED_BY_HELP = """
@@ -125,7 +124,7 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSALS)
-def test_invalid_input_gives_one_line_and_exit_code_2(name: str, refused: Callable[..., str]) -> None:
+def test_invalid_input_gives_one_line_and_exit_code_2(name: str, refused: Refused) -> None:
     arguments, message = REFUSALS[name]
     assert message in refused(*arguments)
 

@@ -1,7 +1,6 @@
 """`limits`: the printed table and speeds are those of `iso15066`."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import pytest
 from scara_effmass.cli import main
 from scara_effmass.iso15066 import BODY_POINTS, BODY_REGIONS, EDITION, TABLE_HASH, SpeedLimits, limits_for
 from scara_effmass.settings import ContactType, MonitorSettings
-from test.cli.conftest import Cli
+from test.cli.conftest import Cli, Refused
 
 
 def result(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
@@ -74,7 +73,7 @@ def test_max_force_parameter_overrides_the_standard(tmp_path: Path, capsys: pyte
 @pytest.mark.parametrize("contact", ContactType)
 @pytest.mark.parametrize("region", ["skull_forehead", "face"])
 def test_head_and_face_never_get_a_speed(
-    region: str, contact: ContactType, cli: Cli, refused: Callable[..., str], swing_bag: Path, tmp_path: Path
+    region: str, contact: ContactType, cli: Cli, refused: Refused, swing_bag: Path, tmp_path: Path
 ) -> None:
     chosen = ("--region", region, "--contact", contact.value)
     for command in (("limits", "--mass", "2.77"), ("assess", str(swing_bag), "-o", str(tmp_path / "a.csv"))):
@@ -91,7 +90,7 @@ def test_head_and_face_never_get_a_speed(
 
 @pytest.mark.usefixtures("own_domain")
 @pytest.mark.parametrize("region", ["skull_forehead", "face"])
-def test_monitor_refuses_head_and_face(region: str, refused: Callable[..., str]) -> None:
+def test_monitor_refuses_head_and_face(region: str, refused: Refused) -> None:
     for contact in ContactType:
         words = ("-p", f"body_regions:=['{region}']", "-p", f"contact:={contact.value}")
         assert "no contact with head and face" in refused("monitor", "--ros-args", *words)

@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
 from scara_effmass.bags.files import open_bag
-from test.cli.conftest import Cli
+from test.cli.conftest import Cli, Refused
 from test.nodes.conftest import TIMEOUT_S, ros_node
 
 pytestmark = pytest.mark.usefixtures("own_domain")
@@ -133,9 +133,7 @@ REFUSALS = {
 
 
 @pytest.mark.parametrize(("arguments", "message"), REFUSALS.values(), ids=REFUSALS)
-def test_invalid_input_gives_one_line_and_exit_code_2(
-    arguments: list[str], message: str, refused: Callable[..., str]
-) -> None:
+def test_invalid_input_gives_one_line_and_exit_code_2(arguments: list[str], message: str, refused: Refused) -> None:
     assert message in refused(*arguments)
 
 

@@ -186,3 +186,16 @@ def test_recording_of_a_cart_on_a_force_sensor(pad: int, rate: float, count: int
     assert lost_in(blocks) == []
     assert max(block.clock_residual for block in blocks) < 1e-9
     assert 3.0 < -np.min(force_of(blocks)) < 11.0  # the sensor reads compression as negative
+
+
+@pytest.mark.parametrize("name", ["no.csv", "no.tdms", "no.mcap"])
+def test_missing_file_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(BagError, match=f"{name}: (cannot be read: No such file|does not exist)"):
+        imported(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["folder.csv", "folder.tdms"])
+def test_folder_with_the_suffix_of_a_file_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    with pytest.raises(BagError, match=f"{name}: cannot be read: Is a directory"):
+        imported(tmp_path / name)

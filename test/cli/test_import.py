@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from scara_effmass.bags.files import open_bag
-from scara_effmass.cli import main
-from scara_effmass.errors import BagError
+from test.cli.conftest import Cli, Refused
 from test.importers.conftest import force_of, imported
 
 
@@ -21,10 +20,11 @@ def csv(tmp_path: Path) -> Path:
     return path
 
 
-def test_bag_holds_the_imported_blocks(csv: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bag_holds_the_imported_blocks(csv: Path, tmp_path: Path, cli: Cli) -> None:
     other = csv.rename(tmp_path / "2 cells.csv")
-    assert main(["import", str(other), str(other), "-o", str(tmp_path / "run"), "--frame", "cell", "--invert"]) == 0
-    assert capsys.readouterr().out.splitlines() == [
+    done = cli("import", other, other, "-o", tmp_path / "run", "--frame", "cell", "--invert")
+    assert done.returncode == 0
+    assert done.stdout.splitlines() == [
         "/force          2 cells.csv, f (N): 299 samples at 100 Hz, 1 lost, 0 saturated",
         "/force/file1    2 cells.csv, f (N): 299 samples at 100 Hz, 1 lost, 0 saturated",
         f"written         {tmp_path / 'run'}",
@@ -42,9 +42,8 @@ def test_bag_holds_the_imported_blocks(csv: Path, tmp_path: Path, capsys: pytest
         assert log_times_ns == sorted(log_times_ns)
 
 
-def test_json_states_what_was_imported(csv: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["import", str(csv), "-o", str(tmp_path / "run.mcap"), "--range", "250", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+def test_json_states_what_was_imported(csv: Path, tmp_path: Path, cli: Cli) -> None:
+    result = json.loads(cli("import", csv, "-o", tmp_path / "run.mcap", "--range", "250", "--json").stdout)
     assert result["output"] == str(tmp_path / "run.mcap")
     (topic,) = result["topics"]
     assert topic["sample_rate_hz"] == pytest.approx(100.0)
@@ -68,36 +67,13 @@ def test_json_states_what_was_imported(csv: Path, tmp_path: Path, capsys: pytest
     ],
 )
 def test_input_error_is_one_line_and_leaves_nothing(
-    csv: Path, tmp_path: Path, options: list[str], message: str, capsys: pytest.CaptureFixture[str]
+    csv: Path, tmp_path: Path, options: list[str], message: str, refused: Refused
 ) -> None:
-    try:
-        code = main(["import", str(csv), "-o", str(tmp_path / "run"), *options])
-    except SystemExit as ended:
-        code = int(ended.code or 0)
-    assert code == 2
-    output = capsys.readouterr()
-    assert output.out == ""
-    assert message in output.err
-    assert output.err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == [csv]
+    assert message in refused("import", csv, "-o", tmp_path / "run", *options)
 
 
-def test_existing_output_is_replaced_only_with_force(
-    csv: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["import", str(csv), "-o", str(tmp_path / "run")]
-    assert [main(words), main(words), main([*words, "--force"])] == [0, 2, 0]
-    assert "exists" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", ["no.csv", "no.tdms", "no.mcap"])
-def test_missing_file_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(BagError, match=f"{name}: (cannot be read: No such file|does not exist)"):
-        imported(tmp_path / name)
-
-
-@pytest.mark.parametrize("name", ["folder.csv", "folder.tdms"])
-def test_folder_with_the_suffix_of_a_file_is_refused(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).mkdir()
-    with pytest.raises(BagError, match=f"{name}: cannot be read: Is a directory"):
-        imported(tmp_path / name)
+def test_existing_output_is_replaced_only_with_force(csv: Path, tmp_path: Path, cli: Cli, refused: Refused) -> None:
+    words = ("import", csv, "-o", tmp_path / "run")
+    assert cli(*words).returncode == 0
+    assert "exists" in refused(*words)
+    assert cli(*words, "--force").returncode == 0
