@@ -1,5 +1,6 @@
 """The table of random impacts: a CSV file that grows impact by impact, so that an interrupted run can be resumed."""
 
+import os
 import signal
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -52,6 +53,7 @@ def _simulated(seed: int, indices: Iterable[int], jobs: int) -> Iterator[list[Ro
     if jobs == 1:
         yield from map(task, indices)
         return
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more threads make small matrices of several processes slow
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
         # The workers inherit that they ignore Ctrl-C: this process ends them.
         handler = signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -140,7 +140,8 @@ class PlateSim:
             gains[:n] = np.diag(mass_matrix)
             model.opt.gravity[2] = GRAVITY * pace
         fine = phase_step / rate
-        body = self._points[point][0]
+        body, place = self._points[point]
+        origin, rotation = data.xpos[body], data.xmat[body].reshape(3, 3)  # views, which MuJoCo updates
         offset = float(normal @ self._position(point))
         acceleration, half = np.zeros(model.nv), velocity.copy()
         plate = plate_half = time = depth = step = 0.0
@@ -150,7 +151,7 @@ class PlateSim:
             data.qvel[:] = half + 0.5 * step * acceleration
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
-            position = self._position(point)
+            position = origin + rotation @ place
             last_depth, depth = depth, float(normal @ position) - offset - plate
             force = max(k * depth, 0.0)
             if servo is None and depth <= 0.0 < time:
@@ -163,7 +164,7 @@ class PlateSim:
                 demand = w * w * (start + velocity * time - data.qpos) + 2.0 * servo.damping * w * (
                     velocity - data.qvel
                 )
-                torque[:] = np.clip(self._torque(demand, None if servo.coupled else gains), -effort, effort)
+                torque[:] = self._torque(demand, None if servo.coupled else gains).clip(-effort, effort)
             if force > 0.0:
                 mujoco.mj_jac(model, data, self._row, None, position, body)
                 torque -= force * (normal @ self._row)
@@ -185,7 +186,8 @@ class PlateSim:
             mujoco.mj_mulM(self.model, self.data, torque, acceleration)
         else:
             torque[:] = gains * acceleration
-        return np.asarray(self.data.qfrc_bias + torque)
+        torque += self.data.qfrc_bias
+        return torque
 
     def _position(self, point: int) -> FloatArray:
         body, place = self._points[point]
