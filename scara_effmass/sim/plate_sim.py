@@ -40,6 +40,15 @@ class JointServo(NamedTuple):
     damping: float = 0.7
     coupled: bool = True
 
+    @property
+    def omega(self) -> float:
+        """Angular frequency [rad/s]."""
+        return 2.0 * math.pi * self.bandwidth
+
+    def acceleration(self, error: FloatArray, error_rate: FloatArray) -> FloatArray:
+        """Return the demanded joint accelerations (n,) for the errors of position and velocity (n,)."""
+        return self.omega**2 * error + 2.0 * self.damping * self.omega * error_rate
+
 
 class Peak(NamedTuple):
     """Peak `force` [N], its time after the first touch [s], and the largest turn of a joint until then [rad, m]."""
@@ -135,8 +144,7 @@ class PlateSim:
         velocity, gains, effort = np.zeros((3, model.nv))
         velocity[:n], effort[:n] = qd * pace, self._robot.effort_limits * pace
         if servo is not None:
-            w = 2.0 * math.pi * servo.bandwidth
-            rate, coarse, duration = max(rate, w), min(phase_step / w, MAX_STEP_S), PUSH_S
+            rate, coarse, duration = max(rate, servo.omega), min(phase_step / servo.omega, MAX_STEP_S), PUSH_S
             gains[:n] = np.diag(mass_matrix)
             model.opt.gravity[2] = GRAVITY * pace
         fine = phase_step / rate
@@ -161,9 +169,7 @@ class PlateSim:
             torque = data.qfrc_applied
             torque[:] = 0.0
             if servo is not None:
-                demand = w * w * (start + velocity * time - data.qpos) + 2.0 * servo.damping * w * (
-                    velocity - data.qvel
-                )
+                demand = servo.acceleration(start + velocity * time - data.qpos, velocity - data.qvel)
                 torque[:] = self._torque(demand, None if servo.coupled else gains).clip(-effort, effort)
             if force > 0.0:
                 mujoco.mj_jac(model, data, self._row, None, position, body)
