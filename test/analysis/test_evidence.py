@@ -1,18 +1,13 @@
 """Report of random impacts: shares, intervals and goals of a table whose numbers are known."""
 
-from __future__ import annotations
-
 import json
+from collections.abc import Callable
 from itertools import product
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from scara_effmass.analysis.evidence import PAGE, SUMMARY, TABLE, Evidence, draw_evidence, write_evidence
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 COLUMNS = (
     "index,robot,contact_point,region,plate,drives,bandwidth_hz,damping,draws,setting,allowable_speed_m_s,"

@@ -1,42 +1,34 @@
 """Validation of recordings: same result as the core classes, run information per recording, refusals."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import pytest
 
-from scara_effmass.analysis.validation import ValidationSettings, validate
+from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.impacts.validator import Validator
+from scara_effmass.impacts.validator import Result, Validator
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MassModel, ValidatorSettings
-from scara_effmass.values import JointState
+from scara_effmass.values import ForceBlock, JointState, RunInfo
 from scara_effmass.wire.force import impact_message
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE, RUN_INFO, STRING, WRENCH, WRENCH_STAMPED
 from scara_effmass.wire.topics import RECORDING_INFO
 from test.bags.messages import header, message, serialized
 
-if TYPE_CHECKING:
-    from pathlib import Path
-    from typing import Protocol
 
-    from scara_effmass.analysis.validation import Validation
-    from scara_effmass.impacts.validator import Result
-    from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.values import ForceBlock, RunInfo
-
-    class Altered(Protocol):
-        def __call__(self, path: Path, **changes: object) -> Path: ...
+class Altered(Protocol):
+    def __call__(self, path: Path, **changes: object) -> Path: ...
 
 
 SETTINGS = ValidationSettings()

@@ -1,28 +1,23 @@
 """Validation report: complete, self-contained, reproducible, and valid with few or no impacts."""
 
-from __future__ import annotations
-
 import json
 import math
 from html.parser import HTMLParser
-from typing import TYPE_CHECKING, Any, Protocol
+from pathlib import Path
+from typing import Any, Protocol
 
 import pytest
 from matplotlib.image import imread
 
-from scara_effmass.analysis.validation import ValidationSettings, validate
+from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
 from scara_effmass.analysis.validation_report import FILES, check_report_folder, record, write_report
 from scara_effmass.errors import OutputError
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.settings import ValidatorSettings
 
-if TYPE_CHECKING:
-    from pathlib import Path
 
-    from scara_effmass.analysis.validation import Validation
-    from scara_effmass.model.dynamics import RobotDynamics
-
-    class Altered(Protocol):
-        def __call__(self, path: Path, **changes: object) -> Path: ...
+class Altered(Protocol):
+    def __call__(self, path: Path, **changes: object) -> Path: ...
 
 
 SETTINGS = ValidationSettings()

@@ -1,27 +1,21 @@
 """`campaign`: records runs, resumes after an interruption, refuses invalid options in one line."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import mujoco  # noqa: F401 - its first import starts a process, which a test that is not live must not do
 import pytest
 
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.bags.run_info import run_infos
+from scara_effmass.values import RunInfo
+from test.cli.conftest import Cli
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from scara_effmass.values import RunInfo
-
-    Cli = Callable[..., subprocess.CompletedProcess[str]]
-    Start = Callable[..., subprocess.Popen[str]]
+Start = Callable[..., subprocess.Popen[str]]
 
 SMALL = ("--configuration", "300_0", "--mass", "0.5", "--repetitions", "2")
 

@@ -1,22 +1,18 @@
 """`evidence`: a short run, an interrupted one, and refusals in one line."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import mujoco  # noqa: F401 - its first import starts a process, which a test that is not live must not do
 import pytest
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+from test.cli.conftest import Cli
 
-    Cli = Callable[..., subprocess.CompletedProcess[str]]
-    Start = Callable[..., subprocess.Popen[str]]
+Start = Callable[..., subprocess.Popen[str]]
 
 
 def test_short_run_and_its_continuation(cli: Cli, tmp_path: Path) -> None:

@@ -1,22 +1,15 @@
 """Pulses, blocks, and a run of the detector over them."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.settings import DetectionSettings
-from scara_effmass.values import ForceBlock
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from scara_effmass.values import FloatArray, Impact
+from scara_effmass.values import FloatArray, ForceBlock, Impact
 
 RATE = 12_800.0
 START_NS = 1_700_000_000_123_456_789

@@ -1,8 +1,6 @@
 """What is said of an impact, against closed forms."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,12 +9,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from scara_effmass.settings import DetectionSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.values import FloatArray
-    from test.impacts.conftest import AddPulse, Detect
+from scara_effmass.values import FloatArray
+from test.impacts.conftest import AddPulse, Detect
 
 RATE = 12_800.0
 SENSOR_NOISE = 0.022

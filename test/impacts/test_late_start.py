@@ -1,8 +1,6 @@
 """A detector that begins later in a stream finds what one that ran from the beginning finds."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,10 +10,8 @@ from hypothesis import strategies as st
 from scara_effmass.impacts.baseline import BASELINE_FRAMES
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.settings import DetectionSettings
-
-if TYPE_CHECKING:
-    from scara_effmass.values import FloatArray, ForceBlock, Impact
-    from test.impacts.conftest import AddPulse, Detect, MakeBlock
+from scara_effmass.values import FloatArray, ForceBlock, Impact
+from test.impacts.conftest import AddPulse, Detect, MakeBlock
 
 RATE = 12_800.0
 FRAME = 640

@@ -1,9 +1,5 @@
 """Force of the wrong sign is counted; what answers a force of the right one is not."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,10 +7,8 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from scara_effmass.settings import DetectionSettings
-
-if TYPE_CHECKING:
-    from scara_effmass.values import FloatArray
-    from test.impacts.conftest import AddPulse, Detect
+from scara_effmass.values import FloatArray
+from test.impacts.conftest import AddPulse, Detect
 
 RATE = 12_800.0
 SIZE = 150_000

@@ -1,8 +1,6 @@
 """Noise is no impact."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -10,12 +8,8 @@ from scipy.signal import lfilter
 
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.settings import DetectionSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.values import FloatArray
-    from test.impacts.conftest import AddPulse, Detect, MakeBlock
+from scara_effmass.values import FloatArray
+from test.impacts.conftest import AddPulse, Detect, MakeBlock
 
 RATE = 12_800.0
 HOUR = 46_080_000

@@ -1,21 +1,17 @@
 """Real impacts: a cart against a force sensor behind a pad. Impulse over change of velocity is the mass of the cart."""
 
-from __future__ import annotations
-
 import csv
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from scara_effmass.settings import DetectionSettings
-
-if TYPE_CHECKING:
-    from scara_effmass.values import FloatArray, Impact
-    from test.impacts.conftest import Detect
+from scara_effmass.values import FloatArray, Impact
+from test.impacts.conftest import Detect
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "cart_impacts.py"
 FOLDER = Path(__file__).parents[1] / "recordings" / "cart_impacts"

@@ -1,9 +1,5 @@
 """Each rule of the detection on its own: what goes wrong without it."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 
@@ -11,10 +7,8 @@ from scara_effmass.impacts.baseline import BASELINE_FRAMES, Baseline, Frame
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.segment import classify, flank_onset
 from scara_effmass.settings import DetectionSettings
-
-if TYPE_CHECKING:
-    from scara_effmass.values import FloatArray, Impact
-    from test.impacts.conftest import AddPulse, Detect, MakeBlock
+from scara_effmass.values import FloatArray, Impact
+from test.impacts.conftest import AddPulse, Detect, MakeBlock
 
 RATE = 12_800.0
 FRAME = 640

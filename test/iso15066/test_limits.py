@@ -1,20 +1,14 @@
 """Limits for given settings: the strictest row governs, and settings can only tighten it."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from scara_effmass.errors import LimitError
-from scara_effmass.iso15066 import BODY_REGIONS, limits_for
+from scara_effmass.iso15066 import BODY_REGIONS, Limit, limits_for
 from scara_effmass.settings import ContactType, MonitorSettings
-
-if TYPE_CHECKING:
-    from scara_effmass.iso15066 import Limit
 
 TRANSIENT_REGIONS = tuple(name for name in BODY_REGIONS if name not in {"skull_forehead", "face"})
 

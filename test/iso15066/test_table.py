@@ -1,16 +1,10 @@
 """The limits table agrees with a second transcription and with physical invariants."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import pytest
 
-from scara_effmass.iso15066 import BODY_POINTS, BODY_REGIONS, EDITION, TABLE_HASH
-
-if TYPE_CHECKING:
-    from scara_effmass.iso15066 import BodyPoint, BodyRegion
+from scara_effmass.iso15066 import BODY_POINTS, BODY_REGIONS, EDITION, TABLE_HASH, BodyPoint, BodyRegion
 
 ROWS_OF_REGION = {
     "skull_forehead": [1, 2],

@@ -1,26 +1,19 @@
 """Robots for the tests of the model: the shipped file, variants of it, and URDF files."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from numpy.typing import ArrayLike
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.model.robot import Robot
 from scara_effmass.settings import MonitorSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike
-
-    from scara_effmass.model.dynamics import EffectiveMasses
-    from scara_effmass.model.robot import Robot
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 OMRON = REPOSITORY / "config" / "omron_i4_550l.yaml"

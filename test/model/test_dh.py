@@ -1,11 +1,10 @@
 """DH files: values are read as stated, and every wrong value is named in one line."""
 
-from __future__ import annotations
-
 import copy
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,12 +16,8 @@ from scara_effmass.errors import RobotError
 from scara_effmass.model.dh import load_dh
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.model.robot import Robot
 from scara_effmass.settings import MonitorSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.model.robot import Robot
 
 OMRON = Path(__file__).resolve().parents[2] / "config" / "omron_i4_550l.yaml"
 

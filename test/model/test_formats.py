@@ -1,8 +1,8 @@
 """The same robot as DH rows and as URDF: same masses, rotors, payload and contact points; and points on any link."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,14 +14,9 @@ from scara_effmass.errors import RobotError
 from scara_effmass.model.dh import load_dh
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.settings import MonitorSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from scara_effmass.model.robot import Robot
 
 
 def random_rows(seed: int, joints: int) -> dict[str, Any]:

@@ -1,17 +1,12 @@
 """Settings that robot files accept."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_urdf_settings_raise_for_a_dh_file(omron_file: Path) -> None:

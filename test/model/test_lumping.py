@@ -1,10 +1,9 @@
 """Lumped model: supported robots, and reasons for the others."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,16 +12,10 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.model.lumping import is_scara, lump
+from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
+from scara_effmass.model.lumping import LumpedModel, is_scara, lump
+from scara_effmass.model.robot import Robot
 from scara_effmass.model.scara_closed_form import scara_lumped_mass
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.model.dynamics import EffectiveMasses
-    from scara_effmass.model.lumping import LumpedModel
-    from scara_effmass.model.robot import Robot
 
 shared_fixture_settings = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

@@ -1,20 +1,15 @@
 """Mass matrices and Jacobians agree with Eqs. 9-14 in numpy and with finite differences."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from scara_effmass.model.dynamics import RobotDynamics
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.model.robot import Robot
-    from scara_effmass.values import FloatArray
+from scara_effmass.model.robot import Robot
+from scara_effmass.values import FloatArray
 
 STEP = 1e-6
 

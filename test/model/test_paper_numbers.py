@@ -1,27 +1,21 @@
 """The shipped robot file reproduces the paper's numbers for the Omron i4-550L."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
+from scara_effmass.model.robot import Robot
 from scara_effmass.model.scara_closed_form import (
     ScaraInertia,
     scara_full_mass,
     scara_lumped_mass,
     scara_max_lumped_mass,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
-    from scara_effmass.model.robot import Robot
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 M2, M3, M_R = 2.38, 0.97, 2.77
 OBSTACLES = (0.50, 2.39, 3.72, 7.35)

@@ -1,8 +1,8 @@
 """Rotor inertia: where it comes from, that it is added exactly, and that a joint without it is named."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,16 +13,11 @@ from hypothesis import strategies as st
 from scara_effmass.errors import RobotError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from scara_effmass.model.robot import Robot
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 LENGTHS, MASSES, CENTRES, INERTIAS = (0.4, 0.3, 0.2), (3.0, 2.0, 1.0), (0.2, 0.12, 0.1), (0.05, 0.02, 0.01)
 

@@ -1,9 +1,8 @@
 """URDF: the test robots, and every wrong value is named in one line."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -12,18 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.model.lumping import is_scara
+from scara_effmass.model.robot import Robot
 from scara_effmass.model.scara_closed_form import ScaraInertia, scara_full_mass
 from scara_effmass.model.urdf import load_urdf, parse_urdf
 from scara_effmass.settings import MonitorSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from scara_effmass.model.dynamics import EffectiveMasses
-    from scara_effmass.model.robot import Robot
 
 
 def link(name: str, mass: float, com: str = "0.1 0 0", moments: str = "0.001 0.02 0.02") -> str:

@@ -1,23 +1,17 @@
 """Another process floods `joint_states`: the verdicts go on, and none that permits a speed is old."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from rclpy.qos import QoSProfile
 from scara_effmass_msgs.msg import ContactState
 
-from test.nodes.conftest import stamp_ns
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from test.nodes.conftest import NodeHarness
+from test.nodes.conftest import NodeHarness, stamp_ns
 
 TIMEOUT_NS = 1_000_000_000
 """Of the monitor."""

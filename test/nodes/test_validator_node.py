@@ -1,13 +1,12 @@
 """The live validator: the same as offline, and what it says of itself."""
 
-from __future__ import annotations
-
 import json
 import math
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -19,19 +18,14 @@ from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.validator_node import ValidatorNode
 from scara_effmass.safety import unknown_contact
 from scara_effmass.settings import ValidatorSettings
+from scara_effmass.values import ContactAssessment, Verdict
 from scara_effmass.values import Impact as ImpactValue
 from scara_effmass.values import RunInfo as RunInfoValue
-from scara_effmass.values import Verdict
 from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.force import impact_message
 from scara_effmass.wire.run_info import run_info_message
 from scara_effmass.wire.topics import RECORDING_INFO
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.values import ContactAssessment
-    from test.nodes.conftest import NodeHarness
+from test.nodes.conftest import NodeHarness
 
 EXECUTABLE = Path(sys.executable).with_name("validator_node")
 DEEP = QoSProfile(depth=20_000)

@@ -1,13 +1,11 @@
 """Compare a recorded impact replayed to the three live nodes with `validate` offline, bit for bit."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from scara_effmass_msgs.msg import ForceBlock, ImpactValidation
 
@@ -16,12 +14,7 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
-from test.nodes.conftest import stamp_ns
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from test.nodes.conftest import NodeHarness
+from test.nodes.conftest import NodeHarness, stamp_ns
 
 BIN = Path(sys.executable).parent
 BAG = share("bags", "campaign", "300_0_2390g_1")

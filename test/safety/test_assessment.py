@@ -1,9 +1,8 @@
 """Assessments agree with a recomputation from masses and limits, and are monotonic in their inputs."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,18 +11,13 @@ from hypothesis import strategies as st
 
 from scara_effmass.errors import LimitError
 from scara_effmass.iso15066 import BODY_REGIONS, limits_for
+from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.joint_state_validator import METRES_PER_RADIAN, WINDOW_S
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
-from scara_effmass.values import JointState, Verdict
+from scara_effmass.values import ContactAssessment, JointState, Verdict
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
-    from scara_effmass.values import ContactAssessment
-
-    Variant = Callable[[Callable[[dict[str, Any]], object]], RobotDynamics]
+Variant = Callable[[Callable[[dict[str, Any]], object]], RobotDynamics]
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 NOW = 1_700_000_000_000_000_000

@@ -1,20 +1,14 @@
 """State of a monitor: debounce, latch, first cause, watchdog, jumps of the clock."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety import Monitor, unknown_contact, unknown_decision
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import JointState, Verdict
-
-if TYPE_CHECKING:
-    from scara_effmass.model.dynamics import RobotDynamics
-    from scara_effmass.values import Decision
+from scara_effmass.values import Decision, JointState, Verdict
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 NOW = 1_700_000_000_000_000_000

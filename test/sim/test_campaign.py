@@ -1,9 +1,7 @@
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 from itertools import product
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +10,8 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.errors import OutputError
 from scara_effmass.sim.campaign import RUN_SPACING_NS, Campaign, run_campaign
-from scara_effmass.sim.experiment import CONFIGURATIONS, OBSTACLE_MASSES, run_impact
+from scara_effmass.sim.experiment import CONFIGURATIONS, OBSTACLE_MASSES, ImpactRun, run_impact
 from scara_effmass.sim.recordings import FORCE_TOPIC
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from scara_effmass.sim.experiment import ImpactRun
 
 SMALL = Campaign(configurations=CONFIGURATIONS[:1], obstacle_masses=(0.5, 7.35), repetitions=1)
 

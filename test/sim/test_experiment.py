@@ -1,8 +1,5 @@
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,14 +11,11 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.cart import SpringContact
 from scara_effmass.sim.controller import ServoGains
-from scara_effmass.sim.experiment import CONFIGURATIONS, ImpactSetup, build_sim, run_impact
+from scara_effmass.sim.experiment import CONFIGURATIONS, Configuration, ImpactRun, ImpactSetup, build_sim, run_impact
 from scara_effmass.sim.measurement import POSITION_STEP, VELOCITY_STEP, ForceSensor
 from scara_effmass.sim.motion import joint_rates
 from scara_effmass.sim.recordings import EPOCH_NS
-
-if TYPE_CHECKING:
-    from scara_effmass.sim.experiment import Configuration, ImpactRun
-    from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray
 
 SETUP = ImpactSetup(CONFIGURATIONS[0], 2.39)
 

@@ -1,8 +1,6 @@
 """Random impacts: each begins at the allowed speed, whatever was simulated before, and their table can be resumed."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +11,6 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.sim.impact_table import extend_table
 from scara_effmass.sim.random_impacts import FREE, NOW_NS, ROBOTS, arm_of, draw_impact, settings_of, simulate
 from scara_effmass.values import JointState
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SEED = 3
 

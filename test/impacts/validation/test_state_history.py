@@ -1,9 +1,7 @@
 """Robot state at the onset: interpolated, extrapolated from before the contact, or rejected with a reason."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
@@ -12,13 +10,8 @@ from hypothesis import strategies as st
 
 from scara_effmass.impacts.state_history import OnsetState, Rejection, StateHistory
 from scara_effmass.settings import ValidatorSettings
-from scara_effmass.values import NAN, Verdict
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from scara_effmass.values import ContactAssessment, Vector3
-    from test.impacts.validation.conftest import MakeState
+from scara_effmass.values import NAN, ContactAssessment, Vector3, Verdict
+from test.impacts.validation.conftest import MakeState
 
 START = 1_700_000_000_000_000_000
 MS = 1_000_000
