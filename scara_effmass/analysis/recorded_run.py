@@ -150,7 +150,8 @@ def _import_wrenches(bag: Bag, topic: Topic) -> Iterator[Measurement]:
     """Yield the imported force of a topic of wrenches; log times keep their distance from the stamps of the first."""
     first_log_ns = next(message.log_time_ns for message in bag.messages([topic.name]))
     first_stamp_ns: int | None = None
-    for block in import_force(bag.path, ImportSettings(topic=topic.name)).blocks:
+    _, blocks = import_force(bag.path, ImportSettings(topic=topic.name))
+    for block in blocks:
         first_stamp_ns = block.stamp_ns if first_stamp_ns is None else first_stamp_ns
         end_ns = block.stamp_ns + round(len(block.force) / block.sample_rate * NS)
         yield Measurement(first_log_ns + end_ns - first_stamp_ns, block)

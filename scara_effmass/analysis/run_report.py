@@ -1,7 +1,5 @@
 """The report of a run, live or offline: a figure and the episodes of each contact point, a page, and a summary."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Mapping

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from rich.progress import BarColumn, TextColumn
 
 from scara_effmass.cli.console import print_result, progress_bar
-from scara_effmass.nodes.replay import ReplayOptions, ReplayProgress, ReplayReport, replay
+from scara_effmass.nodes.replay import ReplayOptions, ReplayReport, replay
 
 
 def run(args: argparse.Namespace) -> int:
@@ -27,9 +27,9 @@ def run(args: argparse.Namespace) -> int:
     with progress_bar(*columns) as progress:
         task = progress.add_task("replay", total=None)
 
-        def on_progress(state: ReplayProgress) -> None:
-            name = f"pass {state.pass_number}" if args.loop else args.bag.name
-            progress.update(task, description=name, completed=state.time_s, total=state.span_s)
+        def on_progress(pass_number: int, time_s: float, span_s: float) -> None:
+            name = f"pass {pass_number}" if args.loop else args.bag.name
+            progress.update(task, description=name, completed=time_s, total=span_s)
 
         report = replay(options, on_progress)
     print_result({**asdict(report), "achieved_rate": report.achieved_rate}, _lines(report), as_json=args.json)

@@ -4,7 +4,6 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import final
@@ -17,7 +16,7 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers import IMPORTERS
-from scara_effmass.settings import BagSettings, DaqSettings, Stamps
+from scara_effmass.settings import DaqSettings, Stamps
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import FORCE_BLOCK
@@ -38,46 +37,6 @@ MAX_OVERLAP_NS = NS
 """A block that overlaps by less is a repetition and left out; if stamps go back further, a clock was set."""
 
 
-@dataclass(frozen=True, slots=True)
-class BagBlocks:
-    """Blocks of one topic in the order of their stamps; `lost_samples` counts the samples missing before a block."""
-
-    bag: Bag
-    topic: str
-    source: str
-    """Source that the first block states."""
-    sample_rate: float
-    start_ns: int
-    end_ns: int
-    blocks: Iterator[ForceBlock]
-
-
-def open_blocks(settings: BagSettings) -> BagBlocks:
-    """Open the bag and find its topic of ForceBlocks. Raises BagError."""
-    path = Path(settings.path)
-    convert = f"convert its force first: scara-effmass import {path} -o BAG"
-    if path.is_file() and path.suffix.lower() in IMPORTERS:
-        raise BagError(f"{path}: is not a bag; {convert}")
-    bag = open_bag(path)
-    try:
-        topic = _topic(bag, settings.topic, convert)
-        origin = f"{bag.path}: {topic.name}"
-        blocks = (block for block in bag.force_blocks(topic.name) if len(block.force))
-        first = _checked_first(next(blocks, None), origin, bag)
-    except BaseException:
-        bag.close()
-        raise
-    return BagBlocks(
-        bag=bag,
-        topic=topic.name,
-        source=first.source,
-        sample_rate=first.sample_rate,
-        start_ns=min(first.stamp_ns, bag.start_ns),
-        end_ns=max(first.stamp_ns + bag.duration_ns, bag.end_ns),
-        blocks=_ordered(chain([first], blocks), first.sample_rate, origin),
-    )
-
-
 def _topic(bag: Bag, name: str, convert: str) -> Topic:
     """Return the topic `name`, or the only one with ForceBlocks."""
     topics = [topic for topic in bag.topics if topic.type == FORCE_BLOCK and topic.count]
@@ -90,15 +49,11 @@ def _topic(bag: Bag, name: str, convert: str) -> Topic:
     raise BagError(f"{bag.path}: {setting}: must be one of {', '.join(topic.name for topic in topics)}")
 
 
-def _checked_first(block: ForceBlock | None, origin: str, bag: Bag) -> ForceBlock:
-    if block is None:
-        raise BagError("; ".join([f"{origin}: has no force that can be read", *bag.losses]))
-    _check_block(block, block.sample_rate, origin)
-    return block
-
-
 def _ordered(blocks: Iterator[ForceBlock], sample_rate: float, origin: str) -> Iterator[ForceBlock]:
-    """Yield the blocks with their number of missing samples; repeated and late ones are left out."""
+    """Yield the blocks in the order of their stamps; `lost_samples` becomes the number missing before each block.
+
+    Repeated and late blocks are left out.
+    """
     last: ForceBlock | None = None
     for block in blocks:
         _check_block(block, sample_rate, origin)
@@ -161,7 +116,8 @@ class BagSource(ForceSource):
         self._now_ns = now_ns
         self._reading = threading.Lock()
         self._closing = threading.Event()
-        self._recording: BagBlocks | None = None
+        self._bag: Bag | None = None
+        self._blocks: Iterator[ForceBlock] = iter(())
         self._block: ForceBlock | None = None
         """The next block."""
         self._begin_ns: int | None = None
@@ -182,7 +138,7 @@ class BagSource(ForceSource):
     @property
     def losses(self) -> tuple[str, ...]:
         """One line for each part of the open bag that could not be read so far."""
-        return self._recording.bag.losses if self._recording else ()
+        return self._bag.losses if self._bag else ()
 
     @property
     def waiting_for(self) -> str:
@@ -216,9 +172,9 @@ class BagSource(ForceSource):
         """
         deadline = time.monotonic() + timeout_s
         with self._reading:
-            if self._recording is None:
+            if self._bag is None:
                 return None
-            self._block = self._block or next(self._recording.blocks, None)
+            self._block = self._block or next(self._blocks, None)
             self._ended = self._block is None
             while self._block is not None and not self._closing.is_set():
                 now_ns = self._now_ns()
@@ -238,35 +194,50 @@ class BagSource(ForceSource):
         self._closing.set()
         with self._reading:
             self._block = None
-            if self._recording is not None:
-                self._recording.bag.close()
-                self._recording = None
+            if self._bag is not None:
+                self._bag.close()
+                self._bag = None
 
     def _open(self) -> ForceBlock:
-        """Open the bag and return its first block."""
-        recording = self._recording = open_blocks(self._settings)
-        block = next(recording.blocks)
+        """Open the bag, find its topic of ForceBlocks and return the first block. Raises BagError."""
+        path = Path(self._settings.path)
+        convert = f"convert its force first: scara-effmass import {path} -o BAG"
+        if path.is_file() and path.suffix.lower() in IMPORTERS:
+            raise BagError(f"{path}: is not a bag; {convert}")
+        bag = self._bag = open_bag(path)
+        topic = _topic(bag, self._settings.topic, convert).name
+        origin = f"{bag.path}: {topic}"
+        blocks = (block for block in bag.force_blocks(topic) if len(block.force))
+        first = next(blocks, None)
+        if first is None:
+            raise BagError("; ".join([f"{origin}: has no force that can be read", *bag.losses]))
+        self._blocks = _ordered(chain([first], blocks), first.sample_rate, origin)
+        block = next(self._blocks)
         self._is_shifted = self._settings.stamps is Stamps.NOW or block.stamp_ns < RELATIVE_NS
         self._first_ns = block.stamp_ns
         self._ended = False
-        self.channels = (recording.topic.rpartition("/")[2],)
-        self.sample_rate = self.requested_rate = recording.sample_rate
+        self.channels = (topic.rpartition("/")[2],)
+        self.sample_rate = self.requested_rate = block.sample_rate
         self.simulated = block.simulated
-        origin = f"{recording.bag.path.name}, {recording.topic}" + f", of {recording.source}" * bool(recording.source)
-        self.description = f"recorded{', simulated' * self.simulated}: {origin}"
+        source = f", of {block.source}" * bool(block.source)
+        self.description = f"recorded{', simulated' * self.simulated}: {bag.path.name}, {topic}{source}"
         return block
 
     def _find_begin(self, now_ns: int) -> None:
         """Determine, once the clock has started, when the first sample is due."""
-        recording, rate = self._recording, self._settings.rate
-        if self._begin_ns is not None or recording is None:
+        bag, rate = self._bag, self._settings.rate
+        if self._begin_ns is not None or bag is None:
             return
         if now_ns == 0 and (self._is_shifted or rate > 0.0):
             return
         self._begin_ns = now_ns
         if self._is_shifted:
             self._shift_ns = now_ns - self._first_ns
-        elif recording.start_ns - MAX_LEAD_NS <= now_ns <= recording.end_ns:
+        elif (
+            min(self._first_ns, bag.start_ns) - MAX_LEAD_NS
+            <= now_ns
+            <= max(self._first_ns + bag.duration_ns, bag.end_ns)
+        ):
             if rate not in {0.0, 1.0}:
                 raise SettingsError(
                     f"{self._settings.path}: bag.rate = {rate:g}: must be 1, the bag is replayed on this clock"
@@ -297,11 +268,11 @@ class BagSource(ForceSource):
         lost, waiting = 0, self._block
         if waiting is not None and self._next_sample:
             lost = max(1, 1 + int((latest_ns - waiting.stamp_ns) / NS * self.sample_rate))
-        if self._recording is not None:
-            self._recording.bag.close()
+        if self._bag is not None:
+            self._bag.close()
         block: ForceBlock | None = self._open()
         while block is not None and self._last_ns(block) < now_ns:
-            block = next(self._recording.blocks, None) if self._recording else None
+            block = next(self._blocks, None)
         self._block = block and block._replace(lost_samples=lost)
         self._run += 1
 

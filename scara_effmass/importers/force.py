@@ -56,16 +56,6 @@ class ForceFile:
     losses: Callable[[], tuple[str, ...]] = tuple
 
 
-@dataclass(frozen=True, slots=True)
-class ImportedForce:
-    """Force of one file in newtons; `losses` returns what could not be read, complete after `blocks`."""
-
-    source: str
-    sample_rate: float
-    blocks: Iterator[ForceBlock]
-    losses: Callable[[], tuple[str, ...]]
-
-
 @dataclass(slots=True)
 class ImportedTopic:
     """Content of one imported topic, with the stamps of its first and last sample."""
@@ -82,14 +72,14 @@ class ImportedTopic:
     losses: tuple[str, ...] = ()
 
 
-def import_force(path: Path, settings: ImportSettings) -> ImportedForce:
-    """Return the force in a CSV or TDMS file, or in a topic of wrenches or numbers of a bag.
+def import_force(path: Path, settings: ImportSettings) -> tuple[ForceFile, Iterator[ForceBlock]]:
+    """Return a CSV or TDMS file, or a topic of wrenches or numbers of a bag, and its force in newtons.
 
     Values that are not finite numbers count as lost samples. Raises BagError or SettingsError.
     """
     module, _, function = IMPORTERS.get(path.suffix.lower(), BAG_IMPORTER).partition(":")
     file: ForceFile = getattr(import_module(module), function)(path, settings)
-    return ImportedForce(file.description, file.sample_rate, _force_blocks(path, file, settings), file.losses)
+    return file, _force_blocks(path, file, settings)
 
 
 def select_unit(setting: str, stated: str, origin: str) -> str:
@@ -123,9 +113,9 @@ def write_force_bag(
 
 
 def _write_topic(bag: BagWriter, topic: str, path: Path, settings: ImportSettings) -> ImportedTopic:
-    force = import_force(path, settings)
-    content = ImportedTopic(str(path), topic, force.source, force.sample_rate)
-    for block in force.blocks:
+    file, blocks = import_force(path, settings)
+    content = ImportedTopic(str(path), topic, file.description, file.sample_rate)
+    for block in blocks:
         last_ns = block.stamp_ns + round((len(block.force) - 1) / block.sample_rate * NS)
         bag.write(topic, FORCE_BLOCK, max(0, last_ns), force_block_message(block))
         content.first_stamp_s = content.first_stamp_s if content.samples else block.stamp_ns / NS
@@ -133,7 +123,7 @@ def _write_topic(bag: BagWriter, topic: str, path: Path, settings: ImportSetting
         content.samples += len(block.force)
         content.lost_samples += block.lost_samples
         content.saturated_samples += len(block.saturated_samples)
-    content.losses = force.losses()
+    content.losses = file.losses()
     return content
 
 

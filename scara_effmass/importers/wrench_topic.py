@@ -2,13 +2,12 @@
 
 from array import array
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scara_effmass.bags.bag import Bag
-from scara_effmass.bags.batches import Topic
+from scara_effmass.bags.batches import IntArray, Topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.run_info import first_run_info
 from scara_effmass.errors import BagError, DecodeError
@@ -29,14 +28,6 @@ CLOCK_STEP_RUN = 100
 """Invalid stamps in a row that show a clock step."""
 
 
-class _Samples(NamedTuple):
-    """Samples (n,) with their header stamps, 0 where the type has none, and log times [ns]."""
-
-    log_times_ns: NDArray[np.int64]
-    stamps_ns: NDArray[np.int64]
-    values: FloatArray
-
-
 def open_wrench_topic(path: Path, settings: ImportSettings) -> ForceFile:
     """Read the force along `settings.axis` of a topic of wrenches, or a topic of Float64.
 
@@ -45,12 +36,12 @@ def open_wrench_topic(path: Path, settings: ImportSettings) -> ForceFile:
     with open_bag(path) as bag:
         topic = _topic(bag, settings.topic)
         origin = f"{bag.path}: {topic.name}"
-        samples = _read(bag, topic, settings.axis)
+        log_times_ns, stamps_ns, values = _read(bag, topic, settings.axis)
         component = "" if topic.type == FLOAT64 else f" force.{settings.axis}"
-        if samples.stamps_ns[:HEAD].any():
-            stamps_ns, values = _sort(samples, origin)
+        if stamps_ns[:HEAD].any():
+            stamps_ns, values = _sort(log_times_ns, stamps_ns, values, origin)
         else:
-            stamps_ns, values = samples.log_times_ns, samples.values
+            stamps_ns = log_times_ns
             component += ", at log times"
         try:
             sample_rate, blocks = uniform_samples(stamps_ns, values)
@@ -84,8 +75,11 @@ def _topic(bag: Bag, name: str) -> Topic:
     raise BagError(f"{bag.path}: {f'topic = {name}' if name else 'topic is empty'}: {rule}")
 
 
-def _read(bag: Bag, topic: Topic, axis: str) -> _Samples:
-    """Return the messages that can be decoded; the others leave a gap in the sequence of times."""
+def _read(bag: Bag, topic: Topic, axis: str) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return log times and header stamps [ns], 0 where the type has none, and values (n,).
+
+    Messages that cannot be decoded leave a gap in the sequence of times.
+    """
     log_times_ns, stamps_ns, values = array("q"), array("q"), array("d")
     reason = ""
     for message in bag.messages([topic.name]):
@@ -101,7 +95,7 @@ def _read(bag: Bag, topic: Topic, axis: str) -> _Samples:
         values.append(value)
     if reason and not values:
         raise BagError(f"{bag.path}: {topic.name}: no message can be decoded: {reason}")
-    return _Samples(np.frombuffer(log_times_ns, np.int64), np.frombuffer(stamps_ns, np.int64), np.frombuffer(values))
+    return np.frombuffer(log_times_ns, np.int64), np.frombuffer(stamps_ns, np.int64), np.frombuffer(values)
 
 
 def _sample(message: Any, kind: str, axis: str) -> tuple[int, float]:  # noqa: ANN401 - a class that the bag defines
@@ -113,9 +107,8 @@ def _sample(message: Any, kind: str, axis: str) -> tuple[int, float]:  # noqa: A
     return int(stamp.sec) * NS + int(stamp.nanosec), float(getattr(message.wrench.force, axis))
 
 
-def _sort(samples: _Samples, origin: str) -> tuple[NDArray[np.int64], FloatArray]:
+def _sort(log_times_ns: IntArray, stamps_ns: IntArray, values: FloatArray, origin: str) -> tuple[IntArray, FloatArray]:
     """Return stamps and values in the order of the stamps, without invalid stamps."""
-    log_times_ns, stamps_ns, values = samples
     differences_ns = stamps_ns - log_times_ns
     head_ns = np.sort(differences_ns[:HEAD])
     deviation_ns = differences_ns - head_ns[(len(head_ns) - 1) // 2]

@@ -1,14 +1,12 @@
 """Client of ROS topics: a plain node with its own context and executor, which handles events only when told to."""
 
-from __future__ import annotations
-
 import signal
 import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from types import FrameType
-from typing import Any, TypeVar
+from typing import Any
 
 import rclpy
 from rclpy.context import Context
@@ -20,8 +18,6 @@ from rclpy.signals import SignalHandlerOptions
 from typing_extensions import Self
 
 from scara_effmass.errors import SettingsError
-
-Client = TypeVar("Client", bound="ClientNode")
 
 _SPIN_SLICE_S = 0.1
 _SPIN_LIMIT_S = 1e9

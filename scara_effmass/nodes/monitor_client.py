@@ -1,7 +1,5 @@
 """Client of the monitor's topics, with its own ROS context."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Sequence
 from typing import final

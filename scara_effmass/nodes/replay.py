@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
-from typing import NamedTuple
 
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
@@ -65,14 +64,8 @@ class ReplayOptions:
     """Maximum wait for an answer at rate 0 [s]."""
 
 
-class ReplayProgress(NamedTuple):
-    """Progress of a replay."""
-
-    pass_number: int
-    time_s: float
-    """Recorded time since the start of the pass."""
-    span_s: float
-    """Recorded time of one pass."""
+OnProgress = Callable[[int, float, float], None]
+"""Called with the number of the pass, the recorded time since its start [s], and that of a whole pass [s]."""
 
 
 @dataclass(slots=True)
@@ -128,14 +121,14 @@ def timeline(messages: Iterable[RawMessage], start_ns: int, end_ns: int) -> Iter
     yield from gap(end_ns)
 
 
-def replay(options: ReplayOptions, on_progress: Callable[[ReplayProgress], None] | None = None) -> ReplayReport:
+def replay(options: ReplayOptions, on_progress: OnProgress = lambda *_: None) -> ReplayReport:
     """Replay a bag to the live nodes; call `on_progress` about ten times a second.
 
     SIGINT and SIGTERM end the replay early. It runs in its own ROS context. Raises BagError for an unreadable bag,
     EffmassError if nodes are not ready in time or the monitor stops answering.
     """
     with ClientNode("replay") as client, open_bag(options.bag) as bag:
-        player = _Player(options, bag, client, on_progress or (lambda _: None))
+        player = _Player(options, bag, client, on_progress)
         try:
             player.play()
         except KeyboardInterrupt:
@@ -147,9 +140,7 @@ def replay(options: ReplayOptions, on_progress: Callable[[ReplayProgress], None]
 class _Player:
     """State and endpoints of one replay."""
 
-    def __init__(
-        self, options: ReplayOptions, bag: Bag, client: ClientNode, on_progress: Callable[[ReplayProgress], None]
-    ) -> None:
+    def __init__(self, options: ReplayOptions, bag: Bag, client: ClientNode, on_progress: OnProgress) -> None:
         self._options = options
         self._bag = bag
         self._client = client
@@ -290,9 +281,7 @@ class _Player:
             return
         self._progress_ns = now_ns
         self._on_progress(
-            ReplayProgress(
-                pass_number=self.report.passes,
-                time_s=(self._now_ns - self._start_ns) / _NS,
-                span_s=(self._end_ns - self._start_ns) / _NS,
-            )
+            self.report.passes,
+            (self._now_ns - self._start_ns) / _NS,
+            (self._end_ns - self._start_ns) / _NS,
         )

@@ -4,19 +4,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from scara_effmass.importers.force import ImportedForce, import_force
+from scara_effmass.importers.force import import_force
 from scara_effmass.settings import ImportSettings, checked
 from scara_effmass.values import ForceBlock
 
 NS = 10**9
 
 
-def open_import(path: Path, **settings: Any) -> ImportedForce:  # noqa: ANN401 - any setting
-    return import_force(path, checked(ImportSettings, settings, "test"))
-
-
 def imported(path: Path, **settings: Any) -> list[ForceBlock]:  # noqa: ANN401 - any setting
-    return list(open_import(path, **settings).blocks)
+    return list(import_force(path, checked(ImportSettings, settings, "test"))[1])
 
 
 def force_of(blocks: Sequence[ForceBlock]) -> list[float]:

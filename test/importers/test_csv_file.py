@@ -11,7 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scara_effmass.errors import BagError, EffmassError, SettingsError
-from test.importers.conftest import NS, force_of, imported, lost_in, open_import
+from scara_effmass.importers.force import import_force
+from scara_effmass.settings import ImportSettings
+from test.importers.conftest import NS, force_of, imported, lost_in
 
 CARTS = Path(__file__).parents[1] / "recordings" / "cart_impacts"
 ROWS = [(0.01 * n, 0.5 * n) for n in range(100)]
@@ -71,8 +73,8 @@ def test_voltage_is_divided_by_the_sensitivity(tmp_path: Path, header: str, volt
 @pytest.mark.parametrize(("unit", "scale"), [("ms", 1e3), ("us", 1e6), ("\u00b5s", 1e6), ("\u03bcs", 1e6)])
 def test_times_may_be_in_other_units(tmp_path: Path, unit: str, scale: float) -> None:
     rows = [(time * scale, force) for time, force in ROWS]
-    force = open_import(write(tmp_path / "cell.csv", table(f"Time ({unit}),Force (N)", rows)))
-    assert force.sample_rate == pytest.approx(100.0)
+    blocks = imported(write(tmp_path / "cell.csv", table(f"Time ({unit}),Force (N)", rows)))
+    assert blocks[0].sample_rate == pytest.approx(100.0)
 
 
 def test_absolute_times_in_nanoseconds_keep_all_digits(tmp_path: Path) -> None:
@@ -87,7 +89,7 @@ def test_long_table_takes_little_more_memory_than_its_numbers(tmp_path: Path) ->
     path = write(tmp_path / "cell.csv", "t (s),f (N)\n" + "".join(f"{n / 1000:.3f},{n}\n" for n in range(rows)))
     tracemalloc.start()
     try:
-        count = sum(len(block.force) for block in open_import(path).blocks)
+        count = sum(len(block.force) for block in import_force(path, ImportSettings())[1])
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

@@ -8,7 +8,9 @@ import pytest
 from nptdms import ChannelObject, TdmsWriter
 
 from scara_effmass.errors import BagError, SettingsError
-from test.importers.conftest import NS, force_of, imported, lost_in, open_import
+from scara_effmass.importers.force import import_force
+from scara_effmass.settings import ImportSettings
+from test.importers.conftest import NS, force_of, imported, lost_in
 
 START = np.datetime64("2024-03-01T12:00:00.000250", "us")
 START_NS = int(START.astype("datetime64[ns]").astype(np.int64))
@@ -45,9 +47,9 @@ def test_cut_file_is_imported_up_to_the_cut(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for cut, losses in ((0, ()), (8000, (f"{path}: is cut off in its last segment; the rest is lost",))):
         path.write_bytes(whole[: len(whole) - cut])
-        force = open_import(path)
-        assert force_of(list(force.blocks)) == FORCE[: len(FORCE) - cut // 8].tolist()
-        assert force.losses() == losses
+        file, blocks = import_force(path, ImportSettings())
+        assert force_of(list(blocks)) == FORCE[: len(FORCE) - cut // 8].tolist()
+        assert file.losses() == losses
 
 
 def test_channel_with_a_unit_of_force_is_selected_and_offsets_count(tmp_path: Path) -> None:

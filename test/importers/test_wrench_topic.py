@@ -12,10 +12,12 @@ from rosbags.typesys import Stores, get_typestore
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
+from scara_effmass.importers.force import import_force
+from scara_effmass.settings import ImportSettings
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, STRING, WRENCH, WRENCH_STAMPED
 from scara_effmass.wire.topics import RECORDING_INFO
 from test.bags.messages import header, message, serialized
-from test.importers.conftest import force_of, imported, lost_in, open_import
+from test.importers.conftest import force_of, imported, lost_in
 
 NS = 10**9
 MS = 10**6
@@ -136,16 +138,16 @@ def test_truncated_bag_is_imported_up_to_the_cut(tmp_path: Path) -> None:
     messages = [("/load", FLOAT64, T0 + n * MS, serialized(FLOAT64, {"data": value})) for n, value in enumerate(noise)]
     path = write(tmp_path / "run.mcap", messages)
     path.write_bytes(path.read_bytes()[: int(0.4 * path.stat().st_size)])
-    force = open_import(path)
-    values = force_of(list(force.blocks))
+    file, blocks = import_force(path, ImportSettings())
+    values = force_of(list(blocks))
     assert 1000 < len(values) < len(noise)
     assert values == noise[: len(values)].tolist()
-    assert "cut off" in "; ".join(force.losses())
+    assert "cut off" in "; ".join(file.losses())
 
 
 def test_stamped_wrench_is_selected_before_other_types(tmp_path: Path) -> None:
     messages = [*wrenches(TIMES_NS, TIMES_NS), *floats(TIMES_NS)]
-    assert open_import(write(tmp_path / "run", messages)).source == "run, /wrench force.z"
+    assert imported(write(tmp_path / "run", messages))[0].source == "run, /wrench force.z"
 
 
 def test_ambiguous_or_missing_topic_is_refused(tmp_path: Path) -> None:

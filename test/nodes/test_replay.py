@@ -38,7 +38,7 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, EffmassError, SettingsError
 from scara_effmass.nodes import lockstep
 from scara_effmass.nodes.lockstep import MAX_UNANSWERED
-from scara_effmass.nodes.replay import CLOCK_STEP_NS, ReplayOptions, ReplayProgress, ReplayReport, replay, timeline
+from scara_effmass.nodes.replay import CLOCK_STEP_NS, OnProgress, ReplayOptions, ReplayReport, replay, timeline
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
 from scara_effmass.wire.topics import READINESS
@@ -209,11 +209,10 @@ class Receiver:
         answers.publish(message)
 
 
-def play(bag: Path, progress: Callable[[ReplayProgress], None] | None = None, **options: Any) -> ReplayReport:  # noqa: ANN401
+def play(bag: Path, on_progress: OnProgress = lambda *_: None, **options: Any) -> ReplayReport:  # noqa: ANN401
     """Replay with long timeouts."""
-    return replay(
-        ReplayOptions(bag, **{"ready_timeout_s": TIMEOUT_S, "answer_timeout_s": TIMEOUT_S, **options}), progress
-    )
+    timeouts = {"ready_timeout_s": TIMEOUT_S, "answer_timeout_s": TIMEOUT_S}
+    return replay(ReplayOptions(bag, **{**timeouts, **options}), on_progress)
 
 
 def same_states(received: list[JointState], sent: list[JointState]) -> bool:
@@ -463,13 +462,13 @@ def test_missing_topics_are_refused(bag: Path, options: dict[str, Any], message:
 
 
 def test_progress_increases_from_the_start(bag: Path) -> None:
-    reports: list[ReplayProgress] = []
+    reports: list[tuple[int, float, float]] = []
     with Receiver("/joint_states", answers=True, answer_delay_s=0.003):  # at least 0.3 s in total
-        play(bag, reports.append, rate=0.0)
-    assert reports[0].time_s == 0.0
+        play(bag, lambda *progress: reports.append(progress), rate=0.0)
+    assert reports[0] == (1, 0.0, 0.099)
     assert len(reports) > 1
-    assert all(a.time_s <= b.time_s for a, b in pairwise(reports))
-    assert {progress.span_s for progress in reports} == {0.099}
+    assert all(before <= after for before, after in pairwise(reports))
+    assert {span_s for *_, span_s in reports} == {0.099}
 
 
 CHILD = """
