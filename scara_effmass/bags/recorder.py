@@ -5,7 +5,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import final
 
@@ -16,7 +16,7 @@ from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import definition_of, known_types
 from scara_effmass.bags.recording_report import RecordedTopic, RecordingReport, TopicReport
 from scara_effmass.bags.rosbag2 import check_output
-from scara_effmass.bags.split_writer import DiskSpace, SplitWriter
+from scara_effmass.bags.split_writer import DiskSpace, RecorderOptions, SplitWriter
 from scara_effmass.bags.writer import FileOpener, open_unbuffered
 from scara_effmass.errors import OutputError
 
@@ -25,29 +25,6 @@ POLL_S = 0.05
 """Maximum time of a message in the queue."""
 WAKE_BYTES = 1 << 20
 """Queue size that wakes the writing thread at once."""
-
-
-@dataclass(frozen=True, slots=True)
-class RecorderOptions:
-    """Options of a recording."""
-
-    compress: bool = True
-    """Compress chunks with zstd."""
-    max_file_bytes: int = 0
-    """Size at which a new file begins; 0: never."""
-    max_file_ns: int = 0
-    """Duration [ns] in log time at which a new file begins; 0: never."""
-    flush_period_s: float = 0.5
-    """Maximum age of a message that is not on the disk, plus up to 0.1 s for the writing thread."""
-    queue_bytes: int = 64 << 20
-    """Maximum size of the queue; further messages are lost and counted."""
-    queue_messages: int = 100_000
-    reserve_bytes: int = 64 << 20
-    """Free space at which the recording stops, so that it can still be completed."""
-    warn_bytes: int = 1 << 30
-    """Free space below which the recorder warns."""
-    warn_before_s: float = 600.0
-    """The recorder also warns if the disk will be full in less than this time at the present rate."""
 
 
 @final

@@ -1,20 +1,15 @@
 """The writer of a rosbag2 folder that is split into files; it survives a full or failing disk."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import final
 
 from scara_effmass.bags.recording_report import LOSSES_RECORD, RecordedTopic, losses_custom_data, losses_record
 from scara_effmass.bags.rosbag2 import BagFile, sync_folder, write_metadata
 from scara_effmass.bags.writer import CHUNK_BYTES, FileOpener, McapFileWriter
-
-if TYPE_CHECKING:
-    from scara_effmass.bags.recorder import RecorderOptions
-
 
 NS = 1_000_000_000
 MIN_RATE_SPAN_NS = 2 * NS
@@ -24,6 +19,29 @@ RESUME_FACTOR = 2
 """Free space, as a multiple of the reserve, at which a stopped recording resumes."""
 CLEAR_FACTOR = 1.25
 """Multiple of the limits at which a warning is cleared, so that a varying rate does not repeat it."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderOptions:
+    """Options of a recording."""
+
+    compress: bool = True
+    """Compress chunks with zstd."""
+    max_file_bytes: int = 0
+    """Size at which a new file begins; 0: never."""
+    max_file_ns: int = 0
+    """Duration [ns] in log time at which a new file begins; 0: never."""
+    flush_period_s: float = 0.5
+    """Maximum age of a message that is not on the disk, plus up to 0.1 s for the writing thread."""
+    queue_bytes: int = 64 << 20
+    """Maximum size of the queue; further messages are lost and counted."""
+    queue_messages: int = 100_000
+    reserve_bytes: int = 64 << 20
+    """Free space at which the recording stops, so that it can still be completed."""
+    warn_bytes: int = 1 << 30
+    """Free space below which the recorder warns."""
+    warn_before_s: float = 600.0
+    """The recorder also warns if the disk will be full in less than this time at the present rate."""
 
 
 @final

@@ -9,9 +9,9 @@ from dataclasses import asdict
 from rich.console import Console
 from rich.status import Status
 
-from scara_effmass.bags.recorder import RecorderOptions
 from scara_effmass.bags.recording_report import RecordingReport
 from scara_effmass.bags.repair import RepairReport, repair
+from scara_effmass.bags.split_writer import RecorderOptions
 from scara_effmass.cli.console import print_result
 from scara_effmass.errors import SettingsError
 from scara_effmass.wire.topics import RECORDED

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scara_effmass.bags.definitions import known_types
-from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
+from scara_effmass.bags.recorder import BagRecorder
 from scara_effmass.bags.recording_report import RecordingReport
+from scara_effmass.bags.split_writer import RecorderOptions
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.client import ClientNode, spin_for
 from scara_effmass.nodes.topic_recorder import TopicRecorder, resolve_topic
