@@ -33,6 +33,10 @@ LAG_MEMORY_S = 10.0
 """Time constant [s] of the estimate of the lag."""
 LAG_PRIOR = 0.01
 """Excitation [rad2/s] at which half of the maximum lag remains as uncertainty of the estimate."""
+LAG_EVIDENCE = 1.0
+"""Excitation [rad2/s] at which half of the estimated lag explains an error: a wrong size looks like a lag at first."""
+RECENT_S = 0.1
+"""Shortest time [s] within which the error of a joint is taken to have arisen."""
 MAX_EXCESS = 1.5
 """Multiple of the tolerance up to which an error is remembered: it bounds the time that a mismatch lasts."""
 METRES_PER_RADIAN = 0.25
@@ -44,7 +48,8 @@ DEFAULT_MAX_SPEED = (60.0, 10.0)
 class Motion(NamedTuple):
     """Positions and velocities (n,) of a valid joint state, in the model's joint order [rad, m].
 
-    `velocity_tolerance` bounds the mean velocity error over WINDOW_S that the positions cannot reveal, per joint.
+    `velocity_tolerance` is what the comparison with the positions lets pass, per joint: the mean velocity error over
+    WINDOW_S that it cannot reveal, or the present error over RECENT_S if that is more.
     """
 
     q: FloatArray
@@ -251,13 +256,13 @@ class JointStateValidator:
             elapsed_ns = 0
         self._observed_ns = stamp_ns
         seconds = elapsed_ns / 1e9
-        decay = WINDOW_S / (WINDOW_S + seconds)
-        half_step, gain, scale_step = 0.5 * seconds, seconds / WINDOW_S, self._velocity_tolerance * seconds
+        decay, gain = WINDOW_S / (WINDOW_S + seconds), seconds / WINDOW_S
+        half_step, scale_step = 0.5 * seconds, self._velocity_tolerance * seconds
         excitation = self._lag_excitation
         lag = min(max(self._lag_correlation / excitation, 0.0), self._max_lag) if excitation else 0.0
+        known_lag = lag * excitation / (excitation + LAG_EVIDENCE)
         lag_tolerance = LAG_TOLERANCE_S + self._max_lag * LAG_PRIOR / (LAG_PRIOR + excitation)
-        correlation = excitation = 0.0
-        reason = ""
+        correlation, excitation, reason = 0.0, 0.0, ""
         comparisons: list[_Comparison] = []
         for x, v, position_tolerance, comparison in zip(
             positions, velocities, self._position_tolerances, self._comparisons, strict=True
@@ -284,7 +289,7 @@ class JointStateValidator:
             correlation += error * change
             excitation += change * change
             comparisons.append((x, v, error, mean, peak, allowance))
-            tolerances.append(tolerance / WINDOW_S)
+            tolerances.append(max(tolerance / WINDOW_S, abs(error - known_lag * change) / RECENT_S))
         self._comparisons = comparisons
         decay = LAG_MEMORY_S / (LAG_MEMORY_S + seconds)
         self._lag_correlation = (self._lag_correlation + correlation * seconds) * decay

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from scara_effmass.cli import main
-from scara_effmass.iso15066 import BODY_POINTS, BODY_REGIONS, EDITION, TABLE_HASH, SpeedLimits, limits_for
+from scara_effmass.iso15066 import BODY_POINTS, BODY_REGIONS, CLAUSE_2025, EDITION, TABLE_HASH, SpeedLimits, limits_for
 from scara_effmass.settings import ContactType, MonitorSettings
 from test.cli.conftest import Cli, Refused
 
@@ -56,6 +56,7 @@ def test_text_contains_every_row_the_units_and_the_lowest_speed(capsys: pytest.C
         assert point.name in text
     assert "stiffness [N/mm]" in text
     assert "649 (lower_leg, force)" in text
+    assert CLAUSE_2025 in text
     assert TABLE_HASH in text
     assert "…" not in text
 

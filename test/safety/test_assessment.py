@@ -396,6 +396,17 @@ def test_changed_settings_apply_to_the_next_joint_state(scara: RobotDynamics) ->
     assert len(set(effective_masses)) == 3
 
 
+def test_payload_with_another_centre_of_mass_applies(scara: RobotDynamics) -> None:
+    q, qd = (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.1, 0.1)
+    monitor = Monitor(scara, settings_of(payload_mass=2.0))
+    offset = settings_of(payload_mass=2.0, payload_com=(0.2, 0.0, 0.0))
+    monitor.apply(offset)
+    decision = monitor.assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
+    assert decision is not None
+    assert list(decision.contacts) == first_assessment(scara.with_payload(offset), q, qd, offset)
+    assert decision.contacts[0].full_mass != assess_one(scara, q, qd, payload_mass=2.0).full_mass
+
+
 def test_rejected_settings_change_nothing(scara: RobotDynamics) -> None:
     monitor = Monitor(scara, settings_of(max_force=100.0))
     before = monitor.settings

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety.joint_state_validator import WINDOW_S, JointStateValidator, Motion
+from scara_effmass.safety.joint_state_validator import RECENT_S, WINDOW_S, JointStateValidator, Motion
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray, JointState, Verdict
 
@@ -386,9 +386,42 @@ class TestVelocityAgainstPosition:
             results.append(validator.validate(motion, now))
         if passes:
             assert isinstance(results[-1], Motion)
-            assert results[-1].velocity_tolerance == pytest.approx([tolerance, tolerance, 0.25 * tolerance, tolerance])
+            recent = factor * 0.01 / RECENT_S
+            expected = [recent, tolerance, 0.25 * tolerance, tolerance]
+            assert results[-1].velocity_tolerance == pytest.approx(expected, rel=1e-3)
         else:
             assert isinstance(results[-1], str)
+
+    @staticmethod
+    def tolerances(scara: RobotDynamics, motion_at: Callable[[int], Motion], milliseconds: int) -> FloatArray:
+        """Return the velocity tolerance (m,) of joint1 at each millisecond, NaN where the joint state is refused."""
+        validator = JointStateValidator(scara.robot)
+        validator.apply(MonitorSettings())
+        results = []
+        for i in range(milliseconds):
+            now = NOW + i * MS
+            result = validator.validate(state(now, position=motion_at(i).q, velocity=motion_at(i).qd), now)
+            results.append(result.velocity_tolerance[0] if isinstance(result, Motion) else NAN)
+        return np.array(results)
+
+    def test_error_at_the_start_of_a_motion_is_added_before_it_is_found(self, scara: RobotDynamics) -> None:
+        """Until the lag is known, a velocity that is too small looks like one that lags."""
+        speed, reported = 0.8, 0.5
+
+        def motion_at(i: int) -> Motion:
+            t = max(i / 1e3 - 0.2, 0.0)
+            return Motion(np.array((Q[0] + speed * t, *Q[1:])), np.array((reported * (t > 0.0), 0.0, 0.0, 0.0)), [])
+
+        tolerances = self.tolerances(scara, motion_at, 700)
+        assert tolerances[150] < 0.02
+        found = 320 + int(np.flatnonzero(np.isnan(tolerances[320:]))[0])
+        assert found > 340
+        assert min(tolerances[320:found]) > speed - reported
+
+    def test_lag_is_added_until_it_is_known(self, scara: RobotDynamics) -> None:
+        tolerances = self.tolerances(scara, lambda i: sweep(i / 1e3, 0.05), 10_000)
+        assert np.nanmax(tolerances[:500]) > 0.2
+        assert np.nanmax(tolerances[8000:]) < 0.15
 
 
 class TestCommands:

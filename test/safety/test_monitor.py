@@ -21,10 +21,12 @@ def make_monitor(dynamics: RobotDynamics, **settings: object) -> Monitor:
     return Monitor(dynamics, MonitorSettings.model_validate({"release_time": 0.0, **settings}))
 
 
-def send(monitor: Monitor, at_ms: float, speed: float = SLOW, names: tuple[str, ...] = JOINTS) -> Decision:
+def send(
+    monitor: Monitor, at_ms: float, speed: float = SLOW, names: tuple[str, ...] = JOINTS, q1: float = 0.3
+) -> Decision:
     now = NOW + round(at_ms * MS)
     decision = monitor.assess(
-        JointState(now, names, np.array([0.3, 1.2, 0.1, 0.0]), np.array([speed, 0.01, 0.001, 0.01])), now
+        JointState(now, names, np.array([q1, 1.2, 0.1, 0.0]), np.array([speed, 0.01, 0.001, 0.01])), now
     )
     assert decision is not None
     return decision
@@ -41,12 +43,12 @@ def reason(decision: Decision) -> str:
 def test_release_time_counts_on_header_stamps(scara: RobotDynamics) -> None:
     monitor = make_monitor(scara, release_time=0.1)
     assert verdict(send(monitor, 0)) is Verdict.OK
-    assert verdict(send(monitor, 10, FAST)) is Verdict.VIOLATION
-    held = send(monitor, 109)
+    assert verdict(send(monitor, 10, FAST, q1=0.325)) is Verdict.VIOLATION
+    held = send(monitor, 109, q1=0.575)
     assert verdict(held) is Verdict.VIOLATION
     assert reason(held).startswith("held after: ")
     assert held.contacts[0].margin > 0.0
-    assert verdict(send(monitor, 110)) is Verdict.OK
+    assert verdict(send(monitor, 110, q1=0.575)) is Verdict.OK
 
 
 def test_held_unknown_allows_nothing(scara: RobotDynamics) -> None:
