@@ -33,7 +33,7 @@ from scara_effmass.values import Decision, FloatArray, JointState, Verdict
 ROOT = Path(__file__).parents[1]
 ROBOTS = {
     "i4-550L": (share("config", "omron_i4_550l.yaml"), MonitorSettings()),
-    "UR5": (ROOT / "test/robots/ur5_robot.urdf", MonitorSettings(effective_mass_model="full")),
+    "UR5": (share("config", "robots", "ur5_robot.urdf"), MonitorSettings(effective_mass_model="full")),
 }
 WX200 = (ROOT / "test/robots/wx200.urdf", MonitorSettings(effective_mass_model="full"))
 RECORDINGS = {

@@ -27,7 +27,9 @@ def test_channel_status_has_the_filter_delay_of_the_blocks() -> None:
     source = make_source(settings, lambda: 0)
     source.start()
     signal = SignalConditioner(source, settings)
-    _, channel = statuses(Acquisition(source, settings, lambda: None), signal, settings)
+    both = statuses(Acquisition(source, settings, lambda: None), signal, settings)
+    assert {status.hardware_id for status in both} == {source.description}
+    _, channel = both
     values = {pair.key: pair.value for pair in channel.values}
     ((block,),) = signal.blocks(Reading(0, np.zeros((1, 100)), 0, 0))
     source.close()

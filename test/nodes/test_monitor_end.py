@@ -15,7 +15,7 @@ from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from test.nodes.conftest import TIMEOUT_S, NodeHarness, joint_state, stamp_ns
+from test.nodes.conftest import JOINTS, TIMEOUT_S, NodeHarness, Q, joint_state, stamp_ns
 
 S = 1_000_000_000
 STILL = (0.0,) * 4
@@ -114,13 +114,13 @@ def test_names_of_diagnostics_differ_between_cells(new_harness: Callable[..., No
 BUSY = """
 import time
 from scara_effmass.nodes import monitor_node
-class SlowDecoder(monitor_node.JointStateDecoder):
-    def decode(self, data):
-        state = super().decode(data)
-        if state.position[0] > 1.0:
+class SlowMonitor(monitor_node.Monitor):
+    def assess(self, state, *arguments):
+        decision = super().assess(state, *arguments)
+        if "slow" in state.names:
             time.sleep(6.0)
-        return state
-monitor_node.JointStateDecoder = SlowDecoder
+        return decision
+monitor_node.Monitor = SlowMonitor
 raise SystemExit(monitor_node.main())
 """
 
@@ -131,7 +131,7 @@ def test_watchdog_speaks_while_a_callback_takes_long(new_harness: Callable[..., 
     harness.subscribe()
     answer(harness, ContactState.OK)
     sent_s = time.monotonic()
-    slow = joint_state(position=(1.2, 1.2, 0.1, -0.4), velocity=STILL)
+    slow = joint_state(names=(*JOINTS, "slow"), position=(*Q, 0.0), velocity=(*STILL, 0.0))
     harness.send(slow)
     harness.spin_until(lambda: any(c.reason.startswith("the assessment of") for c in harness.contact_states))
     assert time.monotonic() - sent_s < 2.0
@@ -139,6 +139,7 @@ def test_watchdog_speaks_while_a_callback_takes_long(new_harness: Callable[..., 
     # The late answer is no OK either.
     late = harness.spin_until(lambda: [c for c in harness.contact_states if stamp_ns(c) == stamp_ns(slow)])[0]
     assert late.verdict == ContactState.UNKNOWN
+    assert late.reason.startswith("the assessment took ")
 
 
 def test_latch_survives_a_new_robot_and_cleanup_and_ends_by_reset(new_harness: Callable[..., NodeHarness]) -> None:
@@ -162,6 +163,12 @@ def test_latch_survives_a_new_robot_and_cleanup_and_ends_by_reset(new_harness: C
     harness.spin_until(lambda: latched_answer().startswith("latched until reset: tip: robot_description: "))
     response = harness.call_service(Trigger, "reset", Trigger.Request())
     assert response.message.startswith("cleared: UNKNOWN: robot_description: ")
+    answer(harness, ContactState.OK, **valid)
+    # A reset without a robot clears what the next one would take over.
+    descriptions.publish(String(data="<robot>"))
+    assert latched_answer().startswith("robot_description: ")
+    assert harness.call_service(Trigger, "reset", Trigger.Request()).message.startswith("cleared: UNKNOWN: ")
+    descriptions.publish(String(data=ONE_LINK))
     answer(harness, ContactState.OK, **valid)
 
 

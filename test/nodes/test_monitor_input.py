@@ -106,7 +106,10 @@ def test_corrupt_message_gives_unknown(harness: NodeHarness) -> None:
     whole = serialize_message(joint_state())
     broken = bytearray(whole)
     broken[12:16] = struct.pack("<I", 1_000_000)  # frame_id of 1 000 000 bytes
-    assert_unknown_at_zero_speed(harness, harness.response_to(bytes(broken)), "JointState: ")
+    sent_ns = time.time_ns()
+    response = harness.response_to(bytes(broken))
+    assert_unknown_at_zero_speed(harness, response, "JointState: ")
+    assert stamp_ns(response) >= sent_ns
     assert harness.response_to(joint_state()).verdict == ContactState.OK
 
 
