@@ -1,9 +1,14 @@
 """Mobility of a contact point, and the reduced mass of its contact along the worst normal."""
 
+from __future__ import annotations
+
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from scara_effmass.values import Vector3
+
+if TYPE_CHECKING:
+    from scara_effmass.iso15066.pose_change import PoseChange
 
 CLAMPED_TOLERANCE = 1e-11
 """Ratio to the trace of the mobility that counts as unreachable against a clamped body part."""
@@ -16,7 +21,8 @@ class Mobility(NamedTuple):
 
     `along` is n^T A n and `adjugate` n^T adj(A) n for the unit vector n of the velocity; `trace`, `minors` (sum of the
     principal minors) and `determinant` are the invariants of A, and `rank` is the number of directions in which the
-    contact point can move. Of a single effective mass, as of ISO/TS 15066, the rank is 1.
+    contact point can move. Of a single effective mass, as of ISO/TS 15066, the rank is 1. `change` is that of the pose
+    during the contact; None: none.
     """
 
     along: float
@@ -25,15 +31,16 @@ class Mobility(NamedTuple):
     minors: float
     determinant: float
     rank: int
+    change: PoseChange | None = None
 
     @classmethod
-    def of_mass(cls, effective_mass: float) -> "Mobility":
+    def of_mass(cls, effective_mass: float) -> Mobility:
         """Return the mobility of one `effective_mass` [kg], which may be infinite, in the direction of the contact."""
         mobility = 1.0 / effective_mass
         return cls(mobility, 0.0, mobility, 0.0, 0.0, 1)
 
     @classmethod
-    def of_matrix(cls, matrix: Matrix, direction: Vector3, rank: int) -> "Mobility":
+    def of_matrix(cls, matrix: Matrix, direction: Vector3, rank: int, change: PoseChange | None = None) -> Mobility:
         """Return the scalars of A, a symmetric (3, 3) `matrix` [1/kg], for the unit vector `direction`."""
         (a, b, c), (_, d, e), (_, _, f) = matrix
         x, y, z = direction
@@ -48,11 +55,12 @@ class Mobility(NamedTuple):
             p + q + r,
             a * p + b * s + c * t,
             rank,
+            change,
         )
 
-    def along_normal(self) -> "Mobility":
+    def along_normal(self) -> Mobility:
         """Return the mobility of a contact whose normal is that of `along`, whatever the velocity."""
-        return Mobility(self.along, 0.0, self.along, 0.0, 0.0, 1)
+        return Mobility(self.along, 0.0, self.along, 0.0, 0.0, 1, self.change)
 
     def worst_reduced_mass(self, alpha: float, beta: float = 1.0) -> float:
         """Return the largest (v.n)^2 / (alpha + beta n^T A n) over all unit normals n [kg], v the unit velocity.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from scara_effmass.errors import LimitError
 from scara_effmass.iso15066.drives import MAX_MOBILITY, Line, contact_lines
 from scara_effmass.iso15066.mobility import Mobility
+from scara_effmass.iso15066.pose_change import contact_time
 from scara_effmass.settings import Drives, MonitorSettings
 
 if TYPE_CHECKING:
@@ -16,13 +17,15 @@ if TYPE_CHECKING:
 
 MIN_EFFECTIVE_MASS = 1e-6
 """Smallest effective mass [kg] for which a speed is computed: a lower one means that the robot model is wrong."""
+_TYPICAL = Mobility.of_mass(2.0)
 
 
 class SpeedLimit(NamedTuple):
     """Allowable relative speed [m/s], the limit that governs, and the contact force over the relative speed.
 
     `reduced_mass` [kg] is that of the bound, drives included; `push` [N] is that of the drives, where their effort
-    limits give the tighter bound. `stiffness` [N/m] includes its uncertainty.
+    limits give the tighter bound. `stiffness` [N/m] includes its uncertainty. `growth` [s/m] is that of the change of
+    pose during the contact: the speed v counts as v (1 + growth v).
     """
 
     allowable_speed: float
@@ -31,19 +34,29 @@ class SpeedLimit(NamedTuple):
     reduced_mass: float
     stiffness: float
     push: float = 0.0
+    growth: float = 0.0
 
     def force(self, speed: float, max_mass: float = math.inf) -> float:
-        """Return the bound P + sqrt(P^2 + k mu v^2) of the peak force [N] at the relative `speed` v [m/s].
+        """Return the bound P + sqrt(P^2 + k mu u^2), u = v (1 + growth v), of the peak force [N] at `speed` v [m/s].
 
-        P is `push`, a constant force of the drives against the contact; without one this is v sqrt(mu k).
+        P is `push`, a constant force of the drives against the contact; without one this is u sqrt(mu k).
         mu is at most `max_mass` [kg].
         """
+        speed *= 1.0 + self.growth * speed
         energy = self.stiffness * min(self.reduced_mass, max_mass) * speed * speed
         return self.push + math.sqrt(self.push * self.push + energy)
 
 
+_Bound = tuple[float, float, float, float]
+"""v_max [m/s], reduced mass [kg], growth [s/m] and push [N]."""
+
+
 class _Case(NamedTuple):
-    """One limit; `rate` is k / F^2, `lines` bound its reduced mass."""
+    """One limit; `rate` is k / F^2, `lines` bound its reduced mass.
+
+    `max_mu` is a bound of it for any robot. `drive_time` is the time [s] for which the pose changes, where drives push
+    on; 0: that of free joints.
+    """
 
     limit: Limit
     criterion: Criterion
@@ -51,13 +64,28 @@ class _Case(NamedTuple):
     stiffness: float
     rate: float
     obstacle_mobility: float
+    max_mu: float
     lines: tuple[Line, ...]
+    drive_time: float
+
+    def bound(self, mobility: Mobility, mass_factor: float, lines: tuple[Line, ...], rate: float) -> _Bound:
+        """Return the bound of one `mobility`, whose masses count `mass_factor` times; `rate` is k / F^2."""
+        mu, alpha, beta = math.inf, 0.0, 0.0
+        for line in lines:
+            line_mu = mass_factor * mobility.worst_reduced_mass(mass_factor * line[0], line[1])
+            if line_mu < mu:
+                mu, (alpha, beta) = line_mu, line
+        change, growth = mobility.change, 0.0
+        if change is not None and mu < math.inf:
+            time = self.drive_time or contact_time(mu, self.stiffness)
+            growth = 0.5 * time * change.growth(mass_factor * alpha, beta) / change.speed
+        return _speed(mu * rate, growth), mu, growth, 0.0
 
 
 class SpeedLimits:
-    """Allowable speed under several limits. `limits` are all of them, `governing` those that can set the speed."""
+    """Allowable speed under several `limits`."""
 
-    __slots__ = ("_cases", "governing", "limits")
+    __slots__ = ("_cases", "_is_free", "_max_drive_time", "_min_alpha", "_min_stiffness", "limits")
 
     def __init__(self, limits: Iterable[Limit], settings: MonitorSettings | None = None) -> None:
         """Use drives and stiffness uncertainty of `settings`: by default free joints and none.
@@ -79,12 +107,18 @@ class SpeedLimits:
                 k,
                 k / limit.permissible_force_n**2,
                 1.0 / limit.obstacle_mass_kg,
+                limit.obstacle_mass_kg if len(bounds) == 1 else math.inf,
                 bounds,
+                0.0 if settings.drives is Drives.FREE else contact_time(limit.obstacle_mass_kg, k),
             )
             for limit, k, bounds in zip(self.limits, stiffness, lines, strict=True)
         ]
-        self._cases = _governing(cases)
-        self.governing = tuple(case.limit for case in self._cases)
+        # First the one that most often sets the speed: of the others the bound of the growth is then mostly enough.
+        self._cases = sorted(cases, key=lambda case: -case.rate * _TYPICAL.worst_reduced_mass(*case.lines[0]))
+        self._min_alpha = min([alpha / beta for case in cases for alpha, beta in case.lines if beta], default=0.0)
+        self._is_free = settings.drives is Drives.FREE
+        self._min_stiffness = min(stiffness)
+        self._max_drive_time = max([case.drive_time for case in cases])
 
     def speed_limit(self, effective_mass: float) -> SpeedLimit:
         """Return the smallest v_max = min(F, p A) / sqrt(mu k) of all limits for one `effective_mass` [kg].
@@ -105,53 +139,51 @@ class SpeedLimits:
         bound for drives that push on. The relative speed is that of robot and person towards each other.
         """
         # Plain loops: this is the hot path of the monitor.
-        slowest, slowest_mu, slowest_push, max_square = self._cases[0], 0.0, 0.0, -1.0
+        alpha = mass_factor * self._min_alpha
+        bounded = []
+        for mobility in mobilities:
+            change, max_growth = mobility.change, 0.0
+            max_mu = mass_factor * mobility.worst_reduced_mass(alpha) if self._is_free else math.inf
+            if change is not None:
+                time = self._max_drive_time or contact_time(max_mu, self._min_stiffness)
+                max_growth = 0.5 * time * change.max_growth(alpha) / change.speed
+            bounded.append((mobility, max_mu, max_growth))
+        slowest, min_speed = None, math.inf
         for case in self._cases:
-            mu = 0.0
-            for mobility in mobilities:
-                simulated = len(case.lines) == 1 or mobility.trace <= MAX_MOBILITY * mass_factor
-                model_mu = math.inf
-                for alpha, beta in case.lines if simulated else ((case.obstacle_mobility, 0.0),):
-                    line_mu = mass_factor * mobility.worst_reduced_mass(mass_factor * alpha, beta)
-                    model_mu = min(model_mu, line_mu)
-                mu = max(mu, model_mu)
-            square, case_push = mu * case.rate, 0.0  # 1 / v_max^2
+            bound: _Bound = math.inf, 0.0, 0.0, 0.0
+            for mobility, max_mu, max_growth in bounded:
+                # Most cases can be seen not to set the speed.
+                speed = min_speed * (1.0 + max_growth * min_speed)
+                if not min(max_mu, case.max_mu) * case.rate * speed * speed <= 1.0:
+                    simulated = len(case.lines) == 1 or mobility.trace <= MAX_MOBILITY * mass_factor
+                    lines = case.lines if simulated else ((case.obstacle_mobility, 0.0),)
+                    bound = min(bound, case.bound(mobility, mass_factor, lines, case.rate))
             if push is not None and push[0] < math.inf:
-                bound = _push_bound(case, mobilities, mass_factor, push)
-                if bound[0] < square:
-                    square, mu, case_push = bound
-            if square > max_square:
-                slowest, slowest_mu, slowest_push, max_square = case, mu, case_push, square
-        limit, criterion = slowest.limit, slowest.criterion
-        return SpeedLimit(max_square**-0.5, limit, criterion, slowest_mu, slowest.stiffness, slowest_push)
+                bound = max(bound, _push_bound(case, mobilities, mass_factor, push))
+            if bound[0] < min_speed:
+                min_speed, slowest = bound[0], (case, bound)
+        case, (_, mu, growth, case_push) = slowest or (self._cases[0], (0.0, 0.0, 0.0, 0.0))
+        return SpeedLimit(min_speed, case.limit, case.criterion, mu, case.stiffness, case_push, growth)
 
 
-def _push_bound(
-    case: _Case, mobilities: Sequence[Mobility], mass_factor: float, push: tuple[float, float]
-) -> tuple[float, float, float]:
-    """Return 1 / v_max^2 [s2/m2], the reduced mass of free joints [kg] and the push of the drives [N].
+def _speed(inverse_square: float, growth: float) -> float:
+    """Return v [m/s] with v (1 + growth v) = 1 / sqrt(inverse_square)."""
+    if inverse_square <= 0.0:
+        return math.inf
+    speed = 1.0 / math.sqrt(inverse_square)
+    return 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed))
 
-    F = P + sqrt(P^2 + k mu v^2) with the push P = mu a of the acceleration a: infinite if P alone is too much.
+
+def _push_bound(case: _Case, mobilities: Sequence[Mobility], mass_factor: float, push: tuple[float, float]) -> _Bound:
+    """Return the bound of free joints and the push of the drives.
+
+    F = P + sqrt(P^2 + k mu u^2) with the push P = mu a of the acceleration a: v_max is 0 if P alone is too much.
     """
     acceleration, min_mobility = push
     force = acceleration / (min_mobility / mass_factor + case.obstacle_mobility)
-    mu = max(mass_factor * m.worst_reduced_mass(mass_factor * case.obstacle_mobility) for m in mobilities)
     rest = case.force * (case.force - 2.0 * force)
-    return (mu * case.stiffness / rest if rest > 0.0 else math.inf), mu, force
-
-
-def _governing(cases: list[_Case]) -> list[_Case]:
-    """Return the cases that can set the speed, where each has one line.
-
-    With c = k / F^2 the case has 1/v_max^2 = c / (alpha + beta a) over the mobility a; another is never above it if
-    that holds at both ends, a = 0 and infinity.
-    """
-    if any(len(case.lines) > 1 for case in cases):
-        return cases
-    kept: list[_Case] = []
-    for case in sorted(cases, key=lambda case: -case.rate):
-        alpha, beta = case.lines[0]
-        ends = ((other.rate, *other.lines[0]) for other in kept)
-        if not any(case.rate * a <= c * alpha and case.rate * b <= c * beta for c, a, b in ends):
-            kept.append(case)
-    return kept
+    if rest <= 0.0:
+        return 0.0, 0.0, 0.0, force
+    free, rate = ((case.obstacle_mobility, 1.0),), case.stiffness / rest
+    speed, mu, growth, _ = min([case.bound(mobility, mass_factor, free, rate) for mobility in mobilities])
+    return speed, mu, growth, force

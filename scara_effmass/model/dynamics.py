@@ -11,7 +11,7 @@ can move in. The paper is cited in `scara_effmass.model`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from scara_effmass.errors import RobotError
 from scara_effmass.iso15066.mobility import Matrix
+from scara_effmass.iso15066.pose_change import PoseChange
 from scara_effmass.model.lumping import LumpedModel, lump
 from scara_effmass.model.robot import Robot
 from scara_effmass.settings import MonitorSettings
@@ -39,7 +40,8 @@ class EffectiveMasses(NamedTuple):
     A mass is infinite in a direction that no joint moves, and NaN if its model does not cover this state;
     `lumped_reason` then states why. The mobilities A = J_v M^-1 J_v^T [1/kg] of a model are symmetric (3, 3) lists, of
     which `rank` eigenvalues are not 0 outside singular poses; empty without the model. `speed_tolerance` [m/s]
-    bounds the error of the speed that the stated errors of the joint velocities can cause.
+    bounds the error of the speed that the stated errors of the joint velocities can cause. The changes of pose are
+    there for the models that were asked for, unless the contact point is at rest.
     """
 
     speed: float
@@ -53,6 +55,8 @@ class EffectiveMasses(NamedTuple):
     rank: int
     has_massless_direction: bool
     speed_tolerance: float
+    lumped_change: PoseChange | None = None
+    full_change: PoseChange | None = None
 
     @property
     def worst_lumped(self) -> float:
@@ -82,8 +86,10 @@ class RobotDynamics:
             self.lumped_reason = str(error)
         self.full_reason = _full_reason(robot)
         self._models = [] if self.lumped is None else [self.lumped.model]
+        self._names = [] if self.lumped is None else ["lumped"]
         if not self.full_reason:
             self._models.append(robot.model)
+            self._names.append("full")
         self._data = [model.createData() for model in self._models]
         self._coupled_rotors = bool(robot.rotors.coupling.any())
         self._kinematics = robot.model.createData()
@@ -100,17 +106,26 @@ class RobotDynamics:
         return tuple(name for name, _, _ in self._contacts)
 
     def effective_masses(
-        self, q: FloatArray, qd: FloatArray, speed_threshold: float, velocity_tolerance: Sequence[float] = ()
+        self,
+        q: FloatArray,
+        qd: FloatArray,
+        speed_threshold: float,
+        velocity_tolerance: Sequence[float] = (),
+        changes: Container[str] = (),
     ) -> list[EffectiveMasses]:
         """Return the effective masses of each contact point at `q` (n,) [rad, m] and `qd` (n,), Eqs. 3-14.
 
         A contact point slower than `speed_threshold` [m/s] has no direction; its masses are of the worst direction.
-        `velocity_tolerance` (n,) bounds the errors of `qd`; empty: no errors.
+        `velocity_tolerance` (n,) bounds the errors of `qd`; empty: no errors. `changes` names the models, lumped or
+        full, whose change of pose is computed.
         """
-        pin.computeJointJacobians(self.robot.model, self._kinematics, q)
-        inverses = [self._inverse(model, data, q) for model, data in zip(self._models, self._data, strict=True)]
+        pin.computeJointJacobiansTimeVariation(self.robot.model, self._kinematics, q, qd)
+        inverses, coriolis = [], []
+        for name, model, data in zip(self._names, self._models, self._data, strict=True):
+            inverses.append(self._inverse(model, data, q))
+            coriolis.append(pin.computeCoriolisMatrix(model, data, q, qd) if name in changes else None)
         return [
-            self._at_contact(qd, frame, rank, inverses, speed_threshold, velocity_tolerance)
+            self._at_contact(qd, frame, rank, inverses, coriolis, speed_threshold, velocity_tolerance)
             for _, frame, rank in self._contacts
         ]
 
@@ -120,6 +135,7 @@ class RobotDynamics:
         frame: int,
         rank: int,
         inverses: list[FloatArray],
+        coriolis: list[FloatArray | None],
         speed_threshold: float,
         velocity_tolerance: Sequence[float],
     ) -> EffectiveMasses:
@@ -129,9 +145,20 @@ class RobotDynamics:
         speed = math.sqrt(vx * vx + vy * vy + vz * vz)
         moving = speed >= speed_threshold and speed > 0.0
         direction = (vx / speed, vy / speed, vz / speed) if moving else ZERO_VECTOR
-        mobilities = [jacobian.dot(inverse).dot(transposed).tolist() for inverse in inverses]
+        responses = [inverse.dot(transposed) for inverse in inverses]  # M^-1 J_v^T
+        mobilities = [jacobian.dot(response).tolist() for response in responses]
         lumped_mobility = mobilities[0] if self.lumped is not None else []
         full_mobility = mobilities[-1] if not self.full_reason else []
+        changes: list[PoseChange | None] = [None] * len(mobilities)
+        if moving and any(matrix is not None for matrix in coriolis):
+            jacobian_rate = self._jacobian_rate(frame)
+            held = jacobian_rate.dot(qd).tolist()
+            for i, (matrix, response) in enumerate(zip(coriolis, responses, strict=True)):
+                if matrix is not None:
+                    # K = dJ/dt - J M^-1 C: K qd accelerates the point of free joints, and dA/dt = Z + Z^T.
+                    rate = jacobian_rate - response.T.dot(matrix)
+                    accelerations = (tuple(rate.dot(qd).tolist()), tuple(held))
+                    changes[i] = PoseChange(direction, speed, mobilities[i], rate.dot(response).tolist(), accelerations)
         if moving:
             lumped, full = _effective_mass(lumped_mobility, direction), _effective_mass(full_mobility, direction)
         else:
@@ -163,6 +190,8 @@ class RobotDynamics:
             rank,
             has_massless_direction,
             tolerance,
+            changes[0] if self.lumped is not None else None,
+            changes[-1] if not self.full_reason else None,
         )
 
     def in_base(self, q: FloatArray, vector: Vector3, frame: str) -> Vector3:
@@ -219,6 +248,12 @@ class RobotDynamics:
         jacobian: FloatArray = pin.getFrameJacobian(self.robot.model, self._kinematics, frame, _WORLD_AXES)
         linear = jacobian[:3]
         return linear if linear.ndim > 1 else linear[:, None]  # Pinocchio returns a vector for a single joint
+
+    def _jacobian_rate(self, frame: int) -> FloatArray:
+        """Return dJ_v/dt (3, n) of the latest `computeJointJacobiansTimeVariation`."""
+        rate: FloatArray = pin.getFrameJacobianTimeVariation(self.robot.model, self._kinematics, frame, _WORLD_AXES)
+        linear = rate[:3]
+        return linear if linear.ndim > 1 else linear[:, None]
 
     def _inverse(self, model: pin.Model, data: pin.Data, q: FloatArray) -> FloatArray:
         """Return the inverse (n, n) of the mass matrix of `model`, this robot's or its lumped copy."""

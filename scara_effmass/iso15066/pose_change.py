@@ -1,0 +1,102 @@
+"""Change of pose during a contact: how fast the force of the worst normal grows from the first touch on."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from scara_effmass.iso15066.mobility import CLAMPED_TOLERANCE, Matrix
+from scara_effmass.values import Vector3
+
+TIME_FACTOR = 1.5
+"""Time for which the growth counts, over the time to the peak force; above 1 it covers what is not linear in time."""
+MAX_CONTACT_S = 0.5
+"""Longest transient contact of ISO/TS 15066."""
+
+
+class PoseChange(NamedTuple):
+    """Motion of a contact point and of its mobility A as the joints go on.
+
+    `direction` is the unit vector n of the velocity, or of a fixed contact normal, and `speed` [m/s] the velocity
+    along it. `mobility` is A [1/kg], and `mobility_rate` Z [1/(kg s)] with dA/dt = Z + Z^T. `accelerations` [m/s2] are
+    those of the contact point with free joints, and with joints that keep their velocities.
+    """
+
+    direction: Vector3
+    speed: float
+    mobility: Matrix
+    mobility_rate: Matrix
+    accelerations: tuple[Vector3, ...]
+
+    def growth(self, alpha: float, beta: float) -> float:
+        """Return d/dt ln(v^T (alpha I + beta A)^-1 v) [1/s], without what lessens it.
+
+        With w = (alpha I + beta A)^-1 v the derivative is (2 w.a - beta w^T (dA/dt) w) / (v.w). The larger one of the
+        accelerations a and the change of the mobility count only where they are positive.
+        """
+        if beta <= 0.0:
+            wx, wy, wz = self.direction
+            along, energy_rate = 1.0, 0.0
+        else:
+            wx, wy, wz = self._solve(alpha / beta)
+            nx, ny, nz = self.direction
+            along = nx * wx + ny * wy + nz * wz
+            if not 0.0 < along < math.inf:
+                return math.inf
+            (a, b, c), (d, e, f), (g, h, i) = self.mobility_rate
+            energy_rate = wx * (a * wx + b * wy + c * wz) + wy * (d * wx + e * wy + f * wz)
+            energy_rate += wz * (g * wx + h * wy + i * wz)
+        faster = 0.0
+        for ax, ay, az in self.accelerations:
+            faster = max(faster, wx * ax + wy * ay + wz * az)
+        return 2.0 * (faster / self.speed + max(0.0, -energy_rate)) / along
+
+    def max_growth(self, alpha: float) -> float:
+        """Return a bound [1/s] of `growth` for every alpha / beta of at least `alpha` [1/kg], from lengths of vectors.
+
+        The angle between w and v is largest at the smallest alpha / beta, and so is the reduced mass v.w.
+        """
+        wx, wy, wz = self._solve(alpha)
+        nx, ny, nz = self.direction
+        along = nx * wx + ny * wy + nz * wz
+        if not 0.0 < along < math.inf:
+            return math.inf
+        (a, b, c), (d, e, f), (g, h, i) = self.mobility_rate
+        rate = math.sqrt(a * a + b * b + c * c + d * d + e * e + f * f + g * g + h * h + i * i)
+        square = (wx * wx + wy * wy + wz * wz) / (along * along)
+        acceleration = math.sqrt(max([ax * ax + ay * ay + az * az for ax, ay, az in self.accelerations]))
+        return 2.0 * (math.sqrt(square) * acceleration / self.speed + along * square * rate)
+
+    def along(self, normal: Vector3, min_speed: float) -> PoseChange:
+        """Return the change for a contact with this unit `normal` (3,), at least `min_speed` [m/s] along it."""
+        x, y, z = self.direction
+        nx, ny, nz = normal
+        speed = self.speed * (x * nx + y * ny + z * nz)
+        if speed < 0.0:
+            speed, nx, ny, nz = -speed, -nx, -ny, -nz
+        (a, b, c), (_, d, e), (_, _, f) = self.mobility
+        m = a * nx * nx + d * ny * ny + f * nz * nz + 2.0 * (b * nx * ny + c * nx * nz + e * ny * nz)
+        mobility = [[m, 0.0, 0.0], [0.0, m, 0.0], [0.0, 0.0, m]]
+        return PoseChange((nx, ny, nz), max(speed, min_speed), mobility, self.mobility_rate, self.accelerations)
+
+    def _solve(self, s: float) -> Vector3:
+        """Return (s I + A)^-1 n (3,) [kg], with the adjugate."""
+        (a, b, c), (_, d, e), (_, _, f) = self.mobility
+        x, y, z = self.direction
+        s = max(s, CLAMPED_TOLERANCE * (a + d + f))
+        a, d, f = a + s, d + s, f + s
+        p, q, r = d * f - e * e, a * f - c * c, a * d - b * b
+        t, u, v = c * e - b * f, b * e - c * d, b * c - a * e
+        determinant = a * p + b * t + c * u
+        if determinant <= 0.0:
+            return math.inf, math.inf, math.inf
+        return (
+            (p * x + t * y + u * z) / determinant,
+            (t * x + q * y + v * z) / determinant,
+            (u * x + v * y + r * z) / determinant,
+        )
+
+
+def contact_time(reduced_mass: float, stiffness: float) -> float:
+    """Return the time [s] for which the growth counts: a quarter period of `reduced_mass` [kg] on the contact."""
+    return min(TIME_FACTOR * 0.5 * math.pi * math.sqrt(reduced_mass / stiffness), MAX_CONTACT_S)
