@@ -429,6 +429,17 @@ def test_payload_with_another_centre_of_mass_applies(scara: RobotDynamics) -> No
     assert decision.contacts[0].full_mass != assess_one(scara, q, qd, payload_mass=2.0).full_mass
 
 
+def test_effort_limits_raise_the_speed_of_a_stiff_servo(scara: RobotDynamics, scara_variant: Variant) -> None:
+    def limit_efforts(file: dict[str, Any]) -> None:
+        for joint in file["joints"]:
+            joint["max_effort"] = 1.0
+
+    q, qd, stiff = (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 1e-6, 0.1), {"drives": "servo", "servo": {"bandwidth": 1000.0}}
+    unlimited, limited = assess_one(scara, q, qd, **stiff), assess_one(scara_variant(limit_efforts), q, qd, **stiff)
+    assert limited.allowable_speed > 1.2 * unlimited.allowable_speed
+    assert limited.allowable_speed < assess_one(scara, q, qd).allowable_speed
+
+
 def test_rejected_settings_change_nothing(scara: RobotDynamics) -> None:
     monitor = Monitor(scara, settings_of(max_force=100.0))
     before = monitor.settings
