@@ -5,7 +5,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import LIBRARY_IDENTIFIER, CompressionType, IndexType, Writer
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.wire.cdr import NS
@@ -49,7 +49,8 @@ def write_mcap(
     chunked: bool = True,
     chunk_size: int = 4000,
     profile: str = "ros2",
-    library: str = "test",
+    library: str = LIBRARY_IDENTIFIER,
+    statistics: bool = True,
     definitions: Mapping[str, str] = MappingProxyType({}),
     channel_metadata: Mapping[str, str] = MappingProxyType({}),
     add_records: Callable[[Writer], None] = lambda _: None,
@@ -62,7 +63,7 @@ def write_mcap(
             compression=compression,
             use_chunking=chunked,
             index_types=IndexType.ALL if indexed else IndexType.NONE,
-            use_statistics=indexed,
+            use_statistics=indexed and statistics,
             repeat_channels=indexed,
             repeat_schemas=indexed,
             use_summary_offsets=indexed,

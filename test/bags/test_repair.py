@@ -159,7 +159,7 @@ class TestFile:
         assert {chunk.compression for chunk in summary.chunk_indexes} == {"zstd"}
 
     def test_without_an_index_gets_one(self, tmp_path: Path) -> None:
-        path = write(tmp_path / "a.mcap", indexed=False)
+        path = write(tmp_path / "a.mcap", statistics=False)
         assert not repair(path).intact
         assert indexed(path) == MESSAGES
 
