@@ -101,6 +101,16 @@ def test_contacts_with_force_in_the_valley_between_them_share_no_sample() -> Non
     assert (first.complete, second.complete) == (True, True)
 
 
+def test_peak_before_a_dropout_is_interpolated() -> None:
+    baseline = Baseline(DetectionSettings(), [Frame(np.random.default_rng(n).normal(0.0, 0.1, 640)) for n in range(5)])
+    samples = np.random.default_rng(9).normal(0.0, 0.1, 60)
+    samples[20:33] = [60.0, 80.0, 70.0, *np.zeros(10)]
+    segment = classify(samples, np.zeros(60, dtype=np.bool_), baseline, 4, 20)
+    (contact,) = segment.contacts
+    assert segment.dropouts.tolist() == [23]
+    assert contact.peak == pytest.approx(80.0 + 10.0**2 / (8.0 * 30.0), abs=0.1)
+
+
 def test_buffer_keeps_a_saturated_sample_at_index_0(make_block: MakeBlock) -> None:
     buffer = SampleBuffer(100)
     buffer.append(make_block(np.arange(5.0), 100, saturated=[0]))

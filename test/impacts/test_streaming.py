@@ -298,6 +298,15 @@ def test_glitches_are_counted(detect: Detect, add_pulse: AddPulse) -> None:
     assert not detect(force[:10_001]).impacts
 
 
+def test_a_glitch_at_the_first_sample_after_an_impact_counts(detect: Detect, add_pulse: AddPulse) -> None:
+    """The impact in the frame of 640 samples from 12 800 on is classified with the quiet frame after it."""
+    force = np.random.default_rng(0).normal(0.0, 0.1, 25_600)
+    add_pulse(force, 12_900, 2e-3, 100.0)
+    force[14_080] += 300.0
+    impacts, detector = detect(force)
+    assert (len(impacts), detector.glitches) == (1, 1)
+
+
 def test_a_push_is_no_impact_and_does_not_blind(detect: Detect, add_pulse: AddPulse) -> None:
     generator = np.random.default_rng(0)
     steady, hand = generator.normal(0.0, 0.1, (2, 80_000))

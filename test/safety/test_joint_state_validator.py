@@ -473,6 +473,14 @@ class TestCommands:
         assert feed(slow, 200 * MS) == (Verdict.OK, "")
         assert feed(slow) == (Verdict.UNKNOWN, "no joint command for 0.201 s")
 
+    def test_command_from_before_a_jump_of_the_clock_does_not_count(self, scara: RobotDynamics) -> None:
+        feed = Feed(make_monitor(scara))
+        feed.monitor.expect_commands(0.1)
+        feed.monitor.take_command(state(), feed.now_ns)
+        assert feed()[0] is Verdict.OK
+        feed.monitor.clear_history()
+        assert feed() == (Verdict.UNKNOWN, "no joint command yet")
+
 
 class TestDifferentiation:
     """A velocity differentiated from positions uses header time."""

@@ -228,7 +228,7 @@ def test_no_robot_allows_nothing(text: str) -> None:
     (contact,) = decision.contacts
     assert (contact.verdict, contact.reason, contact.contact_point) == (Verdict.UNKNOWN, text, "")
     assert (decision.allowable_speed, decision.speed_scaling) == (0.0, 0.0)
-    assert not contact.watchdog
+    assert (contact.watchdog, contact.input_age) == (False, 0.0)
     assert unknown_decision(text, watchdog=True).contacts[0].watchdog
 
 
