@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.table import Table
 from scipy.optimize import linprog
@@ -98,7 +99,7 @@ def main() -> None:
     rng = np.random.default_rng(args.seed)
     arms = {name: arm_of(name) for name in ROBOTS}
     console = Console(width=150)
-    columns = ("n", "held: median", "held: max", "median", "max", "above 1", "max, turn < 0.02")
+    columns = ("n", "held: median", "held: max", "median", "max", "above 1.005", "max, turn < 0.02")
 
     def row(table: Table, labels: Sequence[str], arm: MonitoredArm, region: str, count: int, **options: Any) -> None:  # noqa: ANN401
         (held, _), (ratio, turn) = (
@@ -117,16 +118,16 @@ def main() -> None:
             f"{little.max():.4f}" if little.size else "-",
         )
 
-    table = Table("arm", "region", "contact_normal", "plate", *columns, title="peak force / limit, joints free")
+    console.print("## Joints free")
+    table = Table("arm", "region", "contact_normal", "plate", *columns, box=box.MARKDOWN)
     for name, arm in arms.items():
         for region in ("lower_leg", "chest", "hand_fingers"):
             for normal, plate in (("worst", "worst"), ("velocity", "worst"), ("worst", "random")):
                 labels = (name, region, normal, plate)
                 row(table, labels, arm, region, args.poses, plate=plate, contact_normal=normal)
     console.print(table)
-    table = Table(
-        "arm", "bandwidth", "region", "drives", *columns, title="peak force / limit, drives push on for 0.5 s"
-    )
+    console.print("## Drives push on for 0.5 s")
+    table = Table("arm", "bandwidth", "region", "drives", *columns, box=box.MARKDOWN)
     count = max(args.poses // 8, 1)
     for name, arm in arms.items():
         for bandwidth in (1.0, 5.0, 20.0):
