@@ -1,4 +1,4 @@
-"""Messages of any known type, encoded by rosbags, and MCAP files, written by `mcap`."""
+"""Messages of any known type, encoded by rosbags; MCAP files written by `mcap`; run information."""
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -8,6 +8,9 @@ from typing import Any, NamedTuple
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType, IndexType, Writer
 
 from scara_effmass.bags.definitions import known_types
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.run_info import run_infos
+from scara_effmass.values import RunInfo
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import HEADER, TIME
 
@@ -80,3 +83,10 @@ def write_mcap(
             writer.add_message(channel, log_time_ns, data, publish_time_ns or log_time_ns, sequence)
         writer.finish()  # type: ignore[no-untyped-call]
     return path
+
+
+def run_info_of(path: Path) -> RunInfo:
+    """Return the only run information of a bag."""
+    with open_bag(path) as bag:
+        ((_, info),) = run_infos(bag)
+    return info

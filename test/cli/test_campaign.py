@@ -10,20 +10,13 @@ from pathlib import Path
 import mujoco  # noqa: F401 - its first import starts a process, which a test that is not live must not do
 import pytest
 
-from scara_effmass.bags.files import find_bags, open_bag
-from scara_effmass.bags.run_info import run_infos
-from scara_effmass.values import RunInfo
+from scara_effmass.bags.files import find_bags
+from test.bags.messages import run_info_of
 from test.cli.conftest import Cli
 
 Start = Callable[..., subprocess.Popen[str]]
 
 SMALL = ("--configuration", "300_0", "--mass", "0.5", "--repetitions", "2")
-
-
-def run_info_of(path: Path) -> RunInfo:
-    with open_bag(path) as bag:
-        ((_, info),) = run_infos(bag)
-    return info
 
 
 def test_existing_runs_are_kept_or_replaced_with_force(cli: Cli, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Bags with ForceBlocks for the tests."""
+"""Bags with ForceBlocks for the tests, and a clock."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,6 +14,16 @@ from scara_effmass.wire.message_types import FORCE_BLOCK
 MS = 10**6
 RATE = 1000.0
 START_NS = 1_700_000_000 * 10**9
+
+
+class Clock:
+    """Clock that the test sets."""
+
+    def __init__(self, now_ns: int) -> None:
+        self.now_ns = now_ns
+
+    def __call__(self) -> int:
+        return self.now_ns
 
 
 def force_block(first: int, count: int = 100, **changes: Any) -> ForceBlock:  # noqa: ANN401 - of any field

@@ -10,7 +10,7 @@ from scara_effmass.daq.bag_source import MAX_LEAD_NS, BagSource
 from scara_effmass.daq.source import Reading
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import BagSettings, DaqSettings, Stamps
-from test.daq.force_bag import MS, START_NS, force_block, write_blocks
+from test.daq.force_bag import MS, START_NS, Clock, force_block, write_blocks
 
 Play = Callable[..., BagSource]
 
@@ -18,14 +18,6 @@ NS = 10**9
 NOW = 1_800_000_000 * NS
 LAST_MS = 99
 """From the first sample of a block to its last."""
-
-
-class Clock:
-    def __init__(self, now_ns: int) -> None:
-        self.now_ns = now_ns
-
-    def __call__(self) -> int:
-        return self.now_ns
 
 
 @pytest.fixture
@@ -45,8 +37,8 @@ def play(path: Path) -> Iterator[Play]:
         return started[-1]
 
     yield start
-    for each in started:
-        each.close()
+    for source in started:
+        source.close()
 
 
 def due_readings(source: BagSource) -> list[Reading]:

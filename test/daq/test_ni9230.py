@@ -4,6 +4,7 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from ctypes.util import find_library
 from typing import Any
 
@@ -50,25 +51,24 @@ def settings(**values: object) -> DaqSettings:
 @pytest.fixture
 def make(ni_device: NiDevice) -> Iterator[Open]:
     """Make a source, which is closed at the end."""
-    made = []
+    with ExitStack() as stack:
 
-    def source(**values: object) -> Ni9230Source:
-        made.append(Ni9230Source(settings(**values), ni_device.clock))
-        return made[-1]
+        def make_source(**values: object) -> Ni9230Source:
+            source = Ni9230Source(settings(**values), ni_device.clock)
+            stack.callback(source.close)
+            return source
 
-    yield source
-    for each in made:
-        each.close()
+        yield make_source
 
 
 @pytest.fixture
 def started(make: Open) -> Open:
-    def source(**values: object) -> Ni9230Source:
-        made = make(**values)
-        made.start()
-        return made
+    def make_started(**values: object) -> Ni9230Source:
+        source = make(**values)
+        source.start()
+        return source
 
-    return source
+    return make_started
 
 
 def got(reading: Reading | None) -> Reading:

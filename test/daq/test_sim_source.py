@@ -5,6 +5,7 @@ from scara_effmass.daq.sim_source import HalfSineSource
 from scara_effmass.daq.source import Reading, make_source
 from scara_effmass.settings import DaqSettings, ForceSourceKind, SensorSettings, SimSettings, checked
 from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
+from test.daq.force_bag import Clock
 
 NS = 1_000_000_000
 NOW_NS = 1_767_225_600 * NS
@@ -14,18 +15,8 @@ SETTINGS = DaqSettings(
 BLOCK = 1280
 
 
-class Clock:
-    """Steady clock that the test sets."""
-
-    def __init__(self) -> None:
-        self.ns = 77_000_000_000_000
-
-    def __call__(self) -> int:
-        return self.ns
-
-
 def started(settings: DaqSettings = SETTINGS) -> tuple[HalfSineSource, Clock]:
-    clock = Clock()
+    clock = Clock(77_000_000_000_000)
     source = HalfSineSource(settings, lambda: NOW_NS, clock)
     source.start()
     return source, clock
@@ -54,7 +45,7 @@ def test_sim_source_declares_that_it_is_simulated() -> None:
 
 def test_samples_are_those_of_the_synthetic_signal() -> None:
     source, clock = started()
-    clock.ns += NS
+    clock.now_ns += NS
     signal = SyntheticSignal(
         channels=2,
         sample_rate=12_800.0,
@@ -75,16 +66,16 @@ def test_samples_are_those_of_the_synthetic_signal() -> None:
 def test_block_is_due_after_its_last_sample() -> None:
     source, clock = started()
     assert source.read(0.0) is None
-    clock.ns += 99_999_999
+    clock.now_ns += 99_999_999
     assert source.read(0.0) is None
-    clock.ns += 1
+    clock.now_ns += 1
     assert block(source).first_sample == 0
     assert source.read(0.0) is None
 
 
 def test_late_reads_lose_nothing() -> None:
     source, clock = started()
-    clock.ns += 550_000_000
+    clock.now_ns += 550_000_000
     readings = [block(source) for _ in range(5)]
     assert [reading.first_sample for reading in readings] == [0, 1280, 2560, 3840, 5120]
     assert {reading.read_ns for reading in readings} == {NOW_NS}
@@ -96,11 +87,11 @@ def test_simulated_converter_has_the_clock_error(error: float) -> None:
     source, clock = started(
         DaqSettings(source=ForceSourceKind.SIM, sim=SimSettings(sample_rate=1000.0, clock_error=error))
     )
-    start_ns = clock.ns
+    start_ns = clock.now_ns
     for number in range(1, 401):
-        clock.ns = start_ns + round(number * 0.1 * NS / (1.0 + error)) - 1
+        clock.now_ns = start_ns + round(number * 0.1 * NS / (1.0 + error)) - 1
         assert source.read(0.0) is None
-        clock.ns += 1
+        clock.now_ns += 1
         assert block(source).samples.shape == (1, 100)
     assert source.sample_rate == 1000.0  # the nominal rate
 
@@ -108,8 +99,8 @@ def test_simulated_converter_has_the_clock_error(error: float) -> None:
 def test_inverted_sensor_changes_the_sign() -> None:
     source, clock = started(SETTINGS.model_copy(update={"sensor": SensorSettings(invert=True)}))
     plain, plain_clock = started()
-    clock.ns += NS
-    plain_clock.ns += NS
+    clock.now_ns += NS
+    plain_clock.now_ns += NS
     inverted = block(source).samples
     assert np.array_equal(inverted, -block(plain).samples)
     assert not inverted.flags.writeable
@@ -118,7 +109,7 @@ def test_inverted_sensor_changes_the_sign() -> None:
 def test_samples_at_the_end_of_the_range_are_marked() -> None:
     # At 1 V/N the converter ends at 30 N, and most impacts are stronger than that.
     source, clock = started(SETTINGS.model_copy(update={"sensor": SensorSettings(sensitivity=1000.0)}))
-    clock.ns += 100 * NS
+    clock.now_ns += 100 * NS
     readings = [block(source) for _ in range(20)]
     marked = [reading for reading in readings if reading.saturated is not None]
     assert source.limit == pytest.approx(30.0)

@@ -9,24 +9,18 @@ import numpy as np
 import pytest
 
 from scara_effmass.bags.files import find_bags, open_bag
-from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.paper.runs import AFTER_ONSET_S, BEFORE_ONSET_S, FigureInputs, read_runs
 from scara_effmass.paper.scara import Scara
 from scara_effmass.share import share
-from scara_effmass.values import JointState, RunInfo
+from scara_effmass.values import JointState
 from scara_effmass.wire.message_types import RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
+from test.bags.messages import run_info_of
 
 JOINTS = ("joint1", "joint2")
 RUN = "300_0_500g_1"
-
-
-def run_info_of(path: Path) -> RunInfo:
-    with open_bag(path) as bag:
-        ((_, info),) = run_infos(bag)
-    return info
 
 
 def copy_run(

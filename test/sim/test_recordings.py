@@ -21,7 +21,8 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.sim.__main__ import CAMPAIGN, CHECKSUMS, generate
 from scara_effmass.sim.measurement import FORCE_SENSOR, POSITION_STEP, VELOCITY_STEP
 from scara_effmass.sim.recordings import EPOCH_NS, FORCE_TOPIC, RECORDINGS, SEED, TOUR_PULSES, ReferenceRecording
-from scara_effmass.values import ContactAssessment, FloatArray, ForceBlock, JointState, RunInfo, Verdict
+from scara_effmass.values import ContactAssessment, FloatArray, ForceBlock, JointState, Verdict
+from test.bags.messages import run_info_of
 
 ROOT = Path(__file__).parents[2]
 BAGS = ROOT / "bags"
@@ -60,12 +61,6 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "scara_effmass.sim", *arguments], capture_output=True, text=True, check=False
     )
-
-
-def run_info_of(path: Path) -> RunInfo:
-    with open_bag(path) as bag:
-        ((_, info),) = run_infos(bag)
-    return info
 
 
 @pytest.fixture(scope="module")

@@ -102,8 +102,8 @@ def test_arrays_of_other_lengths_in_a_message_of_the_same_size_are_noticed(swapp
     fields |= {"position": [1.0, 2.0], "velocity": [3.0, 4.0], "effort": [5.0, 6.0], swapped[0]: []}
     other = fields | {swapped[0]: fields[swapped[1]], swapped[1]: fields[swapped[0]]}
     decoder = JointStateDecoder()
-    for each in (fields, other, fields):
-        assert_decoded(decoder.decode(by_ros(each)), each)
+    for layout in (fields, other, fields):
+        assert_decoded(decoder.decode(by_ros(layout)), layout)
 
 
 @settings(max_examples=300)
