@@ -56,7 +56,7 @@ def impacts_in(path: Path, run: str) -> list[tuple[float, Impact]]:
     columns = {"topic": f"{run}: Force (N)", "time_column": f"{run}: Time (s)"}
     settings = checked(ImportSettings, {**columns, "sensor.invert": True}, "cart impacts")
     detector = Detector(DetectionSettings(threshold=0.5))
-    blocks = list(import_force(path, settings).blocks)
+    blocks = list(import_force(path, settings)[1])
     impacts = [impact for block in blocks for impact in detector.feed(block)] + detector.finish()
     return [((impact.stamp_ns - blocks[0].stamp_ns) / 1e9, impact) for impact in impacts]
 
