@@ -133,7 +133,7 @@ def main() -> None:
         for bandwidth in (1.0, 5.0, 20.0):
             for region in ("abdomen", "chest", "lower_leg"):
                 for drives in ("servo", "free"):
-                    options = {"servo": {"bandwidth": bandwidth}} if drives == "servo" else {}
+                    options = {"servo": {"bandwidth": bandwidth, "computed_torque": True}} if drives == "servo" else {}
                     row(
                         table,
                         (name, f"{bandwidth:g} Hz", region, drives),

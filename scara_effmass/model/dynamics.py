@@ -69,6 +69,18 @@ class EffectiveMasses(NamedTuple):
         return _worst_mass(self.full_mobility, self.rank)
 
 
+class CompositeMass(NamedTuple):
+    """Mass of an arm whose joints are held one by one, along the velocity and along the worst direction [kg].
+
+    `mobility` is J_v D^-1 J_v^T [1/kg] with the diagonal D of M, and `change` that of the pose.
+    """
+
+    mass: float
+    worst_mass: float
+    mobility: Matrix
+    change: PoseChange | None
+
+
 class RobotDynamics:
     """Lumped and full model of one robot with Pinocchio's working data. Not thread-safe.
 
@@ -193,6 +205,32 @@ class RobotDynamics:
             changes[0] if self.lumped is not None else None,
             changes[-1] if not self.full_reason else None,
         )
+
+    def composite_mass(
+        self, q: FloatArray, qd: FloatArray, contact: int, model: str, masses: EffectiveMasses
+    ) -> CompositeMass:
+        """Return the mass of the arm at `q` and `qd` (n,) if a controller of its own holds each joint.
+
+        `contact` is an index of `contact_points`, `model` lumped or full, and `masses` those of the same joint state.
+        """
+        pinocchio_model, data = next(
+            (pinocchio_model, data)
+            for name, pinocchio_model, data in zip(self._names, self._models, self._data, strict=True)
+            if name == model
+        )
+        _, frame, rank = self._contacts[contact]
+        pin.computeJointJacobiansTimeVariation(self.robot.model, self._kinematics, q, qd)
+        jacobian, jacobian_rate = self._jacobian(frame), self._jacobian_rate(frame)
+        response = jacobian.T / np.diagonal(self.robot.mass_matrix(pinocchio_model, data, q))[:, None]
+        mobility: Matrix = (jacobian @ response).tolist()
+        worst_mass = _worst_mass(mobility, rank)
+        if masses.direction == ZERO_VECTOR:
+            return CompositeMass(worst_mass, worst_mass, mobility, None)
+        coriolis = np.diagonal(pin.computeCoriolisMatrix(pinocchio_model, data, q, qd))
+        rate = ((jacobian_rate - response.T * coriolis) @ response).tolist()
+        x, y, z = (jacobian_rate @ qd).tolist()
+        change = PoseChange(masses.direction, masses.speed, mobility, rate, ((x, y, z),))
+        return CompositeMass(_effective_mass(mobility, masses.direction), worst_mass, mobility, change)
 
     def in_base(self, q: FloatArray, vector: Vector3, frame: str) -> Vector3:
         """Return `vector` (3,) of the robot's `frame` in base axes at `q`. Raises RobotError for an unknown frame."""

@@ -106,6 +106,7 @@ class Monitor:
         along_velocity = settings.contact_normal == "velocity"
         self._changes = () if along_velocity else models.get(settings.effective_mass_model, ("lumped", "full"))
         self._drives_push = settings.drives is Drives.SERVO
+        self._joints_are_held = self._drives_push and not settings.servo.computed_torque
         self._clamps = settings.contact is ContactType.QUASI_STATIC
         self._closing_speed = settings.person_speed + settings.speed_uncertainty
         for debouncer in self._debouncers.values():
@@ -164,7 +165,7 @@ class Monitor:
             motion.q, motion.qd, self.settings.speed_threshold, motion.velocity_tolerance, self._changes
         )
         contacts = [
-            self._assess_contact(index, name, debouncer, masses, motion.q, state.stamp_ns, age)
+            self._assess_contact(index, name, debouncer, masses, motion.q, motion.qd, state.stamp_ns, age)
             for index, ((name, debouncer), masses) in enumerate(
                 zip(self._debouncers.items(), effective_masses, strict=True)
             )
@@ -223,6 +224,7 @@ class Monitor:
         debouncer: VerdictDebouncer,
         masses: EffectiveMasses,
         q: FloatArray,
+        qd: FloatArray,
         stamp_ns: int,
         age: float,
     ) -> ContactAssessment:
@@ -243,7 +245,11 @@ class Monitor:
                 if model.mass > mass:
                     mass, model_name = model.mass, model.name
             any_normal = _any_normal(models, masses)
-            mobilities, share = self._at_normal(models, masses, q) if self._normal_is_known else (any_normal, 1.0)
+            held = [self._held(model.name, masses, q, qd, index) for model in models if self._joints_are_held]
+            if self._normal_is_known:
+                mobilities, share = self._at_normal(models + held, masses, q)
+            else:
+                mobilities, share = any_normal + _any_normal(held, masses), 1.0
             push = (self.dynamics.drive_acceleration(q, index), 1.0 / worst_mass) if self._drives_push else None
             speed_limit = self._limits.worst_normal(mobilities, self._mass_factor, push)
             limit, criterion = speed_limit.limit, speed_limit.criterion
@@ -301,6 +307,12 @@ class Monitor:
             self._normal_text,
             model_name,
         )
+
+    def _held(self, name: str, masses: EffectiveMasses, q: FloatArray, qd: FloatArray, index: int) -> _Model:
+        """Return the model `name` with joints that are held one by one."""
+        if name == MassModel.ISO.value:
+            return _Model(name, self._iso_mass, self._iso_mass, [], None)
+        return _Model(name, *self.dynamics.composite_mass(q, qd, index, name, masses))
 
     def _at_normal(self, models: list[_Model], masses: EffectiveMasses, q: FloatArray) -> tuple[list[Mobility], float]:
         """Return the mobilities along the contact normal of the settings, and the share of the speed along it."""

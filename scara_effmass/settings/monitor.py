@@ -45,6 +45,10 @@ class ServoSettings(FrozenSettings):
 
     bandwidth: float = tunable(5.0, "natural frequency of the position control [Hz]", gt=0.0, le=1000.0)
     damping: float = tunable(0.7, "damping ratio of the position control", ge=0.05, le=5.0)
+    computed_torque: bool = tunable(
+        default=False,
+        description="the position control decouples the joints by the mass matrix; false: a controller per joint",
+    )
 
 
 class MonitorSettings(FrozenSettings):

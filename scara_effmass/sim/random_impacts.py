@@ -216,7 +216,7 @@ def settings_of(dynamics: RobotDynamics, region: str, servo: JointServo) -> dict
     """Return SETTINGS for one body region and one servo; without `paper` where the robot has no lumped model."""
     values: dict[str, Any] = {
         "body_regions": (region,),
-        "servo": ServoSettings(bandwidth=servo.bandwidth, damping=servo.damping),
+        "servo": ServoSettings(bandwidth=servo.bandwidth, damping=servo.damping, computed_torque=servo.coupled),
     }
     if dynamics.lumped is None:
         values["effective_mass_model"] = "full"

@@ -501,6 +501,34 @@ def test_change_of_pose_is_the_derivative_along_the_motion(
                 np.testing.assert_allclose(rate + rate.T, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
 
 
+def test_composite_mass_is_that_of_joints_that_share_nothing(
+    omron_dynamics: RobotDynamics, load_urdf_file: Callable[..., Robot]
+) -> None:
+    """J_v diag(M)^-1 J_v^T, and its derivative along the motion; at rest the worst direction."""
+    step = 1e-6
+    for dynamics in robots(omron_dynamics, load_urdf_file):
+        frame, rng = frame_of(dynamics), np.random.default_rng(RNG_SEED)
+        for q in dynamics.robot.sample_configurations()[:8]:
+            qd = rng.normal(size=q.size)
+
+            def mobility(t: float, q: FloatArray = q, qd: FloatArray = qd) -> FloatArray:
+                jacobian = dynamics.jacobian(q + qd * t, frame)  # noqa: B023
+                inertia = np.diagonal(mass_matrix(dynamics.robot.model, q + qd * t))  # noqa: B023
+                return np.asarray(jacobian @ (jacobian.T / inertia[:, None]))
+
+            masses = dynamics.effective_masses(q, qd, 0.005)[0]
+            held = dynamics.composite_mass(q, qd, 0, "full", masses)
+            n = np.array(masses.direction)
+            assert held.change is not None
+            assert held.mass == pytest.approx(1.0 / (n @ mobility(0.0) @ n))
+            np.testing.assert_allclose(held.mobility, mobility(0.0), rtol=1e-9, atol=1e-12)
+            rate, expected = np.array(held.change.mobility_rate), (mobility(step) - mobility(-step)) / (2.0 * step)
+            np.testing.assert_allclose(rate + rate.T, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+            still = dynamics.composite_mass(q, 0.0 * qd, 0, "full", dynamics.effective_masses(q, 0.0 * qd, 0.005)[0])
+            assert still.change is None
+            assert still.mass == still.worst_mass == held.worst_mass
+
+
 def test_change_of_pose_is_computed_on_demand(omron_dynamics: RobotDynamics) -> None:
     q, qd = np.array([0.3, 0.8, 0.1, 0.0]), np.array([0.5, -0.4, 0.0, 0.2])
     assert omron_dynamics.effective_masses(q, qd, 0.005)[0].lumped_change is None

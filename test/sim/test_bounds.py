@@ -69,12 +69,25 @@ def test_normal_along_the_velocity_allows_too_much(scara: MonitoredArm, region: 
 @pytest.mark.parametrize("region", ["abdomen", "chest", "lower_leg"])
 def test_servo_that_pushes_on_stays_within_its_bound(arm: MonitoredArm, region: str, bandwidth: float) -> None:
     pushing, rng = JointServo(bandwidth), np.random.default_rng(5)
-    servo = {"bandwidth": bandwidth}
+    servo = {"bandwidth": bandwidth, "computed_torque": True}
     bounded = SWEEPS.contacts(arm, region, 4, rng, pushing=pushing, drives="servo", servo=servo)[:, 0]
     assert bounded.max() < 1.0
     assert np.median(bounded) > 0.65
     free = SWEEPS.contacts(arm, region, 4, rng, pushing=pushing, contact_normal="velocity", pace=SWEEPS.HELD)[:, 0]
     assert free.min() > 1.0
+
+
+@pytest.mark.parametrize("bandwidth", [2.0, 10.0])
+def test_a_controller_per_joint_stays_within_its_bound(arm: MonitoredArm, bandwidth: float) -> None:
+    """Joints that are held one by one make the arm heavier than computed torque does."""
+    ratios = {}
+    for computed_torque in (False, True):
+        servo = {"bandwidth": bandwidth, "computed_torque": computed_torque}
+        options = {"pushing": JointServo(bandwidth, coupled=False), "drives": "servo", "servo": servo}
+        ratios[computed_torque] = SWEEPS.contacts(arm, "chest", 12, np.random.default_rng(9), **options)[:, 0]
+    assert ratios[False].max() < 1.0
+    assert np.median(ratios[False]) > 0.5
+    assert ratios[True].max() > 1.1 * ratios[False].max()
 
 
 def test_immovable_bounds_every_servo(scara: MonitoredArm) -> None:
