@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Vector3 = tuple[float, float, float]
+Mobility6 = tuple[float, float, float, float, float, float]
+"""Entries xx, xy, xz, yy, yz, zz of a mobility A = J_v M^-1 J_v^T [1/kg] in base axes; all 0 without the model."""
 
 NAN = float("nan")
+NO_MOBILITY: Mobility6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 RANGE_TOLERANCE = 1e-3
 """Relative distance from the end of the range at which a sample counts as saturated: converter codes end before it."""
 MAX_LOST_SAMPLES = 2**32 - 1
@@ -81,6 +84,8 @@ class ContactAssessment(NamedTuple):
     worst_normal_reduced_mass: float = 0.0
     force_bound: float = 0.0
     clamping_force: float = 0.0
+    lumped_mobility: Mobility6 = NO_MOBILITY
+    full_mobility: Mobility6 = NO_MOBILITY
     contact_normal: str = ""
     mass_model: str = ""
 
@@ -136,6 +141,7 @@ class Impact(NamedTuple):
     clock_residual: float
     source: str
     simulated: bool
+    compression_impulse: float = 0.0
 
 
 class Prediction(NamedTuple):
@@ -159,9 +165,10 @@ class Prediction(NamedTuple):
 class ValidatedImpact:
     """Comparison of one impact with its prediction: `ImpactValidation.msg`, and its inputs.
 
-    `count` to `reason` describe the agreement of the selected model over the series. Then: `predictions` of every
-    model that has a mass at the onset; `obstacle_mass` m_H [kg] and `configuration` of the run; `from_trend`, the state
-    was extrapolated from before the impact, because the contact had slowed the next one down.
+    `count` to `exceedances` describe the selected model over the series. Then: `predictions` of every model that has a
+    mass at the onset; `obstacle_mass` m_H [kg] and `configuration` of the run; `from_trend`, the state was extrapolated
+    from before the impact, because the contact had slowed the next one down; `force_share`, the component of the
+    plate's normal along the axis of the sensor.
     """
 
     stamp_ns: int
@@ -174,13 +181,32 @@ class ValidatedImpact:
     speed: float
     stiffness: float
     conservative: bool
+    compression_impulse: float
+    measured_reduced_mass: float
+    measured_effective_mass: float
+    measured_stiffness: float
+    clock_offset: float
+    body_region: str
+    region_force: float
+    limit_force: float
+    exceeds_limit: bool
     count: int
     correlation: float
     fitted_stiffness: float
     bias: float
     rmse: float
     non_conservative: int
+    gain: float
+    gain_interval: tuple[float, float]
+    mass_scale: float
+    mass_scale_interval: tuple[float, float]
+    detectable_mass_error: float
+    exponent: float
+    exponent_interval: tuple[float, float]
+    series_clock_offset: float
+    exceedances: int
     accepted: bool
+    decidable: bool
     reason: str
     predictions: tuple[Prediction, ...]
     contact_point: str
@@ -188,6 +214,7 @@ class ValidatedImpact:
     obstacle_mass: float
     configuration: str
     from_trend: bool
+    force_share: float
     simulated: bool
 
 
@@ -207,8 +234,8 @@ class RefusedImpact(NamedTuple):
 class RunInfo(NamedTuple):
     """What a recording or a simulation states about its run: `RunInfo.msg`, field by field.
 
-    `stamp_ns` 0: from the arrival of the message on. Numbers that are 0, a zero `plate_normal` and an empty
-    `configuration` are not stated. Nothing has been checked; see `impacts.impact_matcher`.
+    `stamp_ns` 0: from the arrival of the message on. Numbers and vectors that are 0, and an empty `configuration`, are
+    not stated. Nothing has been checked; see `impacts.impact_matcher`.
     """
 
     stamp_ns: int = 0
@@ -217,6 +244,7 @@ class RunInfo(NamedTuple):
     obstacle_mass: float = 0.0
     impact_position: Vector3 = (0.0, 0.0, 0.0)
     plate_normal: Vector3 = (0.0, 0.0, 0.0)
+    guide_direction: Vector3 = (0.0, 0.0, 0.0)
     simulated: bool = False
     note: str = ""
     contact_stiffness: float = 0.0

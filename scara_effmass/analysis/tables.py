@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -46,13 +47,17 @@ _UNITS = {
     "clamping_force": "clamping_force_n",
 }
 _LABELS = ("contact_point", "body_region", "criterion", "verdict", "reason", "contact_normal", "mass_model")
+_MOBILITIES = {
+    model: [f"{model}_{entry}_1_kg" for entry in ("xx", "xy", "xz", "yy", "yz", "zz")]
+    for model in ("lumped_mobility", "full_mobility")
+}
 _FLAGS = ("worst_direction_used", "mass_capped", "watchdog")
 
 SCHEMA = pa.schema(
     [("bag", pa.string()), ("log_time_ns", pa.int64()), ("stamp_ns", pa.int64())]
     + [(name, pa.string()) for name in _LABELS]
     + [(f"direction_{axis}", pa.float64()) for axis in "xyz"]
-    + [(name, pa.float64()) for name in _UNITS.values()]
+    + [(name, pa.float64()) for name in (*_UNITS.values(), *chain(*_MOBILITIES.values()))]
     + [(name, pa.bool_()) for name in _FLAGS]
 )
 """Columns of a table: recording, log time, and the fields of ContactState with their units."""
@@ -125,6 +130,8 @@ def _columns(rows: list[tuple[str, int, ContactAssessment]]) -> dict[str, Sequen
     columns["verdict"] = [verdict.name for verdict in fields["verdict"]]
     for axis, values in zip("xyz", zip(*fields["direction"], strict=True), strict=True):
         columns[f"direction_{axis}"] = values
+    for field, names in _MOBILITIES.items():
+        columns |= dict(zip(names, zip(*fields[field], strict=True), strict=True))
     return columns | {name: fields[field] for field, name in _UNITS.items()}
 
 

@@ -139,24 +139,23 @@ def draw_differences(result: Result) -> Figure:
 
 
 def draw_exponent(result: Result) -> Figure:
-    """Draw force over mu v^2 on logarithmic axes, for the selected model."""
-    labels = r"$\mu v^2$ [J], twice the energy", f"{_origin(result).lower()} peak force [N]"
-    figure, axes, marks = _single(f"Exponent of the contact law, {result.model} model", *labels, result)
-    points = _points(result.model, result)
-    if not points:
+    """Draw force over J v on logarithmic axes; J is the impulse up to the peak."""
+    labels = r"$J\,v$ [J], twice the energy", f"{_origin(result).lower()} peak force [N]"
+    figure, axes, marks = _single("Exponent of the contact law", *labels, result)
+    impacts = [impact for impact in result.impacts if impact.measured_reduced_mass > 0.0]
+    if not impacts:
         return figure
-    overall = _selected(result).overall
-    energy = np.array([x**2 for _, x in points])
-    force = np.array([impact.measured_force for impact, _ in points])
-    marks.scatter(axes, result.impacts, list(zip(energy.tolist(), force.tolist(), strict=True)))
+    fit = _selected(result).fit
+    energy = np.array([impact.measured_reduced_mass * impact.speed**2 for impact in impacts])
+    force = np.array([impact.measured_force / impact.force_share for impact in impacts])
+    marks.scatter(axes, impacts, list(zip(energy.tolist(), force.tolist(), strict=True)))
     ends = np.array([0.9 * energy.min(), 1.1 * energy.max()])
     middle_energy, middle_force = float(np.exp(np.log(energy).mean())), float(np.exp(np.log(force).mean()))
-    title, lines = f"exponent undefined: {overall.correlation_reason}", dict(EXPONENTS)
-    if overall.exponent is not None:
-        interval = overall.exponent_interval
-        title = f"exponent {overall.exponent:.3f}"
-        title += f" (95 %: {interval[0]:.3f} to {interval[1]:.3f})" if interval else ""
-        lines = {"fitted": (overall.exponent, "-", ISO_RED)} | lines
+    title, lines = "exponent undefined: the energy varies too little", dict(EXPONENTS)
+    if not math.isnan(fit.exponent):
+        low, high = fit.exponent_interval
+        title = f"exponent {fit.exponent:.3f} (95 %: {low:.3f} to {high:.3f})"
+        lines = {"fitted": (fit.exponent, "-", ISO_RED)} | lines
     handles = []
     for label, (exponent, style, shade) in lines.items():
         forces = middle_force * (ends / middle_energy) ** exponent
@@ -221,8 +220,8 @@ PLOTS = (
     Plot(
         "exponent",
         "Exponent of the law.",
-        "Logarithms of force and energy, selected model. Damping, friction, a non-linear contact or wrong masses "
-        "change the exponent from 0.5.",
+        "Logarithms of force and of impulse up to the peak times speed; no model takes part. Damping, friction or a "
+        "non-linear contact change the exponent from 0.5.",
         draw_exponent,
     ),
 )
@@ -231,7 +230,7 @@ PLOTS = (
 def _points(model: str, result: Result) -> list[tuple[ValidatedImpact, float]]:
     """Return the impacts for which `model` has a mass, each with v sqrt(mu)."""
     return [
-        (impact, force_per_root_stiffness(impact.speed, prediction.reduced_mass))
+        (impact, force_per_root_stiffness(impact.speed, prediction.reduced_mass) * impact.force_share)
         for impact in result.impacts
         for prediction in impact.predictions
         if prediction.model == model

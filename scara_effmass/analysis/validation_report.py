@@ -16,9 +16,11 @@ from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.plot_style import STYLE
 from scara_effmass.analysis.report import ReportFigure, figure_files, render, report_figure, write_report_files
 from scara_effmass.analysis.validation_figures import PLOTS
+from scara_effmass.iso15066 import EDITION, limits_for
 
 if TYPE_CHECKING:
     from scara_effmass.analysis.validation import ValidatedRecording, Validation, ValidationSettings
+    from scara_effmass.impacts.validator import ModelResult, Result
     from scara_effmass.model.robot import Robot
 
 PAGE, RECORD = "report.html", "report.json"
@@ -32,6 +34,8 @@ UNITS = {
     "bias": "N",
     "rmse": "N",
     "limits": "N",
+    "impulse": "N s",
+    "clock_offset": "s",
     "stamp_ns": "ns, ROS time",
 }
 LINEAR = 1.0
@@ -61,7 +65,8 @@ def write_report(
 def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
     """Yield subject and text of each line of a summary."""
     result = validation.result
-    yield "result", "accepted" if result.accepted else f"not accepted: {result.reason}"
+    yield "result", result.verdict
+    yield "limit", limit_text(result)
     simulated = f", {result.simulated} of them simulated" if result.simulated else ""
     yield "impacts", f"{result.seen} detected, {len(result.impacts)} in the series{simulated}"
     for model in result.models:
@@ -70,10 +75,11 @@ def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
             yield model.model, "no impact"
             continue
         r = "r undefined" if series.correlation_reason else f"r {series.correlation:.5f}"
-        exponent = "" if series.exponent is None else f", exponent {series.exponent:.3f}"
         error = f"bias {series.bias:+.2f} N, RMSE {series.rmse:.2f} N ({series.relative_rmse:.2%})"
         safe = f"{series.non_conservative} of {series.count} not conservative"
-        yield model.model, f"{r}, k {series.stiffness / 1e3:.4g} N/mm{exponent}, {error}, {safe}"
+        yield model.model, f"{r}, k {series.stiffness / 1e3:.4g} N/mm, {error}, {safe}"
+        yield "", fit_text(model)
+    yield "clocks", clock_text(result)
     yield "comparison", result.comparison.text
     for subject, counts in (("excluded", result.excluded), ("not paired", result.unpaired)):
         for reason, count in counts.items():
@@ -83,11 +89,47 @@ def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
             yield "not read", loss
 
 
+def fit_text(model: ModelResult) -> str:
+    """Return mass scale, gain, exponent and power of a model in one line."""
+    fit = model.fit
+    if not fit.detectable_mass_error < 1.0:
+        return "mass scale and gain of the force cannot be told apart"
+    values = (
+        ("mass scale", fit.mass_scale, fit.mass_scale_interval),
+        ("gain", fit.gain, fit.gain_interval),
+        ("exponent", fit.exponent, fit.exponent_interval),
+    )
+    texts = [f"{name} {value:.3f} ({low:.3f} to {high:.3f})" for name, value, (low, high) in values]
+    return f"{', '.join(texts)}; would have found a mass error of {fit.detectable_mass_error:.1%}"
+
+
+def clock_text(result: Result) -> str:
+    """Return the offset of the clocks of force and joint states in one line."""
+    clock = result.clock_offset
+    if not clock.impacts:
+        return "offset unknown: the velocity shows no impact"
+    extremes = f"{1e3 * clock.low:+.1f} to {1e3 * clock.high:+.1f} ms"
+    shown = f"{clock.impacts} impacts, resolution {1e3 * clock.resolution:.1f} ms"
+    return f"joint states {1e3 * clock.offset:+.1f} ms behind the force ({extremes}; {shown})"
+
+
+def limit_text(result: Result) -> str:
+    """Return the largest force on a body region relative to its limit, in one line."""
+    if not result.impacts:
+        return "no force to compare"
+    worst = max(result.impacts, key=lambda impact: impact.region_force / (impact.limit_force or math.inf))
+    above = f"{result.exceedances} of {len(result.impacts)} impacts above the limit"
+    return f"{above}; largest {worst.region_force:.0f} N of {worst.limit_force:.0f} N ({worst.body_region})"
+
+
 def record(validation: Validation, settings: ValidationSettings, robot: Robot) -> dict[str, Any]:
     """Return all results with settings and robot as JSON types, in SI units; numbers are finite or null."""
     result = _plain(validation.result)
     return {
-        "models": [{"model": model.pop("model"), **model.pop("overall"), **model} for model in result.pop("models")],
+        "models": [
+            {"model": model.pop("model"), **model.pop("overall"), **model.pop("fit"), **model}
+            for model in result.pop("models")
+        ],
         "judged_model": result.pop("model"),
         **result,
         "impacts": [
@@ -160,6 +202,10 @@ def _page(validation: Validation, figures: list[ReportFigure], settings: Validat
         ],
         deviations=deviations(validation),
         stated_stiffness=stated_stiffness(validation),
+        clock_text=clock_text(result),
+        limit_text=limit_text(result),
+        limits=limits_for(settings.validator.limit_settings),
+        edition=EDITION,
         version=__version__,
     )
 

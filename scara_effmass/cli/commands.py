@@ -268,9 +268,15 @@ examples:
 Impacts are detected in the force blocks of a recording; without force blocks, recorded impacts or wrenches are used.
 The obstacle mass is --obstacle-mass, else the run information of the recording, else obstacle_mass in section
 validator of FILE. All recordings form one series. DIR receives report.html, report.json, and figures as PNG and SVG.
-Exit status 1: the series does not meet the acceptance criterion; the report is written anyway.
+
+The first line says whether the robot's masses are accepted, not accepted, or not decidable by this series, which then
+states what to measure next. The second line compares the forces with the limits of the body regions. The device that
+was hit has a stiffness k (--stiffness, else fitted) and a mass (--obstacle-mass, or infinite with --fixed); a region
+has those of the standard. As E = mu v²/2 = F²/(2 k) at one speed, F_region = F sqrt(mu_region k_region / (mu k)).
+Exit status 1: not accepted, not decidable, or a force above a limit; the report is written anyway.
 
 examples:
+  scara-effmass validate device.mcap -o out/device --fixed --stiffness 75 --region hand_fingers
   scara-effmass validate bags/campaign -o out/validation
   scara-effmass validate monday.mcap -o out/monday --obstacle-mass 2.39 --model full
   scara-effmass validate bags/campaign -o out/validation --params cell.yaml --force --json
@@ -281,11 +287,16 @@ examples:
         Option(
             "--force-topic", "topic of force blocks, impacts or wrenches (default: force, or the only one)", "TOPIC"
         ),
-        Option("--obstacle-mass", "mass of the obstacle in all recordings", "KG", float),
+        Option("--obstacle-mass", "mass of the obstacle, or of the measuring device, in all recordings", "KG", float),
+        flag("--fixed", "the obstacle, or measuring device, cannot move", dest="obstacle_fixed", default=None),
+        Option("--stiffness", "of the contact, or of the device (default: fitted to the series)", "N_PER_MM", float),
         Option(
-            "--stiffness", "contact stiffness for the predictions (default: fitted to the series)", "N_PER_MM", float
+            "--plate-normal",
+            'normal of the plate in the base frame, "X Y Z", if the recording states none (default: the motion)',
+            "XYZ",
         ),
         *ROBOT,
+        *LIMITS,
         params("monitor_node, validator_node and daq_node (its detection)"),
         FORCE,
         JSON,

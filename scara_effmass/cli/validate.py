@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     result = write_report(validation, settings, dynamics.robot, args.output, overwrite=args.force)
     lines = [*summary_lines(validation), ("written", args.output / PAGE)]
     print_result({**result, "output": str(args.output)}, lines, as_json=args.json)
-    return 0 if validation.result.accepted else NOT_ACCEPTED
+    return 0 if validation.result.accepted and not validation.result.exceedances else NOT_ACCEPTED
 
 
 def validation_settings(args: argparse.Namespace) -> ValidationSettings:
@@ -42,7 +42,8 @@ def validation_settings(args: argparse.Namespace) -> ValidationSettings:
     def section(kind: type[Settings], name: str) -> Settings:
         return load_settings(kind, args.params, name, SECTIONS) if args.params else kind()
 
-    validator_options = {"stiffness": args.stiffness, "obstacle_mass": args.obstacle_mass, **model}
+    names = ("stiffness", "obstacle_mass", "obstacle_fixed", "plate_normal", "body_regions", "contact")
+    validator_options = {name: getattr(args, name) for name in names} | model
     return ValidationSettings(
         monitor=override(section(MonitorSettings, "monitor"), {"robot": args.robot, **model}),
         validator=override(section(ValidatorSettings, "validator"), validator_options),

@@ -1,25 +1,21 @@
-"""Predicted peak forces, their agreement with measured ones over a series, and the criterion to accept a model.
+"""Predicted peak forces, and their agreement with measured ones over a series.
 
 The model is F = x sqrt(k), x = v sqrt(mu) (ISO/TS 15066, Annex A: E = mu v^2 / 2 = F^2 / (2 k)). Every call recomputes
 the whole series, with exactly rounded sums (`math.fsum`).
 """
 
-import hashlib
-import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import fdtri, stdtrit  # scipy.stats takes a second to import
 
 from scara_effmass.impacts.impact_matcher import MatchedImpact
+from scara_effmass.impacts.mass_fit import CONFIDENCE, Interval, MassFit, fit_masses
 from scara_effmass.iso15066 import force_per_root_stiffness, peak_force
-from scara_effmass.settings import CriterionSettings
 from scara_effmass.values import FloatArray, Prediction
 
-CONFIDENCE = 0.95
 LIMITS = 1.96
 """Half-width of the 95 % limits of agreement, in standard deviations (Bland and Altman 1986)."""
 MIN_RELATIVE_RANGE = 0.05
@@ -28,22 +24,14 @@ ROUNDING = 1e-12
 """Relative tolerance for rounding: a single impact fits its own stiffness exactly."""
 
 
-class Interval(NamedTuple):
-    """Closed interval."""
-
-    low: float
-    high: float
-
-
 @dataclass(frozen=True, slots=True)
 class Agreement:
     """Agreement of predicted and measured forces of `count` impacts. Forces in [N], stiffness in [N/m].
 
     `correlation` is Pearson's r of F and x; 0 if undefined, then `correlation_reason` is set. `fitted_stiffness` is k
     of the least-squares line F = sqrt(k) x through the origin, 0 below two impacts; `stiffness` is the one used for
-    the predictions. `exponent` is p of the log-log fit F = c (mu v^2)^p: 0.5 for a linear spring, 0.6 for a Hertz
-    contact. Intervals are at 95 % and assume independent, normal residuals. `bias` and `rmse` are of predicted -
-    measured, `relative_rmse` is relative to the mean measured force, `limits` are bias +- 1.96 standard deviations
+    the predictions. Intervals are at 95 % and assume independent, normal residuals. `bias` and `rmse` are of predicted
+    - measured, `relative_rmse` is relative to the mean measured force, `limits` are bias +- 1.96 standard deviations
     (n - 1). `non_conservative` counts predictions below the measured force, `shortfalls` those below it by more than
     the tolerance; `largest_shortfall` is relative, 0 without shortfall. None: too few impacts or no correlation.
     """
@@ -55,8 +43,6 @@ class Agreement:
     fitted_stiffness: float
     stiffness_interval: Interval | None
     stiffness: float
-    exponent: float | None
-    exponent_interval: Interval | None
     mean_force: float
     bias: float
     rmse: float
@@ -90,18 +76,15 @@ def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfal
     shortfall = -difference / force
     ends = _slope_interval(slope, x, force, n - 1)
     reason = _correlation_reason(x, force)
-    line = None if reason else _LinearFit(x, force)
-    power = None if reason else _LinearFit(2.0 * np.log(x), np.log(force))  # x^2 = mu v^2
+    r = 0.0 if reason else _correlation(x, force)
     return Agreement(
         count=n,
-        correlation=line.correlation if line else 0.0,
+        correlation=r,
         correlation_reason=reason,
-        correlation_interval=_correlation_interval(line.correlation, n) if line else None,
-        fitted_stiffness=slope**2 if n > 1 else 0.0,
+        correlation_interval=None if reason else _correlation_interval(r, n),
+        fitted_stiffness=slope * slope if n > 1 else 0.0,
         stiffness_interval=ends and Interval(max(0.0, ends.low) ** 2, ends.high**2),
-        stiffness=stiffness or slope**2,
-        exponent=power.slope if power else None,
-        exponent_interval=power.slope_interval if power else None,
+        stiffness=stiffness or slope * slope,
         mean_force=mean_force,
         bias=bias,
         rmse=rmse,
@@ -114,9 +97,9 @@ def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfal
 
 
 def predict(model: str, match: MatchedImpact, stiffness: float) -> Prediction:
-    """Return the prediction F = v sqrt(mu k) with `stiffness` [N/m]; `model` must have a mass."""
+    """Return the prediction v sqrt(mu k) for the sensor with `stiffness` [N/m]; `model` must have a mass."""
     mu, measured = match.reduced_mass(model), match.impact.peak_force
-    force = peak_force(match.state.speed, mu, stiffness)
+    force = peak_force(match.state.speed, mu, stiffness) * match.force_share
     return Prediction(
         model=model,
         effective_mass=match.state.masses[model],
@@ -131,8 +114,30 @@ def predict(model: str, match: MatchedImpact, stiffness: float) -> Prediction:
 def model_agreement(model: str, matches: Iterable[MatchedImpact], *options: float) -> Agreement:
     """Return `agreement` of `model`, with its `options`, over the matches for which it has a mass."""
     usable = [match for match in matches if match.has_mass(model)]
-    x = np.array([force_per_root_stiffness(match.state.speed, match.reduced_mass(model)) for match in usable])
+    x = np.array([root_force(match, model) for match in usable])
     return agreement(x, np.array([match.impact.peak_force for match in usable]), *options)
+
+
+def root_force(match: MatchedImpact, model: str) -> float:
+    """Return the predicted force over sqrt(k), v sqrt(mu) [m/s sqrt(kg)] along the axis of the sensor."""
+    return force_per_root_stiffness(match.state.speed, match.reduced_mass(model)) * match.force_share
+
+
+def model_fit(model: str, matches: Iterable[MatchedImpact]) -> MassFit:
+    """Return `fit_masses` of `model` over the matches for which it has a mass, and an impulse is known."""
+    usable = [match for match in matches if match.has_mass(model) and match.impulse > 0.0]
+
+    def values(quantity: Callable[[MatchedImpact], float]) -> FloatArray:
+        return np.array([quantity(match) for match in usable])
+
+    return fit_masses(
+        values(lambda match: match.impulse),
+        values(lambda match: match.state.speed),
+        values(lambda match: match.impact.peak_force / match.force_share),
+        values(lambda match: match.state.masses[model]),
+        values(lambda match: match.obstacle_mass),
+        [match.run.configuration for match in usable],
+    )
 
 
 def compare_models(models: Iterable[str], matches: Sequence[MatchedImpact]) -> Comparison:
@@ -171,48 +176,11 @@ def compare(agreements: Mapping[str, Agreement], *, same_mass: bool) -> Comparis
     return Comparison(count, errors, text)
 
 
-def criterion_hash(criterion: CriterionSettings) -> str:
-    """Return 16 hexadecimal digits of the SHA-256 of the criterion as canonical JSON (sorted keys, no blanks)."""
-    text = json.dumps(criterion.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def unmet_criterion(criterion: CriterionSettings, agreement: Agreement, unmatched: int) -> str:
-    """Return the first unmet condition with value and limit; empty if the series is accepted."""
-    count, total = agreement.count, agreement.count + unmatched
-    too_low = (
-        f"{agreement.shortfalls} of {_impacts(count)} predicted more than {criterion.shortfall_tolerance:.0%} too low, "
-        f"at most {criterion.largest_shortfall_share:.0%} may be"
-    )
-    checks = (
-        (count < criterion.least_count, f"{_impacts(count)}, at least {criterion.least_count} are required"),
-        (
-            count < criterion.least_paired_share * total,
-            f"{_impacts(count)} of {total} paired with the robot, at least {criterion.least_paired_share:.0%} must be",
-        ),
-        (bool(agreement.correlation_reason), f"correlation undefined: {agreement.correlation_reason}"),
-        (
-            agreement.correlation < criterion.least_correlation,
-            f"correlation {agreement.correlation:.4f} is below {criterion.least_correlation:g}",
-        ),
-        (
-            agreement.relative_rmse > criterion.largest_relative_rmse,
-            f"relative RMSE {agreement.relative_rmse:.4f} is above {criterion.largest_relative_rmse:g}",
-        ),
-        (agreement.shortfalls > criterion.largest_shortfall_share * count, too_low),
-    )
-    return next((reason for fails, reason in checks if fails), "")
-
-
-class _LinearFit:
-    """Least-squares line through points (x, y), and their correlation. x and y must vary."""
-
-    def __init__(self, x: FloatArray, y: FloatArray) -> None:
-        dx, dy = x - _mean(x), y - _mean(y)
-        xx, xy, yy = math.fsum(dx * dx), math.fsum(dx * dy), math.fsum(dy * dy)
-        self.slope = xy / xx
-        self.slope_interval = _slope_interval(self.slope, dx, dy, x.size - 2)
-        self.correlation = min(1.0, max(-1.0, xy / math.sqrt(xx * yy)))
+def _correlation(x: FloatArray, y: FloatArray) -> float:
+    """Return Pearson's r of x and y, which must vary."""
+    dx, dy = x - _mean(x), y - _mean(y)
+    xx, xy, yy = math.fsum(dx * dx), math.fsum(dx * dy), math.fsum(dy * dy)
+    return min(1.0, max(-1.0, xy / math.sqrt(xx * yy)))
 
 
 def _correlation_reason(x: FloatArray, force: FloatArray) -> str:
@@ -251,10 +219,6 @@ def _quantile(degrees: float) -> float:
 
 def _mean(values: FloatArray) -> float:
     return math.fsum(values) / values.size if values.size else 0.0
-
-
-def _impacts(count: int) -> str:
-    return "1 impact" if count == 1 else f"{count} impacts" if count else "no impacts"
 
 
 def _max_rmse_ratio(count: int) -> float:

@@ -322,6 +322,7 @@ class Detector:
             peak_force=contact.peak,
             duration=(contact.end - contact.onset) / block.sample_rate,
             impulse=contact.area / block.sample_rate,
+            compression_impulse=contact.compression_area / block.sample_rate,
             onset_sample=onset,
             clipped=contact.clipped,
             incomplete=not contact.complete,

@@ -11,29 +11,38 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from scara_effmass.errors import SettingsError
+from scara_effmass.impacts.clock_offset import WINDOW, Kink
 from scara_effmass.impacts.state_history import NANOSECONDS, OnsetState, Rejection, StateHistory
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, reduced_mass
 from scara_effmass.settings import ValidatorSettings
 from scara_effmass.settings.validator import MAX_OBSTACLE_MASS
-from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo
+from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo, Vector3
 
 MAX_STAMP_NS = 2**63 - 1
 MIN_PEAK_FORCE = 1e-6
 """Smaller peak forces [N] are rounding errors; the squares of much smaller ones are zero."""
+MIN_NORMAL_COMPONENT = 0.1
+"""Smallest component of the velocity, or of the axis of the sensor, along the normal of the plate."""
 MAX_LAGS = 1000
 """Maximum number of lags kept, for force blocks and impacts each."""
 
 
 class Run(NamedTuple):
-    """Conditions from `since_ns` on: obstacle mass [kg] (0: unknown) and name of the robot configuration."""
+    """Conditions from `since_ns` on: obstacle mass [kg] (0: unknown) and name of the robot configuration.
+
+    `normal` is that of the plate, `guide` the direction in which the obstacle moves and the sensor measures; both are
+    unit vectors in the base frame. None: along the velocity, along `normal`.
+    """
 
     since_ns: int
     obstacle_mass: float
     configuration: str
+    normal: Vector3 | None = None
+    guide: Vector3 | None = None
 
 
 def check_run_info(info: RunInfo) -> None:
-    """Raise SettingsError for an invalid stamp, configuration or obstacle mass; an obstacle mass of 0 is not stated."""
+    """Raise SettingsError for an invalid stamp, configuration, obstacle mass, or direction."""
     if abs(info.stamp_ns) > MAX_STAMP_NS:
         raise SettingsError(f"stamp = {info.stamp_ns} ns: must be ROS time")
     if not info.configuration.isprintable():
@@ -41,19 +50,31 @@ def check_run_info(info: RunInfo) -> None:
     if not 0.0 <= info.obstacle_mass <= MAX_OBSTACLE_MASS:
         limits = f"0 (not stated) to {MAX_OBSTACLE_MASS:g} kg"
         raise SettingsError(f"obstacle_mass = {info.obstacle_mass!r}: must be {limits}")
+    for name in ("plate_normal", "guide_direction"):
+        if not all(map(math.isfinite, getattr(info, name))):
+            raise SettingsError(f"{name} = {getattr(info, name)}: must be finite")
+    normal, guide = _unit(info.plate_normal), _unit(info.guide_direction)
+    if normal and guide and not abs(_dot(normal, guide)) >= MIN_NORMAL_COMPONENT:
+        raise SettingsError(f"guide_direction = {info.guide_direction}: must not lie in the plate")
 
 
 class RunHistory:
-    """Obstacle mass and robot configuration over time."""
+    """Obstacle mass, robot configuration and plate over time."""
 
-    def __init__(self, obstacle_mass: float, configuration: str) -> None:
-        self._runs = [Run(0, obstacle_mass, configuration)]
+    def __init__(self, obstacle_mass: float, configuration: str, normal: Vector3 | None = None) -> None:
+        self._runs = [Run(0, obstacle_mass, configuration, normal)]
         self._defaults = self._runs[0]
 
-    def set(self, since_ns: int, obstacle_mass: float | None = None, configuration: str | None = None) -> None:
+    def set(
+        self,
+        since_ns: int,
+        obstacle_mass: float | None = None,
+        configuration: str | None = None,
+        normal: Vector3 | None = None,
+    ) -> None:
         """Begin a run with changed settings; None keeps the current value. Raises SettingsError."""
         check_run_info(RunInfo(obstacle_mass=obstacle_mass or 0.0))
-        stated = {"obstacle_mass": obstacle_mass, "configuration": configuration}
+        stated = {"obstacle_mass": obstacle_mass, "configuration": configuration, "normal": normal}
         changes: dict[str, Any] = {name: value for name, value in stated.items() if value is not None}
         self._defaults = self._defaults._replace(**changes)
         self._insert(self.at(since_ns)._replace(since_ns=since_ns, **changes))
@@ -68,8 +89,10 @@ class RunHistory:
         except SettingsError:
             self.forget_obstacle(received_ns)
             raise
-        mass = info.obstacle_mass or self._defaults.obstacle_mass
-        self._insert(Run(info.stamp_ns or received_ns, mass, info.configuration or self._defaults.configuration))
+        defaults, since_ns = self._defaults, info.stamp_ns or received_ns
+        mass, configuration = info.obstacle_mass or defaults.obstacle_mass, info.configuration or defaults.configuration
+        normal = _unit(info.plate_normal) or defaults.normal
+        self._insert(Run(since_ns, mass, configuration, normal, _unit(info.guide_direction)))
 
     def forget_obstacle(self, since_ns: int) -> None:
         """Begin a run with unknown obstacle mass."""
@@ -144,19 +167,44 @@ class ForceClock:
 
 
 class MatchedImpact(NamedTuple):
-    """An impact, the robot state at its onset, and the run that it belongs to."""
+    """An impact, the robot state at its onset along the normal of the plate, and the run that it belongs to."""
 
     impact: Impact
     state: OnsetState
     run: Run
+    kink: Kink | None = None
+
+    @property
+    def force_share(self) -> float:
+        """Component of the normal along the axis of the sensor: measured force / force along the normal."""
+        normal, guide = self.run.normal, self.run.guide
+        return abs(_dot(normal, guide)) if normal and guide else 1.0
+
+    @property
+    def obstacle_mass(self) -> float:
+        """Mass of the obstacle along the normal [kg]: one on an oblique guide yields less."""
+        return self.run.obstacle_mass / self.force_share**2
+
+    @property
+    def impulse(self) -> float:
+        """Impulse along the normal up to the peak [N s], 0 if unknown."""
+        return self.impact.compression_impulse / self.force_share
+
+    @property
+    def measured_mass(self) -> float:
+        """Effective mass of the robot by impulse and speed [kg]; 0 if unknown, infinite if beyond measurement."""
+        if not self.impulse > 0.0:
+            return 0.0
+        mobility = self.state.speed / self.impulse - 1.0 / self.obstacle_mass
+        return 1.0 / mobility if mobility > 0.0 else math.inf
 
     def has_mass(self, model: str) -> bool:
         """Return whether `model` has an effective mass at the onset."""
         return MIN_EFFECTIVE_MASS <= self.state.masses[model] < math.inf
 
     def reduced_mass(self, model: str) -> float:
-        """Return (1 / m_n + 1 / m_H)^-1 [kg]."""
-        return reduced_mass(self.state.masses[model], self.run.obstacle_mass)
+        """Return (1 / m_n + 1 / m_H)^-1 [kg] along the normal."""
+        return reduced_mass(self.state.masses[model], self.obstacle_mass)
 
 
 class ImpactMatcher:
@@ -171,7 +219,7 @@ class ImpactMatcher:
         self._max_delay_ns = round(settings.impact_delay * NANOSECONDS)
         self.states = StateHistory(settings)
         self.clock = ForceClock(settings)
-        self.runs = RunHistory(settings.obstacle_mass, settings.configuration)
+        self.runs = RunHistory(settings.obstacle_mass, settings.configuration, settings.normal)
         self.reset()
 
     def reset(self) -> None:
@@ -215,23 +263,30 @@ class ImpactMatcher:
                 self.refuse(impact, Rejection(reason), excluded=True)
                 continue
             run = self.runs.at(impact.stamp_ns)
-            state = self._onset_state(impact, received_ns)
+            if self._settings.obstacle_fixed:
+                run = run._replace(obstacle_mass=math.inf)
+            state = self._onset_state(impact, received_ns, run.normal)
             if isinstance(state, Rejection):
                 self.refuse(impact, state)
             elif not run.obstacle_mass:
                 self.refuse(impact, Rejection("obstacle_mass is not given", "set it to the mass of the obstacle [kg]"))
             else:
-                yield MatchedImpact(impact, state, run)
+                kink = self.states.kink(impact.stamp_ns, impact.duration, self._deadline_ns(received_ns))
+                yield MatchedImpact(impact, state, run, kink)
 
     def _ready(self, impact: Impact, received_ns: int) -> bool:
         """Return whether every relevant state has arrived, by stamp, or the maximum wait is over."""
-        if _invalid_reason(impact) or self.states.last_ns >= impact.stamp_ns + self._uncertainty_ns(impact):
+        covered_ns = max(self._uncertainty_ns(impact), round(WINDOW * NANOSECONDS))
+        if _invalid_reason(impact) or self.states.last_ns >= impact.stamp_ns + covered_ns:
             return True
         return received_ns > 0 and self.states.last_arrival_ns > received_ns + self._max_wait_ns
 
-    def _onset_state(self, impact: Impact, received_ns: int) -> OnsetState | Rejection:
-        onset_ns = impact.stamp_ns
-        deadline_ns = received_ns + self._max_wait_ns if received_ns and self.states.last_arrival_ns else 0
+    def _deadline_ns(self, received_ns: int) -> int:
+        """Return until when states count that arrive after an impact; 0: all."""
+        return received_ns + self._max_wait_ns if received_ns and self.states.last_arrival_ns else 0
+
+    def _onset_state(self, impact: Impact, received_ns: int, normal: Vector3 | None) -> OnsetState | Rejection:
+        onset_ns, deadline_ns = impact.stamp_ns, self._deadline_ns(received_ns)
         lag_ns = self.states.lag_at(onset_ns, deadline_ns)
         if lag_ns is None:
             return Rejection("no contact state")
@@ -239,10 +294,26 @@ class ImpactMatcher:
         if deadline_ns and not -self._max_wait_ns <= offset_ns <= self._max_delay_ns:
             reason = "force and contact states are seconds apart: their clocks differ"
             return Rejection(reason, f"by {abs(offset_ns) / NANOSECONDS:.2f} s")
-        return self.states.at(onset_ns, self._uncertainty_ns(impact), deadline_ns)
+        state = self.states.at(onset_ns, self._uncertainty_ns(impact), deadline_ns)
+        if normal is None or isinstance(state, Rejection):
+            return state
+        along = state.along(normal)
+        if not along.speed >= MIN_NORMAL_COMPONENT * state.speed:
+            return Rejection("the robot moves along the plate, not against it", "check plate_normal")
+        return along
 
     def _uncertainty_ns(self, impact: Impact) -> int:
         return round((self._settings.clock_uncertainty + abs(impact.clock_residual)) * NANOSECONDS)
+
+
+def _dot(a: Vector3, b: Vector3) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _unit(vector: Vector3) -> Vector3 | None:
+    """Return the unit vector along a finite `vector`, None for zero."""
+    length = math.hypot(*vector)
+    return (vector[0] / length, vector[1] / length, vector[2] / length) if length > 0.0 else None
 
 
 def _invalid_reason(impact: Impact) -> str:

@@ -18,6 +18,9 @@ FLANK_HIGH = 0.5
 """... to this one."""
 MIN_INCOMPLETE_SAMPLES = 3
 """Minimum number of samples of a contact that is not complete."""
+PEAK_SHARE = 0.8
+"""The time of the peak is that of a polynomial through the samples above this share of it."""
+MIN_CUBIC_SAMPLES = 6
 _GLITCH_SHARE = 0.25
 """The neighbours of a glitch are below this share of it, which excludes half-sines of 2.4 samples and more."""
 _RELEASE = 0.5
@@ -36,6 +39,8 @@ class DetectedContact(NamedTuple):
     """[N] above baseline"""
     area: float
     """[N samples] above baseline"""
+    compression_area: float
+    """[N samples] above baseline, from the onset to the peak"""
     complete: bool
     """Both flanks were recorded."""
     clipped: bool = False
@@ -147,6 +152,33 @@ def flank_onset(force: FloatArray, first: int, peak: float) -> tuple[float, bool
     return min(max(extrapolated, earliest), float(first)), low < 0.5 * (FLANK_LOW + FLANK_HIGH) * peak
 
 
+def compression_area(force: FloatArray, onset: float, index: int) -> float:
+    """Return the integral [N samples] of `force` (n,) [N] from `onset` [samples] to the peak near sample `index`.
+
+    Near its top the force is so flat that noise moves the largest sample; the time of the peak is therefore that of a
+    least-squares cubic, or of a parabola through few samples. The trapezoidal sum is corrected for the curvature
+    (Euler-Maclaurin; the slope is 0 at the peak).
+    """
+    top = force > PEAK_SHARE * force[index]
+    low = index - int(np.argmin(top[index::-1])) + 1 if not top[: index + 1].all() else 0
+    high = index + int(np.argmin(top[index:])) if not top[index:].all() else force.size
+    low, high = max(min(low, index - 1), 0), min(max(high, index + 2), force.size)
+    peak_at = float(index)
+    if high - low >= 3:
+        offsets = np.arange(low, high) - peak_at
+        degree = 3 if offsets.size >= MIN_CUBIC_SAMPLES else 2
+        a, b, c, _ = np.pad(np.linalg.pinv(np.vander(offsets, degree + 1)) @ force[low:high], (3 - degree, 0))
+        root = b * b - 3.0 * a * c
+        if b < 0.0 <= root:
+            peak_at += float(np.clip(-c / (b - math.sqrt(root)), offsets[0], offsets[-1]))
+    first, last = math.ceil(onset), math.floor(peak_at)
+    inside = force[first : last + 1]
+    if inside.size < 2:
+        return 0.5 * float(force[index]) * max(peak_at - onset, 0.0)
+    ends = 0.5 * inside[0] * (first - onset) + inside[-1] * (peak_at - last)
+    return float(inside.sum() - 0.5 * (inside[0] + inside[-1]) + ends + (inside[1] - inside[0]) / 12.0)
+
+
 def measure(force: FloatArray, first: int, last: int, earliest: int, latest: int, *, intact: bool) -> DetectedContact:
     """Return the contact from sample `first` to `last` of `force` (n,) [N] above baseline.
 
@@ -171,6 +203,7 @@ def measure(force: FloatArray, first: int, last: int, earliest: int, latest: int
         end=earliest + end,
         peak=peak,
         area=area,
+        compression_area=compression_area(part[: stop + 1], max(start, 0.0), index),
         complete=rise_recorded and fall_recorded,
     )
 

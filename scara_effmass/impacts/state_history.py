@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from scara_effmass.impacts.clock_offset import WINDOW, Kink, velocity_kink
 from scara_effmass.settings import MassModel, ValidatorSettings
-from scara_effmass.values import ContactAssessment, FloatArray, Vector3, Verdict
+from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vector3, Verdict
 
 NANOSECONDS = 1e9
 MODELS = ("lumped", "full", "iso")
@@ -21,20 +22,28 @@ TREND_STATES = 5
 """Maximum number of states before the impact in the trend."""
 MIN_DIRECTION_LENGTH = 0.5
 """Minimum length of an interpolated direction: two unit vectors 120 degrees apart have a mean of this length."""
-_SPEED, _DIRECTION, _MASSES = 0, slice(1, 4), slice(4, 7)
+_SPEED, _DIRECTION, _MASSES, _LUMPED, _FULL = 0, slice(1, 4), slice(4, 7), slice(7, 13), slice(13, 19)
 
 
 class OnsetState(NamedTuple):
     """Contact point at the onset: `speed` [m/s], unit `direction`, `masses` [kg] by model.
 
     A mass is NaN if the model has none. `from_trend`: extrapolated from the states before the onset, because the
-    contact had already slowed the robot.
+    contact had already slowed the robot. `mobilities` are those of the lumped and of the full model, as
+    `ContactAssessment` has them.
     """
 
     speed: float
     direction: Vector3
     masses: Mapping[str, float]
     from_trend: bool
+    mobilities: tuple[Mobility6, Mobility6]
+
+    def along(self, normal: Vector3) -> "OnsetState":
+        """Return speed and masses along the unit vector `normal` of the plate, of either sign."""
+        lumped, full = (_mass_along(mobility, normal) for mobility in self.mobilities)
+        speed = self.speed * abs(sum(n * d for n, d in zip(normal, self.direction, strict=True)))
+        return self._replace(speed=speed, masses=_by_model(lumped, full, self.masses["iso"]))
 
 
 class Rejection(NamedTuple):
@@ -105,7 +114,8 @@ class StateHistory:
         is_finite = math.isfinite(speed) and all(map(math.isfinite, direction))
         moving = is_finite and any(direction) and speed >= self._settings.speed_threshold
         unknown = contact.reason if contact.verdict is Verdict.UNKNOWN and direction == (0.0, 0.0, 0.0) else ""
-        row = (speed, *direction, contact.lumped_mass, contact.full_mass, contact.iso_mass)
+        masses = (contact.lumped_mass, contact.full_mass, contact.iso_mass)
+        row = (speed, *direction, *masses, *contact.lumped_mobility, *contact.full_mobility)
         self._states.append(_State(contact.stamp_ns, self.last_arrival_ns, row, moving, unknown))
         if self._states[0].stamp_ns < self.last_ns - 2 * self._history_ns:
             del self._states[: self._count(self.last_ns - self._history_ns - 1, len(self))]
@@ -142,10 +152,19 @@ class StateHistory:
         if not length >= MIN_DIRECTION_LENGTH or not row[_SPEED] >= self._settings.speed_threshold:
             return Rejection("the direction of motion turns over at the onset")
         x, y, z = (row[_DIRECTION] / length).tolist()
-        masses = dict(zip(MODELS, row[_MASSES].tolist(), strict=True))
-        # NaN if either has no mass: the maximum is then unknown.
-        masses[MassModel.LARGEST.value] = float(np.maximum(masses["lumped"], masses["full"]))
-        return OnsetState(float(row[_SPEED]), (x, y, z), masses, from_trend)
+        mobilities = tuple(row[_LUMPED].tolist()), tuple(row[_FULL].tolist())
+        return OnsetState(float(row[_SPEED]), (x, y, z), _by_model(*row[_MASSES].tolist()), from_trend, mobilities)
+
+    def kink(self, onset_ns: int, duration: float, deadline_ns: int = 0) -> Kink | None:
+        """Return the kink of the velocity near `onset_ns` due to a contact of `duration` [s]; arguments as `at`."""
+        known = self._received_count(deadline_ns)
+        window_ns = round(WINDOW * NANOSECONDS)
+        states = self._states[self._count(onset_ns - window_ns, known) : self._count(onset_ns + window_ns, known)]
+        states = [state for state in states if not state.unknown]
+        if not states:
+            return None
+        seconds, rows = _arrays(states, onset_ns)
+        return velocity_kink(seconds, rows[:, [_SPEED]] * rows[:, _DIRECTION], duration)
 
     def _count(self, stamp_ns: int, known: int) -> int:
         """Return the number of states up to `stamp_ns` among the first `known`."""
@@ -181,8 +200,21 @@ class StateHistory:
         return bool(along < (1.0 - self._settings.slowing) * expected[_SPEED])
 
 
+def _by_model(lumped: float, full: float, iso: float) -> dict[str, float]:
+    """Return the masses by name; the largest is NaN if either of the first two is, because it is then unknown."""
+    masses = dict(zip(MODELS, (lumped, full, iso), strict=True))
+    return masses | {MassModel.LARGEST.value: float(np.maximum(lumped, full))}
+
+
+def _mass_along(mobility: Mobility6, normal: Vector3) -> float:
+    """Return 1 / (n^T A n) [kg]; NaN where no joint moves the point along n, or without the model."""
+    (a, b, c, d, e, f), (x, y, z) = mobility, normal
+    inverse = a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
+    return 1.0 / inverse if inverse > 0.0 else math.nan
+
+
 def _arrays(states: Sequence[_State], onset_ns: int) -> tuple[FloatArray, FloatArray]:
-    """Return the times of `states` after the onset (n,) [s], and their rows (n, 7)."""
+    """Return the times of `states` after the onset (n,) [s], and their rows (n, 19)."""
     seconds = np.array([(state.stamp_ns - onset_ns) / NANOSECONDS for state in states])
     return seconds, np.array([state.row for state in states])
 

@@ -1,5 +1,6 @@
 """Validation of predicted peak forces against measured impacts, live and offline."""
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple, TypeVar
@@ -7,17 +8,22 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from scara_effmass.impacts.agreement import (
+    MIN_RELATIVE_RANGE,
     Agreement,
     Comparison,
     compare_models,
-    criterion_hash,
     model_agreement,
+    model_fit,
     predict,
-    unmet_criterion,
 )
+from scara_effmass.impacts.clock_offset import ClockOffset, clock_offset
+from scara_effmass.impacts.criterion import Decision, Series, criterion_hash, decide
 from scara_effmass.impacts.impact_matcher import ImpactMatcher, MatchedImpact
+from scara_effmass.impacts.limit_check import RegionForce, region_force
+from scara_effmass.impacts.mass_fit import MassFit
 from scara_effmass.impacts.state_history import MODELS, Rejection
-from scara_effmass.settings import ValidatorSettings
+from scara_effmass.iso15066 import limits_for
+from scara_effmass.settings import MassModel, ValidatorSettings
 from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RefusedImpact, ValidatedImpact
 
 Key = TypeVar("Key", str, float)
@@ -32,15 +38,30 @@ WRONG_SIGN_RATIO = 3.0
 class ModelResult(NamedTuple):
     """Agreement of one effective-mass model with the series, overall and by group.
 
-    Group predictions use the stiffness of the whole series. `reason` states why the model is not accepted.
+    Group predictions use the stiffness of the whole series. `reason` states why the model is not accepted;
+    `decidable` is false if the series could not have found an error.
     """
 
     model: str
     overall: Agreement
+    fit: MassFit
     by_configuration: Mapping[str, Agreement]
     by_obstacle_mass: Mapping[float, Agreement]
     accepted: bool
+    decidable: bool
     reason: str
+
+
+class _Outcome(NamedTuple):
+    agreement: Agreement
+    fit: MassFit
+    decision: Decision
+
+
+class _Summary(NamedTuple):
+    outcomes: Mapping[str, _Outcome]
+    clock: ClockOffset
+    exceedances: int
 
 
 class Result(NamedTuple):
@@ -49,7 +70,8 @@ class Result(NamedTuple):
     `model` is the selected effective-mass model; `accepted` and `reason` refer to it. `models` are lumped, full, iso,
     and largest if selected. Predictions in `impacts` use the stiffness of the whole series. `excluded` and `unpaired`
     count by reason, `refused` lists each impact. `clock` and `force_sign` describe a problem with the clocks or the
-    sign of the force; empty: none detected.
+    sign of the force; empty: none detected. `clock_offset` is that of the impacts in the series. `gain_tolerance` is
+    that of the sensor, `exceedances` counts impacts whose force on a body region is above its limit.
     """
 
     model: str
@@ -66,10 +88,21 @@ class Result(NamedTuple):
     other_contact_points: tuple[str, ...]
     late_states: int
     clock: str
+    clock_offset: ClockOffset
     force_sign: str
+    gain_tolerance: float
+    exceedances: int
     accepted: bool
+    decidable: bool
     reason: str
     criterion_hash: str
+
+    @property
+    def verdict(self) -> str:
+        """One line: accepted, or why not."""
+        if self.accepted:
+            return "accepted"
+        return f"{'not accepted' if self.decidable else 'not decidable'}: {self.reason}"
 
 
 class Validator:
@@ -80,7 +113,9 @@ class Validator:
     """
 
     def __init__(self, settings: ValidatorSettings) -> None:
+        """Begin a series. Raises LimitError for body regions without a limit."""
         self.settings = settings
+        self._limits = limits_for(settings.limit_settings)
         self.criterion_hash = criterion_hash(settings.criterion)
         self._model = settings.effective_mass_model.value
         self._models = (*MODELS, self._model) if self._model not in MODELS else MODELS
@@ -92,7 +127,7 @@ class Validator:
         self._stamp_ns = self._joint_states = 0
         self._other_contact_points: set[str] = set()
         self._matches: list[MatchedImpact] = []
-        self._min_force = self._max_force = 0.0
+        self._min_force = self._max_force = self._stated_uncertainty = 0.0
         self._past_problems = "", ""
 
     def add_state(self, contact: ContactAssessment, received_ns: int) -> list[ValidatedImpact]:
@@ -132,6 +167,7 @@ class Validator:
     def add_force(self, block: ForceBlock, received_ns: int) -> None:
         """Add a force block to the checks of the clocks and of the sign of the force."""
         self._matcher.clock.add_block(block, received_ns)
+        self._stated_uncertainty = max(self._stated_uncertainty, block.relative_uncertainty)
         finite = block.force[np.isfinite(block.force)]
         if finite.size:
             self._min_force = min(self._min_force, float(finite.min()))
@@ -157,15 +193,14 @@ class Validator:
         self._matcher.reset()
         self._matches.clear()
         self._other_contact_points.clear()
+        self._stated_uncertainty = 0.0
         self._clear_problems()
 
     def result(self) -> Result:
         """Return the current result of the series."""
-        agreements = self._agreements()
         clock, force_sign = self._problems()
-        reasons = {model: force_sign or clock or self._unmet_criterion(a) for model, a in agreements.items()}
+        summary = self._summary(force_sign or clock)
         refused = self._matcher.refused
-        reason = reasons[self._model]
         return Result(
             model=self._model,
             contact_point=self._contact_point,
@@ -173,15 +208,15 @@ class Validator:
                 ModelResult(
                     model=model,
                     overall=overall,
+                    fit=fit,
                     by_configuration=self._grouped(model, overall.stiffness, lambda match: match.run.configuration),
                     by_obstacle_mass=self._grouped(model, overall.stiffness, lambda match: match.run.obstacle_mass),
-                    accepted=not reasons[model],
-                    reason=reasons[model],
+                    **decision._asdict(),
                 )
-                for model, overall in agreements.items()
+                for model, (overall, fit, decision) in summary.outcomes.items()
             ),
             comparison=compare_models(self._models, self._matches),
-            impacts=tuple(self._validated_impact(match, agreements, reason) for match in self._matches),
+            impacts=tuple(self._validated_impact(match, summary) for match in self._matches),
             refused=tuple(refused),
             seen=self._matcher.seen,
             waiting=len(self._matcher.waiting),
@@ -191,9 +226,11 @@ class Validator:
             other_contact_points=tuple(sorted(self._other_contact_points - {"", self._contact_point})),
             late_states=self._matcher.states.late,
             clock=clock,
+            clock_offset=summary.clock,
             force_sign=force_sign,
-            accepted=not reason,
-            reason=reason,
+            gain_tolerance=self._gain_tolerance,
+            exceedances=summary.exceedances,
+            **summary.outcomes[self._model].decision._asdict(),
             criterion_hash=self.criterion_hash,
         )
 
@@ -205,31 +242,70 @@ class Validator:
                 self._matcher.refuse(match.impact, Rejection(f"no {self._model} mass", detail))
                 continue
             self._matches.append(match)
-            agreements = self._agreements()
-            validated.append(self._validated_impact(match, agreements, self._unmet_criterion(agreements[self._model])))
+            validated.append(self._validated_impact(match, self._summary()))
         return validated
 
-    def _agreements(self) -> dict[str, Agreement]:
-        return {model: self._agreement(model, self._matches, self._stiffness) for model in self._models}
+    def _summary(self, problem: str = "") -> _Summary:
+        """Return agreement, fit and decision of each model; `problem` is one of the clocks or the sign of the force.
 
-    def _unmet_criterion(self, agreement: Agreement) -> str:
-        unmatched = sum(not impact.excluded for impact in self._matcher.refused)
-        return unmet_criterion(self.settings.criterion, agreement, unmatched)
+        Without the problem it does not depend on the order of arrival.
+        """
+        unpaired = Counter(impact.reason for impact in self._matcher.refused if not impact.excluded)
+        kinks = (match.kink for match in self._matches if match.kink is not None)
+        clock = clock_offset(kinks, self.settings.criterion.largest_clock_offset)
+        one_pose = self._one_pose()
+        outcomes = {}
+        for model in self._models:
+            usable = [match for match in self._matches if match.has_mass(model)]
+            series = Series(
+                agreement=self._agreement(model, usable, self._stiffness),
+                fit=model_fit(model, usable),
+                clock=clock,
+                masses=np.array([match.state.masses[model] for match in usable]),
+                obstacle_masses=np.array([match.obstacle_mass for match in usable]),
+                one_pose=one_pose,
+                gain_tolerance=self._gain_tolerance,
+                left_out=unpaired.total(),
+                left_out_reason=min(unpaired, key=lambda reason: (-unpaired[reason], reason), default=""),
+            )
+            outcomes[model] = _Outcome(series.agreement, series.fit, decide(self.settings.criterion, series, problem))
+        stiffness = outcomes[self._model].agreement.stiffness
+        exceedances = sum(self._region_force(match, stiffness).exceeds for match in self._matches)
+        return _Summary(outcomes, clock, exceedances)
+
+    def _region_force(self, match: MatchedImpact, stiffness: float) -> RegionForce:
+        """Return the force on the most endangered body region, with the mass of the model or the measured one."""
+        peak = match.impact.peak_force / match.force_share
+        masses = (match.state.masses[self._model], match.measured_mass)
+        forces = [region_force(self._limits, peak, mass, match.obstacle_mass, stiffness) for mass in masses if mass]
+        return max(forces, key=lambda region: region.force / (region.limit or math.inf))
+
+    @property
+    def _gain_tolerance(self) -> float:
+        return self._stated_uncertainty or self.settings.criterion.gain_tolerance
+
+    def _one_pose(self) -> bool:
+        """Return whether neither the lumped nor the full mass varies over the series."""
+        for model in (MassModel.LUMPED.value, MassModel.FULL.value):
+            masses = [match.state.masses[model] for match in self._matches if match.has_mass(model)]
+            if masses and max(masses) - min(masses) > MIN_RELATIVE_RANGE * max(masses):
+                return False
+        return True
 
     def _agreement(self, model: str, matches: Iterable[MatchedImpact], stiffness: float) -> Agreement:
         return model_agreement(model, matches, stiffness, self.settings.criterion.shortfall_tolerance)
 
-    def _validated_impact(
-        self, match: MatchedImpact, agreements: Mapping[str, Agreement], reason: str
-    ) -> ValidatedImpact:
-        """Return predictions for `match` and the statistics of the series; `reason`: why it is not accepted."""
-        impact, state, run = match
+    def _validated_impact(self, match: MatchedImpact, summary: _Summary) -> ValidatedImpact:
+        """Return predictions and limit for `match`, and the `summary` of the series."""
+        impact, state, run, kink = match
         predictions = {
-            model: predict(model, match, agreement.stiffness)
-            for model, agreement in agreements.items()
+            model: predict(model, match, outcome.agreement.stiffness)
+            for model, outcome in summary.outcomes.items()
             if match.has_mass(model)
         }
-        selected, agreement = predictions[self._model], agreements[self._model]
+        selected, (agreement, fit, decision) = predictions[self._model], summary.outcomes[self._model]
+        peak, impulse = impact.peak_force / match.force_share, match.impulse
+        region = self._region_force(match, selected.stiffness)
         return ValidatedImpact(
             stamp_ns=impact.stamp_ns,
             frame_id=impact.frame_id,
@@ -241,20 +317,38 @@ class Validator:
             speed=state.speed,
             stiffness=selected.stiffness,
             conservative=selected.conservative,
+            compression_impulse=impact.compression_impulse,
+            measured_reduced_mass=impulse / state.speed,
+            measured_effective_mass=match.measured_mass,
+            measured_stiffness=peak**2 / (impulse * state.speed) if impulse > 0.0 else 0.0,
+            clock_offset=math.nan if kink is None else kink.delay,
+            body_region=region.region,
+            region_force=region.force,
+            limit_force=region.limit,
+            exceeds_limit=region.exceeds,
             count=agreement.count,
             correlation=agreement.correlation,
             fitted_stiffness=agreement.fitted_stiffness,
             bias=agreement.bias,
             rmse=agreement.rmse,
             non_conservative=agreement.non_conservative,
-            accepted=not reason,
-            reason=reason,
+            gain=fit.gain,
+            gain_interval=fit.gain_interval,
+            mass_scale=fit.mass_scale,
+            mass_scale_interval=fit.mass_scale_interval,
+            detectable_mass_error=fit.detectable_mass_error,
+            exponent=fit.exponent,
+            exponent_interval=fit.exponent_interval,
+            series_clock_offset=summary.clock.offset,
+            exceedances=summary.exceedances,
+            **decision._asdict(),
             predictions=tuple(predictions.values()),
             contact_point=self._contact_point,
             direction=state.direction,
             obstacle_mass=run.obstacle_mass,
             configuration=run.configuration,
             from_trend=state.from_trend,
+            force_share=match.force_share,
             simulated=impact.simulated,
         )
 

@@ -24,7 +24,7 @@ def series_status(
     `lost` those that the middleware lost by topic; `incompatible_qos` has a line per endpoint that cannot be connected.
     """
     result = validator.result()
-    selected = next(model for model in result.models if model.model == result.model).overall
+    selected, fit = next((model.overall, model.fit) for model in result.models if model.model == result.model)
     problem = result.clock or result.force_sign or "; ".join((*sorted(incompatible_qos), *undecodable))
     unpaired = sum(result.unpaired.values())
     if not problem and unpaired:
@@ -44,10 +44,15 @@ def series_status(
         "impacts waiting": result.waiting,
         "of these simulated": result.simulated,
         "accepted": result.accepted,
+        "decidable": result.decidable,
         "reason": result.reason,
         "criterion hash": result.criterion_hash,
         "correlation": selected.correlation_reason or f"{selected.correlation:.5f}",
         "fitted stiffness [N/m]": f"{selected.fitted_stiffness:.6g}",
+        "mass scale": f"{fit.mass_scale:.4g} ({fit.mass_scale_interval.low:.4g} to {fit.mass_scale_interval.high:.4g})",
+        "gain of the force": f"{fit.gain:.4g} ({fit.gain_interval.low:.4g} to {fit.gain_interval.high:.4g})",
+        "clock offset [s]": f"{result.clock_offset.offset:.4g}",
+        "impacts above the limit": result.exceedances,
         "bias [N]": f"{selected.bias:.4g}",
         "rmse [N]": f"{selected.rmse:.4g}",
         "non-conservative": selected.non_conservative,
@@ -59,5 +64,5 @@ def series_status(
     }
     for group, counts in (("excluded:", result.excluded), ("not paired:", result.unpaired), ("lost of", lost)):
         values |= {f"{group} {name}": count for name, count in sorted(counts.items())}
-    message = f"{len(result.impacts)} impacts, {'accepted' if result.accepted else result.reason}"
+    message = f"{len(result.impacts)} impacts, {result.verdict}"
     return status("series", message, values, problem=problem, hardware_id=robot)

@@ -31,8 +31,11 @@ WriteReport = Callable[[Result, "NodeSettings", Path], Path]
 _NS = 1_000_000_000
 _COMMON_FIELDS = (
     *("predicted_force", "measured_force", "relative_error", "effective_mass", "reduced_mass", "speed", "stiffness"),
-    *("conservative", "count", "correlation", "fitted_stiffness", "bias", "rmse", "non_conservative", "accepted"),
-    "reason",
+    *("conservative", "compression_impulse", "measured_reduced_mass", "measured_effective_mass", "measured_stiffness"),
+    *("clock_offset", "body_region", "region_force", "limit_force", "exceeds_limit"),
+    *("count", "correlation", "fitted_stiffness", "bias", "rmse", "non_conservative", "gain", "gain_interval"),
+    *("mass_scale", "mass_scale_interval", "detectable_mass_error", "exponent", "exponent_interval"),
+    *("series_clock_offset", "exceedances", "accepted", "decidable", "reason"),
 )
 """Fields that `ImpactValidation` and `ValidatedImpact` share."""
 
@@ -169,6 +172,8 @@ class ValidatorNode(LifecycleBase):
         self._settings = settings
         # Unchanged parameters must not override later run information.
         changes = {name: getattr(settings, name) for name in ("obstacle_mass", "configuration") if name in names}
+        if "plate_normal" in names:
+            changes["normal"] = settings.normal
         if changes:
             self._validator.runs.set(self.now_ns(), **changes)
 

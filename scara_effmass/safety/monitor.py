@@ -22,7 +22,18 @@ from scara_effmass.iso15066.pose_change import PoseChange
 from scara_effmass.safety.debounce import VerdictDebouncer, severity
 from scara_effmass.safety.joint_state_validator import NANOSECONDS, JointStateValidator, OtherDevice
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
-from scara_effmass.values import NAN, ZERO_VECTOR, ContactAssessment, Decision, FloatArray, JointState, Vector3, Verdict
+from scara_effmass.values import (
+    NAN,
+    NO_MOBILITY,
+    ZERO_VECTOR,
+    ContactAssessment,
+    Decision,
+    FloatArray,
+    JointState,
+    Mobility6,
+    Vector3,
+    Verdict,
+)
 
 if TYPE_CHECKING:
     from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
@@ -304,6 +315,8 @@ class Monitor:
             worst_mu,
             force_bound,
             clamping_force,
+            NO_MOBILITY if masses.has_massless_direction else _entries(masses.lumped_mobility),
+            _entries(masses.full_mobility),
             self._normal_text,
             model_name,
         )
@@ -462,6 +475,14 @@ def _any_normal(models: list[_Model], masses: EffectiveMasses) -> list[Mobility]
         else Mobility.of_mass(model.mass)
         for model in models
     ]
+
+
+def _entries(mobility: Matrix) -> Mobility6:
+    """Return the six entries of a symmetric (3, 3) matrix, zeros for an empty one."""
+    if not mobility:
+        return NO_MOBILITY
+    (a, b, c), (_, d, e), (_, _, f) = mobility
+    return a, b, c, d, e, f
 
 
 def _latched(contact: ContactAssessment, cause: Cause) -> ContactAssessment:

@@ -175,14 +175,14 @@ class MonitorSettings(FrozenSettings):
     @field_validator("contact_normal")
     @classmethod
     def _check_contact_normal(cls, text: str) -> str:
-        if text not in {"worst", "velocity"} and _vector(text) is None:
+        if text not in {"worst", "velocity"} and unit_vector(text) is None:
             raise ValueError('must be worst, velocity, or three numbers that are not all 0, such as "0 0 1"')
         return text
 
     @property
     def fixed_normal(self) -> Vector3 | None:
         """Unit vector of a fixed contact normal in `contact_normal_frame`, or None."""
-        return _vector(self.contact_normal)
+        return unit_vector(self.contact_normal)
 
     @property
     def robot_path(self) -> Path:
@@ -190,7 +190,7 @@ class MonitorSettings(FrozenSettings):
         return Path(self.robot) if self.robot else share("config", "omron_i4_550l.yaml")
 
 
-def _vector(text: str) -> Vector3 | None:
+def unit_vector(text: str) -> Vector3 | None:
     """Return the unit vector along the three numbers in `text`, or None if they give none."""
     try:
         x, y, z = map(float, text.split())

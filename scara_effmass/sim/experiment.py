@@ -135,6 +135,7 @@ class ImpactSetup:
             obstacle_mass=self.obstacle_mass,
             impact_position=(*self.configuration.point, -Q3),
             plate_normal=self.cart.normal,
+            guide_direction=self.configuration.direction,
             simulated=True,
             note=note,
             contact_stiffness=self.contact.stiffness,

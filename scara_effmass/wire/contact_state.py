@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 _DOUBLES = 15
 """From direction.x to margin."""
 _FLOAT64 = struct.Struct("<4sd")
-_END = struct.Struct("<d??6xd?7x3d")
-"""From input_age to clamping_force."""
+_END = struct.Struct("<d??6xd?7x15d")
+"""From input_age to full_mobility."""
 
 
 def contact_from(message: ContactState) -> ContactAssessment:
@@ -29,6 +29,8 @@ def contact_from(message: ContactState) -> ContactAssessment:
         "stamp_ns": stamp.sec * NS + stamp.nanosec,
         "direction": (direction.x, direction.y, direction.z),
         "verdict": Verdict(message.verdict),
+        "lumped_mobility": tuple(map(float, message.lumped_mobility)),
+        "full_mobility": tuple(map(float, message.full_mobility)),
     }
     fields = (converted[name] if name in converted else getattr(message, name) for name in ContactAssessment._fields)
     return ContactAssessment._make(fields)
@@ -56,7 +58,7 @@ class ContactStateEncoder:
         """Return the CDR bytes of the message."""
         stamp_ns, _, direction, *numbers = contact[:15]
         body_region, criterion, verdict, reason = contact[15:19]
-        *_, contact_normal, mass_model = contact
+        *_, lumped_mobility, full_mobility, contact_normal, mass_model = contact
         texts = (body_region, criterion, verdict, reason, contact_normal, mass_model)
         if texts != self._texts:
             encoded = with_text(with_text(b"", body_region), criterion) + bytes((verdict,))
@@ -66,6 +68,6 @@ class ContactStateEncoder:
         return (
             self._start.pack(LITTLE_ENDIAN, *sec_and_nanosec(stamp_ns), self._head, *direction, *numbers)
             + self._encoded_texts
-            + _END.pack(*contact[19:27])
+            + _END.pack(*contact[19:27], *lumped_mobility, *full_mobility)
             + self._encoded_models
         )

@@ -41,6 +41,7 @@ _IMPACT = {
     "clock_residual": "float64",
     "source": "text",
     "simulated": "bool",
+    "compression_impulse": "float64",
 }
 
 

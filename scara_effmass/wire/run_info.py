@@ -18,6 +18,7 @@ _RUN_INFO = {
     "obstacle_mass": "float64",
     "impact_position": "vector",
     "plate_normal": "vector",
+    "guide_direction": "vector",
     "simulated": "bool",
     "note": "text",
     "contact_stiffness": "float64",

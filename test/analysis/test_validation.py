@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 import pytest
+import yaml
 
 from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
 from scara_effmass.bags.files import open_bag
@@ -17,12 +18,18 @@ from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import MassModel, ValidatorSettings
+from scara_effmass.settings import MassModel, MonitorSettings, ValidatorSettings
+from scara_effmass.share import share
+from scara_effmass.sim.campaign import Campaign
+from scara_effmass.sim.experiment import run_impact
+from scara_effmass.sim.recordings import write_recording
 from scara_effmass.values import ForceBlock, JointState, RunInfo
 from scara_effmass.wire.force import impact_message
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE, RUN_INFO, STRING, WRENCH, WRENCH_STAMPED
+from scara_effmass.wire.run_info import decode_run_info, run_info_message
 from scara_effmass.wire.topics import RECORDING_INFO
 from test.bags.messages import header, message, serialized
 
@@ -33,6 +40,7 @@ class Altered(Protocol):
 
 SETTINGS = ValidationSettings()
 S = 1_000_000_000
+TURN = math.radians(30.0)
 
 
 def stated(path: Path) -> RunInfo:
@@ -83,7 +91,14 @@ def test_campaign_reproduces_the_trends_of_the_paper(validation: Validation) -> 
     assert iso.correlation < 0.9
     assert iso.relative_rmse > 10.0 * max(lumped.relative_rmse, full.relative_rmse)
     assert full.fitted_stiffness == pytest.approx(2e6, rel=0.02)
-    assert full.exponent == pytest.approx(0.5, abs=0.01)
+    fits = [model.fit for model in result.models[:2]]
+    assert fits[0].exponent == fits[1].exponent == pytest.approx(0.5, abs=0.01)
+    for fit in fits:
+        assert fit.gain == pytest.approx(1.0, abs=0.02)
+        assert 0.95 < fit.mass_scale < 1.01
+        assert fit.detectable_mass_error < 0.07
+    assert abs(result.clock_offset.offset) < 5e-4
+    assert (result.clock_offset.impacts, result.exceedances) == (6, 0)
     forces = {(impact.configuration, impact.obstacle_mass): impact.measured_force for impact in result.impacts}
     for mass in (0.5, 7.35):
         assert forces["300_200", mass] < forces["300_0", mass] < forces["300_-200", mass]
@@ -99,6 +114,9 @@ def test_every_recording_has_its_own_impact(campaign: list[Path], validation: Va
         assert (impact.configuration, impact.obstacle_mass) == (info.configuration, info.obstacle_mass)
         assert abs(impact.stamp_ns - info.true_onset_ns) < 1_000_000
         assert impact.measured_force == pytest.approx(info.true_peak_force, rel=0.005)
+        true_reduced_mass = 1.0 / (1.0 / info.true_effective_mass + 1.0 / info.obstacle_mass)
+        assert impact.measured_reduced_mass == pytest.approx(true_reduced_mass, rel=0.012)
+        assert impact.measured_stiffness == pytest.approx(info.contact_stiffness, rel=0.012)
         full = next(each for each in impact.predictions if each.model == "full")
         assert full.effective_mass == pytest.approx(info.true_effective_mass, rel=0.01)
         assert recording.joint_states > 1000
@@ -187,14 +205,16 @@ def test_no_impacts(campaign: list[Path], dynamics: RobotDynamics, altered: Alte
 def test_one_impact(campaign: list[Path], dynamics: RobotDynamics) -> None:
     result = validate(campaign[:1], dynamics, SETTINGS).result
     assert len(result.impacts) == 1
-    assert result.reason == "1 impact, at least 3 are required"
+    assert result.reason == "1 impact, at least 6 are required"
     assert result.models[0].overall.correlation_reason == "fewer than two impacts"
 
 
 def test_all_at_the_same_reduced_mass(campaign: list[Path], dynamics: RobotDynamics) -> None:
-    result = validate(campaign[:1] * 3, dynamics, SETTINGS).result
-    assert len(result.impacts) == 3
-    assert result.reason == "correlation undefined: all impacts are at the same v sqrt(mu)"
+    result = validate(campaign[:1] * 6, dynamics, SETTINGS).result
+    assert len(result.impacts) == 6
+    assert result.models[0].overall.correlation_reason == "all impacts are at the same v sqrt(mu)"
+    assert not result.decidable
+    assert result.reason.startswith("one obstacle mass (0.5 kg) cannot separate the robot's mass from the gain; next: ")
 
 
 def test_clocks_seconds_apart(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
@@ -211,9 +231,10 @@ def test_saturated_peaks_are_counted(campaign: list[Path], dynamics: RobotDynami
         beyond = np.flatnonzero(block.force >= 150.0).astype(np.uint32)
         return block._replace(force=np.minimum(block.force, 150.0), saturated_samples=beyond)
 
+    again = validate([altered(campaign[0], block=saturated), *campaign[1:], campaign[0]], dynamics, SETTINGS).result
     result = validate([altered(campaign[0], block=saturated), *campaign[1:]], dynamics, SETTINGS).result
-    assert result.accepted
-    assert len(result.impacts) == 5
+    assert again.accepted
+    assert (result.accepted, result.decidable, len(result.impacts)) == (False, False, 5)
     assert result.excluded["clipped: the force reached the end of the measuring range"] == 1
 
 
@@ -244,6 +265,110 @@ def test_missing_obstacle_mass_is_not_taken_from_previous_recording(
     settings = replace(SETTINGS, validator=ValidatorSettings(obstacle_mass=7.35))
     named = validate([campaign[0], nameless], dynamics, settings).result
     assert [(each.obstacle_mass, each.configuration) for each in named.impacts] == [(0.5, "300_200"), (7.35, "")]
+
+
+@pytest.mark.parametrize("shift_ms", [-20, 20])
+def test_force_20_ms_early_or_late_is_rejected(
+    campaign: list[Path], dynamics: RobotDynamics, altered: Altered, shift_ms: int
+) -> None:
+    paths = [altered(path, block=lambda b: b._replace(stamp_ns=b.stamp_ns + shift_ms * S // 1000)) for path in campaign]
+    result = validate(paths, dynamics, SETTINGS).result
+    assert (result.accepted, result.decidable, len(result.impacts)) == (False, True, 6)
+    assert result.clock_offset.offset == pytest.approx(-shift_ms / 1e3, abs=1e-3)
+    assert result.reason.startswith(f"the joint states are {1e3 * result.clock_offset.offset:+.1f} ms behind the force")
+
+
+def test_too_large_a_gain_is_rejected(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
+    paths = [altered(path, block=lambda block: block._replace(force=1.2 * block.force)) for path in campaign]
+    result = validate(paths, dynamics, SETTINGS).result
+    assert (result.accepted, result.decidable) == (False, True)
+    assert result.reason.startswith("gain of the force 1.2")
+    uncertain = [altered(path, block=lambda b: b._replace(relative_uncertainty=0.15)) for path in campaign]
+    assert validate(uncertain, dynamics, SETTINGS).result.gain_tolerance == 0.15
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.25])
+def test_wrong_masses_are_rejected(campaign: list[Path], tmp_path: Path, factor: float) -> None:
+    file = yaml.safe_load(share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8"))
+    for body in (*file["links"], file["payload"]):
+        body["mass"] *= factor
+        body["inertia"] *= factor
+    path = tmp_path / "wrong.yaml"
+    path.write_text(yaml.safe_dump(file, sort_keys=False), encoding="utf-8")
+    wrong = RobotDynamics(load_robot(path, MonitorSettings()))
+    result = validate(campaign, wrong, SETTINGS).result
+    assert [(model.accepted, model.decidable) for model in result.models[:2]] == [(False, True)] * 2
+    assert result.reason.startswith("the robot has ")
+    assert result.models[1].fit.mass_scale == pytest.approx(1.0 / factor, rel=0.02)
+
+
+def test_swapped_carts_are_not_accepted(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
+    paths = [altered(path, info={"obstacle_mass": 7.85 - stated(path).obstacle_mass}) for path in campaign]
+    assert not validate(paths, dynamics, SETTINGS).result.accepted
+
+
+def test_plates_turned_by_30_degrees_are_accepted(dynamics: RobotDynamics, tmp_path: Path) -> None:
+    """The cart's guide stays along the path, which the run information states."""
+    paths = []
+    for run in Campaign(obstacle_masses=(0.5, 7.35), repetitions=1).runs:
+        turned = run._replace(setup=replace(run.setup, surface=(math.cos(TURN), math.sin(TURN), 0.0)))
+        simulated = run_impact(turned.setup)
+        blocks = [(block.stamp_ns + S // 5, block) for block in simulated.force_blocks]
+        paths.append(tmp_path / run.name)
+        write_recording(paths[-1], turned.info(simulated), simulated.joint_states, blocks, overwrite=False)
+    result = validate(paths, dynamics, SETTINGS).result
+    assert [(model.accepted, model.reason) for model in result.models[:2]] == [(True, "")] * 2
+    assert result.models[1].overall.correlation > 0.999
+    for impact, path in zip(result.impacts, paths, strict=True):
+        assert impact.force_share == pytest.approx(math.cos(TURN))
+        assert impact.predictions[1].effective_mass == pytest.approx(stated(path).true_effective_mass, rel=0.01)
+        assert impact.speed == pytest.approx(stated(path).true_speed, rel=0.01)
+    straight = [path.with_name(f"{path.name}_straight") for path in paths]
+    for path, other in zip(paths, straight, strict=True):
+        with open_bag(path) as bag, BagWriter(other) as writer:
+            for message in bag.messages():
+                data = message.data
+                if message.type == RUN_INFO:
+                    info = decode_run_info(data)._replace(plate_normal=(0.0,) * 3, guide_direction=(0.0,) * 3)
+                    data = run_info_message(info)
+                writer.write(message.topic, message.type, message.log_time_ns, data)
+    assert not validate(straight, dynamics, SETTINGS).result.accepted
+
+
+def test_a_given_normal_replaces_an_unstated_one(
+    campaign: list[Path], dynamics: RobotDynamics, altered: Altered
+) -> None:
+    unstated = altered(campaign[0], info={"plate_normal": (0.0,) * 3, "guide_direction": (0.0,) * 3})
+    settings = replace(SETTINGS, validator=ValidatorSettings(plate_normal="2 2 0"))
+    (impact,), (straight,) = (
+        validate([path], dynamics, s).result.impacts for path, s in ((unstated, settings), (campaign[0], SETTINGS))
+    )
+    assert impact.speed == pytest.approx(straight.speed / math.sqrt(2.0), rel=1e-3)
+    along = replace(SETTINGS, validator=ValidatorSettings(plate_normal="0 1 0"))
+    assert validate([unstated], dynamics, along).result.unpaired == {
+        "the robot moves along the plate, not against it": 1
+    }
+
+
+def test_forces_above_the_limit_of_a_region_are_counted(campaign: list[Path], dynamics: RobotDynamics) -> None:
+    """A device of the chest's stiffness that turns 0.25 m/s into the forces of the campaign's stiff tip."""
+    settings = replace(SETTINGS, validator=ValidatorSettings(stiffness=25.0, body_regions=("chest",)))
+    result = validate(campaign, dynamics, settings).result
+    for impact in result.impacts:
+        assert (impact.body_region, impact.limit_force) == ("chest", 240.0)  # pressure, 2 x 120 N/cm2 on 1 cm2
+        assert impact.exceeds_limit == (impact.region_force > 240.0)
+    assert result.exceedances == sum(impact.exceeds_limit for impact in result.impacts) > 0
+    fitted = replace(SETTINGS, validator=ValidatorSettings(body_regions=("chest",)))
+    assert validate(campaign, dynamics, fitted).result.exceedances == 0
+
+
+def test_a_fixed_device_has_an_infinite_mass(campaign: list[Path], dynamics: RobotDynamics) -> None:
+    settings = replace(SETTINGS, validator=ValidatorSettings(obstacle_fixed=True))
+    result = validate(campaign, dynamics, settings).result
+    for impact in result.impacts:
+        assert impact.obstacle_mass == math.inf
+        assert impact.reduced_mass == impact.effective_mass
+    assert not result.accepted
 
 
 # Unusable recordings are refused.
@@ -319,6 +444,7 @@ def test_older_recording_gives_the_same_result(
     info = stated(campaign[0])
     truth = {"speed": info.true_speed, "effective_mass": info.true_effective_mass, "peak_force": info.true_peak_force}
     fields = {"simulated": True, "configuration": "300_200", "obstacle_mass": 0.5, "truth": truth}
+    fields |= {"point": [0.3, 0.2], "direction": [1.0, 0.0]}
     path = older(campaign[0], tmp_path / "older", json.dumps(fields | {"stiffness": 2e6, "exponent": 1.0}))
     (recording,) = validate([path], dynamics, SETTINGS).recordings
     (impact,), (expected,) = recording.impacts, validation.recordings[0].impacts

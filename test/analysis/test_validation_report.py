@@ -151,7 +151,7 @@ def test_report_without_impacts(
     files = written(validate([quiet], dynamics, SETTINGS), dynamics, tmp_path / "report")
     assert set(files) == set(FILES)
     texts = texts_of(files)
-    assert any(text.startswith("Not accepted: no impacts") for text in texts)
+    assert any(text.startswith("Not decidable: no impacts") for text in texts)
     assert "Every impact that was found is in the series." in texts
     assert json.loads(files["report.json"])["models"][0]["exponent"] is None
     assert b"no impact could be paired with the robot" in b"".join(
@@ -164,7 +164,7 @@ def test_a_report_of_one_impact(campaign: list[Path], dynamics: RobotDynamics, t
     files = written(validate(campaign[:1], dynamics, settings), dynamics, tmp_path / "report", settings)
     texts = texts_of(files)
     assert "undefined: fewer than two impacts" in texts
-    assert "Not accepted: 1 impact, at least 3 are required." in texts
+    assert "Not decidable: 1 impact, at least 6 are required." in texts
     assert "All models use the specified stiffness of 2000 N/mm." in texts
     assert json.loads(files["report.json"])["models"][0]["stiffness"] == 2e6
 

@@ -8,7 +8,6 @@ import pytest
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.sim.campaign import Campaign, run_campaign
-from scara_effmass.sim.experiment import CONFIGURATIONS
 from test.cli.conftest import Cli, Refused
 
 FIGURES = ("force_over_root_mu", "force_over_obstacle_mass", "bland_altman", "exponent")
@@ -17,10 +16,9 @@ FILES = {"report.html", "report.json", *(f"{name}.{suffix}" for name in FIGURES 
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four recordings: the lightest and the heaviest configuration, with two masses each."""
+    """Six recordings: three configurations with two masses each."""
     folder = tmp_path_factory.mktemp("campaign")
-    small = Campaign(configurations=CONFIGURATIONS[::2], obstacle_masses=(0.5, 7.35), repetitions=1)
-    assert len(list(run_campaign(folder, small))) == 4
+    assert len(list(run_campaign(folder, Campaign(obstacle_masses=(0.5, 7.35), repetitions=1)))) == 6
     return folder
 
 
@@ -31,8 +29,8 @@ def test_json_has_every_model_the_lumped_first(cli_process: Cli, campaign: Path,
     assert {path.name for path in (tmp_path / "new" / "report").iterdir()} == FILES
     assert [model["model"] for model in report["models"]] == ["lumped", "full", "iso"]
     for model in report["models"]:
-        assert model["count"] == 4
-        for name in ("correlation", "fitted_stiffness", "exponent", "bias", "rmse"):
+        assert model["count"] == 6
+        for name in ("correlation", "fitted_stiffness", "exponent", "mass_scale", "gain", "bias", "rmse"):
             assert isinstance(model[name], float)
         assert isinstance(model["non_conservative"], int)
     assert [model["accepted"] for model in report["models"]] == [True, True, False]
@@ -45,8 +43,11 @@ def test_the_summary_is_short(cli: Cli, refused: Refused, campaign: Path) -> Non
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
     assert lines[0].split() == ["result", "accepted"]
-    assert "4 in the series, 4 of them simulated" in lines[1]
-    assert [line.split()[0] for line in lines[2:]] == ["lumped", "full", "iso", "comparison", "excluded", "written"]
+    assert "0 of 6 impacts above the limit; largest " in lines[1]
+    assert "6 in the series, 6 of them simulated" in lines[2]
+    subjects = ["lumped", "mass", "full", "mass", "iso", "mass", "clocks", "comparison", "excluded", "written"]
+    assert [line.split()[0] for line in lines[3:]] == subjects
+    assert "would have found a mass error of " in lines[4]
     assert "--force" in refused("validate", campaign, "-o", "report")
     assert cli("validate", campaign, "-o", "report", "--force").returncode == 0
 
@@ -61,6 +62,9 @@ def test_a_failed_criterion_exits_with_1_and_a_report(cli: Cli, campaign: Path, 
 def test_no_impacts_gives_no_statistics(cli: Cli, campaign: Path, tmp_path: Path) -> None:
     done = cli("validate", campaign, "-o", "report", "--obstacle-mass", "0")
     assert done.returncode == 1
+    assert done.stdout.startswith(
+        "result          not decidable: no impacts, at least 6 are required; 6 left out: obstacle_mass is not given\n"
+    )
     assert "lumped          no impact\n" in done.stdout
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert "+0.00" not in page
@@ -74,16 +78,36 @@ def test_obstacle_mass_and_stiffness_options_apply(cli: Cli, campaign: Path) -> 
     assert {model["stiffness"] for model in report["models"]} == {1e6}
 
 
+def test_a_force_above_the_limit_of_a_region_exits_with_1(cli: Cli, campaign: Path) -> None:
+    """A device of 5 N/mm in place of the tip of 2000 N/mm: the same force means much more on a stiffer leg."""
+    options = ("--region", "lower_leg", "--json", "--force")
+    below = cli("validate", campaign, "-o", "report", *options)
+    above = cli("validate", campaign, "-o", "report", *options, "--stiffness", "5")
+    report = json.loads(below.stdout)
+    assert (below.returncode, report["accepted"], report["exceedances"]) == (0, True, 0)
+    assert above.returncode == 1
+    report = json.loads(above.stdout)
+    assert report["exceedances"] == sum(impact["region_force"] > 260.0 for impact in report["impacts"]) > 0
+    assert {impact["body_region"] for impact in report["impacts"]} == {"lower_leg"}
+
+
+def test_plate_normal_and_fixed_obstacle_apply(cli: Cli, campaign: Path) -> None:
+    done = cli("validate", campaign, "-o", "report", "--plate-normal", "0 0 1", "--fixed", "--json")
+    settings = json.loads(done.stdout)["settings"]["validator"]
+    assert done.returncode == 1
+    assert (settings["plate_normal"], settings["obstacle_fixed"]) == ("0 0 1", True)
+
+
 def test_every_section_of_the_file_counts(cli: Cli, campaign: Path, tmp_path: Path) -> None:
     (tmp_path / "cell.yaml").write_text(
         "monitor: {ros__parameters: {timeout: 0.3}}\n"
-        "validator: {ros__parameters: {criterion: {least_count: 5}}}\n"
+        "validator: {ros__parameters: {criterion: {least_count: 7}}}\n"
         "/cell/daq: {ros__parameters: {source: bench, detection.threshold: 20.0}}\n"
     )
     done = cli("validate", campaign, "-o", "report", "--params", "cell.yaml", "--json")
     report = json.loads(done.stdout)
     assert done.returncode == 1
-    assert report["reason"] == "4 impacts, at least 5 are required"
+    assert report["reason"] == "6 impacts, at least 7 are required"
     assert report["settings"]["monitor"]["timeout"] == 0.3
     assert report["settings"]["detection"]["threshold"] == 20.0
     assert all(impact["peak_force"] >= 20.0 for impact in report["refused"])
@@ -126,3 +150,17 @@ def test_recording_may_be_given_only_once(refused: Refused, campaign: Path) -> N
 def test_invalid_option_is_refused(refused: Refused, campaign: Path, option: str, value: str) -> None:
     line = refused("validate", campaign, "-o", "report", f"{option}={value}")
     assert f"options: {option.strip('-').replace('-', '_')} = {float(value)}" in line
+
+
+@pytest.mark.parametrize(
+    ("option", "problem"),
+    [
+        ("--plate-normal=0 0 0", "options: plate_normal = '0 0 0': Value error, must be empty, or three numbers"),
+        ("--region=face", "body_regions = 'face': the standard permits no contact"),
+    ],
+)
+def test_invalid_normal_or_region_is_refused(
+    refused: Refused, campaign: Path, tmp_path: Path, option: str, problem: str
+) -> None:
+    assert problem in refused("validate", campaign, "-o", "report", option)
+    assert not (tmp_path / "report").exists()

@@ -120,6 +120,7 @@ def test_scaling_force_and_threshold_scales_the_impacts(detect: Detect, eventful
             impulse=impact.impulse * factor,
             baseline=impact.baseline * factor,
             noise=impact.noise * factor,
+            compression_impulse=impact.compression_impulse * factor,
         )
         for impact in detect(eventful).impacts
     ]

@@ -77,7 +77,8 @@ def test_force_starts_before_the_onset(shipped: FigureInputs) -> None:
     [
         ({"plate_normal": (0.0, 0.0, 0.0)}, "must state obstacle_mass"),
         ({"obstacle_mass": 0.0}, "obstacle_mass"),
-        ({"plate_normal": (0.0, 1.0, 0.0)}, "plate_normal"),
+        ({"plate_normal": (0.0, 1.0, 0.0), "guide_direction": (0.0, 0.0, 0.0)}, "plate_normal"),
+        ({"plate_normal": (0.0, 1.0, 0.0)}, "guide_direction = .*: must not lie in the plate"),
         ({"impact_position": (math.nan, 0.0, 0.0)}, "impact_position"),
     ],
 )

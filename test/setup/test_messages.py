@@ -18,7 +18,7 @@ CONTRACT = {
         "header contact_point direction speed effective_mass lumped_mass full_mass iso_mass worst_direction_mass "
         "obstacle_mass reduced_mass stiffness predicted_force allowable_speed margin body_region criterion verdict "
         "reason input_age worst_direction_used mass_capped smallest_singular_value watchdog "
-        "worst_normal_reduced_mass force_bound clamping_force contact_normal mass_model"
+        "worst_normal_reduced_mass force_bound clamping_force lumped_mobility full_mobility contact_normal mass_model"
     ),
     "ForceBlock": (
         "header first_sample sample_rate force lost_samples saturated saturated_samples clock_residual filter_delay "
@@ -26,16 +26,20 @@ CONTRACT = {
     ),
     "Impact": (
         "header peak_force duration impulse onset_sample clipped incomplete rebound baseline noise clock_residual "
-        "source simulated"
+        "source simulated compression_impulse"
     ),
     "ImpactValidation": (
         "header predicted_force measured_force relative_error effective_mass reduced_mass speed stiffness conservative "
-        "count correlation fitted_stiffness bias rmse non_conservative accepted reason"
+        "compression_impulse measured_reduced_mass measured_effective_mass measured_stiffness clock_offset body_region "
+        "region_force limit_force exceeds_limit count correlation fitted_stiffness bias rmse non_conservative gain "
+        "gain_interval mass_scale mass_scale_interval detectable_mass_error exponent exponent_interval "
+        "series_clock_offset exceedances accepted decidable reason"
     ),
     "NodeReadiness": "header node active use_sim_time peers",
     "RunInfo": (
-        "header configuration obstacle_mass impact_position plate_normal simulated note contact_stiffness "
-        "contact_exponent true_onset true_speed true_effective_mass true_peak_force true_duration true_impulse"
+        "header configuration obstacle_mass impact_position plate_normal guide_direction simulated note "
+        "contact_stiffness contact_exponent true_onset true_speed true_effective_mass true_peak_force true_duration "
+        "true_impulse"
     ),
 }
 

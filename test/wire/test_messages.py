@@ -13,7 +13,7 @@ from std_msgs.msg import Float64
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.errors import DecodeError
-from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RunInfo, Vector3, Verdict
+from scara_effmass.values import ContactAssessment, ForceBlock, Impact, Mobility6, RunInfo, Vector3, Verdict
 from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message
 from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message, impact_message
 from scara_effmass.wire.message_types import CONTACT_STATE, FORCE_BLOCK, IMPACT, RUN_INFO
@@ -29,6 +29,7 @@ OF_TYPE: dict[object, st.SearchStrategy[Any]] = {
     str: TEXT,
     bool: st.booleans(),
     Vector3: st.tuples(NUMBER, NUMBER, NUMBER),
+    Mobility6: st.tuples(*[NUMBER] * 6),
     Verdict: st.sampled_from(Verdict),
     int: UINT32,
 }
@@ -94,6 +95,8 @@ def value_in(message: Any, like: Any) -> Any:  # noqa: ANN401 - of rclpy or rosb
         content = getattr(message, name)
         if name == "verdict":
             return Verdict(content)
+        if name.endswith("_mobility"):
+            return tuple(map(float, content))
         return (content.x, content.y, content.z) if hasattr(content, "x") else content
 
     return type(like)(*map(field, like._fields))

@@ -1,53 +1,161 @@
-"""Acceptance criterion: the first unmet condition is reported with its value and limit."""
+"""Decision on a series: accepted, rejected with value and limit, or not decidable with what to measure next."""
 
 from __future__ import annotations
 
 import hashlib
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.impacts.agreement import Agreement, agreement, compare, criterion_hash, unmet_criterion
+from scara_effmass.impacts.agreement import Agreement, agreement, compare
+from scara_effmass.impacts.clock_offset import ClockOffset
+from scara_effmass.impacts.criterion import Decision, Series, criterion_hash, decide
+from scara_effmass.impacts.mass_fit import NO_FIT, Interval, fit_masses
 from scara_effmass.settings import CriterionSettings, ValidatorSettings, checked
 
 if TYPE_CHECKING:
-    from scara_effmass.impacts.agreement import Agreement
+    from scara_effmass.impacts.mass_fit import MassFit
+    from scara_effmass.values import FloatArray
 
 X = np.linspace(0.15, 0.35, 20)
 GOOD = agreement(X, 450.0 * X)
+MASSES = np.repeat([1.0, 2.0, 3.0], 4)
+OBSTACLES = np.tile([0.5, 2.39, 3.72, 7.35], 3)
+POSES = np.repeat(["a", "b", "c"], 4).tolist()
+CLOCK = ClockOffset(impacts=20, offset=0.0004, low=0.0, high=0.001, resolution=0.0005, beyond=0)
 
 
-def test_accepted_without_a_reason() -> None:
-    assert unmet_criterion(CriterionSettings(), GOOD, 0) == ""
+def fit_of(masses: FloatArray = MASSES, gain: float = 1.0, exponent: float = 0.5, true: FloatArray = MASSES) -> MassFit:
+    """Return the fit of exact impacts of a robot of `true` masses at 0.25 m/s."""
+    mu = 1.0 / (1.0 / true + 1.0 / OBSTACLES)
+    return fit_masses(gain * 0.25 * mu, np.full(12, 0.25), 400.0 * mu**exponent, masses, OBSTACLES, POSES)
+
+
+SERIES = Series(GOOD, fit_of(), CLOCK, MASSES, OBSTACLES, one_pose=False, gain_tolerance=0.05)
+FEW, NOTHING = replace(GOOD, count=5), agreement(X[:0], X[:0])
+
+
+def test_true_series_is_accepted_without_a_reason() -> None:
+    assert decide(CriterionSettings(), SERIES) == Decision(accepted=True, decidable=True, reason="")
 
 
 @pytest.mark.parametrize(
-    ("series", "unpaired", "reason"),
+    ("changes", "reason"),
     [
-        (agreement(X[:0], X[:0]), 0, "no impacts, at least 3 are required"),
-        (agreement(X[:1], 450.0 * X[:1]), 0, "1 impact, at least 3 are required"),
-        (agreement(X[:2], 450.0 * X[:2]), 9, "2 impacts, at least 3 are required"),
-        (GOOD, 21, "20 impacts of 41 paired with the robot, at least 50% must be"),
+        ({"agreement": replace(GOOD, correlation=0.94321)}, "correlation 0.9432 is below 0.95"),
+        ({"agreement": replace(GOOD, relative_rmse=0.12345)}, "relative RMSE 0.1235 is above 0.1"),
         (
-            agreement(np.full(5, 0.3), np.full(5, 90.0)),
-            0,
-            "correlation undefined: all impacts are at the same v sqrt(mu)",
+            {"agreement": replace(GOOD, shortfalls=2)},
+            "2 of 20 impacts predicted more than 10% too low, at most 5% may be",
         ),
-        (replace(GOOD, correlation=0.94321), 0, "correlation 0.9432 is below 0.95"),
-        (replace(GOOD, relative_rmse=0.12345), 0, "relative RMSE 0.1235 is above 0.1"),
-        (replace(GOOD, shortfalls=2), 0, "2 of 20 impacts predicted more than 10% too low, at most 5% may be"),
+        ({"fit": fit_of(gain=1.2)}, "gain of the force 1.200 (1.190 to 1.210): must be within 5% of 1"),
+        ({"fit": fit_of(gain=0.9)}, "gain of the force 0.900 (0.892 to 0.908): must be within 5% of 1"),
+        (
+            {"fit": fit_of(masses=0.8 * MASSES)},
+            "the robot has 1.250 (1.233 to 1.268) times its model's mass, at most 10% off is tolerated",
+        ),
+        (
+            {"fit": fit_of(masses=1.25 * MASSES)},
+            "the robot has 0.800 (0.789 to 0.811) times its model's mass, at most 10% off is tolerated",
+        ),
+        (
+            {"fit": fit_of(exponent=0.6)},
+            "exponent 0.600 (0.594 to 0.606) does not cover 0.500 of the declared contact law",
+        ),
+        (
+            {"clock": CLOCK._replace(offset=0.02, beyond=20)},
+            "the joint states are +20.0 ms behind the force (median): 20 of 20 impacts exceed 5 ms",
+        ),
+        ({"clock": CLOCK._replace(beyond=5)}, "the joint states are +0.4 ms behind the force (median): 5 of 20"),
+        ({"fit": fit_of(masses=np.roll(MASSES, 4))}, "impulses scatter by 49.4%, at most 5% may be; largest for m_H"),
     ],
 )
-def test_first_unmet_condition_is_reported(series: Agreement, unpaired: int, reason: str) -> None:
-    assert unmet_criterion(CriterionSettings(), series, unpaired) == reason
+def test_wrong_series_is_rejected(changes: dict[str, Any], reason: str) -> None:
+    decision = decide(CriterionSettings(), SERIES._replace(**changes))
+    assert (decision.accepted, decision.decidable) == (False, True)
+    assert decision.reason.startswith(reason)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"agreement": NOTHING}, "no impacts, at least 6 are required"),
+        (
+            {"agreement": NOTHING, "left_out": 12, "left_out_reason": "obstacle_mass is not given"},
+            "no impacts, at least 6 are required; 12 left out: obstacle_mass is not given",
+        ),
+        ({"agreement": FEW}, "5 impacts, at least 6 are required"),
+        (
+            {"left_out": 21, "left_out_reason": "no contact state"},
+            "20 impacts of 41 paired with the robot, at least 50% must be: no contact state",
+        ),
+        ({"fit": NO_FIT}, "the impacts do not state the impulse up to the peak; next: "),
+        (
+            {"obstacle_masses": np.full(12, 2.39)},
+            "one obstacle mass (2.39 kg) cannot separate the robot's mass from the gain; next: an obstacle of m_H =",
+        ),
+        (
+            {"one_pose": True},
+            "one pose cannot show that the mass follows the pose; next: every obstacle in a second pose",
+        ),
+        (
+            {"agreement": agreement(np.full(6, 0.3), np.full(6, 90.0))},
+            "correlation undefined: all impacts are at the same v sqrt(mu); next: ",
+        ),
+        (
+            {"clock": CLOCK._replace(impacts=9)},
+            "the velocity shows the impact in 9 of 20 impacts: clock offset unknown; next: joint states at 100 Hz",
+        ),
+        (
+            {"clock": CLOCK._replace(resolution=0.0051)},
+            "the joint states resolve a clock offset of 5.1 ms only; next: joint states at 100 Hz",
+        ),
+        (
+            {"fit": fit_of()._replace(detectable_mass_error=0.15)},
+            "a mass error below 15% would not have been found; next: 27 combinations of pose and obstacle in place of",
+        ),
+        (
+            {"fit": fit_of()._replace(mass_scale=1.08, mass_scale_interval=Interval(1.04, 1.12))},
+            "mass scale 1.080 (1.040 to 1.120) is not clearly within 10% of 1; next: ",
+        ),
+        ({"fit": fit_of(gain=1.048)}, "gain of the force 1.048 (1.039 to 1.057) is not clearly within 5% of 1"),
+        (
+            {"fit": fit_of()._replace(exponent_interval=Interval(0.44, 0.55))},
+            "exponent 0.500 (0.440 to 0.550) cannot tell contact laws apart; next: ",
+        ),
+    ],
+)
+def test_weak_series_is_not_decidable_and_says_what_to_measure(changes: dict[str, Any], reason: str) -> None:
+    decision = decide(CriterionSettings(), SERIES._replace(**changes))
+    assert (decision.accepted, decision.decidable) == (False, False)
+    assert decision.reason.startswith(reason)
+
+
+def test_a_problem_rejects_at_once() -> None:
+    assert decide(CriterionSettings(), SERIES, "negative") == Decision(
+        accepted=False, decidable=True, reason="negative"
+    )
 
 
 def test_limits_are_inclusive() -> None:
     series = replace(GOOD, correlation=0.95, relative_rmse=0.1, shortfalls=1)
-    assert unmet_criterion(CriterionSettings(), series, 20) == ""
+    clock = CLOCK._replace(beyond=4, resolution=0.005)
+    assert decide(CriterionSettings(), SERIES._replace(agreement=series, clock=clock, left_out=20)).accepted
+
+
+def test_stated_uncertainty_of_the_sensor_replaces_the_tolerance_of_the_gain() -> None:
+    series = SERIES._replace(fit=fit_of(gain=1.1))
+    assert not decide(CriterionSettings(), series).accepted
+    assert decide(CriterionSettings(), series._replace(gain_tolerance=0.15)).accepted
+
+
+def test_declared_contact_law_counts() -> None:
+    hertz = SERIES._replace(fit=fit_of(exponent=0.6))
+    assert decide(CriterionSettings(contact_exponent=1.5), hertz).accepted
+    assert not decide(CriterionSettings(contact_exponent=1.5), SERIES).accepted
 
 
 def test_too_small_stiffness_fails_by_shortfalls() -> None:
@@ -55,23 +163,25 @@ def test_too_small_stiffness_fails_by_shortfalls() -> None:
     series = agreement(X, 450.0 * X, (0.85 * 450.0) ** 2)
     assert series.correlation == pytest.approx(1.0)
     lenient = CriterionSettings(largest_relative_rmse=0.2)
-    assert unmet_criterion(lenient, series, 0) == "20 of 20 impacts predicted more than 10% too low, at most 5% may be"
+    decision = decide(lenient, SERIES._replace(agreement=series))
+    assert decision.reason == "20 of 20 impacts predicted more than 10% too low, at most 5% may be"
 
 
 def test_non_conservative_half_of_a_fitted_series_is_accepted() -> None:
     rng = np.random.default_rng(0)
     series = agreement(X, 450.0 * X * (1.0 + rng.normal(0.0, 0.01, X.size)))
     assert series.non_conservative >= 5
-    assert unmet_criterion(CriterionSettings(), series, 0) == ""
+    assert decide(CriterionSettings(), SERIES._replace(agreement=series)).accepted
 
 
 def test_hash_is_of_the_canonical_json() -> None:
     text = (
-        '{"largest_relative_rmse":0.1,"largest_shortfall_share":0.05,"least_correlation":0.95,"least_count":3,'
-        '"least_paired_share":0.5,"shortfall_tolerance":0.1}'
+        '{"contact_exponent":1.0,"gain_tolerance":0.05,"largest_clock_offset":0.005,"largest_relative_rmse":0.1,'
+        '"largest_scatter":0.05,"largest_shortfall_share":0.05,"least_correlation":0.95,"least_count":6,'
+        '"least_paired_share":0.5,"mass_tolerance":0.1,"shortfall_tolerance":0.1}'
     )
     assert criterion_hash(CriterionSettings()) == hashlib.sha256(text.encode()).hexdigest()[:16]
-    assert criterion_hash(CriterionSettings(least_count=4)) != criterion_hash(CriterionSettings())
+    assert criterion_hash(CriterionSettings(least_count=5)) != criterion_hash(CriterionSettings())
 
 
 def test_settings_in_groups_are_checked() -> None:

@@ -75,10 +75,15 @@ def test_campaign_returns_its_input_parameters(campaign: Cell) -> None:
     assert [m.model for m in result.models] == ["lumped", "full", "iso"]
     assert lumped.overall.fitted_stiffness == pytest.approx(STIFFNESS, rel=1e-9)
     assert lumped.overall.correlation == pytest.approx(1.0)
-    assert lumped.overall.exponent == pytest.approx(0.5, abs=1e-9)
+    assert lumped.fit.mass_scale == pytest.approx(1.0, abs=1e-6)
+    assert lumped.fit.gain == pytest.approx(1.0, abs=1e-6)
+    assert lumped.fit.exponent == pytest.approx(0.5, abs=1e-9)
+    assert full.fit.mass_scale == pytest.approx(1 / 1.02, abs=1e-6)  # 2 % heavier than the truth
     assert 0.999 < full.overall.correlation < 1.0  # 2 % heavier
     assert iso.overall.correlation < 0.95
-    assert not iso.accepted
+    assert [(model.accepted, model.decidable) for model in result.models] == [(True, True), (True, True), (False, True)]
+    assert result.clock_offset.impacts == 12
+    assert result.clock_offset.offset == pytest.approx(0.0, abs=result.clock_offset.resolution)
     assert list(result.comparison.relative_rmse) == ["lumped", "full", "iso"]
     assert result.comparison.text.startswith("lumped explains the forces best")
     for impact, (m_h, m_n) in zip(validated, [(m_h, m) for m_h in OBSTACLES for m in LUMPED], strict=True):
@@ -105,7 +110,11 @@ def test_statistics_of_each_impact(campaign: Cell) -> None:
         assert impact.bias == pytest.approx(so_far.mean())
         assert impact.rmse == pytest.approx(np.sqrt(np.mean(so_far**2)))
         assert impact.fitted_stiffness == (pytest.approx(STIFFNESS) if n > 1 else 0.0)
-        assert impact.accepted == (n >= 3)
+        assert impact.accepted == (n >= 6)  # two carts in three poses
+        assert impact.decidable == (n >= 6)
+        assert impact.measured_reduced_mass == pytest.approx(impact.reduced_mass)
+        assert impact.measured_effective_mass == pytest.approx(impact.effective_mass)
+        assert impact.measured_stiffness == pytest.approx(STIFFNESS)
         iso = impact.predictions[2]
         assert iso.effective_mass == ISO
         assert iso.predicted_force == pytest.approx(0.25 * math.sqrt(180e3 / (1 / ISO + 1 / impact.obstacle_mass)))
@@ -160,14 +169,16 @@ def test_no_impact_is_lost(make_cell: MakeCell, make_impact: MakeImpact, drawn: 
     assert result.waiting == 0
 
 
-def test_impact_waits_for_the_state_after_it(make_state: MakeState, make_impact: MakeImpact) -> None:
+def test_impact_waits_for_the_states_of_50_ms_after_it(make_state: MakeState, make_impact: MakeImpact) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     for ms in (0, 10, 20):
         assert not validator.add_state(make_state(START + ms * MS), START + ms * MS)
     assert not validator.add_impact(make_impact(START + 25 * MS), START + 25 * MS)
     assert validator.result().waiting == 1
     assert balanced(validator.result())
-    (validated,) = validator.add_state(make_state(START + 30 * MS, 0.1), START + 30 * MS)
+    for ms in (30, 74):
+        assert not validator.add_state(make_state(START + ms * MS, 0.1), START + ms * MS)
+    (validated,) = validator.add_state(make_state(START + 75 * MS, 0.1), START + 75 * MS)
     assert validated.stamp_ns == START + 25 * MS
     assert validated.speed == pytest.approx(0.25)
     assert validator.result().waiting == 0
@@ -212,7 +223,7 @@ def test_spoilt_impacts_are_counted_each_under_its_reason(campaign: Cell) -> Non
 def test_no_impacts(campaign: Cell) -> None:
     _, result = run(campaign._replace(impacts=[]), ValidatorSettings())
     assert not result.accepted
-    assert result.reason == "no impacts, at least 3 are required"
+    assert result.reason == "no impacts, at least 6 are required"
     assert result.seen == 0
     assert "nothing to compare" in result.comparison.text
     _, result = run(campaign._replace(impacts=[], states=[]), ValidatorSettings())
@@ -224,7 +235,7 @@ def test_one_impact(campaign: Cell) -> None:
     assert (only.count, only.correlation, only.fitted_stiffness, only.accepted) == (1, 0.0, 0.0, False)
     assert only.stiffness == pytest.approx(STIFFNESS)
     assert only.conservative
-    assert result.reason == "1 impact, at least 3 are required"
+    assert result.reason == "1 impact, at least 6 are required"
 
 
 def test_no_obstacle_mass(campaign: Cell) -> None:
@@ -315,8 +326,9 @@ def test_impact_without_arrival_time_waits_for_the_states_around_its_onset(
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     validator.add_state(make_state(START - 5 * MS), START)
     assert not validator.add_impact(make_impact(START), 0)
+    assert not validator.add_state(make_state(START + 49 * MS), START + 50 * MS)
     assert validator.result().waiting == 1
-    assert len(validator.add_state(make_state(START + 5 * MS), START + 10 * MS)) == 1
+    assert len(validator.add_state(make_state(START + 50 * MS), START + 51 * MS)) == 1
 
 
 @pytest.mark.parametrize(("excluded", "accepted"), [(True, True), (False, False)])
@@ -329,7 +341,11 @@ def test_excluded_impacts_do_not_lower_the_share_of_paired_ones(
     assert (len(validated), result.seen) == (12, 25)
     assert result.accepted == validated[-1].accepted == accepted
     if not accepted:
-        assert result.reason == validated[-1].reason == "12 impacts of 25 paired with the robot, at least 50% must be"
+        assert (
+            result.reason
+            == validated[-1].reason
+            == ("12 impacts of 25 paired with the robot, at least 50% must be: the robot stands still at the onset")
+        )
 
 
 def block(force: Sequence[float], stamp_ns: int = START) -> ForceBlock:
@@ -374,12 +390,12 @@ def test_inverted_force_is_reported(campaign: Cell, force: list[float], text: st
     validator.add_force(block(force), 0)
     result = validator.result()
     assert result.force_sign == text
-    assert result.reason == (text or "no impacts, at least 3 are required")
+    assert result.reason == (text or "no impacts, at least 6 are required")
 
 
 def test_other_contact_points_are_named(make_state: MakeState, make_impact: MakeImpact) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0, contact_point="tool"))
-    for ms in (0, 10):
+    for ms in range(0, 70, 10):
         validator.add_state(make_state(START + ms * MS, 0.9, contact_point="elbow"), 0)
         validator.add_state(make_state(START + ms * MS, 0.25), 0)
     (validated,) = validator.add_impact(make_impact(START + 5 * MS), 0)
@@ -450,7 +466,7 @@ def test_selected_model(
     effective: float,
 ) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0, effective_mass_model=model))
-    for ms in (0, 10):
+    for ms in range(0, 70, 10):
         validator.add_state(make_state(START + ms * MS, 0.25, (1.0, 0.0, 0.0), *masses), 0)
     (validated,) = validator.add_impact(make_impact(START + 5 * MS), 0)
     assert validated.effective_mass == effective
@@ -466,8 +482,8 @@ def test_selected_model_without_a_mass_is_rejected(
     make_state: MakeState, make_impact: MakeImpact, model: MassModel, mass: float
 ) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0, effective_mass_model=model))
-    for ms in (0, 10):
-        validator.add_state(make_state(START + ms * MS, full=mass), 0)
+    for ms in range(0, 70, 10):
+        validator.add_state(make_state(START + ms * MS, lumped=1.0)._replace(full_mass=mass), 0)
     assert not validator.add_impact(make_impact(START + 5 * MS), 0)
     assert validator.result().unpaired == {f"no {model.value} mass": 1}
 
@@ -476,7 +492,7 @@ def test_obstacle_mass_at_the_onset_applies(make_state: MakeState, make_impact: 
     """Changed between impacts, also while one still waits."""
     validator = Validator(ValidatorSettings(obstacle_mass=1.0, configuration="near"))
     validated = []
-    for ms in range(0, 100, 10):
+    for ms in range(0, 200, 10):
         validated += validator.add_state(make_state(START + ms * MS), 0)
         if ms in {20, 60}:
             validator.add_impact(make_impact(START + (ms + 5) * MS), 0)
@@ -532,11 +548,12 @@ def test_run_information_replaces_the_settings_that_it_states() -> None:
     ]
     runs.set(START + 1, obstacle_mass=4.0)
     runs.begin(RunInfo(configuration="far"), START + 2)
-    assert runs.latest == (START + 2, 4.0, "far")
+    assert runs.latest[:3] == (START + 2, 4.0, "far")
     runs.forget_obstacle(START + 3)
-    assert runs.latest == (START + 3, 0.0, "far")
+    assert runs.latest[:3] == (START + 3, 0.0, "far")
     runs.restart()
-    assert runs.at(0) == runs.latest == (0, 0.0, "far")
+    assert runs.at(0) == runs.latest
+    assert runs.latest[:3] == (0, 0.0, "far")
 
 
 def test_reset_begins_a_new_series(campaign: Cell) -> None:
@@ -579,7 +596,7 @@ def test_a_clock_that_goes_back_begins_a_new_recording(make_state: MakeState, ma
     validator.add_state(make_state(START), 0)
     validator.add_impact(make_impact(START + 5 * MS), 0)
     early = START - 60_000 * MS
-    for ms in (0, 10):
+    for ms in range(0, 70, 10):
         validator.add_state(make_state(early + ms * MS), 0)
     assert validator.result().unpaired == {"no contact state within 50 ms after the onset": 1}
     (validated,) = validator.add_impact(make_impact(early + 5 * MS), 0)
@@ -624,10 +641,11 @@ def test_clocks_that_differed_in_an_earlier_recording(make_cell: MakeCell) -> No
 def test_impact_waits_until_the_states_cover_its_clock_uncertainty(
     make_state: MakeState, make_impact: MakeImpact
 ) -> None:
-    """1 ms by the settings, and the residual of the force clock."""
-    for residual, covered_ms in ((0.0, 1), (-0.004, 5)):
-        validator = Validator(ValidatorSettings(obstacle_mass=2.0))
-        validator.add_state(make_state(START - 10 * MS), 0)
+    """1 ms by the settings, and the residual of the force clock; at least the 50 ms of the kink."""
+    for residual, covered_ms in ((0.0, 50), (-0.004, 50), (-0.089, 90)):
+        validator = Validator(ValidatorSettings(obstacle_mass=2.0, state_tolerance=0.2))
+        for ms in (-100, -99):
+            validator.add_state(make_state(START + ms * MS), 0)
         assert not validator.add_impact(make_impact(START, clock_residual=residual), 0)
         assert not validator.add_state(make_state(START + covered_ms * MS - 1), 0)
         assert len(validator.add_state(make_state(START + covered_ms * MS), 0)) == 1
@@ -639,8 +657,8 @@ def test_models_are_compared_on_the_same_impacts(make_state: MakeState, make_imp
     for number, mass in enumerate((0.8, 1.0, 1.5, 2.0, 3.0, 4.0)):
         start_ns = START + number * 1000 * MS
         full = mass if number % 2 else NAN
-        for ms in (0, 10):
-            validator.add_state(make_state(start_ns + ms * MS, lumped=mass, full=full), 0)
+        for ms in range(0, 70, 10):
+            validator.add_state(make_state(start_ns + ms * MS, lumped=mass)._replace(full_mass=full), 0)
         validator.add_impact(make_impact(start_ns + 5 * MS, 100.0 + 20.0 * number), 0)
     result = validator.result()
     assert [model.overall.count for model in result.models] == [6, 3, 6]
@@ -655,7 +673,7 @@ def test_one_reduced_mass_at_several_speeds_tells_no_models_apart(
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     for number, speed in enumerate((0.1, 0.2, 0.3, 0.4)):
         start_ns = START + number * 1000 * MS
-        for ms in (0, 10):
+        for ms in range(0, 70, 10):
             validator.add_state(make_state(start_ns + ms * MS, speed, lumped=1.0 + 0.002 * number), 0)
         validator.add_impact(make_impact(start_ns + 5 * MS, 400.0 * speed), 0)
     result = validator.result()

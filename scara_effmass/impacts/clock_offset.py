@@ -1,0 +1,94 @@
+"""Offset between the clocks of force and joint states, from the kink of the velocity at the impact."""
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from scara_effmass.values import FloatArray
+
+WINDOW = 0.05
+"""Time before and after the onset of the force in which the kink is searched [s]."""
+MIN_STATES = 8
+MIN_LOSS = 0.02
+"""Share of the speed that a kink takes at least."""
+EARLIER_SHARE = 0.25
+"""The kink is the first loss of this share of the largest one: a rebound may take more speed than the impact."""
+NOISE_FACTOR = 6.0
+"""A kink exceeds this multiple of the robust standard deviation of all changes of speed in the window."""
+
+
+class ClockOffset(NamedTuple):
+    """Offset of the joint clock from the force clock [s] over `impacts` that show a kink.
+
+    Positive: the force is stamped earlier than the joint states. `offset` is the median, `low` and `high` are the
+    extremes, `resolution` half of the longest state period. `beyond` impacts exceed the tolerance.
+    """
+
+    impacts: int
+    offset: float
+    low: float
+    high: float
+    resolution: float
+    beyond: int
+
+
+class Kink(NamedTuple):
+    """Delay of the velocity's kink behind the onset of the force, and half of the period of the states [s]."""
+
+    delay: float
+    resolution: float
+
+
+def velocity_kink(seconds: FloatArray, velocity: FloatArray, duration: float) -> Kink | None:
+    """Return the first large sudden loss of speed in `velocity` (n, 3) [m/s] at the `seconds` (n,) after the onset.
+
+    The middle of a contact of `duration` [s] is where half of the loss has happened. None if there are too few states,
+    or no loss of at least MIN_LOSS that stands out.
+    """
+    if len(seconds) < MIN_STATES:
+        return None
+    speeds = np.linalg.norm(velocity, axis=1)
+    fastest = int(np.argmax(speeds))
+    if not speeds[fastest] > 0.0:
+        return None
+    along = velocity @ velocity[fastest] / speeds[fastest]
+    period = float(np.median(np.diff(seconds)))
+    width = duration + period
+    begins = seconds[seconds + width <= seconds[-1]]
+    if not begins.size:
+        return None
+    before = along[: begins.size]
+    loss = before - np.interp(begins + width, seconds, along)
+    middle = float(np.median(loss))
+    noise = 1.4826 * float(np.median(np.abs(loss - middle)))
+    threshold = middle + max(NOISE_FACTOR * noise, MIN_LOSS * speeds[fastest])
+    large = loss > max(threshold, EARLIER_SHARE * loss.max())
+    if not large.any():
+        return None
+    first = int(np.argmax(large))
+    k = first + int(np.argmax(loss[first : int(np.searchsorted(begins, begins[first] + width))]))
+    half = float(before[k] - 0.5 * loss[k])
+    inside = seconds[(seconds > begins[k]) & (seconds < begins[k] + width)]
+    times = np.array([begins[k], *inside, begins[k] + width])
+    values = np.interp(times, seconds, along)
+    i = int(np.argmax(values[1:] <= half))
+    share = (values[i] - half) / (values[i] - values[i + 1])
+    return Kink(float(times[i] + share * (times[i + 1] - times[i]) - 0.5 * duration), 0.5 * period)
+
+
+def clock_offset(kinks: Iterable[Kink], tolerance: float) -> ClockOffset:
+    """Return the offset of a series; without kinks its resolution is infinite."""
+    found = list(kinks)
+    if not found:
+        return ClockOffset(0, math.nan, math.nan, math.nan, math.inf, 0)
+    delays = np.array([kink.delay for kink in found])
+    return ClockOffset(
+        impacts=len(found),
+        offset=float(np.median(delays)),
+        low=float(delays.min()),
+        high=float(delays.max()),
+        resolution=max(kink.resolution for kink in found),
+        beyond=int(np.count_nonzero(np.abs(delays) > tolerance)),
+    )
