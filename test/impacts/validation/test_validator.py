@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from scara_effmass.impacts.validator import Result
-    from scara_effmass.values import ValidatedImpact
+    from scara_effmass.values import ValidatedImpact, Vector3
     from test.impacts.validation.conftest import Cell, MakeCell, MakeImpact, MakeState
 
 START = 1_700_000_000_000_000_000
@@ -554,6 +554,40 @@ def test_run_information_replaces_the_settings_that_it_states() -> None:
     runs.restart()
     assert runs.at(0) == runs.latest
     assert runs.latest[:3] == (0, 0.0, "far")
+
+
+def test_plate_normal_of_the_run_replaces_that_of_the_settings() -> None:
+    runs = Validator(ValidatorSettings(obstacle_mass=2.0, plate_normal="0 0 -2")).runs
+    assert (runs.latest.normal, runs.latest.guide) == ((0.0, 0.0, -1.0), None)
+    runs.begin(RunInfo(plate_normal=(3.0, 4.0, 0.0), guide_direction=(2.0, 0.0, 0.0)), START)
+    assert (runs.latest.normal, runs.latest.guide) == ((0.6, 0.8, 0.0), (1.0, 0.0, 0.0))
+    runs.begin(RunInfo(), START + 1)
+    assert (runs.latest.normal, runs.latest.guide) == ((0.0, 0.0, -1.0), None)
+    runs.set(START + 2, normal=(0.0, 1.0, 0.0))
+    assert runs.latest.normal == (0.0, 1.0, 0.0)
+    for wrong in (RunInfo(plate_normal=(NAN, 0.0, 0.0)), RunInfo(guide_direction=(math.inf, 0.0, 0.0))):
+        with pytest.raises(SettingsError, match="must be finite"):
+            runs.begin(wrong, START + 3)
+
+
+@pytest.mark.parametrize(("normal", "share"), [((1.0, 0.0, 0.0), 1.0), ((-0.8, 0.6, 0.0), 0.8)])
+def test_speed_and_masses_are_those_along_the_normal_of_the_plate(
+    make_state: MakeState, make_impact: MakeImpact, normal: Vector3, share: float
+) -> None:
+    """Mobility 1 / m along x and 0.5 / m along y; a guide along x, so that an oblique cart yields as m_H / cos^2."""
+    validator = Validator(ValidatorSettings(stiffness=200.0))
+    validator.runs.begin(RunInfo(obstacle_mass=2.0, plate_normal=normal, guide_direction=(1.0, 0.0, 0.0)), 0)
+    for ms in range(0, 70, 10):
+        validator.add_state(make_state(START + ms * MS, 0.25, lumped=1.5), 0)
+    (impact,) = validator.add_impact(make_impact(START + 5 * MS, 50.0, compression_impulse=0.1), 0)
+    mass = 1.5 / (share**2 + 0.5 * (1.0 - share**2))
+    mu = 1.0 / (1.0 / mass + share**2 / 2.0)
+    assert impact.speed == pytest.approx(0.25 * share)
+    assert impact.effective_mass == pytest.approx(mass)
+    assert impact.reduced_mass == pytest.approx(mu)
+    assert impact.predicted_force == pytest.approx(0.25 * share * math.sqrt(mu * 2e5) * share)
+    assert impact.measured_reduced_mass == pytest.approx(0.1 / share / (0.25 * share))
+    assert (impact.measured_force, impact.force_share) == pytest.approx((50.0, share))
 
 
 def test_reset_begins_a_new_series(campaign: Cell) -> None:
