@@ -55,10 +55,9 @@ def _simulated(seed: int, indices: Iterable[int], jobs: int) -> Iterator[list[Ro
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more threads make small matrices of several processes slow
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        # The workers inherit that they ignore Ctrl-C: this process ends them.
+        # The workers inherit that they ignore Ctrl-C, because this process ends them. Each first task starts one.
         handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-        try:
-            results = pool.map(task, indices)
-        finally:
-            signal.signal(signal.SIGINT, handler)
-        yield from results
+        for _ in range(jobs):
+            pool.submit(int)
+        signal.signal(signal.SIGINT, handler)
+        yield from pool.map(task, indices)
