@@ -88,8 +88,8 @@ class Case:
 CASES = {
     "true": Case(accept=True),
     "true, plates turned by 30 deg": Case(turned=True, accept=True),
-    "masses of the robot x 0.8": Case(masses=0.8),
-    "masses of the robot x 1.25": Case(masses=1.25),
+    "masses of the robot file x 0.8": Case(masses=0.8),
+    "masses of the robot file x 1.25": Case(masses=1.25),
     "tool forgotten (0.25 kg)": Case(tool=False),
     "force x 1.2": Case(force=1.2),
     "force 20 ms early": Case(clock=-0.02),
