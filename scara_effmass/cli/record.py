@@ -68,6 +68,8 @@ def _record(args: argparse.Namespace) -> int:
     absent = [(name, "no publisher") for name in report.unpublished if args.topics]
     lines = _lines(recording, [*report.refused.items(), *absent], report.seconds)
     print_result(result, lines, as_json=args.json)
+    if recording.lost:
+        console.print(f"record: {recording.lost} of {recording.lost + recording.recorded} messages were lost")
     return 1 if recording.lost or recording.stopped_by_disk else 0
 
 
