@@ -67,6 +67,9 @@ def assert_equal(rows: list[dict[str, Any]], contacts: list[ContactAssessment]) 
                 assert tuple(row[f"direction_{axis}"] for axis in "xyz") == value
             elif field == "verdict":
                 assert row["verdict"] == value.name
+            elif field.endswith("_mobility"):
+                entries = ("xx", "xy", "xz", "yy", "yz", "zz")
+                assert tuple(row[f"{field}_{entry}_1_kg"] for entry in entries) == value
             else:
                 assert is_equal(row[column_of(field)], value), field
 
@@ -109,7 +112,9 @@ def test_mcap_contains_contact_states_at_the_recorded_times(swing_bag: Path, cli
             assert state.header.frame_id == "base_link"
             assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == contact.stamp_ns
             assert (state.direction.x, state.direction.y, state.direction.z) == contact.direction
-            for field in set(contact._fields) - {"stamp_ns", "direction"}:
+            assert tuple(state.lumped_mobility) == contact.lumped_mobility
+            assert tuple(state.full_mobility) == contact.full_mobility
+            for field in set(contact._fields) - {"stamp_ns", "direction", "lumped_mobility", "full_mobility"}:
                 assert is_equal(getattr(state, field), getattr(contact, field)), field
         ((_, info),) = run_infos(bag)
         assert json.loads(info.note)["limits_hash"] == TABLE_HASH
