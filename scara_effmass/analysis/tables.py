@@ -23,7 +23,7 @@ from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.message_types import CONTACT_STATE, RUN_INFO
 from scara_effmass.wire.run_info import run_info_message
 
-ROW_GROUP_SIZE = 32_768
+ROW_GROUP_SIZE = 16_384
 """Rows of a Parquet row group, which are held in memory."""
 SUFFIXES = (".parquet", ".csv", ".mcap")
 
