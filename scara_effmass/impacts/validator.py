@@ -24,7 +24,7 @@ from scara_effmass.impacts.mass_fit import MassFit
 from scara_effmass.impacts.state_history import MODELS, Rejection
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.settings import MassModel, ValidatorSettings
-from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RefusedImpact, ValidatedImpact
+from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RefusedImpact, RunInfo, ValidatedImpact
 
 Key = TypeVar("Key", str, float)
 
@@ -127,6 +127,7 @@ class Validator:
         self._stamp_ns = self._joint_states = 0
         self._other_contact_points: set[str] = set()
         self._matches: list[MatchedImpact] = []
+        self._earlier = 0  # of them, those of earlier recordings
         self._min_force = self._max_force = self._stated_uncertainty = 0.0
         self._past_problems = "", ""
 
@@ -173,6 +174,21 @@ class Validator:
             self._min_force = min(self._min_force, float(finite.min()))
             self._max_force = max(self._max_force, float(finite.max()))
 
+    def begin_run(self, info: RunInfo, received_ns: int) -> int:
+        """Begin the run that `info` describes; return how many impacts of this run were validated in the one before.
+
+        They leave the series: their obstacle was that of another run. Raises SettingsError for an invalid value.
+        """
+        self.runs.begin(info, received_ns)
+        since_ns = info.stamp_ns or received_ns
+        late = [
+            match for match in self._matches[self._earlier :] if match.impact.stamp_ns >= since_ns > match.run.since_ns
+        ]
+        for match in late:
+            self._matches.remove(match)
+            self._matcher.refuse(match.impact, Rejection("its RunInfo arrived after it"))
+        return len(late)
+
     def finish(self) -> list[ValidatedImpact]:
         """Match all waiting impacts without further states; return newly validated impacts."""
         return self._validate(flush=True)
@@ -186,12 +202,14 @@ class Validator:
         problems = self._problems()
         self._clear_problems(*problems)
         self._matcher.begin_recording()
+        self._earlier = len(self._matches)
         return validated
 
     def reset(self) -> None:
         """Begin a new series with the same settings, in the current run."""
         self._matcher.reset()
         self._matches.clear()
+        self._earlier = 0
         self._other_contact_points.clear()
         self._stated_uncertainty = 0.0
         self._clear_problems()

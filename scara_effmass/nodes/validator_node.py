@@ -128,7 +128,11 @@ class ValidatorNode(LifecycleBase):
 
     def _begin_run(self, info: values.RunInfo) -> None:
         try:
-            self._validator.runs.begin(info, self.now_ns())
+            late = self._validator.begin_run(info, self.now_ns())
+            if late:
+                self.get_logger().error(
+                    f"{topics.RUN_INFO}: arrived after {late} impacts of its run: they do not count"
+                )
         except SettingsError as error:
             self._refuse_run(error)
 

@@ -534,6 +534,27 @@ def test_run_information_that_cannot_be_used_is_refused_and_makes_the_obstacle_u
     assert validator.runs.latest.obstacle_mass == (0.0 if problem else 1000.0)
 
 
+def test_impact_before_its_run_information_leaves_the_series(make_state: MakeState, make_impact: MakeImpact) -> None:
+    """The obstacle of the run before it is not its own; impacts of earlier runs and recordings stay."""
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    for offset in (0, 3600_000, 0):  # the last recording has older stamps than the one before
+        validator.begin_recording()
+        validator.begin_run(RunInfo(obstacle_mass=2.0, stamp_ns=START + offset * MS), 0)
+        for ms in range(0, 400, 8):
+            validator.add_state(make_state(START + (offset + ms) * MS, 0.25), 0)
+        for ms in (100, 300):
+            assert validator.add_impact(make_impact(START + (offset + ms) * MS), 0)
+    assert validator.begin_run(RunInfo(obstacle_mass=7.0, stamp_ns=START + 200 * MS), START + 350 * MS) == 1
+    result = validator.result()
+    assert len(result.impacts) == 5
+    assert {(refused.stamp_ns, refused.reason) for refused in result.refused} == {
+        (START + 300 * MS, "its RunInfo arrived after it")
+    }
+    assert result.unpaired == {"its RunInfo arrived after it": 1}
+    validator.reset()
+    assert validator.begin_run(RunInfo(obstacle_mass=7.0, stamp_ns=START), 0) == 0
+
+
 def test_run_information_replaces_the_settings_that_it_states() -> None:
     runs = Validator(ValidatorSettings(obstacle_mass=2.0, configuration="near")).runs
     runs.begin(RunInfo(obstacle_mass=3.0), START)  # from its arrival on
