@@ -1,6 +1,7 @@
 """Growth of the force by the change of pose: derivatives by finite differences, and the speed that it leaves."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from scara_effmass.iso15066 import Mobility, SpeedLimits, limits_for
+from scara_effmass.iso15066.drives import contact_lines
 from scara_effmass.iso15066.pose_change import MAX_CONTACT_S, PoseChange, contact_time
-from scara_effmass.settings import Drives, MonitorSettings
+from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import FloatArray, Vector3
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -98,16 +100,38 @@ def test_bound_of_the_growth(seed: int, alpha: float, larger: float) -> None:
     assert change.growth(alpha * larger, 1.0) <= change.max_growth(alpha) * (1.0 + 1e-9)
 
 
-def test_indefinite_mobility_allows_no_speed() -> None:
-    change = Motion(1).change()._replace(mobility=(-np.eye(3)).tolist())
-    assert change.growth(0.1, 1.0) == change.max_growth(0.1) == math.inf
+@given(SEEDS, ALPHAS)
+def test_bound_of_the_growth_is_reached(seed: int, alpha: float) -> None:
+    """By an acceleration along w and a mobility that falls along w."""
+    motion = Motion(seed)
+    w = np.linalg.solve(motion.mobility + alpha * np.eye(3), motion.velocity)
+    w /= np.linalg.norm(w)
+    rate = (-3.0 * np.outer(w, w)).tolist()
+    change = motion.change()._replace(mobility_rate=rate, accelerations=(vector(0.5 * w), vector(2.0 * w)))
+    assert change.max_growth(alpha) == pytest.approx(change.growth(alpha, 1.0))
+
+
+EVERYWHERE = (1.0 / math.sqrt(3.0),) * 3
+"""A direction without a zero and a negative component."""
+
+
+@pytest.mark.parametrize("mobility", [-1.0, 0.0])
+def test_mobility_that_no_robot_has_gives_no_finite_growth(mobility: float) -> None:
+    change = Motion(1).change()._replace(mobility=(mobility * np.eye(3)).tolist(), direction=EVERYWHERE)
+    assert change.growth(0.0, 1.0) == change.max_growth(0.0) == math.inf
+
+
+def test_clamped_body_part_ignores_unreachable_directions() -> None:
+    mobility = np.diag([0.5, 0.5, 0.0]).tolist()
+    change = PoseChange((0.6, 0.8, 0.0), 0.5, mobility, np.zeros((3, 3)).tolist(), ((0.6, 0.8, 0.0),))
+    assert change.growth(0.0, 1.0) == pytest.approx(2.0 * 1.0 / 0.5)
 
 
 def test_contact_time() -> None:
     """1.5 times a quarter period, at most the longest transient contact."""
     period = 2.0 * math.pi * math.sqrt(2.0 / 25_000.0)
     assert contact_time(2.0, 25_000.0) == pytest.approx(1.5 * period / 4.0)
-    assert contact_time(math.inf, 25_000.0) == MAX_CONTACT_S
+    assert contact_time(2.0, 20.0) == contact_time(math.inf, 25_000.0) == MAX_CONTACT_S == 0.5
 
 
 @given(
@@ -135,3 +159,61 @@ def test_speed_of_all_limits_is_the_smallest_of_each(
     if push is None:
         each = [SpeedLimits(limits, settings).worst_normal([mobility], factor) for mobility in mobilities]
         assert found == min(each, key=lambda bound: bound.allowable_speed)
+
+
+@pytest.mark.parametrize("drives", Drives)
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_speed_of_a_straight_contact(drives: Drives, factor: float) -> None:
+    """One mass in one direction: v (1 + growth v) sqrt(mu k) = F, growth = T (a / v0 - beta mu dA/dt / 2) / v0."""
+    settings = MonitorSettings(drives=drives, body_regions=("chest",), stiffness_uncertainty=0.0)
+    (limit,) = limits_for(settings)
+    inverse_mass, rate, v0, a, k, m_h = 0.5, -3.0, 0.4, 0.7, limit.stiffness_n_m, limit.obstacle_mass_kg
+    change = PoseChange(
+        (1.0, 0.0, 0.0), v0, (inverse_mass * np.eye(3)).tolist(), (0.5 * rate * np.eye(3)).tolist(), ((a, 0.0, 0.0),)
+    )
+    mobility = Mobility(inverse_mass, 0.0, inverse_mass, 0.0, 0.0, 1, change)
+    found = SpeedLimits([limit], settings).worst_normal([mobility], factor)
+    (lines,) = contact_lines(drives, settings.servo, (k,), (m_h,))
+    mu, beta = min((1.0 / (alpha + beta * inverse_mass / factor), beta) for alpha, beta in lines)
+    time = 1.5 * math.pi / 2.0 * math.sqrt((mu if drives is Drives.FREE else m_h) / k)
+    growth = time * (a / v0 - 0.5 * rate * beta * mu / factor) / v0
+    assert found.reduced_mass == pytest.approx(mu)
+    assert found.growth == pytest.approx(growth)
+    v = found.allowable_speed
+    assert v * (1.0 + growth * v) * math.sqrt(mu * k) == pytest.approx(limit.permissible_force_n)
+
+
+def test_milder_limit_governs_by_its_longer_contact() -> None:
+    """A light robot that drives hold, and two limits with the same k m_H."""
+    (example,) = limits_for(MonitorSettings(body_regions=("chest",)))
+    tight, mild = (
+        replace(example, force_n=force, pressure_n_cm2=1e6, stiffness_n_m=k, obstacle_mass_kg=m)
+        for force, k, m in ((100.0, 1e5, 1.0), (105.0, 1e4, 10.0))
+    )
+    settings = MonitorSettings(drives=Drives.IMMOVABLE, stiffness_uncertainty=0.0)
+    zeros = np.zeros((3, 3)).tolist()
+    still = Mobility(10.0, 0.0, 10.0, 0.0, 0.0, 1)
+    change = PoseChange((1.0, 0.0, 0.0), 0.5, (10.0 * np.eye(3)).tolist(), zeros, ((1.0, 0.0, 0.0),))
+    limits = SpeedLimits([mild, tight], settings)
+    assert limits.worst_normal([still]).limit == tight
+    assert limits.worst_normal([still._replace(change=change)]).limit == mild
+
+
+def test_robot_that_cannot_give_way_to_a_clamped_body_part_has_no_allowable_speed() -> None:
+    """An infinite reduced mass stays one with a change of pose."""
+    settings = MonitorSettings(contact=ContactType.QUASI_STATIC, drives=Drives.FREE)
+    zeros = np.zeros((3, 3)).tolist()
+    change = PoseChange((1.0, 0.0, 0.0), 0.5, zeros, zeros, ((1.0, 0.0, 0.0),))
+    found = SpeedLimits(limits_for(settings), settings).worst_normal([Mobility(0.0, 0.0, 0.0, 0.0, 0.0, 1, change)])
+    assert (found.allowable_speed, found.growth) == (0.0, 0.0)
+
+
+def test_push_of_drives_changes_the_pose_for_the_time_of_the_body_part() -> None:
+    settings = MonitorSettings(drives=Drives.SERVO, body_regions=("chest",), stiffness_uncertainty=0.0)
+    (limit,) = limits_for(settings)
+    zeros, v0, a = np.zeros((3, 3)).tolist(), 0.4, 0.7
+    change = PoseChange((1.0, 0.0, 0.0), v0, (0.5 * np.eye(3)).tolist(), zeros, ((a, 0.0, 0.0),))
+    mobility = Mobility(0.5, 0.0, 0.5, 0.0, 0.0, 1, change)
+    found = SpeedLimits([limit], settings).worst_normal([mobility], push=(0.5, 0.5))
+    assert found.push > 0.0
+    assert found.growth == pytest.approx(contact_time(limit.obstacle_mass_kg, limit.stiffness_n_m) * a / v0**2)

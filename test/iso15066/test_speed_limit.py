@@ -165,6 +165,12 @@ def test_invalid_mass_raises(mass: float) -> None:
         speed_limits().speed_limit(mass)
 
 
+def test_limit_without_a_maximum_allows_any_speed() -> None:
+    unlimited = replace(EXAMPLE, force_n=math.inf, pressure_n_cm2=math.inf)
+    found = SpeedLimits([unlimited]).speed_limit(2.0)
+    assert (found.allowable_speed, found.limit) == (math.inf, unlimited)
+
+
 def test_no_limit_raises() -> None:
     with pytest.raises(LimitError, match="at least one region"):
         SpeedLimits(())

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,6 +19,7 @@ from scara_effmass.model.scara_closed_form import scara_lumped_mass
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from scara_effmass.model.dynamics import EffectiveMasses
     from scara_effmass.model.robot import Robot
@@ -524,9 +526,43 @@ def test_composite_mass_is_that_of_joints_that_share_nothing(
             np.testing.assert_allclose(held.mobility, mobility(0.0), rtol=1e-9, atol=1e-12)
             rate, expected = np.array(held.change.mobility_rate), (mobility(step) - mobility(-step)) / (2.0 * step)
             np.testing.assert_allclose(rate + rate.T, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+            full = dynamics.effective_masses(q, qd, 0.005, changes=("full",))[0].full_change
+            assert full is not None
+            # Held joints keep their velocities.
+            assert (held.change.direction, held.change.speed) == (full.direction, full.speed)
+            assert np.array(held.change.accelerations) == pytest.approx(np.array(full.accelerations[1:]))
             still = dynamics.composite_mass(q, 0.0 * qd, 0, "full", dynamics.effective_masses(q, 0.0 * qd, 0.005)[0])
             assert still.change is None
             assert still.mass == still.worst_mass == held.worst_mass
+
+
+def test_composite_mass_of_each_contact_point_and_model(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+) -> None:
+    """Also after another joint state."""
+    omron_rows["contact_points"] = {"edge": [0.1, 0.0, 0.0], "tool": [0.0, 0.0, 0.0]}
+    dynamics = RobotDynamics(load_rows(omron_rows))
+    q, qd = np.array([0.3, 1.1, 0.1, 0.2]), np.array([0.3, 0.2, 0.0, -0.5])
+    masses = dynamics.effective_masses(q, qd, 0.005)
+    assert dynamics.lumped is not None
+    for name, model in (("lumped", dynamics.lumped.model), ("full", dynamics.robot.model)):
+        for contact, frame in enumerate(dynamics.robot.contact_frames.values()):
+            jacobian, n = dynamics.jacobian(q, frame), np.array(masses[contact].direction)
+            mobility = jacobian @ (jacobian.T / np.diagonal(mass_matrix(model, q))[:, None])
+            dynamics.effective_masses(-q, -qd, 0.005)
+            mass = dynamics.composite_mass(q, qd, contact, name, masses[contact]).mass
+            assert mass == pytest.approx(1.0 / (n @ mobility @ n))
+
+
+def test_change_of_pose_is_that_of_the_models_there_are(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], load_urdf_file: Callable[..., Robot]
+) -> None:
+    for body in (*omron_rows["links"], omron_rows["payload"]):
+        body.pop("inertia", None)
+    for robot, there in ((load_rows(omron_rows), "lumped"), (load_urdf_file("ur5_robot.urdf"), "full")):
+        q = robot.sample_configurations()[0]
+        (masses, *_) = RobotDynamics(robot).effective_masses(q, np.ones(q.size), 0.005, changes=("lumped", "full"))
+        assert (masses.lumped_change is None, masses.full_change is None) == (there == "full", there == "lumped")
 
 
 def test_change_of_pose_is_computed_on_demand(omron_dynamics: RobotDynamics) -> None:
@@ -536,3 +572,50 @@ def test_change_of_pose_is_computed_on_demand(omron_dynamics: RobotDynamics) -> 
     assert lumped.lumped_change is not None
     assert lumped.full_change is None
     assert omron_dynamics.effective_masses(q, 0.0 * qd, 0.005, changes=("lumped",))[0].lumped_change is None
+
+
+class TestEffortLimits:
+    """Contact points at the elbow, which joints 3 and 4 do not move, and beside the tool axis."""
+
+    LIMITS = np.array([50.0, 30.0, 500.0, 10.0])
+
+    @pytest.fixture
+    def dynamics(self, omron_file: Path, load_rows: Callable[[object], Robot]) -> RobotDynamics:
+        rows = yaml.safe_load(omron_file.read_text())
+        for joint, limit in zip(rows["joints"], self.LIMITS.tolist(), strict=True):
+            joint["max_effort"] = limit
+        rows["contact_points"]["tool"] = [0.1, 0.0, 0.0]
+        return RobotDynamics(load_rows(rows))
+
+    def test_clamping_force_loads_one_joint_to_its_limit(self, dynamics: RobotDynamics) -> None:
+        model = dynamics.robot.model
+        for q, n in zip(dynamics.robot.sample_configurations()[:16], unit_vectors(16), strict=True):
+            gravity = pin.computeGeneralizedGravity(model, model.createData(), q)
+            for contact, frame in enumerate(dynamics.robot.contact_frames.values()):
+                directions = tuple(n.tolist()), tuple((-n).tolist())
+                forces = [dynamics.clamping_force(q, contact, direction) for direction in directions]
+                for direction, force in zip(directions, forces, strict=True):
+                    effort = dynamics.jacobian(q, frame).T @ direction * force + gravity
+                    assert np.max(np.abs(effort) / self.LIMITS) == pytest.approx(1.0)
+                assert dynamics.clamping_force(q, contact, *directions) == max(forces)
+
+    def test_no_joint_clamps_along_a_direction_that_none_moves(self, dynamics: RobotDynamics) -> None:
+        elbow = dynamics.contact_points.index("elbow")
+        assert dynamics.clamping_force(np.array([0.3, 1.1, 0.1, 0.2]), elbow, (0.0, 0.0, 1.0)) == 0.0
+
+    def test_drive_acceleration_is_that_of_the_model_that_gives_more(self, dynamics: RobotDynamics) -> None:
+        assert dynamics.lumped is not None
+        model = dynamics.robot.model
+        for q in dynamics.robot.sample_configurations()[:8]:
+            effort = self.LIMITS + np.abs(pin.computeGeneralizedGravity(model, model.createData(), q))
+            for contact, frame in enumerate(dynamics.robot.contact_frames.values()):
+                sums = [
+                    sum(np.linalg.norm(column) for column in (dynamics.jacobian(q, frame) @ inverse * effort).T)
+                    for inverse in (np.linalg.inv(mass_matrix(m, q)) for m in (model, dynamics.lumped.model))
+                ]
+                assert dynamics.drive_acceleration(q, contact) == pytest.approx(max(sums))
+
+    def test_unknown_effort_limit_bounds_nothing(self, omron_dynamics: RobotDynamics) -> None:
+        q = np.array([0.3, 1.1, 0.1, 0.2])
+        assert omron_dynamics.drive_acceleration(q, 0) == math.inf
+        assert omron_dynamics.clamping_force(q, 0, (1.0, 0.0, 0.0)) == math.inf

@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from scara_effmass.errors import LimitError
-from scara_effmass.iso15066 import BODY_REGIONS, Limit, limits_for
+from scara_effmass.iso15066 import BODY_REGIONS, Limit, Mobility, SpeedLimits, limits_for
 from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.joint_state_validator import METRES_PER_RADIAN, WINDOW_S
@@ -438,6 +438,61 @@ def test_effort_limits_raise_the_speed_of_a_stiff_servo(scara: RobotDynamics, sc
     unlimited, limited = assess_one(scara, q, qd, **stiff), assess_one(scara_variant(limit_efforts), q, qd, **stiff)
     assert limited.allowable_speed > 1.2 * unlimited.allowable_speed
     assert limited.allowable_speed < assess_one(scara, q, qd).allowable_speed
+
+
+@given(
+    positions,
+    velocities,
+    st.sampled_from(["worst", "velocity", "0.6 -0.8 0"]),
+    st.sampled_from([0.001, 1.0]),
+    st.sampled_from([{"computed_torque": False}, {"computed_torque": True}]),
+)
+def test_servo_counts_joints_that_are_held_one_by_one(
+    scara: RobotDynamics, q: Vector, qd: Vector, normal: str, speed_threshold: float, servo: dict[str, bool]
+) -> None:
+    """Mobility and change of pose of the arm of one mass matrix, and of the arm of its diagonal alone."""
+    settings = settings_of(
+        drives="servo",
+        servo=servo,
+        effective_mass_model="full",
+        body_regions=["chest"],
+        contact_normal=normal,
+        speed_threshold=speed_threshold,
+        position_tolerance=0.0,
+    )
+    (contact,) = first_assessment(scara, q, qd, settings)
+    state, changes = (np.array(q), np.array(qd)), () if normal == "velocity" else ("full",)
+    (masses,) = scara.effective_masses(*state, speed_threshold, changes=changes)
+    held = scara.composite_mass(*state, 0, "full", masses)
+    fixed, mobilities, share = settings.fixed_normal, [], 1.0
+    if fixed and any(masses.direction):
+        share = max(abs(float(np.dot(fixed, masses.direction))), 0.1)
+    coupled = masses.full, masses.worst_full, masses.full_mobility, masses.full_change
+    for mass, worst_mass, matrix, change in (coupled,) if servo["computed_torque"] else (coupled, held):
+        if fixed:
+            along = change and change.along(fixed, share * masses.speed)
+            mobilities.append(Mobility.of_matrix(matrix, fixed, masses.rank, along).along_normal())
+        elif normal == "velocity" or not any(masses.direction):
+            mobilities.append(Mobility.of_mass(mass if normal == "velocity" else worst_mass))
+        else:
+            mobilities.append(Mobility.of_matrix(matrix, masses.direction, masses.rank, change))
+    limit = SpeedLimits(limits_for(settings), settings).worst_normal(mobilities, 1.0 + settings.mass_uncertainty)
+    closing = settings.person_speed + settings.speed_uncertainty + masses.speed_tolerance
+    assert contact.allowable_speed == pytest.approx(max(0.0, (limit.allowable_speed - closing) / share))
+
+
+def test_mass_of_the_standard_on_a_servo_is_that_mass_alone(scara_variant: Variant) -> None:
+    """The push of the drives accelerates the arm as their effort limits allow."""
+    weak = scara_variant(lambda file: [joint.update(max_effort=5.0) for joint in file["joints"]])
+    q, qd, mobility = (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.1, 0.1), Mobility.of_mass(weak.robot.iso_mass)
+    for bandwidth in (1.0, 1000.0):
+        servo = {"bandwidth": bandwidth, "computed_torque": False}
+        settings = settings_of(drives="servo", servo=servo, effective_mass_model="iso", position_tolerance=0.0)
+        (contact,) = first_assessment(weak, q, qd, settings)
+        push = weak.drive_acceleration(np.array(q), 0), mobility.trace
+        limits, factor = SpeedLimits(limits_for(settings), settings), 1.0 + settings.mass_uncertainty
+        expected = limits.worst_normal([mobility], factor, push).allowable_speed - settings.speed_uncertainty
+        assert contact.allowable_speed == pytest.approx(expected)
 
 
 def test_rejected_settings_change_nothing(scara: RobotDynamics) -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety.joint_state_validator import RECENT_S, WINDOW_S, JointStateValidator, Motion
+from scara_effmass.safety.joint_state_validator import WINDOW_S, JointStateValidator, Motion
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray, JointState, Verdict
 
@@ -386,7 +386,7 @@ class TestVelocityAgainstPosition:
             results.append(validator.validate(motion, now))
         if passes:
             assert isinstance(results[-1], Motion)
-            recent = factor * 0.01 / RECENT_S
+            recent = factor * 0.01 / 0.1
             expected = [recent, tolerance, 0.25 * tolerance, tolerance]
             assert results[-1].velocity_tolerance == pytest.approx(expected, rel=1e-3)
         else:

@@ -224,6 +224,12 @@ def test_verdicts_are_counted(scara: RobotDynamics) -> None:
     assert monitor.rejected == 1
 
 
+def test_undecodable_joint_state_has_no_stamp_and_no_age(scara: RobotDynamics) -> None:
+    (contact,) = make_monitor(scara).reject("not CDR").contacts
+    assert (contact.verdict, contact.reason) == (Verdict.UNKNOWN, "not CDR")
+    assert (contact.stamp_ns, contact.input_age) == (0, 0.0)
+
+
 @pytest.mark.parametrize("text", ["no robot_description yet", "robot_description: not XML"])
 def test_no_robot_allows_nothing(text: str) -> None:
     decision = unknown_decision(text)
