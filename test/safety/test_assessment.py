@@ -495,6 +495,22 @@ def test_mass_of_the_standard_on_a_servo_is_that_mass_alone(scara_variant: Varia
         assert contact.allowable_speed == pytest.approx(expected)
 
 
+def test_robot_at_rest_clamps_along_its_strongest_axis(scara_variant: Variant) -> None:
+    efforts = {"joint1": 5.0, "joint2": 5.0, "joint3": 500.0, "joint4": 5.0}
+    robot = scara_variant(lambda file: [joint.update(max_effort=efforts[joint["name"]]) for joint in file["joints"]])
+    q = (0.3, 1.2, 0.1, 0.0)
+    contact = assess_one(robot, q, (1e-6,) * 4, contact="quasi_static")
+    assert contact.worst_direction_used
+    vertical = [robot.clamping_force(np.array(q), 0, (0.0, 0.0, sign)) for sign in (1.0, -1.0)]
+    assert contact.clamping_force == pytest.approx(max(vertical))
+
+
+def test_largest_mass_counts_the_change_of_pose_of_the_lumped_model(bare_scara: RobotDynamics) -> None:
+    q, qd = (0.3, 0.3, 0.1, 0.0), (1.0, -2.0, 0.1, 0.1)
+    largest, lumped = (assess_one(bare_scara, q, qd, effective_mass_model=model) for model in ("largest", "lumped"))
+    assert largest.allowable_speed <= lumped.allowable_speed
+
+
 def test_rejected_settings_change_nothing(scara: RobotDynamics) -> None:
     monitor = Monitor(scara, settings_of(max_force=100.0))
     before = monitor.settings

@@ -213,6 +213,17 @@ def test_monitor_recovers_from_system_time_set_back(scara: RobotDynamics) -> Non
     assert verdicts[-1] is Verdict.OK
 
 
+@pytest.mark.parametrize(("beyond_ns", "expected"), [(0, Verdict.UNKNOWN), (1, Verdict.OK)])
+def test_clock_counts_as_set_back_beyond_the_future_tolerance(
+    scara: RobotDynamics, beyond_ns: int, expected: Verdict
+) -> None:
+    """Within it the stamps must still increase."""
+    monitor = make_monitor(scara)
+    send(monitor, 0)
+    back_ns = round(monitor.settings.future_tolerance * 1e9) + beyond_ns
+    assert verdict(send(monitor, -back_ns / MS)) is expected
+
+
 def test_verdicts_are_counted(scara: RobotDynamics) -> None:
     monitor = make_monitor(scara)
     for at, speed in enumerate((SLOW, FAST, SLOW, FAST, FAST)):
