@@ -109,6 +109,15 @@ def test_effort_limits_bound_the_push_of_a_servo(region: str, mass: float, push:
         assert bounded.push == pytest.approx(push * limit.obstacle_mass_kg / (mass + limit.obstacle_mass_kg))
 
 
+@pytest.mark.parametrize("masses", [(1.0, 4.0), (4.0, 1.0)])
+def test_push_counts_the_uncertainty_and_the_heaviest_mass(masses: tuple[float, float]) -> None:
+    limits = speed_limits(body_regions=["chest"], drives="servo", servo={"bandwidth": 1000.0})
+    found = limits.worst_normal([Mobility.of_mass(mass) for mass in masses], 1.5, (2.0, 0.25))
+    inverse = 1.0 / found.limit.obstacle_mass_kg
+    assert found.push == pytest.approx(2.0 / (0.25 / 1.5 + inverse))
+    assert found.reduced_mass == pytest.approx(1.0 / (0.25 / 1.5 + inverse))
+
+
 def test_clamped_body_part_allows_no_speed_against_an_unbounded_push() -> None:
     for drives in ("servo", "immovable"):
         assert speed_limits(drives=drives, contact="quasi_static").speed_limit(2.0).allowable_speed == 0.0
