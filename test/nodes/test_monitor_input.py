@@ -214,9 +214,7 @@ def bits(contact: ContactState | ContactAssessment, without: tuple[str, ...] = (
         fields = contact._asdict()
         fields["verdict"] = int(fields["verdict"])
     return {
-        name: struct.pack(f"{np.size(value)}d", *np.ravel(value))
-        if isinstance(value, float) or name == "direction"
-        else value
+        name: value if isinstance(value, str | int) else struct.pack(f"{np.size(value)}d", *np.ravel(value))
         for name, value in fields.items()
         if name not in without
     }

@@ -204,8 +204,10 @@ class TestParameters:
     def test_reset_releases_the_latch_and_reports_the_cause(self, harness: NodeHarness) -> None:
         assert harness.call_service(Trigger, "reset", Trigger.Request()).success
         try:
-            assert harness.set_parameters(latch=True) == ""
-            assert harness.response_to(joint_state(velocity=FAST)).verdict == ContactState.VIOLATION
+            # A person who comes too fast: velocities that positions do not follow would be UNKNOWN after a pause.
+            assert harness.set_parameters(latch=True, person_speed=10.0) == ""
+            assert harness.response_to(joint_state()).verdict == ContactState.VIOLATION
+            assert harness.set_parameters(person_speed=0.0) == ""
             latched = harness.response_to(joint_state())
             assert latched.verdict == ContactState.VIOLATION
             assert latched.reason.startswith("latched until reset: tool: ")
@@ -215,7 +217,7 @@ class TestParameters:
             assert response.message.startswith("cleared: VIOLATION: ")
             assert harness.response_to(joint_state()).verdict == ContactState.OK
         finally:
-            assert harness.set_parameters(latch=False) == ""
+            assert harness.set_parameters(latch=False, person_speed=0.0) == ""
 
     def test_parameter_file_remapping_and_qos_overrides_apply(
         self, new_harness: Callable[..., NodeHarness], tmp_path: Path
