@@ -199,7 +199,8 @@ class TestParameters:
             assert harness.set_parameters(effective_mass_model="lumped", body_regions=[], person_speed=0.0) == ""
         restored = harness.response_to(joint_state())
         assert restored.body_region == default.body_region
-        assert restored.allowable_speed == pytest.approx(default.allowable_speed, rel=1e-3)
+        # The allowable speed also depends on the pause since the last joint state, whose positions are the same.
+        assert (restored.effective_mass, restored.predicted_force) == (default.effective_mass, default.predicted_force)
 
     def test_reset_releases_the_latch_and_reports_the_cause(self, harness: NodeHarness) -> None:
         assert harness.call_service(Trigger, "reset", Trigger.Request()).success
