@@ -99,7 +99,7 @@ def fit_text(model: ModelResult) -> str:
         ("gain", fit.gain, fit.gain_interval),
         ("exponent", fit.exponent, fit.exponent_interval),
     )
-    texts = [f"{name} {value:.3f} ({low:.3f} to {high:.3f})" for name, value, (low, high) in values]
+    texts = [f"{name} {interval.around(value)}" for name, value, interval in values]
     return f"{', '.join(texts)}; would have found a mass error of {fit.detectable_mass_error:.1%}"
 
 

@@ -1,7 +1,6 @@
 """Child processes of a demo: commands of the suite in a ROS domain of their own."""
 
 import argparse
-import ctypes
 import os
 import shutil
 import signal
@@ -17,6 +16,7 @@ from typing_extensions import Self
 
 from scara_effmass.errors import EffmassError
 from scara_effmass.nodes.monitor_client import MonitorClient
+from scara_effmass.parent import end_with_parent
 from scara_effmass.settings import MonitorSettings
 
 RECORDING = "recording"
@@ -28,7 +28,6 @@ DOMAINS = 101
 """Highest ROS domain id whose ports lie below the ephemeral ports of Linux."""
 _PARTICIPANTS = 16
 """Number of participant ports to probe in a domain."""
-_PR_SET_PDEATHSIG = 1
 
 
 class ChildProcess:
@@ -44,7 +43,7 @@ class ChildProcess:
             stdout=self._output,
             stderr=self._errors,
             start_new_session=True,
-            preexec_fn=_end_with_parent,  # noqa: PLW1509 - calls one function of the C library
+            preexec_fn=end_with_parent,  # noqa: PLW1509 - calls one function of the C library
         )
 
     def __enter__(self) -> Self:
@@ -84,11 +83,6 @@ class ChildProcess:
         lines = self._errors.read().decode(errors="replace").strip().splitlines()
         reason = lines[-1] if lines else f"exit code {self._process.returncode}"
         raise EffmassError(f"{self._name} has ended: {reason}")
-
-
-def _end_with_parent() -> None:
-    """Have Linux send SIGTERM to this process when its parent dies, even by SIGKILL: no node outlives a demo."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def spin_until(

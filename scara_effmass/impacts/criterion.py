@@ -100,13 +100,13 @@ def _rejections(criterion: CriterionSettings, series: Series) -> Iterator[str]:
         )
     if _is_outside(fit.gain_interval, series.gain_tolerance):
         limit = f"must be within {series.gain_tolerance:.0%} of 1"
-        yield f"gain of the force {_text(fit.gain, fit.gain_interval)}: {limit}"
+        yield f"gain of the force {fit.gain_interval.around(fit.gain)}: {limit}"
     if _is_outside(fit.mass_scale_interval, criterion.mass_tolerance):
         limit = f"times its model's mass, at most {criterion.mass_tolerance:.0%} off is tolerated"
-        yield f"the robot has {_text(fit.mass_scale, fit.mass_scale_interval)} {limit}"
+        yield f"the robot has {fit.mass_scale_interval.around(fit.mass_scale)} {limit}"
     if not fit.exponent_interval.low <= exponent <= fit.exponent_interval.high:
         law = f"does not cover {exponent:.3f} of the declared contact law"
-        yield f"exponent {_text(fit.exponent, fit.exponent_interval)} {law}"
+        yield f"exponent {fit.exponent_interval.around(fit.exponent)} {law}"
     if fit.scatter > criterion.largest_scatter:
         worst = f"largest for m_H = {series.fit.worst_obstacle:g} kg ({fit.worst_deviation:+.1%})"
         yield f"impulses scatter by {fit.scatter:.1%}, at most {criterion.largest_scatter:.0%} may be; {worst}"
@@ -137,15 +137,15 @@ def _doubts(criterion: CriterionSettings, series: Series) -> Iterator[str]:
         ),
         (
             not _is_inside(mass, tolerance),
-            f"mass scale {_text(fit.mass_scale, mass)} is not clearly within {tolerance:.0%} of 1",
+            f"mass scale {mass.around(fit.mass_scale)} is not clearly within {tolerance:.0%} of 1",
         ),
         (
             not _is_inside(gain, series.gain_tolerance),
-            f"gain of the force {_text(fit.gain, gain)} is not clearly within {series.gain_tolerance:.0%} of 1",
+            f"gain of the force {gain.around(fit.gain)} is not clearly within {series.gain_tolerance:.0%} of 1",
         ),
         (
             not exponent.high - exponent.low <= 2.0 * MAX_EXPONENT_HALF_WIDTH,
-            f"exponent {_text(fit.exponent, exponent)} cannot tell contact laws apart",
+            f"exponent {exponent.around(fit.exponent)} cannot tell contact laws apart",
         ),
     )
     return (reason for applies, reason in checks if applies)
@@ -188,10 +188,6 @@ def _is_inside(interval: Interval, tolerance: float) -> bool:
 
 def _is_outside(interval: Interval, tolerance: float) -> bool:
     return interval.high < 1.0 / (1.0 + tolerance) or 1.0 + tolerance < interval.low
-
-
-def _text(value: float, interval: Interval) -> str:
-    return f"{value:.3f} ({interval.low:.3f} to {interval.high:.3f})"
 
 
 def _impacts(count: int) -> str:

@@ -36,6 +36,10 @@ class Interval(NamedTuple):
     low: float
     high: float
 
+    def around(self, value: float) -> str:
+        """Return `value` and the interval as text."""
+        return f"{value:.3f} ({self.low:.3f} to {self.high:.3f})"
+
 
 UNKNOWN_SCALE = Interval(0.0, math.inf)
 

@@ -4,6 +4,7 @@
 """
 
 from scara_effmass.iso15066.contact import (
+    TRANSIENT_S,
     force_per_root_stiffness,
     peak_force,
     reduced_mass,
@@ -30,6 +31,7 @@ __all__ = [
     "EDITION",
     "MIN_EFFECTIVE_MASS",
     "TABLE_HASH",
+    "TRANSIENT_S",
     "BodyPoint",
     "BodyRegion",
     "Criterion",

@@ -8,6 +8,8 @@ from typing import TypeVar
 
 from scara_effmass.values import FloatArray
 
+TRANSIENT_S = 0.5
+"""Duration of the longest transient contact [s] (ISO/TS 15066)."""
 Quantity = TypeVar("Quantity", float, FloatArray)
 """A scalar or an array of any shape; the arrays of one call have the same shape."""
 

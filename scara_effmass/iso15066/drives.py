@@ -10,13 +10,12 @@ from functools import lru_cache
 
 import numpy as np
 
+from scara_effmass.iso15066.contact import TRANSIENT_S
 from scara_effmass.settings import Drives, ServoSettings
 from scara_effmass.values import FloatArray
 
 MAX_MOBILITY = 20.0
 """Mobility 1/m_n [1/kg] up to which servo contacts are simulated; a lighter robot counts as immovable."""
-DURATION_S = 0.5
-"""Time for which the reference moves on: the longest transient contact of ISO/TS 15066."""
 _MOBILITIES = np.geomspace(0.01, MAX_MOBILITY, 48)
 _TOUCHING = (0.0, 0.1, 0.5, 2.0, 8.0)
 """Mobilities [1/kg] of the lines that are kept of a hull; any line of it is a bound."""
@@ -72,7 +71,7 @@ def servo_reduced_masses(
 ) -> FloatArray:
     """Return mu (m, n) [kg] for m contacts `stiffness` [N/m], `obstacle_mass` [kg] and n `mobility` 1/m_n [1/kg].
 
-    Steps are exact (matrix exponential) and last `DURATION_S`; the contact may open and close. The state is the
+    Steps are exact (matrix exponential) and last `TRANSIENT_S`; the contact may open and close. The state is the
     compression, its rate, the servo error and its rate, at unit speed.
     """
     from scipy.linalg import expm  # noqa: PLC0415 - slow, and not needed for free drives
@@ -88,7 +87,7 @@ def servo_reduced_masses(
     compression = np.zeros(len(k))
     order = np.argsort(dt)  # the robots with the longest steps are done first
     state, contact, free = state[order], contact[order], free[order]
-    steps = np.ceil(DURATION_S / dt[order]).astype(int)
+    steps = np.ceil(TRANSIENT_S / dt[order]).astype(int)
     running = len(k)
     for step in range(steps[0]):
         while steps[running - 1] <= step:

@@ -16,6 +16,13 @@ CLAMPED_TOLERANCE = 1e-11
 Matrix = list[list[float]]
 
 
+def mobility_along(matrix: Matrix, direction: Vector3) -> float:
+    """Return n^T A n [1/kg] of a symmetric (3, 3) `matrix` A for the unit vector `direction` n (3,)."""
+    (a, b, c), (_, d, e), (_, _, f) = matrix
+    x, y, z = direction
+    return a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
+
+
 class Mobility(NamedTuple):
     """Mobility A = J_v M^-1 J_v^T [1/kg] of a contact point, as the scalars that its contact forces depend on.
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from scara_effmass.iso15066.mobility import CLAMPED_TOLERANCE, Matrix
+from scara_effmass.iso15066.contact import TRANSIENT_S
+from scara_effmass.iso15066.mobility import CLAMPED_TOLERANCE, Matrix, mobility_along
 from scara_effmass.values import Vector3
 
 TIME_FACTOR = 1.5
 """Time for which the growth counts, over the time to the peak force; above 1 it covers what is not linear in time."""
-MAX_CONTACT_S = 0.5
-"""Longest transient contact of ISO/TS 15066."""
 
 
 class PoseChange(NamedTuple):
@@ -74,8 +73,7 @@ class PoseChange(NamedTuple):
         speed = self.speed * (x * nx + y * ny + z * nz)
         if speed < 0.0:
             speed, nx, ny, nz = -speed, -nx, -ny, -nz
-        (a, b, c), (_, d, e), (_, _, f) = self.mobility
-        m = a * nx * nx + d * ny * ny + f * nz * nz + 2.0 * (b * nx * ny + c * nx * nz + e * ny * nz)
+        m = mobility_along(self.mobility, normal)
         mobility = [[m, 0.0, 0.0], [0.0, m, 0.0], [0.0, 0.0, m]]
         return PoseChange((nx, ny, nz), max(speed, min_speed), mobility, self.mobility_rate, self.accelerations)
 
@@ -98,5 +96,9 @@ class PoseChange(NamedTuple):
 
 
 def contact_time(reduced_mass: float, stiffness: float) -> float:
-    """Return the time [s] for which the growth counts: a quarter period of `reduced_mass` [kg] on the contact."""
-    return min(TIME_FACTOR * 0.5 * math.pi * math.sqrt(reduced_mass / stiffness), MAX_CONTACT_S)
+    """Return the time [s] for which the growth counts.
+
+    It is TIME_FACTOR times the time to the peak, a quarter period of `reduced_mass` [kg] on `stiffness` [N/m], and at
+    most TRANSIENT_S.
+    """
+    return min(TIME_FACTOR * 0.5 * math.pi * math.sqrt(reduced_mass / stiffness), TRANSIENT_S)

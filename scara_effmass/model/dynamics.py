@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.iso15066.mobility import Matrix
+from scara_effmass.iso15066.mobility import Matrix, mobility_along
 from scara_effmass.iso15066.pose_change import PoseChange
 from scara_effmass.model.lumping import LumpedModel, lump
 from scara_effmass.model.robot import Robot
@@ -69,12 +69,13 @@ class EffectiveMasses(NamedTuple):
         return _worst_mass(self.full_mobility, self.rank)
 
 
-class CompositeMass(NamedTuple):
-    """Mass of an arm whose joints are held one by one, along the velocity and along the worst direction [kg].
+class ModelMass(NamedTuple):
+    """Mass of one model along the velocity, and along the worst direction [kg], with its mobility [1/kg].
 
-    `mobility` is J_v D^-1 J_v^T [1/kg] with the diagonal D of M, and `change` that of the pose.
+    ISO's fixed mass has an empty mobility. `change` is that of the pose; None where it does not count.
     """
 
+    name: str
     mass: float
     worst_mass: float
     mobility: Matrix
@@ -97,12 +98,10 @@ class RobotDynamics:
         except RobotError as error:
             self.lumped_reason = str(error)
         self.full_reason = _full_reason(robot)
-        self._models = [] if self.lumped is None else [self.lumped.model]
-        self._names = [] if self.lumped is None else ["lumped"]
+        models = {} if self.lumped is None else {"lumped": self.lumped.model}
         if not self.full_reason:
-            self._models.append(robot.model)
-            self._names.append("full")
-        self._data = [model.createData() for model in self._models]
+            models["full"] = robot.model
+        self._models = {name: (model, model.createData()) for name, model in models.items()}
         self._coupled_rotors = bool(robot.rotors.coupling.any())
         self._kinematics = robot.model.createData()
         self._massless_joints = () if self.lumped is None else self.lumped.massless_joints
@@ -133,7 +132,7 @@ class RobotDynamics:
         """
         pin.computeJointJacobiansTimeVariation(self.robot.model, self._kinematics, q, qd)
         inverses, coriolis = [], []
-        for name, model, data in zip(self._names, self._models, self._data, strict=True):
+        for name, (model, data) in self._models.items():
             inverses.append(self._inverse(model, data, q))
             coriolis.append(pin.computeCoriolisMatrix(model, data, q, qd) if name in changes else None)
         return [
@@ -207,30 +206,27 @@ class RobotDynamics:
         )
 
     def composite_mass(
-        self, q: FloatArray, qd: FloatArray, contact: int, model: str, masses: EffectiveMasses
-    ) -> CompositeMass:
+        self, q: FloatArray, qd: FloatArray, contact: int, name: str, masses: EffectiveMasses
+    ) -> ModelMass:
         """Return the mass of the arm at `q` and `qd` (n,) if a controller of its own holds each joint.
 
-        `contact` is an index of `contact_points`, `model` lumped or full, and `masses` those of the same joint state.
+        The mobility is J_v D^-1 J_v^T with the diagonal D of M. `contact` is an index of `contact_points`, `name` the
+        model, lumped or full, and `masses` are those of the same joint state.
         """
-        pinocchio_model, data = next(
-            (pinocchio_model, data)
-            for name, pinocchio_model, data in zip(self._names, self._models, self._data, strict=True)
-            if name == model
-        )
+        model, data = self._models[name]
         _, frame, rank = self._contacts[contact]
         pin.computeJointJacobiansTimeVariation(self.robot.model, self._kinematics, q, qd)
         jacobian, jacobian_rate = self._jacobian(frame), self._jacobian_rate(frame)
-        response = jacobian.T / np.diagonal(self.robot.mass_matrix(pinocchio_model, data, q))[:, None]
+        response = jacobian.T / np.diagonal(self.robot.mass_matrix(model, data, q))[:, None]
         mobility: Matrix = (jacobian @ response).tolist()
         worst_mass = _worst_mass(mobility, rank)
         if masses.direction == ZERO_VECTOR:
-            return CompositeMass(worst_mass, worst_mass, mobility, None)
-        coriolis = np.diagonal(pin.computeCoriolisMatrix(pinocchio_model, data, q, qd))
+            return ModelMass(name, worst_mass, worst_mass, mobility, None)
+        coriolis = np.diagonal(pin.computeCoriolisMatrix(model, data, q, qd))
         rate = ((jacobian_rate - response.T * coriolis) @ response).tolist()
         x, y, z = (jacobian_rate @ qd).tolist()
         change = PoseChange(masses.direction, masses.speed, mobility, rate, ((x, y, z),))
-        return CompositeMass(_effective_mass(mobility, masses.direction), worst_mass, mobility, change)
+        return ModelMass(name, _effective_mass(mobility, masses.direction), worst_mass, mobility, change)
 
     def in_base(self, q: FloatArray, vector: Vector3, frame: str) -> Vector3:
         """Return `vector` (3,) of the robot's `frame` in base axes at `q`. Raises RobotError for an unknown frame."""
@@ -254,7 +250,7 @@ class RobotDynamics:
         effort = self.robot.effort_limits + np.abs(self._gravity(q))
         if not np.isfinite(effort).all():
             return math.inf
-        inverses = [self._inverse(model, data, q) for model, data in zip(self._models, self._data, strict=True)]
+        inverses = [self._inverse(model, data, q) for model, data in self._models.values()]
         return max(float(np.linalg.norm(jacobian @ inverse, axis=0) @ effort) for inverse in inverses)
 
     def clamping_force(self, q: FloatArray, contact: int, *directions: Vector3) -> float:
@@ -353,9 +349,7 @@ def _effective_mass(mobility: Matrix, direction: Vector3) -> float:
     """
     if not mobility:
         return NAN
-    (a, b, c), (_, d, e), (_, _, f) = mobility
-    x, y, z = direction
-    inverse = a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
+    inverse = mobility_along(mobility, direction)
     return 1.0 / inverse if inverse > 0.0 else math.inf
 
 

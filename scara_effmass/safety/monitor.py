@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from scara_effmass.iso15066 import (
     reduced_mass,
 )
 from scara_effmass.iso15066.mobility import Matrix
-from scara_effmass.iso15066.pose_change import PoseChange
+from scara_effmass.model.dynamics import EffectiveMasses, ModelMass, RobotDynamics
 from scara_effmass.safety.debounce import VerdictDebouncer, severity
 from scara_effmass.safety.joint_state_validator import NANOSECONDS, JointStateValidator, OtherDevice
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
@@ -34,9 +34,6 @@ from scara_effmass.values import (
     Vector3,
     Verdict,
 )
-
-if TYPE_CHECKING:
-    from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 
 MIN_NORMAL_COMPONENT = 0.1
 """Smallest share of the speed that counts along a fixed normal: its direction is known to about 6 degrees."""
@@ -60,14 +57,6 @@ class Cause(NamedTuple):
     contact_point: str
     verdict: Verdict
     reason: str
-
-
-class _Model(NamedTuple):
-    name: str
-    mass: float
-    worst_mass: float
-    mobility: Matrix
-    change: PoseChange | None
 
 
 class Monitor:
@@ -112,10 +101,9 @@ class Monitor:
         self._weakest = min(limits.limits, key=lambda limit: limit.permissible_force_n)
         self._normal_text = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._normal_is_known = settings.contact_normal != "worst"
-        models = {MassModel.LUMPED: ("lumped",), MassModel.FULL: ("full",), MassModel.ISO: ()}
         # Along the velocity the bound is that of the paper and of the standard, in the pose of the first touch.
-        along_velocity = settings.contact_normal == "velocity"
-        self._changes = () if along_velocity else models.get(settings.effective_mass_model, ("lumped", "full"))
+        choices = {} if settings.contact_normal == "velocity" else {"lumped": _LUMPED, "full": _FULL}
+        self._changes = [name for name, choice in choices.items() if settings.effective_mass_model in choice]
         self._drives_push = settings.drives is Drives.SERVO
         self._joints_are_held = self._drives_push and not settings.servo.computed_torque
         self._clamps = settings.contact is ContactType.QUASI_STATIC
@@ -256,7 +244,11 @@ class Monitor:
                 if model.mass > mass:
                     mass, model_name = model.mass, model.name
             any_normal = _any_normal(models, masses)
-            held = [self._held(model.name, masses, q, qd, index) for model in models if self._joints_are_held]
+            held = [
+                self.dynamics.composite_mass(q, qd, index, model.name, masses)
+                for model in models
+                if self._joints_are_held and model.mobility
+            ]
             if self._normal_is_known:
                 mobilities, share = self._at_normal(models + held, masses, q)
             else:
@@ -321,13 +313,9 @@ class Monitor:
             model_name,
         )
 
-    def _held(self, name: str, masses: EffectiveMasses, q: FloatArray, qd: FloatArray, index: int) -> _Model:
-        """Return the model `name` with joints that are held one by one."""
-        if name == MassModel.ISO.value:
-            return _Model(name, self._iso_mass, self._iso_mass, [], None)
-        return _Model(name, *self.dynamics.composite_mass(q, qd, index, name, masses))
-
-    def _at_normal(self, models: list[_Model], masses: EffectiveMasses, q: FloatArray) -> tuple[list[Mobility], float]:
+    def _at_normal(
+        self, models: list[ModelMass], masses: EffectiveMasses, q: FloatArray
+    ) -> tuple[list[Mobility], float]:
         """Return the mobilities along the contact normal of the settings, and the share of the speed along it."""
         settings, velocity = self.settings, masses.direction
         if settings.fixed_normal is None:
@@ -367,7 +355,7 @@ class Monitor:
             return max(verdict, Verdict.WARN), f"{reason}; {warning}" if reason else warning
         return verdict, reason
 
-    def _models(self, masses: EffectiveMasses) -> tuple[list[_Model], str]:
+    def _models(self, masses: EffectiveMasses) -> tuple[list[ModelMass], str]:
         """Return the models behind the verdict (none if there is an error), and why there is none."""
         choice = self.settings.effective_mass_model
         if self._masses_reason:
@@ -380,11 +368,11 @@ class Monitor:
         models = []
         if choice in _LUMPED and not lumped_missing:
             change = masses.lumped_change
-            models.append(_Model("lumped", masses.lumped, masses.worst_lumped, masses.lumped_mobility, change))
+            models.append(ModelMass("lumped", masses.lumped, masses.worst_lumped, masses.lumped_mobility, change))
         if choice in _FULL and not full_missing:
-            models.append(_Model("full", masses.full, masses.worst_full, masses.full_mobility, masses.full_change))
+            models.append(ModelMass("full", masses.full, masses.worst_full, masses.full_mobility, masses.full_change))
         if choice in _ISO:
-            models.append(_Model("iso", self._iso_mass, self._iso_mass, [], None))
+            models.append(ModelMass("iso", self._iso_mass, self._iso_mass, [], None))
         for model in models:
             if model.mass < MIN_EFFECTIVE_MASS:
                 minimum = f"must be at least {MIN_EFFECTIVE_MASS:g} kg: check the robot"
@@ -465,7 +453,7 @@ def _clamping_text(force: float, limit: Limit) -> str:
     return f"the drives can clamp with {force:.0f} N, above {permissible}, at any speed"
 
 
-def _any_normal(models: list[_Model], masses: EffectiveMasses) -> list[Mobility]:
+def _any_normal(models: list[ModelMass], masses: EffectiveMasses) -> list[Mobility]:
     """Return the mobilities of `models` for any contact normal: at rest those of the worst direction."""
     if masses.direction == ZERO_VECTOR:
         return [Mobility.of_mass(model.worst_mass) for model in models]

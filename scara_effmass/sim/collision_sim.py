@@ -240,8 +240,8 @@ class CollisionSim:
         mujoco.mj_jacSite(self.model, self.data, self._jacobian, None, self._site)
 
 
-def sim_mjcf(robot: Path, cart: Cart) -> tuple[str, tuple[str, ...]]:
-    """Return the MJCF of robot and cart, and the names of the robot's joints.
+def sim_mjcf(robot: Path, cart: Cart | None = None) -> tuple[str, tuple[str, ...]]:
+    """Return the MJCF of the robot, and of `cart`, and the names of the robot's joints.
 
     The cart's joint comes last. Raises RobotError.
     """
@@ -256,10 +256,11 @@ def sim_mjcf(robot: Path, cart: Cart) -> tuple[str, tuple[str, ...]]:
     ET.SubElement(option, "flag", dict.fromkeys(_DISABLED, "disable"))
     world = ET.SubElement(root, "worldbody")
     world.append(body)
-    body = ET.SubElement(world, "body", name="cart", pos=_text(*cart.tip))
-    ET.SubElement(body, "joint", name="guide", type="slide", axis=_text(*cart.direction))
-    # The cart does not rotate: its moments of inertia have no effect.
-    ET.SubElement(body, "inertial", pos="0 0 0", mass=_text(cart.mass), diaginertia="1e-3 1e-3 1e-3")
+    if cart is not None:
+        body = ET.SubElement(world, "body", name="cart", pos=_text(*cart.tip))
+        ET.SubElement(body, "joint", name="guide", type="slide", axis=_text(*cart.direction))
+        # The cart does not rotate: its moments of inertia have no effect.
+        ET.SubElement(body, "inertial", pos="0 0 0", mass=_text(cart.mass), diaginertia="1e-3 1e-3 1e-3")
     return ET.tostring(root, encoding="unicode"), names
 
 

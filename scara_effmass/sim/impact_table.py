@@ -5,11 +5,11 @@ import signal
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
 from pathlib import Path
-from threading import Thread
 
 from scara_effmass.errors import OutputError
+from scara_effmass.parent import end_with_parent
 from scara_effmass.sim.random_impacts import Row, simulate
 
 
@@ -55,21 +55,10 @@ def _simulated(seed: int, indices: Iterable[int], jobs: int) -> Iterator[list[Ro
         yield from map(task, indices)
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more threads make small matrices of several processes slow
-    with ProcessPoolExecutor(jobs, get_context("spawn"), _end_with_parent) as pool:
+    with ProcessPoolExecutor(jobs, get_context("spawn"), end_with_parent) as pool:
         # The workers inherit that they ignore Ctrl-C, because this process ends them. Each first task starts one.
         handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
         for _ in range(jobs):
             pool.submit(int)
         signal.signal(signal.SIGINT, handler)
         yield from pool.map(task, indices)
-
-
-def _end_with_parent() -> None:
-    """End this worker when its parent is gone: a killed one does not end its workers."""
-    Thread(target=_wait_for_parent, daemon=True).start()
-
-
-def _wait_for_parent() -> None:
-    if parent := parent_process():
-        parent.join()
-        os._exit(1)

@@ -13,9 +13,8 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 
-from scara_effmass.iso15066 import Limit
+from scara_effmass.iso15066 import TRANSIENT_S, Limit
 from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.sim.cart import Cart
 from scara_effmass.sim.collision_sim import sim_mjcf
 from scara_effmass.values import FloatArray
 
@@ -23,10 +22,7 @@ PHASE_STEP = 0.04
 """Time step times the angular frequency of contact or servo, the larger one; the error of the peak is below 2e-4."""
 MAX_STEP_S = 2e-3
 """Longest time step without contact."""
-PUSH_S = 0.5
-"""Time for which drives push on: the longest transient contact of ISO/TS 15066."""
 GRAVITY = -9.81
-_CART = Cart((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0)
 
 
 class JointServo(NamedTuple):
@@ -66,17 +62,17 @@ class PlateSim:
         self._robot = robot = dynamics.robot
         self.n = robot.model.nv
         if path.suffix == ".yaml":
-            mjcf, _ = sim_mjcf(path, _CART)
+            mjcf, _ = sim_mjcf(path)
             self.model = mujoco.MjModel.from_xml_string(mjcf)
         else:
             self.model = _urdf_model(path, robot.joint_names)
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         self.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-        self.model.dof_armature[: self.n] = robot.model.armature
+        self.model.dof_armature[:] = robot.model.armature
         self.model.dof_damping[:] = 0.0
         self.data = mujoco.MjData(self.model)
         self._nominal = self.model.body_mass.copy(), self.model.body_inertia.copy(), self.model.dof_armature.copy()
-        self._row = np.zeros((3, self.model.nv))
+        self._row = np.zeros((3, self.n))
         frames = [robot.model.frames[frame] for frame in robot.contact_frames.values()]
         self._points = [
             (int(self.model.jnt_bodyid[frame.parentJoint - 1]), np.array(frame.placement.translation))
@@ -86,28 +82,27 @@ class PlateSim:
     def scale_masses(self, factors: FloatArray) -> None:
         """Multiply mass, inertia and armature behind each joint by `factors` (n,)."""
         mass, inertia, armature = self._nominal
-        by_joint = np.ones(self.model.nv + 1)  # the last one is that of the base
-        by_joint[: self.n] = factors
+        by_joint = np.append(factors, 1.0)  # the last one is that of the base
         by_body = by_joint[self.model.body_dofadr[self.model.body_weldid]]
         self.model.body_mass[:] = mass * by_body
         self.model.body_inertia[:] = inertia * by_body[:, None]
-        self.model.dof_armature[:] = armature * by_joint[:-1]
+        self.model.dof_armature[:] = armature * factors
         mujoco.mj_setConst(self.model, self.data)
 
     def kinematics(self, q: FloatArray, point: int = 0) -> tuple[FloatArray, FloatArray]:
         """Return J_v (3, n) of contact point number `point`, and the mass matrix (n, n), at `q` (n,)."""
-        self.data.qpos[: self.n] = q
+        self.data.qpos[:] = q
         mujoco.mj_fwdPosition(self.model, self.data)
-        full = np.zeros((self.model.nv, self.model.nv))
-        mujoco.mj_fullM(self.model, self.data, full)
-        return self._jacobian(point)[:, : self.n].copy(), full[: self.n, : self.n]
+        mass_matrix = np.zeros((self.n, self.n))
+        mujoco.mj_fullM(self.model, self.data, mass_matrix)
+        return self._jacobian(point).copy(), mass_matrix
 
     def gravity(self, q: FloatArray) -> FloatArray:
         """Return the joint torques (n,) of the weight at `q` (n,) [N m, N]."""
         self.model.opt.gravity[2] = GRAVITY
-        self.data.qpos[: self.n], self.data.qvel[:] = q, 0.0
+        self.data.qpos[:], self.data.qvel[:] = q, 0.0
         mujoco.mj_forward(self.model, self.data)
-        return np.array(self.data.qfrc_bias[: self.n])
+        return np.array(self.data.qfrc_bias)
 
     def worst_normal(self, q: FloatArray, qd: FloatArray, obstacle_mass: float, point: int = 0) -> FloatArray:
         """Return the unit normal (3,) along (A + I / m_H)^-1 v, where free joints give the largest force."""
@@ -133,7 +128,7 @@ class PlateSim:
         with the first separation. With `pace` below 1 velocities, effort limits and weight are smaller and the peak is
         scaled up: the arm stays in the pose of the first touch.
         """
-        n, model, data, k = self.n, self.model, self.data, limit.stiffness_n_m
+        model, data, k = self.model, self.data, limit.stiffness_n_m
         mujoco.mj_resetData(model, data)
         jacobian, mass_matrix = self.kinematics(q, point)
         row = normal @ jacobian
@@ -141,17 +136,16 @@ class PlateSim:
         coarse, duration = 0.0, 4.0 / rate
         model.opt.gravity[2] = 0.0
         start = data.qpos.copy()
-        velocity, gains, effort = np.zeros((3, model.nv))
-        velocity[:n], effort[:n] = qd * pace, self._robot.effort_limits * pace
+        velocity, effort = qd * pace, self._robot.effort_limits * pace
+        gains = None if servo is None or servo.coupled else np.diag(mass_matrix)
         if servo is not None:
-            rate, coarse, duration = max(rate, servo.omega), min(phase_step / servo.omega, MAX_STEP_S), PUSH_S
-            gains[:n] = np.diag(mass_matrix)
+            rate, coarse, duration = max(rate, servo.omega), min(phase_step / servo.omega, MAX_STEP_S), TRANSIENT_S
             model.opt.gravity[2] = GRAVITY * pace
         fine = phase_step / rate
         body, place = self._points[point]
         origin, rotation = data.xpos[body], data.xmat[body].reshape(3, 3)  # views, which MuJoCo updates
         offset = float(normal @ self._position(point))
-        acceleration, half = np.zeros(model.nv), velocity.copy()
+        acceleration, half = np.zeros(self.n), velocity.copy()
         plate = plate_half = time = depth = step = 0.0
         peak = Peak(0.0, 0.0, 0.0)
         while time < duration:
@@ -165,12 +159,12 @@ class PlateSim:
             if servo is None and depth <= 0.0 < time:
                 break
             if force > peak.force:
-                peak = Peak(force, time, float(np.max(np.abs(data.qpos[:n] - start[:n]))))
+                peak = Peak(force, time, float(np.max(np.abs(data.qpos - start))))
             torque = data.qfrc_applied
             torque[:] = 0.0
             if servo is not None:
                 demand = servo.acceleration(start + velocity * time - data.qpos, velocity - data.qvel)
-                torque[:] = self._torque(demand, None if servo.coupled else gains).clip(-effort, effort)
+                torque[:] = self._torque(demand, gains).clip(-effort, effort)
             if force > 0.0:
                 mujoco.mj_jac(model, data, self._row, None, position, body)
                 torque -= force * (normal @ self._row)
@@ -186,8 +180,8 @@ class PlateSim:
         return Peak(peak.force / pace, peak.time, peak.turn)
 
     def _torque(self, acceleration: FloatArray, gains: FloatArray | None) -> FloatArray:
-        """Return the joint torques for `acceleration` (all joints), by computed torque or the inertias `gains`."""
-        torque = np.zeros(self.model.nv)
+        """Return the joint torques for `acceleration` (n,), by computed torque or the inertias `gains`."""
+        torque = np.zeros(self.n)
         if gains is None:
             mujoco.mj_mulM(self.model, self.data, torque, acceleration)
         else:

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from scara_effmass.iso15066 import Mobility, SpeedLimits, limits_for
-from scara_effmass.iso15066.drives import DURATION_S, MAX_MOBILITY, servo_reduced_masses
+from scara_effmass.iso15066 import TRANSIENT_S, Mobility, SpeedLimits, limits_for
+from scara_effmass.iso15066.drives import MAX_MOBILITY, servo_reduced_masses
 from scara_effmass.settings import MonitorSettings
 
 REGIONS = [limit.region for limit in limits_for(MonitorSettings())]
@@ -21,7 +21,7 @@ def speed_limits(**changes: object) -> SpeedLimits:
 
 
 def peak_force(mass: float, stiffness: float, obstacle: float, bandwidth: float, damping: float) -> float:
-    """Return the peak force [N] at 1 m/s, integrated by solve_ivp in absolute coordinates within `DURATION_S`."""
+    """Return the peak force [N] at 1 m/s, integrated by solve_ivp in absolute coordinates within `TRANSIENT_S`."""
     servo = 2.0 * math.pi * bandwidth
 
     def rates(t: float, state: np.ndarray) -> list[float]:
@@ -31,7 +31,7 @@ def peak_force(mass: float, stiffness: float, obstacle: float, bandwidth: float,
         return [vx, (drive - force) / mass, vy, force / obstacle]
 
     period = 2.0 * math.pi / math.sqrt(stiffness * (1.0 / mass + 1.0 / obstacle))
-    solution = solve_ivp(rates, (0.0, DURATION_S), [0.0, 1.0, 0.0, 0.0], max_step=period / 40, rtol=1e-8, atol=1e-10)
+    solution = solve_ivp(rates, (0.0, TRANSIENT_S), [0.0, 1.0, 0.0, 0.0], max_step=period / 40, rtol=1e-8, atol=1e-10)
     return float(stiffness * np.max(solution.y[0] - solution.y[2]))
 
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from scara_effmass.iso15066 import Mobility, SpeedLimits, limits_for
+from scara_effmass.iso15066 import TRANSIENT_S, Mobility, SpeedLimits, limits_for
 from scara_effmass.iso15066.drives import contact_lines
-from scara_effmass.iso15066.pose_change import MAX_CONTACT_S, PoseChange, contact_time
+from scara_effmass.iso15066.pose_change import PoseChange, contact_time
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import FloatArray, Vector3
 
@@ -131,7 +131,7 @@ def test_contact_time() -> None:
     """1.5 times a quarter period, at most the longest transient contact."""
     period = 2.0 * math.pi * math.sqrt(2.0 / 25_000.0)
     assert contact_time(2.0, 25_000.0) == pytest.approx(1.5 * period / 4.0)
-    assert contact_time(2.0, 20.0) == contact_time(math.inf, 25_000.0) == MAX_CONTACT_S == 0.5
+    assert contact_time(2.0, 20.0) == contact_time(math.inf, 25_000.0) == TRANSIENT_S == 0.5
 
 
 @given(

@@ -117,6 +117,14 @@ class NodeHarness:
         for topic, received in self.scalars.items():
             self.node.create_subscription(Float64, topic, partial(self._on_scalar, received), DEEP_QOS)
 
+    def subscribe_until_ok(self) -> None:
+        """Subscribe, wait for OK and discard what came before it."""
+        self.subscribe()
+        self.spin_until(
+            lambda: self.contact_states and all(self.scalars.values()), repeat=lambda: self.send(joint_state())
+        )
+        self.synchronize()
+
     def on_contact_state(self, message: ContactState) -> None:
         """Keep the states of the shipped robot's elbow apart, so that `contact_states` has one for each joint state."""
         (self.elbow_states if message.contact_point == "elbow" else self.contact_states).append(message)
@@ -263,11 +271,7 @@ def shared_harness(
     """Run one monitor, without debounce and with a 60 s timeout, for tests that leave its state unchanged."""
     with reserve_domain() as domain, closing(NodeHarness(domain, tmp_path_factory.mktemp("shared"))) as harness:
         harness.start("--ros-args", "-p", "release_time:=0.0", "-p", "timeout:=60.0")
-        harness.subscribe()
-        harness.spin_until(
-            lambda: harness.contact_states and all(harness.scalars.values()), repeat=lambda: harness.send(joint_state())
-        )
-        harness.synchronize()
+        harness.subscribe_until_ok()
         yield harness
 
 

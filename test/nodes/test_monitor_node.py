@@ -74,7 +74,7 @@ class TestLifecycle:
         harness.send_until_ok()
         assert harness.change_state(Transition.TRANSITION_ACTIVE_SHUTDOWN)
         assert label(harness) == "finalized"
-        assert harness.node.count_publishers("contact_state") == 0
+        harness.spin_until(lambda: harness.node.count_publishers("contact_state") == 0)
 
     def test_invalid_transition_is_refused_and_the_node_continues(self, harness: NodeHarness) -> None:
         for transition in (Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_CONFIGURE, 99):

@@ -467,8 +467,8 @@ def test_servo_counts_joints_that_are_held_one_by_one(
     fixed, mobilities, share = settings.fixed_normal, [], 1.0
     if fixed and any(masses.direction):
         share = max(abs(float(np.dot(fixed, masses.direction))), 0.1)
-    coupled = masses.full, masses.worst_full, masses.full_mobility, masses.full_change
-    for mass, worst_mass, matrix, change in (coupled,) if servo["computed_torque"] else (coupled, held):
+    coupled = "full", masses.full, masses.worst_full, masses.full_mobility, masses.full_change
+    for _, mass, worst_mass, matrix, change in (coupled,) if servo["computed_torque"] else (coupled, held):
         if fixed:
             along = change and change.along(fixed, share * masses.speed)
             mobilities.append(Mobility.of_matrix(matrix, fixed, masses.rank, along).along_normal())

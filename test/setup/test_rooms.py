@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "scara_effmass"
 
 FLOORS = (
-    {"errors", "share", "values", "settings"},
+    {"errors", "parent", "share", "values", "settings"},
     {"iso15066"},
     {"model"},
     {"safety", "impacts"},
