@@ -292,16 +292,17 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
                 gc.freeze()
                 while rclpy.ok():
                     executor.spin_until_future_complete(Future(), timeout_sec=_SPIN_S)
-                node.raise_abort_error()
             except EffmassError:
                 raise
             except Exception as error:
                 if rclpy.ok():
                     _publish_last(node, f"the node ends: {error!r}")
                     raise
-                # A signal ended the context.
+                # A signal or `abort` ended the context.
             finally:
                 _end(node, executor)
+            if node is not None:
+                node.raise_abort_error()
     except EffmassError as error:
         print(error, file=sys.stderr)  # noqa: T201
         _log_refusal(name, error, ros_arguments)

@@ -84,6 +84,10 @@ def _checked_type(node: Node, parameter: Parameter, field: FieldInfo) -> Any:  #
     if parameter.type_ is not expected:
         is_integer = parameter.type_ is Parameter.Type.INTEGER and expected is Parameter.Type.DOUBLE
         hint = f": write {parameter.value}.0" if is_integer else ""
+        if expected is Parameter.Type.STRING:  # YAML reads y, N, yes, no, on and off as booleans
+            is_boolean = parameter.type_ is Parameter.Type.BOOL
+            word = ("y" if parameter.value else "N") if is_boolean else parameter.value
+            hint = f""": YAML needs quotes, as in {parameter.name}:="'{word}'\""""
         rule = f"must be {expected.name}, is {parameter.type_.name}{hint}"
         raise SettingsError(f"{node.get_name()}: {parameter.name} = {parameter.value!r}: {rule}")
     return from_ros(parameter)

@@ -11,10 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from rosgraph_msgs.msg import Clock
 from scara_effmass_msgs.msg import ForceBlock, Impact
 from std_srvs.srv import Trigger
 
@@ -221,6 +223,10 @@ def test_stuck_subscriber_does_not_delay_others(new_harness: Callable[..., NodeH
         ("sensor.sensitivty:=2.3", "daq: no parameter 'sensor.sensitivty': must be sensor.sensitivity"),
         ("sensor.sensitivity:=0.0", "daq: sensor.sensitivity = 0.0: Input should be greater than 0"),
         ("sensor.sensitivity:=2", "daq: sensor.sensitivity = 2: must be DOUBLE, is INTEGER: write 2.0"),
+        ("frame_id:=y", "daq: frame_id = True: must be STRING, is BOOL: YAML needs quotes, as in frame_id:=\"'y'\""),
+        ("bag.path:=N", "daq: bag.path = False: must be STRING, is BOOL: YAML needs quotes, as in bag.path:=\"'N'\""),
+        ("source:=7", "daq: source = 7: must be STRING, is INTEGER: YAML needs quotes, as in source:=\"'7'\""),
+        ("frame_id:='y'", "the driver NI-DAQmx is not installed"),
         ("detection.threshold:=.nan", "daq: detection.threshold = nan: Input should be a finite number"),
         ("sim.channels:=0", "daq: sim.channels = 0: Input should be greater than or equal to 1"),
         ("bag.stamps:=then", "daq: bag.stamps = 'then': Input should be 'recorded' or 'now'"),
@@ -267,6 +273,26 @@ def test_missing_recording_exits_with_2_and_one_line(new_harness: Callable[..., 
     assert process.returncode == 2
     assert errors.startswith(f"{missing}: ")
     assert len(errors.splitlines()) == 1
+
+
+def test_rate_on_the_clock_of_a_replay_exits_with_2_and_one_line(
+    new_harness: Callable[..., NodeHarness], tmp_path: Path
+) -> None:
+    words = ["-p", "source:=bag", "-p", f"bag.path:={write_recording(tmp_path)}", "-p", "bag.subscriber_timeout:=0.0"]
+    harness = start_node(new_harness, *words, "-p", "bag.rate:=4.0", "-p", "use_sim_time:=true")
+    harness.process_may_end = True
+    process, publisher = harness.process, harness.node.create_publisher(Clock, "/clock", 1)
+    assert process is not None
+
+    def has_ended() -> bool:
+        publisher.publish(Clock(clock=Time(sec=1_800_000_000)))
+        return process.poll() is not None
+
+    harness.spin_until(has_ended)
+    output, errors = process.communicate()
+    assert (process.returncode, output) == (2, "")
+    (only,) = [line for line in errors.splitlines() if "[INFO]" not in line]
+    assert only.endswith("force.mcap: bag.rate = 4: must be 1, the bag is replayed on this clock")
 
 
 def test_parameters_are_read_only_while_running(new_harness: Callable[..., NodeHarness]) -> None:
