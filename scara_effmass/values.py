@@ -88,6 +88,8 @@ class ContactAssessment(NamedTuple):
     full_mobility: Mobility6 = NO_MOBILITY
     contact_normal: str = ""
     mass_model: str = ""
+    test_direction: Vector3 = ZERO_VECTOR
+    test_effective_mass: float = 0.0
 
 
 class Decision(NamedTuple):

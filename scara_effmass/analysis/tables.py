@@ -45,18 +45,20 @@ _UNITS = {
     "worst_normal_reduced_mass": "worst_normal_reduced_mass_kg",
     "force_bound": "force_bound_n",
     "clamping_force": "clamping_force_n",
+    "test_effective_mass": "test_effective_mass_kg",
 }
 _LABELS = ("contact_point", "body_region", "criterion", "verdict", "reason", "contact_normal", "mass_model")
 _MOBILITIES = {
     model: [f"{model}_{entry}_1_kg" for entry in ("xx", "xy", "xz", "yy", "yz", "zz")]
     for model in ("lumped_mobility", "full_mobility")
 }
+_VECTORS = ("direction", "test_direction")
 _FLAGS = ("worst_direction_used", "mass_capped", "watchdog")
 
 SCHEMA = pa.schema(
     [("bag", pa.string()), ("log_time_ns", pa.int64()), ("stamp_ns", pa.int64())]
     + [(name, pa.string()) for name in _LABELS]
-    + [(f"direction_{axis}", pa.float64()) for axis in "xyz"]
+    + [(f"{name}_{axis}", pa.float64()) for name in _VECTORS for axis in "xyz"]
     + [(name, pa.float64()) for name in (*_UNITS.values(), *chain(*_MOBILITIES.values()))]
     + [(name, pa.bool_()) for name in _FLAGS]
 )
@@ -128,8 +130,9 @@ def _columns(rows: list[tuple[str, int, ContactAssessment]]) -> dict[str, Sequen
     columns: dict[str, Sequence[Any]] = {"bag": bags, "log_time_ns": times, "stamp_ns": fields["stamp_ns"]}
     columns |= {name: fields[name] for name in (*_LABELS, *_FLAGS)}
     columns["verdict"] = [verdict.name for verdict in fields["verdict"]]
-    for axis, values in zip("xyz", zip(*fields["direction"], strict=True), strict=True):
-        columns[f"direction_{axis}"] = values
+    for name in _VECTORS:
+        for axis, values in zip("xyz", zip(*fields[name], strict=True), strict=True):
+            columns[f"{name}_{axis}"] = values
     for field, names in _MOBILITIES.items():
         columns |= dict(zip(names, zip(*fields[field], strict=True), strict=True))
     return columns | {name: fields[field] for field, name in _UNITS.items()}

@@ -6,6 +6,7 @@ from pathlib import Path
 from scara_effmass.cli.options import (
     BAGS,
     COUNT,
+    DIRECTION,
     FORCE,
     JSON,
     LIMITS,
@@ -251,6 +252,7 @@ examples:
   scara-effmass assess bags/tour -o tour.parquet --report out/tour
   scara-effmass assess monday.mcap tuesday.mcap -o week.csv --robot my_robot.urdf --model full
   scara-effmass assess bags/tour -o tour.mcap --region hand_fingers --json
+  scara-effmass assess bags/tour -o press.parquet --direction 0 0 -1
 """,
         BAGS,
         output("FILE", ".parquet, .csv or .mcap"),
@@ -258,6 +260,7 @@ examples:
         TOPIC,
         *ROBOT,
         *LIMITS,
+        *DIRECTION,
         params("monitor_node"),
         FORCE,
         JSON,

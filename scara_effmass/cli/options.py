@@ -16,7 +16,7 @@ class Option:
         self,
         names: str,
         text: str,
-        metavar: str | None = None,
+        metavar: str | tuple[str, ...] | None = None,
         kind: Callable[[str], object] | None = None,
         **keywords: Any,  # noqa: ANN401
     ) -> None:
@@ -79,6 +79,17 @@ LIMITS = (
         action="append",
     ),
     Option("--contact", "type of contact (default: transient)", choices=[contact.value for contact in ContactType]),
+)
+DIRECTION = (
+    Option(
+        "--direction",
+        "direction along which the effective mass is computed, as of a press test",
+        ("X", "Y", "Z"),
+        float,
+        nargs=3,
+        dest="test_direction",
+    ),
+    Option("--direction-frame", "frame of the direction (default: the base)", "FRAME", dest="test_direction_frame"),
 )
 NOT_NEGATIVE = number("a number >= 0", lambda value: 0.0 <= value < math.inf)
 POSITIVE = number("a number > 0", lambda value: value > 0.0)

@@ -171,7 +171,7 @@ class RobotDynamics:
                     accelerations = (tuple(rate.dot(qd).tolist()), tuple(held))
                     changes[i] = PoseChange(direction, speed, mobilities[i], rate.dot(response).tolist(), accelerations)
         if moving:
-            lumped, full = _effective_mass(lumped_mobility, direction), _effective_mass(full_mobility, direction)
+            lumped, full = effective_mass(lumped_mobility, direction), effective_mass(full_mobility, direction)
         else:
             lumped, full = _worst_mass(lumped_mobility, rank), _worst_mass(full_mobility, rank)
         reason = self.lumped_reason
@@ -226,16 +226,19 @@ class RobotDynamics:
         rate = ((jacobian_rate - response.T * coriolis) @ response).tolist()
         x, y, z = (jacobian_rate @ qd).tolist()
         change = PoseChange(masses.direction, masses.speed, mobility, rate, ((x, y, z),))
-        return ModelMass(name, _effective_mass(mobility, masses.direction), worst_mass, mobility, change)
+        return ModelMass(name, effective_mass(mobility, masses.direction), worst_mass, mobility, change)
 
-    def in_base(self, q: FloatArray, vector: Vector3, frame: str) -> Vector3:
-        """Return `vector` (3,) of the robot's `frame` in base axes at `q`. Raises RobotError for an unknown frame."""
+    def in_base(self, q: FloatArray, vector: Vector3, frame: str, setting: str = "contact_normal_frame") -> Vector3:
+        """Return `vector` (3,) of the robot's `frame` in base axes at `q`.
+
+        Raises RobotError for an unknown frame, which `setting` names.
+        """
         model = self.robot.model
         if frame in {"", self.robot.base_frame}:
             return vector
         if not model.existFrame(frame):
             names = ", ".join(dict.fromkeys(frame.name for frame in model.frames))
-            raise RobotError(f"{self.robot.origin}: contact_normal_frame = {frame!r}: must be one of {names}")
+            raise RobotError(f"{self.robot.origin}: {setting} = {frame!r}: must be one of {names}")
         pin.framesForwardKinematics(model, self._kinematics, q)
         x, y, z = (self._kinematics.oMf[model.getFrameId(frame)].rotation @ vector).tolist()
         return x, y, z
@@ -342,7 +345,7 @@ def _worst_mass(mobility: Matrix, rank: int) -> float:
     return 1.0 / min_mobility if min_mobility > 0.0 else math.inf
 
 
-def _effective_mass(mobility: Matrix, direction: Vector3) -> float:
+def effective_mass(mobility: Matrix, direction: Vector3) -> float:
     """Return the effective mass along n, m_n = 1 / (n^T A n) (Eq. 8).
 
     Infinite if no joint moves the point along n, NaN without a model.

@@ -18,7 +18,7 @@ from scara_effmass.iso15066 import (
     reduced_mass,
 )
 from scara_effmass.iso15066.mobility import Matrix
-from scara_effmass.model.dynamics import EffectiveMasses, ModelMass, RobotDynamics
+from scara_effmass.model.dynamics import EffectiveMasses, ModelMass, RobotDynamics, effective_mass
 from scara_effmass.safety.debounce import VerdictDebouncer, severity
 from scara_effmass.safety.joint_state_validator import NANOSECONDS, JointStateValidator, OtherDevice
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
@@ -87,6 +87,7 @@ class Monitor:
         """Return the speed limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
         q = np.zeros(self.dynamics.robot.model.nv)
         self.dynamics.in_base(q, settings.fixed_normal or ZERO_VECTOR, settings.contact_normal_frame)
+        self.dynamics.in_base(q, ZERO_VECTOR, settings.test_direction_frame, "test_direction_frame")
         return SpeedLimits(limits_for(settings), settings)
 
     def apply(self, settings: MonitorSettings) -> None:
@@ -100,6 +101,7 @@ class Monitor:
         self._mass_factor = 1.0 + settings.mass_uncertainty
         self._weakest = min(limits.limits, key=lambda limit: limit.permissible_force_n)
         self._normal_text = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
+        self._test_direction = settings.fixed_test_direction
         self._normal_is_known = settings.contact_normal != "worst"
         # Along the velocity the bound is that of the paper and of the standard, in the pose of the first touch.
         choices = {} if settings.contact_normal == "velocity" else {"lumped": _LUMPED, "full": _FULL}
@@ -235,6 +237,7 @@ class Monitor:
             error = error or NO_CLAMPING_FORCE
         mass = worst_mass = obstacle_mass = stiffness = mu = worst_mu = force = force_bound = allowable_speed = 0.0
         region = criterion = model_name = ""
+        test_direction, test_mass = self._along_test_direction(models, masses, q)
         if error:
             verdict, reason = Verdict.UNKNOWN, error
         else:
@@ -311,7 +314,21 @@ class Monitor:
             _entries(masses.full_mobility),
             self._normal_text,
             model_name,
+            test_direction,
+            min(test_mass, cap),
         )
+
+    def _along_test_direction(
+        self, models: list[ModelMass], masses: EffectiveMasses, q: FloatArray
+    ) -> tuple[Vector3, float]:
+        """Return the test direction in base axes, and the largest mass of `models` along it [kg]; 0 if one has none."""
+        if self._test_direction is None:
+            return ZERO_VECTOR, 0.0
+        direction = self.dynamics.in_base(q, self._test_direction, self.settings.test_direction_frame)
+        if masses.has_massless_direction and any(model.name == "lumped" for model in models):
+            return direction, 0.0
+        along = [effective_mass(model.mobility, direction) if model.mobility else model.mass for model in models]
+        return direction, max(along, default=0.0)
 
     def _at_normal(
         self, models: list[ModelMass], masses: EffectiveMasses, q: FloatArray

@@ -37,6 +37,7 @@ class Drives(str, Enum):
 
 
 Offset = Annotated[float, Field(ge=-10.0, le=10.0)]
+Component = Annotated[float, Field(ge=-1e6, le=1e6)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -120,6 +121,10 @@ class MonitorSettings(FrozenSettings):
     contact_normal_frame: str = tunable(
         "", "frame of a fixed contact_normal, from the robot description; empty: the base"
     )
+    test_direction: tuple[Component, Component, Component] = tunable(
+        (0.0, 0.0, 0.0), "direction along which the effective mass is also published, as of a press test; 0 0 0: none"
+    )
+    test_direction_frame: str = tunable("", "frame of test_direction, from the robot description; empty: the base")
     drives: Drives = tunable(
         Drives.FREE, "drives during a contact: free (the standard, the paper), servo (they push on), or immovable"
     )
@@ -185,6 +190,11 @@ class MonitorSettings(FrozenSettings):
         return unit_vector(self.contact_normal)
 
     @property
+    def fixed_test_direction(self) -> Vector3 | None:
+        """Unit vector of `test_direction` in `test_direction_frame`, or None."""
+        return _normalized(*self.test_direction)
+
+    @property
     def robot_path(self) -> Path:
         """Path of the robot file: `robot`, or the shipped Omron i4-550L where that is empty."""
         return Path(self.robot) if self.robot else share("config", "omron_i4_550l.yaml")
@@ -196,5 +206,9 @@ def unit_vector(text: str) -> Vector3 | None:
         x, y, z = map(float, text.split())
     except ValueError:
         return None
+    return _normalized(x, y, z)
+
+
+def _normalized(x: float, y: float, z: float) -> Vector3 | None:
     length = math.hypot(x, y, z)
     return (x / length, y / length, z / length) if 0.0 < length < math.inf else None

@@ -7,9 +7,9 @@ with rclpy and rosbags.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.values import ContactAssessment, Vector3, Verdict
 from scara_effmass.wire.cdr import LITTLE_ENDIAN, NS, padded, sec_and_nanosec, with_text
 
 if TYPE_CHECKING:
@@ -20,20 +20,27 @@ _DOUBLES = 15
 _FLOAT64 = struct.Struct("<4sd")
 _END = struct.Struct("<d??6xd?7x15d")
 """From input_age to full_mobility."""
+_TEST = struct.Struct("<4d")
+"""test_direction and test_effective_mass."""
 
 
 def contact_from(message: ContactState) -> ContactAssessment:
     """Return the assessment in `message`."""
-    stamp, direction = message.header.stamp, message.direction
+    stamp = message.header.stamp
     converted = {
         "stamp_ns": stamp.sec * NS + stamp.nanosec,
-        "direction": (direction.x, direction.y, direction.z),
+        "direction": _vector(message.direction),
+        "test_direction": _vector(message.test_direction),
         "verdict": Verdict(message.verdict),
         "lumped_mobility": tuple(map(float, message.lumped_mobility)),
         "full_mobility": tuple(map(float, message.full_mobility)),
     }
     fields = (converted[name] if name in converted else getattr(message, name) for name in ContactAssessment._fields)
     return ContactAssessment._make(fields)
+
+
+def _vector(message: Any) -> Vector3:  # noqa: ANN401 - geometry_msgs has no types
+    return message.x, message.y, message.z
 
 
 def float64_message(value: float) -> bytes:
@@ -58,16 +65,17 @@ class ContactStateEncoder:
         """Return the CDR bytes of the message."""
         stamp_ns, _, direction, *numbers = contact[:15]
         body_region, criterion, verdict, reason = contact[15:19]
-        *_, lumped_mobility, full_mobility, contact_normal, mass_model = contact
+        *_, lumped_mobility, full_mobility, contact_normal, mass_model, test_direction, test_mass = contact
         texts = (body_region, criterion, verdict, reason, contact_normal, mass_model)
         if texts != self._texts:
             encoded = with_text(with_text(b"", body_region), criterion) + bytes((verdict,))
             self._encoded_texts = padded(with_text(encoded, reason))
-            self._encoded_models = with_text(with_text(b"", contact_normal), mass_model)
+            self._encoded_models = padded(with_text(with_text(b"", contact_normal), mass_model))
             self._texts = texts
         return (
             self._start.pack(LITTLE_ENDIAN, *sec_and_nanosec(stamp_ns), self._head, *direction, *numbers)
             + self._encoded_texts
             + _END.pack(*contact[19:27], *lumped_mobility, *full_mobility)
             + self._encoded_models
+            + _TEST.pack(*test_direction, test_mass)
         )

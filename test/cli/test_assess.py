@@ -63,8 +63,8 @@ def assert_equal(rows: list[dict[str, Any]], contacts: list[ContactAssessment]) 
     assert len(rows) == len(contacts)
     for row, contact in zip(rows, contacts, strict=True):
         for field, value in contact._asdict().items():
-            if field == "direction":
-                assert tuple(row[f"direction_{axis}"] for axis in "xyz") == value
+            if field in {"direction", "test_direction"}:
+                assert tuple(row[f"{field}_{axis}"] for axis in "xyz") == value
             elif field == "verdict":
                 assert row["verdict"] == value.name
             elif field.endswith("_mobility"):
@@ -90,6 +90,18 @@ def test_parquet_contains_the_assessments(swing_bag: Path, cli: Cli, tmp_path: P
     assert json.loads(metadata["bags"]) == [str(swing_bag)]
 
 
+def test_direction_adds_the_mass_along_it(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+    out = tmp_path / "a.parquet"
+    assert (
+        cli("assess", swing_bag, "-o", out, "--direction", "1", "0", "0", "--direction-frame", "tool").returncode == 0
+    )
+    settings = MonitorSettings(test_direction=(1.0, 0.0, 0.0), test_direction_frame="tool")
+    rows = parquet.read_table(out).to_pylist()
+    assert_equal(rows, core_assessments(swing_bag, settings))
+    assert len({row["test_direction_x"] for row in rows}) > 100
+    assert min(row["test_effective_mass_kg"] for row in rows if row["verdict"] != "UNKNOWN") > 0.9
+
+
 def test_csv_contains_the_exact_assessments(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     assert cli("assess", swing_bag, "-o", tmp_path / "a.csv").returncode == 0
     with (tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
@@ -112,9 +124,12 @@ def test_mcap_contains_contact_states_at_the_recorded_times(swing_bag: Path, cli
             assert state.header.frame_id == "base_link"
             assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == contact.stamp_ns
             assert (state.direction.x, state.direction.y, state.direction.z) == contact.direction
+            test = state.test_direction
+            assert (test.x, test.y, test.z) == contact.test_direction
             assert tuple(state.lumped_mobility) == contact.lumped_mobility
             assert tuple(state.full_mobility) == contact.full_mobility
-            for field in set(contact._fields) - {"stamp_ns", "direction", "lumped_mobility", "full_mobility"}:
+            other = {"stamp_ns", "direction", "test_direction", "lumped_mobility", "full_mobility"}
+            for field in set(contact._fields) - other:
                 assert is_equal(getattr(state, field), getattr(contact, field)), field
         ((_, info),) = run_infos(bag)
         assert json.loads(info.note)["limits_hash"] == TABLE_HASH

@@ -33,7 +33,7 @@ from test.nodes.conftest import NodeHarness, joint_state, stamp_ns
 MS = 1_000_000
 S = 1_000_000_000
 FAST = (8.0, 0.1, 0.1, 0.1)
-FREE_TEXT = {"robot", "contact_normal", "contact_normal_frame"}
+FREE_TEXT = {"robot", "contact_normal", "contact_normal_frame", "test_direction_frame"}
 READ_ONLY_NAMES = {name for name, field in flat_fields(MonitorSettings).items() if field.json_schema_extra == READ_ONLY}
 
 
@@ -111,7 +111,7 @@ class TestParameters:
             if descriptor.type == ParameterType.PARAMETER_DOUBLE:
                 (bounds,) = descriptor.floating_point_range
                 assert 0.0 <= bounds.from_value < bounds.to_value
-            elif descriptor.name == "payload_com":
+            elif descriptor.name in {"payload_com", "test_direction"}:
                 assert descriptor.type == ParameterType.PARAMETER_DOUBLE_ARRAY
             elif descriptor.type != ParameterType.PARAMETER_BOOL and descriptor.name not in FREE_TEXT:
                 assert descriptor.additional_constraints
@@ -149,6 +149,7 @@ class TestParameters:
             ("payload_mass", -1.0, "out of range"),
             ("contact_normal", "up", "contact_normal = 'up': Value error, must be worst, velocity, or three numbers"),
             ("contact_normal_frame", "nowhere", "contact_normal_frame = 'nowhere': must be one of"),
+            ("test_direction_frame", "nowhere", "test_direction_frame = 'nowhere': must be one of"),
             ("payload_com", [0.0, 0.0], "payload_com.2: Field required"),
             ("payload_com", [0.0, 0.0, math.inf], "payload_com.2 = inf"),
         ],

@@ -366,6 +366,32 @@ def test_missing_model_gives_unknown(bare_scara: RobotDynamics, skew_scara: Robo
         assert skew.verdict in {Verdict.OK, Verdict.WARN}
 
 
+@given(positions, velocities, st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.sampled_from(MassModel))
+def test_test_direction_has_the_mass_of_a_motion_along_it(
+    scara: RobotDynamics, q: Vector, qd: Vector, direction: tuple[float, float, float], model: MassModel
+) -> None:
+    assume(np.linalg.norm(direction) > 1e-3)
+    contact = assess_one(scara, q, qd, effective_mass_model=model, test_direction=direction)
+    unit = np.array(direction) / np.linalg.norm(direction)
+    np.testing.assert_allclose(contact.test_direction, unit, atol=1e-12)
+    jacobian = scara.jacobian(np.array(q), scara.robot.contact_frames["tool"])
+    assume(np.linalg.svd(jacobian, compute_uv=False)[-1] > 1e-3)
+    along = np.linalg.pinv(jacobian) @ unit
+    moved = assess_one(scara, q, tuple(along / np.abs(along).max() + 1e-9), effective_mass_model=model)
+    assert contact.test_effective_mass == pytest.approx(moved.effective_mass, rel=1e-6)
+
+
+def test_no_test_direction_gives_none(offset_scara: RobotDynamics) -> None:
+    pose, moving = (0.3, 1.2, 0.1, 0.4), (0.1, 0.1, 0.1, 0.1)
+    for contact in first_assessment(offset_scara, pose, moving, settings_of()):
+        assert (contact.test_direction, contact.test_effective_mass) == ((0.0, 0.0, 0.0), 0.0)
+    # Joint 4 moves the rim, but no lumped mass: there is none along every direction.
+    settings = settings_of(test_direction=(1.0, 0.0, 0.0), contact_normal="velocity")
+    tool, rim = first_assessment(offset_scara, pose, (0.1, 0.1, 0.1, 1e-15), settings)
+    assert tool.test_effective_mass > 0.9
+    assert (rim.test_direction, rim.test_effective_mass) == ((1.0, 0.0, 0.0), 0.0)
+
+
 @given(positions, velocities)
 def test_tightest_contact_point_governs(offset_scara: RobotDynamics, q: Vector, qd: Vector) -> None:
     settings = settings_of(effective_mass_model="full", reference_speed=1.0)
