@@ -377,7 +377,7 @@ def test_test_direction_has_the_mass_of_a_motion_along_it(
     jacobian = scara.jacobian(np.array(q), scara.robot.contact_frames["tool"])
     assume(np.linalg.svd(jacobian, compute_uv=False)[-1] > 1e-3)
     along = np.linalg.pinv(jacobian) @ unit
-    speeds = tuple(0.5 * along / np.abs(along).max() + 1e-9)
+    speeds = tuple(0.5 * along / np.abs(along).max() + 1e-13)
     moved = assess_one(scara, q, speeds, effective_mass_model=model, speed_threshold=1e-6)
     assert contact.test_effective_mass == pytest.approx(moved.effective_mass, rel=1e-6)
 
