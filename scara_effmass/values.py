@@ -54,7 +54,7 @@ class ContactAssessment(NamedTuple):
     `lumped_mass` and `full_mass` [kg] are NaN if the robot has no such model. Under UNKNOWN, what could not be computed
     is 0. Masses and `predicted_force` [N] are nominal; `force_bound` [N], `allowable_speed` and `margin` [m/s] include
     drives and uncertainty margins, on the safe side. `watchdog` marks a state that answers no joint state,
-    because none came in time or the monitor ended.
+    because none came in time or the monitor ended. `mass_model_reason` states why `mass_model` decides.
     """
 
     stamp_ns: int
@@ -88,6 +88,7 @@ class ContactAssessment(NamedTuple):
     full_mobility: Mobility6 = NO_MOBILITY
     contact_normal: str = ""
     mass_model: str = ""
+    mass_model_reason: str = ""
     test_direction: Vector3 = ZERO_VECTOR
     test_effective_mass: float = 0.0
 

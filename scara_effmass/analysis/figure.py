@@ -16,8 +16,8 @@ from scara_effmass.values import FloatArray, Verdict
 
 COLUMNS = 1500
 """Approximate width of the data [pixel]; lines are decimated to it."""
-SUBTITLE_IN = 0.44
-"""Distance of the subtitle from the upper edge [inch]."""
+SUBTITLE_IN = 0.37
+"""Distance of the top of the subtitle from the upper edge [inch]."""
 MAX_LINEAR_RATIO = 12.0
 """Maximum ratio of the masses on a linear axis; beyond it the axis is logarithmic."""
 
@@ -69,9 +69,10 @@ def draw_run(
                 if episode.verdict is Verdict.UNKNOWN:
                     style = {"facecolor": "none", "edgecolor": "#BBBBBB", "hatch": "////", "linewidth": 0.0}
                     axes.axvspan(episode.start, episode.stop, zorder=0, **style)
-        figure.suptitle(f"{title}\n", fontsize=13.0, fontweight="bold", x=0.01, ha="left")
+        title += "\n" * (1 + subtitle.count("\n"))
+        figure.suptitle(title, fontsize=13.0, fontweight="bold", x=0.01, ha="left")
         below_title = 1.0 - SUBTITLE_IN / figure.get_figheight()
-        figure.text(0.01, below_title, subtitle, fontsize=9.5, color="#444444", va="center")
+        figure.text(0.01, below_title, subtitle, fontsize=9.5, color="#444444", va="top")
         figure.align_ylabels()
     return figure
 
@@ -114,8 +115,8 @@ def _draw_masses(axes: Axes, series: TimeSeries, mass_model: str) -> None:
                 _line(axes, series, values, color=color, linestyle="-", linewidth=2.2, label=f"{label} (decides)")
             else:
                 _line(axes, series, values, color=color, linestyle=style, linewidth=1.3, label=label)
-    if mass_model == "largest":
-        label = "larger of both (decides)"
+    if mass_model in {"largest", "auto"}:
+        label = "larger of both (decides)" if mass_model == "largest" else "auto (decides)"
         _line(axes, series, series.effective_mass, color="#E69F00", linewidth=4.0, alpha=0.5, label=label)
     masses = np.concatenate([line.get_ydata() for line in axes.get_lines()] or [np.empty(0)])
     masses = masses[np.isfinite(masses)]

@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 from scara_effmass.analysis.figure import draw_run
@@ -19,6 +20,8 @@ CAPTION = (
     "Verdict; speed of the contact point and its allowable speed; effective masses. "
     "Hatched: UNKNOWN, or no joint state."
 )
+MAX_MODELS_LENGTH = 180
+"""Length of the line with the mass models that decided, and why."""
 MAX_ROWS = 100
 """Most episodes in a table of the page; the summary lists all."""
 _SEVERITY = (Verdict.VIOLATION, Verdict.UNKNOWN, Verdict.WARN)
@@ -47,11 +50,15 @@ class RunReport:
             return
         settings, model = self._settings, self._settings.effective_mass_model.value
         motion = "generated motion, no real robot" if generated else "recorded motion, modelled masses"
+        models = [
+            f"{key} ({count / series.mass_models.total():.0%})" for key, count in series.mass_models.most_common()
+        ]
         drawing = draw_run(
             series,
             title=f"{run}, {model} mass",
             subtitle=f"{motion} · contact point {contact_point} · below {settings.speed_threshold:g} m/s: worst "
-            "direction · allowable speed includes the uncertainty margins",
+            "direction · allowable speed includes the uncertainty margins"
+            f"\n{shorten('mass: ' + '; '.join(models), MAX_MODELS_LENGTH)}",
             mass_model=model,
             timeout=settings.timeout,
             forces=forces,

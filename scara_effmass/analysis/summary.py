@@ -69,6 +69,7 @@ class Summary:
         self.cycles: Counter[Verdict] = Counter()
         self.time_ns: Counter[Verdict] = Counter()
         self.reasons: Counter[str] = Counter()
+        self.mass_models: Counter[str] = Counter()
         self.gaps = 0
         self.max_gap_ns = 0
         self.tightest: TightestMargin | None = None
@@ -91,8 +92,15 @@ class Summary:
             reason = NUMBER.sub("…", worst.reason)
             known = reason in self.reasons or len(self.reasons) < MAX_REASONS
             self.reasons[reason if known else OTHER_REASONS] += 1
+        elif worst.mass_model:
+            self.mass_models[f"{worst.mass_model}: {worst.mass_model_reason}"] += 1
         self._pass_time(at_ns)
         self._last = (at_ns, worst.verdict)
+
+    @property
+    def only_unknown(self) -> bool:
+        """Whether no cycle has a verdict."""
+        return self.cycles[Verdict.UNKNOWN] == self.cycles.total()
 
     def new_recording(self) -> None:
         """Start a new recording; the time since the last cycle is not counted."""
@@ -107,6 +115,7 @@ class Summary:
             "gaps": self.gaps,
             "longest_gap_s": self.max_gap_ns / 1e9,
             "unknown_reasons": dict(self.reasons.most_common()),
+            "mass_models": dict(self.mass_models.most_common()),
             "tightest": self.tightest and self.tightest.as_dict(),
         }
 
@@ -122,6 +131,8 @@ class Summary:
             yield "gaps", f"{self.gaps} longer than the timeout, the longest {self.max_gap_ns / 1e9:.3f} s"
         if self.tightest is not None:
             yield from self.tightest.lines()
+        for model, count in self.mass_models.most_common():
+            yield "mass model", f"{model} ({count / self.mass_models.total():.1%})"
         reasons = self.reasons.most_common()
         for reason, count in reasons[:REASONS_SHOWN]:
             yield "UNKNOWN because", f"{reason} ({count} cycles)"

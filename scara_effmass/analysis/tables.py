@@ -47,7 +47,10 @@ _UNITS = {
     "clamping_force": "clamping_force_n",
     "test_effective_mass": "test_effective_mass_kg",
 }
-_LABELS = ("contact_point", "body_region", "criterion", "verdict", "reason", "contact_normal", "mass_model")
+_LABELS = (
+    *("contact_point", "body_region", "criterion", "verdict", "reason"),
+    *("contact_normal", "mass_model", "mass_model_reason"),
+)
 _MOBILITIES = {
     model: [f"{model}_{entry}_1_kg" for entry in ("xx", "xy", "xz", "yy", "yz", "zz")]
     for model in ("lumped_mobility", "full_mobility")

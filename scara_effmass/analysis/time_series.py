@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import NamedTuple
@@ -20,11 +21,13 @@ NO_JOINT_STATE = "no joint state"
 class TimeSeries:
     """Assessments at `time` (m,) [s] since `start_ns`; unknown values are NaN. Speeds [m/s], masses [kg].
 
-    `reasons` holds the reason of each verdict that differs from the one before, by index.
+    `reasons` holds the reason of each verdict that differs from the one before, by index, and `mass_models` counts the
+    models of the masses with their reasons.
     """
 
     start_ns: int
     reasons: dict[int, str]
+    mass_models: Counter[str]
     time: FloatArray
     verdict: NDArray[np.int64]
     speed: FloatArray
@@ -42,13 +45,14 @@ class TimeSeries:
         return TimeSeries(
             start_ns=self.start_ns,
             reasons={},
+            mass_models=self.mass_models,
             time=np.insert(self.time, gaps, self.time[gaps - 1] + timeout),
             verdict=np.insert(self.verdict, gaps, Verdict.UNKNOWN),
             **columns,
         )
 
 
-_VALUES = tuple(field.name for field in fields(TimeSeries))[4:]
+_VALUES = tuple(field.name for field in fields(TimeSeries))[5:]
 
 
 class Episode(NamedTuple):
@@ -73,6 +77,7 @@ class TimeSeriesBuilder:
         self._verdicts = array("q")
         self._values = array("d")
         self._reasons: dict[int, str] = {}
+        self._mass_models: Counter[str] = Counter()
 
     def add(self, contact: ContactAssessment, at_ns: int) -> None:
         """Add an assessment made at `at_ns`; it is placed at its own stamp where that stamp is valid."""
@@ -80,6 +85,8 @@ class TimeSeriesBuilder:
         decided = contact.verdict is not Verdict.UNKNOWN
         if not self._verdicts or contact.verdict != self._verdicts[-1]:
             self._reasons[len(self._verdicts)] = contact.reason
+        if contact.mass_model:
+            self._mass_models[f"{contact.mass_model}: {contact.mass_model_reason}"] += 1
         self._stamps_ns.append(contact.stamp_ns if known else at_ns)
         self._verdicts.append(contact.verdict)
         self._values.extend(
@@ -106,6 +113,7 @@ class TimeSeriesBuilder:
         return TimeSeries(
             start_ns=start_ns,
             reasons={int(rank[index]): reason for index, reason in self._reasons.items()},
+            mass_models=self._mass_models,
             time=(stamps_ns - start_ns) / 1e9,
             verdict=np.array(self._verdicts)[order],
             **dict(zip(_VALUES, columns, strict=True)),

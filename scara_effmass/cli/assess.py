@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
             result = report.write(f"{robot.name}: assessment", lines, result)
     written = [("written", args.output), *([("open", args.report / "report.html")] if report else [])]
     print_result(result, [*lines, *written], as_json=args.json)
-    return 0
+    return 1 if summary.only_unknown else 0
 
 
 def _lines(
@@ -73,6 +73,8 @@ def _lines(
     foreign = f", {counts['foreign']} of other devices ignored" if counts["foreign"] else ""
     yield "joint states", f"{counts['joint_states']}{foreign}"
     yield from summary.lines()
+    if summary.only_unknown:
+        yield "no verdict", "every joint state is UNKNOWN: the reasons say why; `scara-effmass doctor` checks the robot"
     if counts["refused"]:
         yield "rejected", f"{counts['refused']} joint states (UNKNOWN)"
     if robot_warning:

@@ -8,7 +8,6 @@ from scara_effmass.cli.demo_sim import run_sim
 from scara_effmass.cli.processes import RECORDING
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
-from scara_effmass.settings import MassModel
 
 
 def run(args: argparse.Namespace) -> int:
@@ -16,13 +15,8 @@ def run(args: argparse.Namespace) -> int:
     check_output(args.out / RECORDING, overwrite=args.force)
     settings = monitor_settings(args)
     dynamics = load_dynamics(settings)
-    note = ""
-    if settings.effective_mass_model is MassModel.LUMPED and dynamics.lumped_reason and not args.effective_mass_model:
-        model = MassModel.ISO if dynamics.full_reason else MassModel.FULL
-        note = f"{model.value}, because the lumped mass does not exist: {dynamics.lumped_reason}"
-        settings = monitor_settings(args, effective_mass_model=model)
     if args.bag:
-        return run_bag(args, dynamics, settings, note)
+        return run_bag(args, dynamics, settings)
     if settings.robot:
         raise SettingsError("demo: --robot: the simulated cell has its own robot, an i4-550L; --robot needs --bag")
     if args.topic:

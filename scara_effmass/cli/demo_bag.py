@@ -89,8 +89,8 @@ class LiveRun:
             yield "recording", warning
 
 
-def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings, note: str) -> int:
-    """Replay the recording live and write the report; `note` states why another mass model is used."""
+def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings) -> int:
+    """Replay the recording live and write the report."""
     robot = dynamics.robot
     with open_bag(args.bag) as opened:
         bag = ReplayedBag(
@@ -101,7 +101,7 @@ def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
             description=generated_description(opened),
         )
     report = RunReport(args.out, len(dynamics.contact_points), settings, overwrite=args.force)
-    introduction = _introduction(bag, dynamics, note or settings.effective_mass_model.value, args.rate)
+    introduction = _introduction(bag, dynamics, settings.effective_mass_model.value, args.rate)
     if not args.json:
         print_lines(introduction)
     with processes.removed_on_failure(args.out / processes.RECORDING):

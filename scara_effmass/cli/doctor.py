@@ -178,6 +178,7 @@ def _mass_model(dynamics: RobotDynamics, model: MassModel) -> CheckResult:
         MassModel.FULL: dynamics.full_reason,
         MassModel.LARGEST: dynamics.lumped_reason or dynamics.full_reason,
         MassModel.ISO: "",
+        MassModel.AUTO: "",
     }
     if problem := dynamics.robot.masses_reason:
         remedy = f"add the masses to the robot file ({problem})"

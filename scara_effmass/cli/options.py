@@ -65,7 +65,7 @@ ROBOT = (
     Option("--robot", "robot: URDF or DH YAML (default: the shipped Omron i4-550L)", "FILE"),
     Option(
         "--model",
-        "effective mass that decides the verdict (default: lumped)",
+        "effective mass that decides the verdict (default: auto, of validate: lumped)",
         dest="effective_mass_model",
         choices=[model.value for model in MassModel],
     ),

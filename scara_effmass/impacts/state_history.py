@@ -19,6 +19,8 @@ from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vecto
 
 NANOSECONDS = 1e9
 MODELS = ("lumped", "full", "iso")
+AUTO_SHARE = 0.9
+"""Share of the full mass below which the model auto does not take the lumped one, as by the monitor's model_margin."""
 TREND_STATES = 5
 """Maximum number of states before the impact in the trend."""
 MIN_DIRECTION_LENGTH = 0.5
@@ -204,7 +206,9 @@ class StateHistory:
 def _by_model(lumped: float, full: float, iso: float) -> dict[str, float]:
     """Return the masses by name; the largest is NaN if either of the first two is, because it is then unknown."""
     masses = dict(zip(MODELS, (lumped, full, iso), strict=True))
-    return masses | {MassModel.LARGEST.value: float(np.maximum(lumped, full))}
+    known = full if math.isnan(lumped) or lumped < AUTO_SHARE * full else lumped
+    auto = iso if math.isnan(known) else known
+    return masses | {MassModel.LARGEST.value: float(np.maximum(lumped, full)), MassModel.AUTO.value: auto}
 
 
 def _mass_along(mobility: Mobility6, normal: Vector3) -> float:

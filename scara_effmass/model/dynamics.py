@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.iso15066.mobility import Matrix, mobility_along
+from scara_effmass.iso15066.mobility import Matrix, is_bounded, mobility_along
 from scara_effmass.iso15066.pose_change import PoseChange
 from scara_effmass.model.lumping import LumpedModel, lump
 from scara_effmass.model.robot import Robot
@@ -67,6 +67,15 @@ class EffectiveMasses(NamedTuple):
     def worst_full(self) -> float:
         """Largest full mass over all directions in which the contact point can move [kg]."""
         return _worst_mass(self.full_mobility, self.rank)
+
+    def lumped_is_heavy_enough(self, margin: float) -> bool:
+        """Return whether both models exist and, along every normal, lumped mass >= (1 - margin) full mass.
+
+        Then it holds for the worst direction, and for the reduced mass with any body part along the worst normal.
+        """
+        if self.has_massless_direction or not self.lumped_mobility or not self.full_mobility:
+            return False
+        return is_bounded(self.lumped_mobility, self.full_mobility, 1.0 - margin)
 
 
 class ModelMass(NamedTuple):

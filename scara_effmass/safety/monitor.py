@@ -19,6 +19,7 @@ from scara_effmass.iso15066 import (
 )
 from scara_effmass.iso15066.mobility import Matrix
 from scara_effmass.model.dynamics import EffectiveMasses, ModelMass, RobotDynamics, effective_mass
+from scara_effmass.model.lumping import is_scara
 from scara_effmass.safety.debounce import VerdictDebouncer, severity
 from scara_effmass.safety.joint_state_validator import NANOSECONDS, JointStateValidator, OtherDevice
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
@@ -37,9 +38,8 @@ from scara_effmass.values import (
 
 MIN_NORMAL_COMPONENT = 0.1
 """Smallest share of the speed that counts along a fixed normal: its direction is known to about 6 degrees."""
-_LUMPED = (MassModel.LUMPED, MassModel.LARGEST)
-_FULL = (MassModel.FULL, MassModel.LARGEST)
-_ISO = (MassModel.ISO, MassModel.LARGEST)
+_LUMPED = (MassModel.LUMPED, MassModel.LARGEST, MassModel.AUTO)
+_FULL = (MassModel.FULL, MassModel.LARGEST, MassModel.AUTO)
 NO_CLAMPING_FORCE = (
     "the clamping force is unknown: set the effort limits of the joints in the robot file, or external_force_limit"
 )
@@ -82,6 +82,7 @@ class Monitor:
         self.dynamics = dynamics
         self._masses_reason = dynamics.robot.masses_reason
         self._iso_mass = 0.0 if self._masses_reason else dynamics.robot.iso_mass
+        self._is_scara = is_scara(dynamics.robot)
 
     def check(self, settings: MonitorSettings) -> SpeedLimits:
         """Return the speed limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
@@ -99,6 +100,8 @@ class Monitor:
         self._limits = limits
         self._validator.apply(settings)
         self._mass_factor = 1.0 + settings.mass_uncertainty
+        margin = f"more than {100.0 * settings.model_margin:.3g} % lighter than the full model"
+        self._heavy_enough, self._lighter = f"nowhere {margin}", f"the lumped model is {margin} along some direction"
         self._weakest = min(limits.limits, key=lambda limit: limit.permissible_force_n)
         self._normal_text = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._test_direction = settings.fixed_test_direction
@@ -106,6 +109,10 @@ class Monitor:
         # Along the velocity the bound is that of the paper and of the standard, in the pose of the first touch.
         choices = {} if settings.contact_normal == "velocity" else {"lumped": _LUMPED, "full": _FULL}
         self._changes = [name for name, choice in choices.items() if settings.effective_mass_model in choice]
+        # The full model's change of pose is computed only at a joint state at which auto takes the full mass.
+        self._late_changes: list[str] = []
+        if settings.effective_mass_model is MassModel.AUTO and self.dynamics.lumped and not self.dynamics.full_reason:
+            self._changes, self._late_changes = self._changes[:1], self._changes
         self._drives_push = settings.drives is Drives.SERVO
         self._joints_are_held = self._drives_push and not settings.servo.computed_torque
         self._clamps = settings.contact is ContactType.QUASI_STATIC
@@ -165,6 +172,11 @@ class Monitor:
         effective_masses = self.dynamics.effective_masses(
             motion.q, motion.qd, self.settings.speed_threshold, motion.velocity_tolerance, self._changes
         )
+        margin = self.settings.model_margin
+        if self._late_changes and not all(m.lumped_is_heavy_enough(margin) for m in effective_masses):
+            effective_masses = self.dynamics.effective_masses(
+                motion.q, motion.qd, self.settings.speed_threshold, motion.velocity_tolerance, self._late_changes
+            )
         contacts = [
             self._assess_contact(index, name, debouncer, masses, motion.q, motion.qd, state.stamp_ns, age)
             for index, ((name, debouncer), masses) in enumerate(
@@ -230,18 +242,20 @@ class Monitor:
         age: float,
     ) -> ContactAssessment:
         settings, cap = self.settings, self.settings.mass_cap
-        models, error = self._models(masses)
+        models, why = self._models(masses)
+        error = "" if models else why
         clamping_force = self._clamping_force(masses, q, index) if self._clamps else 0.0
         if clamping_force == math.inf:
             clamping_force = 0.0
             error = error or NO_CLAMPING_FORCE
         mass = worst_mass = obstacle_mass = stiffness = mu = worst_mu = force = force_bound = allowable_speed = 0.0
-        region = criterion = model_name = ""
+        region = criterion = model_name = model_reason = ""
         test_direction, test_mass = self._along_test_direction(models, masses, q)
         if error:
             verdict, reason = Verdict.UNKNOWN, error
         else:
             model_name, mass, worst_mass = models[0][:3]
+            model_reason = why
             for model in models[1:]:
                 worst_mass = max(worst_mass, model.worst_mass)
                 if model.mass > mass:
@@ -314,6 +328,7 @@ class Monitor:
             _entries(masses.full_mobility),
             self._normal_text,
             model_name,
+            model_reason,
             test_direction,
             min(test_mass, cap),
         )
@@ -373,33 +388,56 @@ class Monitor:
         return verdict, reason
 
     def _models(self, masses: EffectiveMasses) -> tuple[list[ModelMass], str]:
-        """Return the models behind the verdict (none if there is an error), and why there is none."""
+        """Return the models behind the verdict and why these; without one, why there is none."""
         choice = self.settings.effective_mass_model
         if self._masses_reason:
             return [], self._masses_reason
-        lumped_missing, full_missing = math.isnan(masses.lumped), math.isnan(masses.full)
-        if choice is MassModel.LUMPED and lumped_missing:
-            return [], f"no lumped mass ({masses.lumped_reason}): choose effective_mass_model full or iso"
-        if choice is MassModel.FULL and full_missing:
-            return [], f"no full mass ({self.dynamics.full_reason}): choose effective_mass_model lumped or iso"
+        names, why = self._choice(masses)
+        if choice is MassModel.LUMPED and not names:
+            return [], f"no lumped mass ({masses.lumped_reason}): choose effective_mass_model auto, full or iso"
+        if choice is MassModel.FULL and not names:
+            return [], f"no full mass ({self.dynamics.full_reason}): choose effective_mass_model auto, lumped or iso"
         models = []
-        if choice in _LUMPED and not lumped_missing:
-            change = masses.lumped_change
-            models.append(ModelMass("lumped", masses.lumped, masses.worst_lumped, masses.lumped_mobility, change))
-        if choice in _FULL and not full_missing:
-            models.append(ModelMass("full", masses.full, masses.worst_full, masses.full_mobility, masses.full_change))
-        if choice in _ISO:
-            models.append(ModelMass("iso", self._iso_mass, self._iso_mass, [], None))
-        for model in models:
+        for name in names:
+            if name == "lumped":
+                change = masses.lumped_change
+                model = ModelMass(name, masses.lumped, masses.worst_lumped, masses.lumped_mobility, change)
+            elif name == "full":
+                model = ModelMass(name, masses.full, masses.worst_full, masses.full_mobility, masses.full_change)
+            else:
+                model = ModelMass(name, self._iso_mass, self._iso_mass, [], None)
+            models.append(model)
             if model.mass < MIN_EFFECTIVE_MASS:
                 minimum = f"must be at least {MIN_EFFECTIVE_MASS:g} kg: check the robot"
                 return [], f"{model.name} mass = {model.mass:.3g} kg: {minimum}"
             if math.isnan(model.worst_mass) and self.settings.contact_normal != "velocity":
                 return [], (
                     f"no {model.name} mass for every contact normal, because a joint moves no lumped mass: choose "
-                    "effective_mass_model full or contact_normal velocity"
+                    "effective_mass_model auto or full, or contact_normal velocity"
                 )
-        return models, ""
+        return models, why
+
+    def _choice(self, masses: EffectiveMasses) -> tuple[list[str], str]:
+        """Return the names of the models that decide, none if the chosen one is missing, and why these."""
+        settings, choice = self.settings, self.settings.effective_mass_model
+        has_lumped, has_full = not math.isnan(masses.lumped), not math.isnan(masses.full)
+        if choice is not MassModel.AUTO:
+            there = {"lumped": has_lumped and choice in _LUMPED, "full": has_full and choice in _FULL}
+            there["iso"] = choice in {MassModel.ISO, MassModel.LARGEST}
+            return [name for name, is_there in there.items() if is_there], f"effective_mass_model {choice.value}"
+        if masses.lumped_is_heavy_enough(settings.model_margin):
+            return ["lumped"], self._heavy_enough
+        lumped_reason = masses.lumped_reason
+        if masses.has_massless_direction:
+            lumped_reason = lumped_reason or "a joint moves the contact point, but no lumped mass"
+            has_lumped = False
+        if has_full:
+            return ["full"], self._lighter if has_lumped else f"no lumped mass: {lumped_reason}"
+        if not has_lumped:
+            return ["iso"], f"no full mass: {self.dynamics.full_reason}; no lumped mass: {lumped_reason}"
+        # Without inertias nothing shows whether the lumped mass of another arm than a SCARA is too light.
+        names = ["lumped"] if self._is_scara else ["lumped", "iso"]
+        return names, f"largest of {' and '.join(names)}, no full mass: {self.dynamics.full_reason}"
 
     def _clamping_force(self, masses: EffectiveMasses, q: FloatArray, index: int) -> float:
         """Return the largest static force [N] of the drives, along a fixed normal, the velocity, or else any axis.

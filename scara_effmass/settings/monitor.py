@@ -19,6 +19,7 @@ class MassModel(str, Enum):
     FULL = "full"
     ISO = "iso"
     LARGEST = "largest"
+    AUTO = "auto"
 
 
 class ContactType(str, Enum):
@@ -91,7 +92,9 @@ class MonitorSettings(FrozenSettings):
         "robot file",
     )
     effective_mass_model: MassModel = tunable(
-        MassModel.LUMPED, "effective mass behind the verdict: lumped, full, iso (M/2 + m_L), or the largest that exists"
+        MassModel.AUTO,
+        "effective mass behind the verdict: lumped, full, iso (M/2 + m_L), the largest that exists, or auto: lumped "
+        "where it exists and model_margin holds in every direction, else full, else iso",
     )
     mass_cap: float = tunable(
         1000.0, "upper bound of the published effective masses, reached near singular poses [kg]", ge=100.0, le=1e6
@@ -100,7 +103,7 @@ class MonitorSettings(FrozenSettings):
     stiffness_uncertainty: Fraction = tunable(0.0, "relative uncertainty of the contact stiffness, added to it")
     speed_uncertainty: float = tunable(0.0, "uncertainty of the measured speed, added to it [m/s]", ge=0.0, le=10.0)
     model_margin: Fraction = tunable(
-        0.1, "WARN when the lumped mass is smaller than the full one by more than this fraction"
+        0.1, "fraction by which the lumped mass may be below the full one: beyond it WARN, and auto takes full"
     )
     speed_threshold: float = tunable(
         0.005, "speed below which the direction is undefined and the worst one is used [m/s]", gt=0.0, le=1.0

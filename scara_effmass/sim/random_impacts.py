@@ -17,6 +17,7 @@ from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.iso15066.drives import servo_reduced_masses
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.model.lumping import is_scara
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.share import share
@@ -213,17 +214,17 @@ def draw_impact(seed: int, index: int) -> Impact:
 
 
 def settings_of(dynamics: RobotDynamics, region: str, servo: JointServo) -> dict[str, MonitorSettings]:
-    """Return SETTINGS for one body region and one servo; without `paper` where the robot has no lumped model."""
+    """Return SETTINGS for one body region and one servo; of another robot than a SCARA without `paper`."""
     values: dict[str, Any] = {
         "body_regions": (region,),
         "servo": ServoSettings(bandwidth=servo.bandwidth, damping=servo.damping, computed_torque=servo.coupled),
     }
-    if dynamics.lumped is None:
+    if not is_scara(dynamics.robot):
         values["effective_mass_model"] = "full"
     return {
         name: MonitorSettings.model_validate({**values, **changes})
         for name, changes in SETTINGS.items()
-        if dynamics.lumped is not None or changes.get("effective_mass_model") != "lumped"
+        if is_scara(dynamics.robot) or changes.get("effective_mass_model") != "lumped"
     }
 
 

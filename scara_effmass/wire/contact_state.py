@@ -65,12 +65,15 @@ class ContactStateEncoder:
         """Return the CDR bytes of the message."""
         stamp_ns, _, direction, *numbers = contact[:15]
         body_region, criterion, verdict, reason = contact[15:19]
-        *_, lumped_mobility, full_mobility, contact_normal, mass_model, test_direction, test_mass = contact
-        texts = (body_region, criterion, verdict, reason, contact_normal, mass_model)
+        *_, lumped_mobility, full_mobility, contact_normal, mass_model, model_reason, test_direction, test_mass = (
+            contact
+        )
+        texts = (body_region, criterion, verdict, reason, contact_normal, mass_model, model_reason)
         if texts != self._texts:
             encoded = with_text(with_text(b"", body_region), criterion) + bytes((verdict,))
             self._encoded_texts = padded(with_text(encoded, reason))
-            self._encoded_models = padded(with_text(with_text(b"", contact_normal), mass_model))
+            models = with_text(with_text(with_text(b"", contact_normal), mass_model), model_reason)
+            self._encoded_models = padded(models)
             self._texts = texts
         return (
             self._start.pack(LITTLE_ENDIAN, *sec_and_nanosec(stamp_ns), self._head, *direction, *numbers)

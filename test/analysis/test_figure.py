@@ -1,5 +1,6 @@
 """The figure of a run shows every line, verdict, gap and impact with its label."""
 
+from collections import Counter
 from io import BytesIO
 
 import numpy as np
@@ -24,6 +25,7 @@ def run(seconds: float = 10.0, *, max_mass: float = 3.0, full: bool = True, gap:
     return TimeSeries(
         start_ns=0,
         reasons={},
+        mass_models=Counter(),
         time=t,
         verdict=np.where(speed > 1.0, Verdict.VIOLATION, Verdict.OK).astype(np.int64),
         speed=speed,

@@ -12,6 +12,7 @@ from shutil import copyfile
 from typing import Any
 
 import pytest
+import yaml
 from pyarrow import parquet
 
 from scara_effmass import __version__
@@ -137,7 +138,9 @@ def test_mcap_contains_contact_states_at_the_recorded_times(swing_bag: Path, cli
 
 def test_options_reach_the_core(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     words = ("--region", "chest", "--region", "pelvis", "--contact", "quasi_static", "--model", "largest")
-    assert cli("assess", swing_bag, "-o", tmp_path / "a.parquet", *words).returncode == 0
+    assert (
+        cli("assess", swing_bag, "-o", tmp_path / "a.parquet", *words).returncode == 1
+    )  # no effort limits: all UNKNOWN
     settings = MonitorSettings.model_validate(
         {"body_regions": ("chest", "pelvis"), "contact": "quasi_static", "effective_mass_model": "largest"}
     )
@@ -199,6 +202,23 @@ def test_undecodable_joint_state_gives_unknown_and_the_run_continues(swing_bag: 
     assert rows[501]["verdict"] == "UNKNOWN"
     assert rows[501]["reason"] == f"held after: {rows[500]['reason']}"
     assert rows[499]["verdict"] != "UNKNOWN" != rows[800]["verdict"]
+
+
+def test_only_unknown_is_no_success_and_says_the_remedy(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+    """A contact point that joint 4 moves has no lumped mass; auto takes another model."""
+    file = yaml.safe_load(share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8"))
+    file["contact_points"] = {"rim": [0.05, 0.0, 0.0]}
+    robot = tmp_path / "robot.yaml"
+    robot.write_text(yaml.safe_dump(file), encoding="utf-8")
+    done = cli("assess", swing_bag, "-o", "lumped.csv", "--robot", robot, "--model", "lumped")
+    assert done.returncode == 1
+    assert "no verdict" in done.stdout
+    assert "choose effective_mass_model auto" in done.stdout
+    assert (tmp_path / "lumped.csv").is_file()
+    done = cli("assess", swing_bag, "-o", "auto.csv", "--robot", robot, "--report", "report", "--json")
+    assert done.returncode == 0
+    (model,) = json.loads(done.stdout)["mass_models"]
+    assert model.startswith("full: no lumped mass: joint4 moves the contact point")
 
 
 def test_wrong_robot_is_refused(swing_bag: Path, refused: Refused, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scara_effmass.iso15066 import Mobility
+from scara_effmass.iso15066.mobility import is_bounded
 from scara_effmass.values import FloatArray
 
 OBSTACLES = st.sampled_from([0.6, 1.2, 2.0, 4.4, 40.0, 75.0, 1000.0, math.inf])
@@ -21,6 +22,29 @@ def mobilities(draw: st.DrawFn) -> tuple[FloatArray, FloatArray, int]:
     basis = np.linalg.qr(rng.normal(size=(3, 3)))[0][:, :rank]
     velocity = basis @ rng.normal(size=rank)
     return basis @ np.diag(10.0 ** rng.uniform(-2, 1, rank)) @ basis.T, velocity / np.linalg.norm(velocity), rank
+
+
+@given(mobilities(), st.integers(0, 2**32 - 1), st.floats(0.0, 1.0))
+def test_bound_of_a_mobility_is_that_of_the_eigenvalues(
+    mobility: tuple[FloatArray, FloatArray, int], seed: int, factor: float
+) -> None:
+    """Also of mobilities of a plane or a line, whose difference has eigenvalues 0."""
+    bound, _, rank = mobility
+    values, basis = np.linalg.eigh(bound)
+    rng = np.random.default_rng(seed)
+    change = basis[:, 3 - rank :] @ rng.normal(size=(rank, rank)) @ basis[:, 3 - rank :].T
+    matrix = bound + 0.3 * (change + change.T)
+    lowest = np.linalg.eigvalsh(basis[:, 3 - rank :].T @ (bound - factor * matrix) @ basis[:, 3 - rank :])[0]
+    if abs(lowest) > 1e-8 * values[-1]:
+        assert is_bounded(matrix.tolist(), bound.tolist(), factor) == (lowest > 0.0)
+    assert is_bounded(bound.tolist(), bound.tolist(), factor)
+
+
+def test_mobility_that_is_nan_is_not_bounded() -> None:
+    eye, nan = np.eye(3).tolist(), np.full((3, 3), math.nan).tolist()
+    assert is_bounded(eye, eye, 1.0)
+    assert not is_bounded(nan, eye, 0.5)
+    assert not is_bounded(eye, nan, 0.5)
 
 
 def reduced(mobility: tuple[FloatArray, FloatArray, int], alpha: float, beta: float = 1.0) -> float:

@@ -139,7 +139,7 @@ class TestParameters:
             ("max_force", 1e5, "max_force = 100000 N: must be at most the standard's"),
             ("stiffness", 1.0, "stiffness = 1 N/mm: must be at least the standard's"),
             ("obstacle_mass", 0.01, "obstacle_mass = 0.01 kg: must be at least the standard's"),
-            ("effective_mass_model", "light", "Input should be 'lumped', 'full', 'iso' or 'largest'"),
+            ("effective_mass_model", "light", "Input should be 'lumped', 'full', 'iso', 'largest' or 'auto'"),
             ("timeout", -1.0, "out of range"),
             ("timeout", math.nan, "out of range"),
             ("speed_threshold", 0.0, "speed_threshold = 0.0: Input should be greater than"),

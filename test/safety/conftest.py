@@ -65,3 +65,13 @@ def skew_scara(tmp_path_factory: pytest.TempPathFactory) -> RobotDynamics:
             body["inertia"] = [body["inertia"]] * 3 + [0.0] * 3
 
     return variant(tmp_path_factory.mktemp("skew"), tilt)
+
+
+@pytest.fixture(scope="session")
+def light_scara(tmp_path_factory: pytest.TempPathFactory) -> RobotDynamics:
+    """The SCARA with a forearm of more inertia than its lumped masses have, so that its lumped model is too light."""
+
+    def widen(file: dict[str, Any]) -> None:
+        file["links"][1]["inertia"] = 0.08
+
+    return variant(tmp_path_factory.mktemp("light"), widen)

@@ -134,6 +134,14 @@ def bounding_speed(
     return float(2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed)))
 
 
+def heavy_enough(masses: EffectiveMasses, margin: float) -> MassModel:
+    """Return the model that auto takes: lumped if nowhere lighter than full by more than the margin."""
+    lumped, full = np.array(masses.lumped_mobility), np.array(masses.full_mobility)
+    lowest = np.linalg.eigvalsh(full - (1.0 - margin) * lumped)[0]
+    assume(abs(lowest) > 1e-8 * np.trace(full))
+    return MassModel.LUMPED if lowest > 0.0 else MassModel.FULL
+
+
 @given(positions, velocities, any_settings)
 def test_assessment_agrees_with_masses_and_limits(
     scara: RobotDynamics, q: Vector, qd: Vector, settings: MonitorSettings
@@ -152,8 +160,10 @@ def test_assessment_agrees_with_masses_and_limits(
         MassModel.LARGEST: max(masses.lumped, masses.full, scara.robot.iso_mass),
     }
     model = settings.effective_mass_model
+    if model is MassModel.AUTO:
+        model = heavy_enough(masses, settings.model_margin)
     mass = mass_by_model[model]
-    models = [m for m in MassModel if m is not MassModel.LARGEST] if model is MassModel.LARGEST else [model]
+    models = list(mass_by_model)[:3] if model is MassModel.LARGEST else [model]
     allowed = {}
     for limit in limits_for(settings):
         allowed[limit.region] = min(bounding_speed(masses, m, scara.robot.iso_mass, limit, settings) for m in models)
@@ -316,7 +326,7 @@ def test_stretched_arm_gives_capped_mass(
     still: Vector = (1e-9, 1e-9, 1e-9, 1e-9)
     for velocity in (still, qd):
         contact = assess_one(scara, (q1, q2, 0.1, 0.0), velocity, effective_mass_model=model)
-        if model is MassModel.ISO:
+        if contact.mass_model == "iso":
             assert contact.effective_mass == scara.robot.iso_mass
             continue
         assert contact.smallest_singular_value < 1e-7
@@ -361,7 +371,7 @@ def test_missing_model_gives_unknown(bare_scara: RobotDynamics, skew_scara: Robo
     if model is MassModel.LUMPED:
         require_no_numbers(skew)
         assert skew.reason.startswith("no lumped mass (")
-        assert skew.reason.endswith("choose effective_mass_model full or iso")
+        assert skew.reason.endswith("choose effective_mass_model auto, full or iso")
     else:
         assert skew.verdict in {Verdict.OK, Verdict.WARN}
 
@@ -387,10 +397,100 @@ def test_no_test_direction_gives_none(offset_scara: RobotDynamics) -> None:
     for contact in first_assessment(offset_scara, pose, moving, settings_of()):
         assert (contact.test_direction, contact.test_effective_mass) == ((0.0, 0.0, 0.0), 0.0)
     # Joint 4 moves the rim, but no lumped mass: there is none along every direction.
-    settings = settings_of(test_direction=(1.0, 0.0, 0.0), contact_normal="velocity")
+    settings = settings_of(effective_mass_model="lumped", test_direction=(1.0, 0.0, 0.0), contact_normal="velocity")
     tool, rim = first_assessment(offset_scara, pose, (0.1, 0.1, 0.1, 1e-15), settings)
     assert tool.test_effective_mass > 0.9
     assert (rim.test_direction, rim.test_effective_mass) == ((1.0, 0.0, 0.0), 0.0)
+
+
+class TestAuto:
+    """The lumped model is taken where it is checked and not too light; see also the recomputation above."""
+
+    Q, QD = (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1)
+
+    @given(positions, velocities, st.sampled_from(["worst", "velocity", "0.6 -0.8 0"]), st.floats(0.0, 0.5))
+    def test_allows_no_more_than_the_full_model_but_for_the_margin(
+        self, light_scara: RobotDynamics, q: Vector, qd: Vector, normal: str, margin: float
+    ) -> None:
+        auto, full = (
+            assess_one(
+                light_scara,
+                q,
+                qd,
+                effective_mass_model=model,
+                contact_normal=normal,
+                model_margin=margin,
+                position_tolerance=0.0,
+            )
+            for model in (MassModel.AUTO, MassModel.FULL)
+        )
+        least = 1.0 - margin
+        assert auto.effective_mass >= full.effective_mass * least * (1.0 - 1e-6)
+        assert auto.worst_direction_mass >= full.worst_direction_mass * least * (1.0 - 1e-6)
+        assert auto.worst_normal_reduced_mass >= full.worst_normal_reduced_mass * least * (1.0 - 1e-6)
+        assert auto.allowable_speed * math.sqrt(least) <= full.allowable_speed * (1.0 + 1e-6)
+        assert auto.verdict in {Verdict.OK, Verdict.WARN, Verdict.VIOLATION}
+        assert "below the full" not in auto.reason
+
+    def test_takes_full_where_lumped_is_lighter_along_any_normal(self, light_scara: RobotDynamics) -> None:
+        contacts = {
+            model.value: assess_one(light_scara, self.Q, self.QD, effective_mass_model=model)
+            for model in (MassModel.AUTO, MassModel.FULL, MassModel.LUMPED)
+        }
+        auto = contacts["auto"]
+        assert auto._replace(mass_model_reason="") == contacts["full"]._replace(mass_model_reason="")
+        assert (
+            auto.mass_model_reason
+            == "the lumped model is more than 10 % lighter than the full model along some direction"
+        )
+        assert contacts["full"].mass_model_reason == "effective_mass_model full"
+        tolerant = assess_one(light_scara, self.Q, self.QD, model_margin=0.9)
+        assert (tolerant.mass_model, tolerant.effective_mass) == ("lumped", contacts["lumped"].effective_mass)
+
+    def test_takes_lumped_without_inertias_for_a_scara_alone(
+        self, bare_scara: RobotDynamics, scara_variant: Variant
+    ) -> None:
+        scara = assess_one(bare_scara, self.Q, self.QD)
+        assert (scara.mass_model, scara.effective_mass) == ("lumped", scara.lumped_mass)
+        assert "no full mass: the file gives no inertia tensors" in scara.mass_model_reason
+
+        def without_quill(file: dict[str, Any]) -> None:
+            del file["joints"][2:], file["links"][2:]
+            for body in (*file["links"], file["payload"]):
+                body.pop("inertia", None)
+
+        planar = scara_variant(without_quill)
+        monitor = Monitor(planar, settings_of())
+        decision = monitor.assess(JointState(NOW, JOINTS[:2], np.array(self.Q[:2]), np.array(self.QD[:2])), NOW)
+        assert decision is not None
+        (contact,) = decision.contacts
+        assert contact.effective_mass == max(contact.lumped_mass, contact.iso_mass)
+        assert contact.mass_model_reason.startswith("largest of lumped and iso, no full mass")
+
+    def test_takes_full_for_a_point_that_a_massless_joint_moves(
+        self, offset_scara: RobotDynamics, scara_variant: Variant
+    ) -> None:
+        _, rim = first_assessment(offset_scara, self.Q, self.QD, settings_of())
+        assert (rim.mass_model, rim.effective_mass) == ("full", rim.full_mass)
+        assert rim.mass_model_reason.startswith("no lumped mass: joint4 moves the contact point")
+
+        def bare_rim(file: dict[str, Any]) -> None:
+            file["contact_points"] = {"rim": [0.05, 0.0, 0.0]}
+            for body in (*file["links"], file["payload"]):
+                body.pop("inertia", None)
+
+        iso = assess_one(scara_variant(bare_rim), self.Q, self.QD)
+        assert (iso.mass_model, iso.effective_mass) == ("iso", iso.iso_mass)
+        assert iso.mass_model_reason.startswith(
+            "no full mass: the file gives no inertia tensors; no lumped mass: joint4"
+        )
+
+    def test_is_the_default(self, scara: RobotDynamics) -> None:
+        assert MonitorSettings().effective_mass_model is MassModel.AUTO
+        auto, lumped = (
+            assess_one(scara, self.Q, self.QD, **settings) for settings in ({}, {"effective_mass_model": "lumped"})
+        )
+        assert auto._replace(mass_model_reason="") == lumped._replace(mass_model_reason="")
 
 
 @given(positions, velocities)
@@ -570,7 +670,7 @@ def test_effective_mass_below_the_minimum_gives_unknown(
         assert light.effective_mass > 0.0
     else:
         require_no_numbers(light)
-        name = "lumped" if model is MassModel.LARGEST else model.value
+        name = "lumped" if model in {MassModel.LARGEST, MassModel.AUTO} else model.value
         assert light.reason.startswith(f"{name} mass = ")
         assert "must be at least 1e-06 kg" in light.reason
 

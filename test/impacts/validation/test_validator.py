@@ -456,6 +456,10 @@ def test_the_first_contact_point_where_none_is_chosen(make_state: MakeState) -> 
         (MassModel.LARGEST, (1.0, 2.0), 2.0),
         (MassModel.LARGEST, (3.0, 2.0), 3.0),
         (MassModel.LUMPED, (1.0, NAN), 1.0),
+        (MassModel.AUTO, (1.9, 2.0), 1.9),
+        (MassModel.AUTO, (1.7, 2.0), 2.0),
+        (MassModel.AUTO, (NAN, 2.0), 2.0),
+        (MassModel.AUTO, (NAN, NAN), ISO),
     ],
 )
 def test_selected_model(
