@@ -60,10 +60,10 @@ def figure_files(names: Iterable[str]) -> list[str]:
 
 
 def write_report_files(
-    folder: Path, texts: Mapping[str, str], figures: Sequence[ReportFigure], *, overwrite: bool
+    folder: Path, texts: Mapping[str, str | bytes], figures: Sequence[ReportFigure], *, overwrite: bool
 ) -> None:
     """Write `texts` by file name and `figures` into `folder`, all or none. Raises OutputError."""
-    files = {name: text.encode() for name, text in texts.items()}
+    files = {name: text if isinstance(text, bytes) else text.encode() for name, text in texts.items()}
     for figure in figures:
         files |= {f"{figure.name}.png": figure.png, f"{figure.name}.svg": figure.svg}
     write_files(folder, files, overwrite=overwrite)

@@ -3,10 +3,10 @@
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 import pyarrow as pa
 from pyarrow import csv, parquet
@@ -99,15 +99,27 @@ def open_writer(path: Path, origin: Mapping[str, str], frame: str, *, overwrite:
         with BagWriter(path, overwrite=overwrite) as bag:
             yield _BagWriter(bag, origin, frame)
         return
-    with atomic_file(path, overwrite=overwrite) as unfinished, ExitStack() as stack:
-        if path.suffix == ".parquet":
-            schema = SCHEMA.with_metadata(dict(origin))
-            table = stack.enter_context(parquet.ParquetWriter(unfinished, schema, compression="zstd"))
-        else:
-            table = stack.enter_context(csv.CSVWriter(unfinished, SCHEMA))
+    with (
+        atomic_file(path, overwrite=overwrite) as unfinished,
+        unfinished.open("wb") as file,
+        open_table(file, path.suffix, SCHEMA, origin) as table,
+    ):
         rows = _TableWriter(table)
         yield rows
         rows.flush()
+
+
+def open_table(
+    file: BinaryIO, suffix: str, schema: pa.Schema, origin: Mapping[str, str]
+) -> parquet.ParquetWriter | csv.CSVWriter:
+    """Return a writer into `file`, ".parquet" or ".csv" by `suffix`, to be used in a `with`.
+
+    Parquet carries `origin` as metadata of its schema, CSV in lines that begin with #, above its header.
+    """
+    if suffix == ".parquet":
+        return parquet.ParquetWriter(file, schema.with_metadata(dict(origin)), compression="zstd")
+    file.writelines(f"# {name}: {value}\n".encode() for name, value in origin.items())
+    return csv.CSVWriter(file, schema)
 
 
 class _TableWriter:

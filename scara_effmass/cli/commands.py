@@ -21,6 +21,7 @@ from scara_effmass.cli.options import (
     number,
     output,
     params,
+    plane,
 )
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
 from scara_effmass.settings import ForceSourceKind
@@ -392,6 +393,44 @@ examples:
             "J",
             number("a whole number from 1", lambda jobs: jobs >= 1, int),
         ),
+        FORCE,
+        JSON,
+    ),
+    "map": Command(
+        "map masses and allowable speeds over the workspace of a robot",
+        """\
+The map shows the effective mass along n (--direction), the reduced masses along n and along the worst contact normal,
+and the allowable speed of a motion along n, of the first contact point, as the monitor computes them. The
+configurations are spread evenly over the joint ranges; each cell shows the worst of those that reach it. One between
+them may be worse; the last line tells how much more --samples may change. DIR receives map.png, map.svg, map.json,
+and a table with a row for each cell and its slowest configuration.
+
+examples:
+  scara-effmass map -o out/map
+  scara-effmass map ur5.urdf -o out/ur5 --model full --plane z=0.3 --direction 0 0 -1
+  scara-effmass map panda.urdf -o out/panda --model full --plane y=0 --region hand_fingers --table parquet
+""",
+        Option("robot", "URDF or DH YAML (default: the shipped Omron i4-550L)", "ROBOT", nargs="?"),
+        output("DIR", "folder for figure, table and summary"),
+        *DIRECTION,
+        Option(
+            "--plane",
+            "plane of the base, as z=0.3 [m] (default: the whole workspace, seen from above)",
+            "AXIS=M",
+            plane,
+            default=(2, math.nan),
+        ),
+        Option(
+            "--samples",
+            "number of configurations (default: 20000)",
+            "N",
+            number("a whole number from 100", lambda count: count >= 100, int),
+            default=20_000,
+        ),
+        Option("--table", "format of the table (default: csv)", choices=["csv", "parquet"], default="csv"),
+        ROBOT[1],
+        *LIMITS,
+        params("monitor_node"),
         FORCE,
         JSON,
     ),

@@ -57,6 +57,14 @@ def number(rule: str, is_valid: Callable[[float], bool], kind: type[float] = flo
     return parse
 
 
+def plane(text: str) -> tuple[int, float]:
+    """Return axis number and value [m] of a plane such as z=0.3."""
+    axis, _, value = text.partition("=")
+    if axis not in {"x", "y", "z"}:
+        raise argparse.ArgumentTypeError(f"{text}: must be x=M, y=M or z=M")
+    return "xyz".index(axis), number("AXIS=M with a number M", math.isfinite)(value)
+
+
 FORCE = flag("--force", "replace existing output")
 JSON = flag("--json", "print the result as JSON")
 BAGS = Option("bags", "recording, or folder of recordings", "BAG", Path, nargs="+")

@@ -284,6 +284,11 @@ class RobotDynamics:
     def _gravity(self, q: FloatArray) -> FloatArray:
         return np.asarray(pin.computeGeneralizedGravity(self.robot.model, self._kinematics, q))
 
+    def position(self, q: FloatArray, frame: int) -> FloatArray:
+        """Return the position (3,) [m] of Pinocchio's `frame` in base axes."""
+        pin.framesForwardKinematics(self.robot.model, self._kinematics, q)
+        return np.array(self._kinematics.oMf[frame].translation)
+
     def jacobian(self, q: FloatArray, frame: int) -> FloatArray:
         """Return J_v (3, n): linear velocity of Pinocchio's `frame` in base axes, per joint velocity."""
         pin.computeJointJacobians(self.robot.model, self._kinematics, q)

@@ -100,8 +100,8 @@ class Robot:
         axis = motion.angular if self.revolute[joint - 1] else motion.linear
         return np.asarray(axis, dtype=np.float64)
 
-    def sample_configurations(self) -> FloatArray:
-        """Return (SAMPLES, n) configurations [rad, m] spread evenly over the joint ranges, the same on every call.
+    def sample_configurations(self, count: int = SAMPLES) -> FloatArray:
+        """Return (count, n) configurations [rad, m] spread evenly over the joint ranges, the same on every call.
 
         A range wider than one turn is sampled over the turn around its value nearest to zero.
         """
@@ -114,7 +114,7 @@ class Robot:
         for _ in range(50):
             ratio = (1.0 + ratio) ** (1.0 / (n + 1))
         steps = ratio ** -np.arange(1, n + 1)
-        fractions = (0.5 + np.outer(np.arange(1, SAMPLES + 1), steps)) % 1.0
+        fractions = (0.5 + np.outer(np.arange(1, count + 1), steps)) % 1.0
         return np.asarray(lower + fractions * (upper - lower), dtype=np.float64)
 
 

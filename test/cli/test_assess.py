@@ -106,7 +106,11 @@ def test_direction_adds_the_mass_along_it(swing_bag: Path, cli: Cli, tmp_path: P
 def test_csv_contains_the_exact_assessments(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     assert cli("assess", swing_bag, "-o", tmp_path / "a.csv").returncode == 0
     with (tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
-        rows: list[dict[str, Any]] = list(csv.DictReader(file))
+        lines = file.readlines()
+    origin = dict(line[2:].rstrip("\n").split(": ", 1) for line in lines if line.startswith("# "))
+    assert (origin["scara_effmass_version"], origin["limits_hash"]) == (__version__, TABLE_HASH)
+    assert MonitorSettings.model_validate_json(origin["settings"]) == MonitorSettings()
+    rows: list[dict[str, Any]] = list(csv.DictReader(line for line in lines if not line.startswith("#")))
     kinds: dict[str, Callable[[str], Any]] = {"double": float, "int64": int, "bool": "true".__eq__, "string": str}
     for row in rows:
         row.update({name: kinds[str(SCHEMA.field(name).type)](value) for name, value in row.items()})

@@ -1,0 +1,100 @@
+"""Maps of the workspace: every cell has the worst of the configurations in it, by the monitor and the closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scara_effmass.analysis.workspace_map import Cells, Plane, WorkspaceSample, map_table, sample_workspace, summarize
+from scara_effmass.errors import RobotError
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.load import load_robot
+from scara_effmass.model.scara_closed_form import scara_lumped_mass
+from scara_effmass.safety import Monitor, unknown_contact
+from scara_effmass.settings import MassModel, MonitorSettings
+from scara_effmass.share import share
+from scara_effmass.values import Vector3, Verdict
+
+ALONG_X: Vector3 = (1.0, 0.0, 0.0)
+SEEN_FROM_ABOVE = Plane()
+MASSES = ("effective_mass", "reduced_mass", "worst_normal_reduced_mass")
+
+
+def sample(settings: MonitorSettings, direction: Vector3 = ALONG_X, plane: Plane = SEEN_FROM_ABOVE) -> WorkspaceSample:
+    dynamics = RobotDynamics(load_robot(settings.robot_path, settings))
+    return sample_workspace(Monitor(dynamics, settings), direction, "", plane, 300, lambda: None)
+
+
+def test_masses_are_those_of_the_closed_form() -> None:
+    drawn = sample(MonitorSettings(effective_mass_model=MassModel.LUMPED))
+    expected = [min(float(scara_lumped_mass(q[0], q[1], 0.0, 2.38, 0.97)), 1000.0) for q in drawn.q]
+    np.testing.assert_allclose(drawn.masses("effective_mass"), expected, rtol=1e-3)
+    length = np.hypot(drawn.positions[:, 0], drawn.positions[:, 1])
+    np.testing.assert_allclose(length, 0.55 * np.abs(np.cos(drawn.q[:, 1] / 2.0)), atol=1e-9)
+
+
+def test_result_does_not_depend_on_the_speed_of_the_motion() -> None:
+    slow, fast = (sample(MonitorSettings(speed_threshold=threshold)) for threshold in (0.005, 0.05))
+    same = {tuple(q): row for row, q in enumerate(slow.q.tolist())}
+    pairs = [(same[tuple(q)], row) for row, q in enumerate(fast.q.tolist()) if tuple(q) in same]
+    assert len(pairs) > 280
+    for first, second in pairs:
+        for field in (*MASSES, "allowable_speed"):
+            value = getattr(slow.contacts[first], field)
+            assert getattr(fast.contacts[second], field) == pytest.approx(value, rel=1e-4, abs=1e-5), field
+
+
+def test_plane_and_direction_of_a_six_axis_arm() -> None:
+    robot = str(share("config", "robots", "ur5_robot.urdf"))
+    direction = (0.0, 0.6, -0.8)
+    drawn = sample(MonitorSettings(robot=robot, effective_mass_model=MassModel.FULL), direction, Plane(1, 0.25))
+    np.testing.assert_allclose(drawn.positions[:, 1], 0.25, atol=1e-4)
+    for contact in drawn.contacts:
+        np.testing.assert_allclose(contact.direction, direction, atol=1e-3)
+    cells = Cells(drawn)
+    table = map_table(cells, ("a", "b", "c", "d", "e", "f"))
+    assert table.column_names[:2] == ["x_m", "z_m"]
+    for row in table.to_pylist():
+        offsets = np.abs(drawn.positions[:, [0, 2]] - [row["x_m"], row["z_m"]])
+        inside = np.all(offsets <= cells.size / 2.0 + 1e-9, axis=1)
+        assert row["configurations"] == inside.sum()
+        assert row["effective_mass_kg"] == drawn.masses("effective_mass")[inside].max()
+        slowest = min(np.flatnonzero(inside), key=lambda index: drawn.contacts[index].allowable_speed)
+        assert row["allowable_speed_m_s"] == drawn.contacts[slowest].allowable_speed
+        assert row["f_position"] == drawn.q[slowest, 5]
+
+
+def test_point_that_cannot_move_along_the_direction_is_refused() -> None:
+    with pytest.raises(RobotError, match="contact point elbow cannot move along"):
+        sample(MonitorSettings(contact_points=("elbow",)), (0.0, 0.0, 1.0))
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.none() | st.floats(0.1, 9.0)), min_size=2, max_size=30))
+def test_unknown_configuration_allows_no_speed_and_has_no_mass(rows: list[tuple[int, float | None]]) -> None:
+    blank = unknown_contact("tool", "no mass", 1, 0.0)
+    contacts = tuple(
+        blank
+        if mass is None
+        else blank._replace(
+            verdict=Verdict.OK,
+            allowable_speed=1.0 / mass,
+            effective_mass=mass,
+            reduced_mass=mass,
+            worst_normal_reduced_mass=mass,
+        )
+        for _, mass in rows
+    )
+    positions = np.array([[place, 0.0, 0.0] for place, _ in rows], float)
+    cells = Cells(WorkspaceSample(SEEN_FROM_ABOVE, ALONG_X, np.zeros((len(rows), 1)), positions, contacts, 0))
+    table = map_table(cells, ("joint1",))
+    assert table.num_rows == len({place for place, _ in rows})
+    for row in table.to_pylist():
+        own = [mass for place, mass in rows if abs(place - row["x_m"]) <= cells.size]
+        known = [mass for mass in own if mass is not None]
+        assert row["unknown"] == own.count(None)
+        assert row["allowable_speed_m_s"] == (0.0 if None in own else 1.0 / max(known))
+        for name in MASSES:
+            assert row[f"{name}_kg"] == max(known) if known else math.isnan(row[f"{name}_kg"])
+    assert summarize(cells, table, 2.77)["unknown"] == [mass for _, mass in rows].count(None)

@@ -1,0 +1,61 @@
+"""`map`: figure, table and summary of a robot, and refusals in one line."""
+
+import json
+from pathlib import Path
+
+import pytest
+from matplotlib.image import imread
+from pyarrow import csv, parquet
+
+from scara_effmass import __version__
+from scara_effmass.share import share
+from test.cli.conftest import Cli, Refused
+
+UR5 = share("config", "robots", "ur5_robot.urdf")
+
+
+def test_map_of_a_plane_of_a_six_axis_arm(cli: Cli, refused: Refused, tmp_path: Path) -> None:
+    out = tmp_path / "new" / "map"
+    words = ("map", UR5, "-o", out, "--model", "full", "--plane", "z=0.3", "--direction", "0", "0", "-1")
+    done = cli(*words, "--samples", "300", "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    result = json.loads(done.stdout)
+    assert (result["configurations"], result["plane"]) == (300, "plane z = 0.3 m")
+    assert result["direction"] == [0.0, 0.0, -1.0]
+    assert {path.name for path in out.iterdir()} == {"map.png", "map.svg", "map.csv", "map.json"}
+    assert imread(out / "map.png").shape[1] > 1000
+    lines = (out / "map.csv").read_text(encoding="utf-8").splitlines()
+    assert f"# scara_effmass_version: {__version__}" in lines
+    options = csv.ReadOptions(skip_rows=sum(line.startswith("#") for line in lines))
+    rows = csv.read_csv(out / "map.csv", read_options=options).to_pylist()
+    assert len(rows) == result["cells"]
+    assert sum(row["configurations"] for row in rows) == 300
+    assert min(row["allowable_speed_m_s"] for row in rows) == result["slowest"]["allowable_speed_m_s"]
+    written = json.loads((out / "map.json").read_text(encoding="utf-8"))
+    assert written["provenance"]["robot"] == str(UR5)
+    assert "--force" in refused(*words, "--samples", "300")
+
+
+def test_parquet_carries_the_provenance(cli: Cli, tmp_path: Path) -> None:
+    done = cli("map", "-o", tmp_path / "map", "--samples", "100", "--table", "parquet")
+    assert "every z, seen along z" in done.stdout
+    metadata = parquet.read_schema(tmp_path / "map" / "map.parquet").metadata
+    assert metadata[b"scara_effmass_version"].decode() == __version__
+
+
+@pytest.mark.parametrize(
+    ("words", "rule"),
+    [
+        (("--plane", "z=9"), "does not reach the plane z = 9 m"),
+        (("--plane", "w=1"), "w=1: must be x=M, y=M or z=M"),
+        (("--plane", "z=low"), "low: must be AXIS=M with a number M"),
+        (("--direction", "0", "0", "0"), "--direction = 0 0 0: must not be 0"),
+        (("--direction", "1", "0", "0", "--direction-frame", "hand"), "test_direction_frame = 'hand': must be one of"),
+        (("--model", "lumped"), "no lumped mass"),
+        (("--samples", "9"), "9: must be a whole number from 100"),
+    ],
+)
+def test_refusals(refused: Refused, words: tuple[str, ...], rule: str) -> None:
+    model = () if "--model" in words else ("--model", "full")
+    samples = () if "--samples" in words else ("--samples", "100")
+    assert rule in refused("map", UR5, "-o", "out", *model, *samples, *words)
