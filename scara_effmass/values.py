@@ -27,6 +27,17 @@ NONE_SATURATED: NDArray[np.uint32] = np.empty(0, np.uint32)
 NONE_SATURATED.flags.writeable = False
 
 
+class Payload(NamedTuple):
+    """Load that the last link carries, unchecked: `mass` [kg], centre of mass `com` [m] and `inertia` about it [kg m2].
+
+    `inertia` is ixx, iyy, izz, ixy, ixz, iyz. Both are in the frame of the first contact point on the last link.
+    """
+
+    mass: float
+    com: Vector3
+    inertia: tuple[float, float, float, float, float, float]
+
+
 class JointState(NamedTuple):
     """One `sensor_msgs/JointState` as received, unchecked.
 

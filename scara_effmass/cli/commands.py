@@ -5,6 +5,7 @@ from pathlib import Path
 
 from scara_effmass.cli.options import (
     BAGS,
+    CELL,
     COUNT,
     DIRECTION,
     FORCE,
@@ -12,6 +13,7 @@ from scara_effmass.cli.options import (
     LIMITS,
     MASS,
     NOT_NEGATIVE,
+    PAYLOAD,
     POSITIVE,
     REPEATED,
     ROBOT,
@@ -63,7 +65,7 @@ examples:
 """,
         Option("--bag", "recording to replay (default: run the simulated cell)", "BAG", Path),
         TOPIC,
-        *ROBOT,
+        *CELL,
         params("monitor_node"),
         Option(
             "--rate",
@@ -89,10 +91,10 @@ ROS arguments follow -- or --ros-args and take precedence over the options.
 
 examples:
   scara-effmass monitor
-  scara-effmass monitor --robot my_robot.urdf --model full
+  scara-effmass monitor --robot my_robot.urdf --model full --payload 2.5 --payload-com 0 0 0.1 --person-speed 1.6
   scara-effmass monitor --params my_cell.yaml -- -r joint_states:=/cell/joint_states -p timeout:=0.1
 """,
-        *ROBOT,
+        *CELL,
         params("monitor_node"),
     ),
     "daq": Command(
@@ -252,15 +254,14 @@ joint states. DIR gets report.html, summary.json, and a figure of each bag and c
 examples:
   scara-effmass assess bags/tour -o tour.parquet --report out/tour
   scara-effmass assess monday.mcap tuesday.mcap -o week.csv --robot my_robot.urdf --model full
-  scara-effmass assess bags/tour -o tour.mcap --region hand_fingers --json
+  scara-effmass assess bags/tour -o tour.mcap --region hand_fingers --contact-area 2 --json
   scara-effmass assess bags/tour -o press.parquet --direction 0 0 -1
 """,
         BAGS,
         output("FILE", ".parquet, .csv or .mcap"),
         Option("--report", "folder for figures, episodes and summary", "DIR", Path),
         TOPIC,
-        *ROBOT,
-        *LIMITS,
+        *CELL,
         *DIRECTION,
         params("monitor_node"),
         FORCE,
@@ -300,6 +301,7 @@ examples:
             "XYZ",
         ),
         *ROBOT,
+        *PAYLOAD,
         *LIMITS,
         params("monitor_node, validator_node and daq_node (its detection)"),
         FORCE,
@@ -464,10 +466,10 @@ Exit code 0: a monitor can run with this robot; 1: something that it needs is wr
 
 examples:
   scara-effmass doctor
-  scara-effmass doctor --robot my_robot.urdf --model full
+  scara-effmass doctor --robot my_robot.urdf --model full --contact-point "elbow=upper_arm_link: 0 0 0.4"
   scara-effmass doctor --json
 """,
-        *ROBOT,
+        *CELL,
         params("monitor_node and daq_node"),
         JSON,
     ),

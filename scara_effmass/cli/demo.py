@@ -21,4 +21,6 @@ def run(args: argparse.Namespace) -> int:
         raise SettingsError("demo: --robot: the simulated cell has its own robot, an i4-550L; --robot needs --bag")
     if args.topic:
         raise SettingsError(f"demo: --topic = {args.topic}: the simulated cell has its own topic; it needs --bag")
+    if settings.payload_mass or settings.payload_topic:
+        raise SettingsError("demo: payload: the simulated robot carries none; it needs --bag")
     return run_sim(args, dynamics, settings)

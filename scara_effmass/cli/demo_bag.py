@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from scara_effmass.analysis.assessment import generated_description, joint_state_topic
+from scara_effmass.analysis.assessment import generated_description, joint_state_topic, payload_topics
 from scara_effmass.analysis.recorded_run import read_force
 from scara_effmass.analysis.run_report import PAGE, RunReport
 from scara_effmass.analysis.summary import Summary
@@ -20,6 +20,7 @@ from scara_effmass.cli.console import live_status, print_lines, print_result, pr
 from scara_effmass.errors import EffmassError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.monitor_client import MonitorClient
+from scara_effmass.nodes.replay_topics import JOINT_STATES
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import ContactAssessment
 from scara_effmass.wire.message_types import FORCE_BLOCK
@@ -30,10 +31,11 @@ FORCE_END_TIMEOUT_S = 3.0
 
 
 class ReplayedBag(NamedTuple):
-    """The recording to replay; `force_topic` and `description` are empty where it has none."""
+    """The recording to replay; `payload_topics`, `force_topic` and `description` are empty where it has none."""
 
     path: Path
     topic: str
+    payload_topics: list[str]
     force_topic: str
     duration_s: float
     description: str
@@ -57,7 +59,7 @@ class LiveRun:
     @property
     def sent(self) -> int:
         """Number of joint states sent."""
-        return sum(self.replayed["sent"].values())
+        return int(self.replayed["sent"][JOINT_STATES])
 
     @property
     def lost(self) -> int:
@@ -96,6 +98,7 @@ def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
         bag = ReplayedBag(
             path=opened.path,
             topic=joint_state_topic(opened, args.topic),
+            payload_topics=payload_topics(opened, settings.payload_topic),
             force_topic=next((topic.name for topic in opened.topics if topic.type == FORCE_BLOCK), ""),
             duration_s=min(opened.duration_ns / 1e9, args.duration),
             description=generated_description(opened),
@@ -149,7 +152,8 @@ def _run_live(
     # Plays the force on the clock of the replay and ends with it.
     force_command = ["daq", "--source", "bag", "--path", str(bag.path), "--topic", bag.force_topic]
     force_command += [*processes.SIM_TIME, "-p", "stop_at_end:=true"]
-    replay_command = ["replay", str(bag.path), "--topic", bag.topic, "--topics", bag.topic, "--rate", str(args.rate)]
+    replay_command = ["replay", str(bag.path), "--topic", bag.topic, "--rate", str(args.rate)]
+    replay_command += ["--topics", bag.topic, *bag.payload_topics]
     replay_command += ["--duration", str(args.duration), "--wait", str(processes.START_TIMEOUT_S), "--json"]
     replay_command += ["--subscribers", "2"]  # monitor and recorder
     first_ns: int | None = None

@@ -138,10 +138,11 @@ def _daq(params: Path | None) -> Iterator[CheckResult]:
 def _limits(settings: MonitorSettings) -> Iterator[CheckResult]:
     try:
         regions = ", ".join(limit.region for limit in limits_for(settings))
+        contact = f"{settings.contact.value}, {settings.contact_area:g} cm², person at {settings.person_speed:g} m/s"
     except LimitError as error:
         yield CheckResult("wrong", "limits", str(error))
     else:
-        yield CheckResult("ok", "limits", f"{EDITION}; hash {TABLE_HASH}; {settings.contact.value}: {regions}")
+        yield CheckResult("ok", "limits", f"{EDITION}; hash {TABLE_HASH}; {contact}: {regions}")
 
 
 def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:

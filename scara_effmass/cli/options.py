@@ -26,6 +26,11 @@ class Option:
         if keywords.get("action") != "store_true":  # which takes no value
             self.keywords |= {"metavar": metavar, "type": kind}
 
+    @property
+    def dest(self) -> str:
+        """Attribute of the parsed arguments, for most options a setting."""
+        return str(self.keywords.get("dest", self.names[-1].lstrip("-").replace("-", "_")))
+
 
 def flag(name: str, text: str, **keywords: Any) -> Option:  # noqa: ANN401 - those of add_argument
     """Return an option without a value."""
@@ -78,6 +83,40 @@ ROBOT = (
         choices=[model.value for model in MassModel],
     ),
 )
+NOT_NEGATIVE = number("a number >= 0", lambda value: 0.0 <= value < math.inf)
+POSITIVE = number("a number > 0", lambda value: value > 0.0)
+PAYLOAD = (
+    Option(
+        "--contact-point",
+        'point that can hit a person: a link, or "NAME=LINK: X Y Z" [m]; may be repeated (default: all points of a DH '
+        "file, the tip of a URDF)",
+        "POINT",
+        dest="contact_points",
+        action="append",
+    ),
+    Option(
+        "--payload",
+        "mass of the load in addition to the tool of the robot file [kg] (default: 0)",
+        "KG",
+        NOT_NEGATIVE,
+        dest="payload_mass",
+    ),
+    Option(
+        "--payload-com",
+        "its centre of mass in the frame of the first contact point on the last link [m]",
+        ("X", "Y", "Z"),
+        float,
+        nargs=3,
+    ),
+    Option(
+        "--payload-inertia",
+        "its inertia about the centre of mass [kg m2] (default: a point mass)",
+        ("IXX", "IYY", "IZZ", "IXY", "IXZ", "IYZ"),
+        float,
+        nargs=6,
+    ),
+    Option("--payload-topic", "latched topic of the payload (geometry_msgs/Inertia), in place of the three", "TOPIC"),
+)
 LIMITS = (
     Option(
         "--region",
@@ -87,6 +126,10 @@ LIMITS = (
         action="append",
     ),
     Option("--contact", "type of contact (default: transient)", choices=[contact.value for contact in ContactType]),
+    Option("--contact-area", "contact area for the pressure limit [cm2] (default: 1)", "CM2", POSITIVE),
+)
+PERSON = Option(
+    "--person-speed", "speed of the person towards the robot [m/s] (default: 0; walking: 1.6)", "M_S", NOT_NEGATIVE
 )
 DIRECTION = (
     Option(
@@ -99,8 +142,8 @@ DIRECTION = (
     ),
     Option("--direction-frame", "frame of the direction (default: the base)", "FRAME", dest="test_direction_frame"),
 )
-NOT_NEGATIVE = number("a number >= 0", lambda value: 0.0 <= value < math.inf)
-POSITIVE = number("a number > 0", lambda value: value > 0.0)
+CELL = (*ROBOT, *PAYLOAD, *LIMITS, PERSON)
+"""Robot, what it carries, and what it can hit: the options of every command that assesses, all of them settings."""
 COUNT = number("a whole number from 1", lambda count: count >= 1, int)
 MASS = number("a number from 0.001 to 1000", lambda mass: 1e-3 <= mass <= 1e3)
 REPEATED = "may be repeated (default: the paper's experiment)"

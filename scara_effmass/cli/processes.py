@@ -14,6 +14,9 @@ from pathlib import Path
 
 from typing_extensions import Self
 
+from scara_effmass.cli.nodes import node_arguments
+from scara_effmass.cli.options import CELL
+from scara_effmass.cli.settings import selected
 from scara_effmass.errors import EffmassError
 from scara_effmass.nodes.monitor_client import MonitorClient
 from scara_effmass.parent import end_with_parent
@@ -109,8 +112,8 @@ def removed_on_failure(folder: Path) -> Iterator[None]:
 def monitor_command(args: argparse.Namespace, settings: MonitorSettings) -> list[str]:
     """Return the command that runs the monitor with the settings of the demo."""
     params = ["--params", str(args.params)] if args.params else []
-    model = settings.effective_mass_model.value
-    return ["monitor", "--robot", str(settings.robot_path), "--model", model, *params, *SIM_TIME]
+    chosen = {"robot": str(settings.robot_path), "effective_mass_model": settings.effective_mass_model.value}
+    return ["monitor", *params, *node_arguments(None, selected(args, *CELL) | chosen, SIM_TIME)]
 
 
 def record_command(args: argparse.Namespace) -> list[str]:

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
+from scara_effmass.cli.options import Option
 from scara_effmass.settings import MonitorSettings, checked, load_settings
 from scara_effmass.settings.loading import Settings
 
@@ -24,6 +25,11 @@ def monitor_settings(
     """
     settings = load_settings(MonitorSettings, args.params, "monitor", others) if args.params else MonitorSettings()
     return override(settings, {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | overrides)
+
+
+def selected(args: argparse.Namespace, *options: Option) -> dict[str, Any]:
+    """Return the values of `options` by the setting that each of them sets."""
+    return {option.dest: getattr(args, option.dest) for option in options}
 
 
 def override(settings: Settings, options: dict[str, Any]) -> Settings:

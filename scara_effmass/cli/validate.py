@@ -7,7 +7,8 @@ from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
 from scara_effmass.bags.files import find_bags
 from scara_effmass.cli.console import print_result, progress_bar
-from scara_effmass.cli.settings import load_dynamics, override
+from scara_effmass.cli.options import LIMITS, PAYLOAD, ROBOT
+from scara_effmass.cli.settings import load_dynamics, override, selected
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings, load_settings
 from scara_effmass.settings.loading import Settings
@@ -37,16 +38,16 @@ def run(args: argparse.Namespace) -> int:
 
 def validation_settings(args: argparse.Namespace) -> ValidationSettings:
     """Return the settings of --params, overridden by the other options. Raises SettingsError."""
-    model = {"effective_mass_model": args.effective_mass_model}
 
     def section(kind: type[Settings], name: str) -> Settings:
         return load_settings(kind, args.params, name, SECTIONS) if args.params else kind()
 
-    names = ("stiffness", "obstacle_mass", "obstacle_fixed", "plate_normal", "body_regions", "contact")
-    validator_options = {name: getattr(args, name) for name in names} | model
+    # The limits are those of the measured forces: a clamping monitor could give no prediction.
+    names = ("stiffness", "obstacle_mass", "obstacle_fixed", "plate_normal", "effective_mass_model")
+    options = selected(args, *LIMITS) | {name: getattr(args, name) for name in names}
     return ValidationSettings(
-        monitor=override(section(MonitorSettings, "monitor"), {"robot": args.robot, **model}),
-        validator=override(section(ValidatorSettings, "validator"), validator_options),
+        monitor=override(section(MonitorSettings, "monitor"), selected(args, *ROBOT, *PAYLOAD)),
+        validator=override(section(ValidatorSettings, "validator"), options),
         detection=section(DaqSettings, "daq").detection,
         obstacle_mass=args.obstacle_mass,
         topic=args.topic,

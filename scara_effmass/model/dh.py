@@ -16,7 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from scara_effmass.errors import RobotError
 from scara_effmass.model.contact_point import ContactPoint, contact_point
 from scara_effmass.model.inertial_check import StatedLink, principal_moments
-from scara_effmass.model.robot import PARALLEL, Robot, add_contact_frame, build_robot
+from scara_effmass.model.robot import PARALLEL, Robot, add_contact_frame, build_robot, inertia_tensor
 from scara_effmass.model.rotors import rotor_inertia
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import ZERO_VECTOR, FloatArray
@@ -250,8 +250,7 @@ def _tensor(inertia: Inertia | None) -> FloatArray:
     if isinstance(inertia, float):
         # A planar robot states I_zz alone; equal halves for I_xx and I_yy satisfy the triangle inequality.
         return np.diag([inertia / 2.0, inertia / 2.0, inertia])
-    ixx, iyy, izz, ixy, ixz, iyz = inertia
-    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    return inertia_tensor(inertia)
 
 
 def _rotation_z(angle: float) -> FloatArray:

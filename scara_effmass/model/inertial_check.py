@@ -56,7 +56,7 @@ def check_inertials(links: Sequence[StatedLink]) -> InertialCheck:
     elif all_placeholders:
         inertias = "every inertia tensor is the identity, or the mass times it: placeholders, not data"
     else:
-        inertias = next(filter(None, map(_triangle_error, heavy)), "")
+        inertias = next(filter(None, map(triangle_error, heavy)), "")
         if placeholders:
             notes = (f"placeholder inertia, used as stated, which makes the robot heavier: {', '.join(placeholders)}",)
     return InertialCheck(masses, coms, inertias, notes)
@@ -70,7 +70,8 @@ def principal_moments(inertia: FloatArray) -> tuple[float, float, float]:
     return low, middle, high
 
 
-def _triangle_error(link: StatedLink) -> str:
+def triangle_error(link: StatedLink) -> str:
+    """Return why the inertia of `link` is impossible, or an empty string. Raises ValueError for a negative moment."""
     low, middle, high = principal_moments(link.inertia)
     if high <= (low + middle) * (1.0 + _TRIANGLE):
         return ""

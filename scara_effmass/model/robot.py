@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from scara_effmass.errors import RobotError
 from scara_effmass.iso15066 import robot_mass
-from scara_effmass.model.inertial_check import StatedLink, check_inertials
+from scara_effmass.model.inertial_check import StatedLink, check_inertials, triangle_error
 from scara_effmass.model.rotors import RotorInertia
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray, Vector3
@@ -148,9 +148,9 @@ def build_robot(
     """Return the Robot of the model `bare`, with `rotors`, the load of `settings` and a plausibility check of `links`.
 
     m_L is `file_payload` [kg], which `bare` includes, the links that match a glob of `settings.tool_links`, and
-    `settings.payload_mass`, a point mass in the frame of the first contact point behind the last joint, or else `tip`.
+    the payload of `settings`, in the frame of the first contact point behind the last joint, or else of `tip`.
 
-    Raises RobotError for a model without joints or without mass, and for `tool_links` that match none.
+    Raises RobotError for a model without joints or mass, an impossible payload, and `tool_links` that match none.
     """
     fields: dict[str, Any] = {"contact_frames": contact_frames, "tip": tip, "name": name, "base_frame": base_frame}
     if bare.nv == 0:
@@ -159,27 +159,28 @@ def build_robot(
         raise RobotError(f"{origin}: the moving links have no mass: every link must have its mass and centre of mass")
     model = bare.copy()
     model.armature = np.diag(rotors.matrix)
-    if settings.payload_mass > 0.0:
+    if load := _payload(settings):
         last = model.njoints - 1
         frames = (model.frames[frame] for frame in contact_frames.values())
         pose = next((frame.placement for frame in frames if frame.parentJoint == last), tip)
-        load = pin.Inertia(settings.payload_mass, np.array(settings.payload_com), np.zeros((3, 3)))
         model.appendBodyToJoint(last, load, pose)
+    point_mass = ["the payload counts as a point mass: set payload_inertia"] if load and not load.inertia.any() else []
     check = check_inertials(links)
     bodies = zip(list(model.names)[1:], list(model.inertias)[1:], strict=True)
     massless = [joint for joint, body in bodies if body.mass == 0.0]
     masses_reason = check.masses
     if massless:
         masses_reason = f"no mass behind {', '.join(massless)}: the robot is heavier than the file says"
+    source = f"topic {settings.payload_topic}" if settings.payload_topic else "parameter payload_mass"
     payload = {
         "robot file": file_payload,
         f"tool_links {', '.join(settings.tool_links)}": _tool_mass(links, settings.tool_links, origin),
-        "parameter payload_mass": settings.payload_mass,
+        source: settings.payload_mass,
     }
     return Robot(
         model=model,
         origin=origin,
-        payload={source: mass for source, mass in payload.items() if mass},
+        payload={name: mass for name, mass in payload.items() if mass or name.startswith("topic ")},
         rebuild=partial(
             build_robot, bare, origin, links=links, rotors=rotors, notes=notes, file_payload=file_payload, **fields
         ),
@@ -187,9 +188,30 @@ def build_robot(
         masses_reason=masses_reason,
         coms_reason=masses_reason or check.coms,
         inertias_reason=masses_reason or check.coms or check.inertias,
-        notes=(*notes, *check.notes, *rotors.notes, *filter(None, [rotors.warning])),
+        notes=(*notes, *point_mass, *check.notes, *rotors.notes, *filter(None, [rotors.warning])),
         **fields,
     )
+
+
+def inertia_tensor(entries: Sequence[float]) -> FloatArray:
+    """Return the tensor (3, 3) of `entries` ixx, iyy, izz, ixy, ixz, iyz."""
+    ixx, iyy, izz, ixy, ixz, iyz = entries
+    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+
+
+def _payload(settings: MonitorSettings) -> pin.Inertia | None:
+    """Return the payload of `settings`, None for a mass of 0. Raises RobotError for an inertia that no body has."""
+    load = StatedLink(
+        "payload", settings.payload_mass, np.array(settings.payload_com), inertia_tensor(settings.payload_inertia)
+    )
+    problem = "must be 0 without payload_mass" if not load.mass and load.inertia.any() else ""
+    try:
+        problem = problem or triangle_error(load)
+    except ValueError as error:
+        problem = str(error)
+    if problem:
+        raise RobotError(f"payload_inertia = {list(settings.payload_inertia)}: {problem}")
+    return pin.Inertia(load.mass, load.com, load.inertia) if load.mass else None
 
 
 def _tool_mass(links: Sequence[StatedLink], globs: Sequence[str], origin: str) -> float:

@@ -86,14 +86,14 @@ def _model_status(monitor: Monitor) -> DiagnosticStatus:
         "full mass": dynamics.full_reason or "available",
         "ISO mass [kg]": robot.masses_reason or f"{robot.iso_mass:.4g}",
         "moving mass [kg]": f"{robot.moving_mass:.4g}",
-        "payload": robot.payload_text,
+        "payload": monitor.payload_text,
         "notes": "; ".join(robot.notes),
         "limits": EDITION,
         "limits hash": TABLE_HASH,
         "first cause": f"{cause.verdict.name} at {cause.stamp_ns / 1e9:.6f} s: {cause.reason}" if cause else "",
         **{f"decisions {verdict.name}": count for verdict, count in monitor.verdicts.items()},
     }
-    problem = next(iter(missing_models(dynamics)), "") or robot.rotors.warning
+    problem = monitor.payload_reason or next(iter(missing_models(dynamics)), "") or robot.rotors.warning
     return status("model", "lumped and full model", values, problem=problem)
 
 

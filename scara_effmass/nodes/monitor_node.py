@@ -12,6 +12,7 @@ from functools import wraps
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Inertia
 from rclpy.clock import JumpHandle, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSSubscriptionMatchedInfo
@@ -32,10 +33,11 @@ from scara_effmass.nodes.monitor_health import input_status, missing_models, mon
 from scara_effmass.safety import Cause, Monitor, unknown_decision
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed
-from scara_effmass.values import Decision, Verdict
+from scara_effmass.values import Decision, Payload, Verdict
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message
 from scara_effmass.wire.joint_state import JointStateDecoder
+from scara_effmass.wire.payload import decode_payload
 
 _NO_ROBOT = ContactStateEncoder("", "")
 _WATCHDOG_CHECKS_PER_TIMEOUT = 4
@@ -90,6 +92,8 @@ class MonitorNode(LifecycleBase):
         self._reported_verdicts: list[Verdict] = []
         self._reported_ns = 0
         self._no_robot_reason = ""
+        self._payload: Payload | str = ""
+        self._payload_publishers = 0
         if self._settings.await_robot_description:
             if robot := self._settings.robot:
                 raise SettingsError(f"{self.get_name()}: robot = {robot!r}: must be empty with await_robot_description")
@@ -120,6 +124,15 @@ class MonitorNode(LifecycleBase):
             self._command_decoder = JointStateDecoder()
             self.create_owned_subscription(
                 JointState, topics.JOINT_COMMANDS, self._on_command, topics.JOINT_STATES_INPUT_QOS, raw=True
+            )
+        if topic := self._settings.payload_topic:
+            self.create_owned_subscription(
+                Inertia,
+                topic,
+                self._on_payload,
+                topics.DESCRIPTION_QOS,
+                raw=True,
+                matched=self._on_payload_publishers,
             )
         self.create_owned_trigger("~/reset", self._reset)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
@@ -172,10 +185,11 @@ class MonitorNode(LifecycleBase):
             self._drop_monitor()
             monitor.first_cause = self._first_cause
             self._monitor = monitor
+            self._pass_payload()
             self._encoders = {name: ContactStateEncoder(name, robot.base_frame) for name in dynamics.contact_points}
             self._no_robot_reason = ""
         self.get_logger().info(f"monitoring {robot.name} ({robot.origin}) at {', '.join(dynamics.contact_points)}")
-        self.get_logger().info(f"payload {robot.payload_text}")
+        self.get_logger().info(f"payload: {monitor.payload_text}")
         for line in (*robot.notes, *missing_models(dynamics)):
             self.get_logger().info(line)
 
@@ -209,6 +223,31 @@ class MonitorNode(LifecycleBase):
             if self._monitor is not None:
                 with suppress(DecodeError):
                     self._monitor.take_command(self._command_decoder.decode(data), self.now_ns())
+
+    def _on_payload(self, data: bytes) -> None:
+        if self._payload_publishers <= 1:
+            self._payload = decode_payload(data)
+            with self._monitor_lock:
+                self._pass_payload()
+
+    def _on_payload_publishers(self, matched: QoSSubscriptionMatchedInfo) -> None:
+        self._payload_publishers = count = matched.current_count
+        topic = self._settings.payload_topic
+        if count != 1:
+            self._payload = f"{count or 'no'} publishers of the payload on {topic}: must be one"
+        elif isinstance(self._payload, str):
+            self._payload = f"no payload from the publisher on {topic} yet"
+        with self._monitor_lock:
+            self._pass_payload()
+
+    def _pass_payload(self) -> None:
+        """Hand the payload, or why it is unknown, to the monitor."""
+        if self._monitor is None or not self._payload:
+            return
+        before = self._monitor.payload_text
+        self._monitor.take_payload(self._payload)
+        if (text := self._monitor.payload_text) != before:
+            self.get_logger().info(f"payload: {text}")
 
     def _watchdog_period_s(self) -> float:
         return max(self._settings.timeout / _WATCHDOG_CHECKS_PER_TIMEOUT, _MIN_WATCHDOG_PERIOD_S)
@@ -326,8 +365,8 @@ class MonitorNode(LifecycleBase):
             self._settings = settings
             if self._monitor is not None:
                 self._monitor.apply(self._settings)
-                if changed & {"payload_mass", "payload_com"}:
-                    self.get_logger().info(f"payload {self._monitor.dynamics.robot.payload_text}")
+                if any(name.startswith("payload") for name in changed):
+                    self.get_logger().info(f"payload: {self._monitor.payload_text}")
         self._wake_watchdog.set()  # else the new period starts after the old one
 
 

@@ -119,5 +119,5 @@ def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
         descriptor.additional_constraints = f"above {low:g}" if "gt" in bounds else ""
     elif get_origin(annotation) is tuple:
         is_vector = descriptor.type == Parameter.Type.DOUBLE_ARRAY.value
-        descriptor.additional_constraints = "list of 3 numbers" if is_vector else "list of names"
+        descriptor.additional_constraints = f"list of {len(field.default)} numbers" if is_vector else "list of names"
     return descriptor

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Sequence
 from typing import Any
 
+from geometry_msgs.msg import Inertia
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from rclpy.node import Node
 
@@ -22,7 +23,7 @@ NODE_OUTPUTS = {
 }
 """Outputs of the live nodes, in any namespace, which are replayed only on request. `daq_node` plays recorded force."""
 LATCHED = {"recording_info", "tf_static", wire_topics.ROBOT_DESCRIPTION, wire_topics.RUN_INFO}
-"""Topics whose last messages a late subscriber receives; recording_info is the RunInfo of old bags."""
+"""Topics whose last messages a late subscriber receives, and so all payloads; recording_info is RunInfo in old bags."""
 
 
 class ReplayPublisher:
@@ -33,7 +34,7 @@ class ReplayPublisher:
         self.sent = 0
         self.subscribers = 0
         self.had_subscriber = False
-        self.latched = name.rpartition("/")[2] in LATCHED
+        self.latched = name.rpartition("/")[2] in LATCHED or message_class is Inertia
         self.publisher = node.create_publisher(
             message_class,
             name,

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from scara_effmass.errors import EffmassError
 from scara_effmass.iso15066 import (
     MIN_EFFECTIVE_MASS,
     Limit,
@@ -32,6 +33,7 @@ from scara_effmass.values import (
     FloatArray,
     JointState,
     Mobility6,
+    Payload,
     Vector3,
     Verdict,
 )
@@ -76,6 +78,10 @@ class Monitor:
         self._counts = [0] * len(Verdict)
         self.rejected = 0
         self.ignored = 0
+        topic = settings.payload_topic
+        self._payload: Payload | None = None
+        self.payload_reason = f"no payload on {topic} yet" if topic else ""
+        """Why the payload is unknown, which makes every verdict UNKNOWN; empty if it is known."""
         self.apply(settings)
 
     def _use(self, dynamics: RobotDynamics) -> None:
@@ -86,6 +92,8 @@ class Monitor:
 
     def check(self, settings: MonitorSettings) -> SpeedLimits:
         """Return the speed limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
+        if settings.payload != self.settings.payload:
+            self.dynamics.robot.rebuild(settings)
         q = np.zeros(self.dynamics.robot.model.nv)
         self.dynamics.in_base(q, settings.fixed_normal or ZERO_VECTOR, settings.contact_normal_frame)
         self.dynamics.in_base(q, ZERO_VECTOR, settings.test_direction_frame, "test_direction_frame")
@@ -94,7 +102,7 @@ class Monitor:
     def apply(self, settings: MonitorSettings) -> None:
         """Apply changed settings; of the robot, only the payload. Raises as `check`, and then changes nothing."""
         limits = self.check(settings)
-        if (settings.payload_mass, settings.payload_com) != (self.settings.payload_mass, self.settings.payload_com):
+        if settings.payload != self.settings.payload:
             self._use(self.dynamics.with_payload(settings))
         self.settings = settings
         self._limits = limits
@@ -125,6 +133,11 @@ class Monitor:
         """Number of contact assessments per verdict, those of the watchdog included."""
         return {verdict: self._counts[verdict] for verdict in Verdict}
 
+    @property
+    def payload_text(self) -> str:
+        """The payload with its sources, or why it is unknown."""
+        return self.payload_reason or self.dynamics.robot.payload_text
+
     def reset(self) -> None:
         """Clear the first cause, and with it a latched verdict."""
         self.first_cause = None
@@ -144,6 +157,22 @@ class Monitor:
     def take_command(self, command: JointState, now_ns: int) -> None:
         """Take the positions that the controller commanded, received at `now_ns` on the node's clock."""
         self._validator.take_command(command, now_ns)
+
+    def take_payload(self, payload: Payload | str) -> None:
+        """Count `payload` of `payload_topic` from the next joint state on.
+
+        UNKNOWN follows from an impossible payload, and from a text that says why it is unknown.
+        """
+        if isinstance(payload, str):
+            self.payload_reason = payload
+            return
+        self.payload_reason = ""
+        if payload != self._payload:
+            try:
+                self._use(self.dynamics.with_payload(self.settings.with_payload(payload)))
+                self._payload = payload
+            except EffmassError as error:
+                self.payload_reason = f"the payload is unknown: {error}"
 
     def assess(self, state: JointState, now_ns: int, sequence_number: int | None = None) -> Decision | None:
         """Return the decision on `state`, received at `now_ns` on the node's clock.
@@ -166,6 +195,8 @@ class Monitor:
         age = (now_ns - state.stamp_ns) / 1e9 if state.stamp_ns > 0 else 0.0
         if isinstance(motion, str):
             return self.reject(motion, max(state.stamp_ns, 0) or now_ns, age)
+        if self.payload_reason:
+            return self._without_numbers(self.payload_reason, state.stamp_ns, age)
         if previous_ns and state.stamp_ns - previous_ns > validator.timeout_ns:
             for debouncer in self._debouncers.values():
                 debouncer.mark_stale(f"no joint state for {(state.stamp_ns - previous_ns) / 1e9:.3f} s")
@@ -188,6 +219,10 @@ class Monitor:
     def reject(self, reason: str, stamp_ns: int = 0, age: float = 0.0) -> Decision:
         """Return the decision on a joint state that is invalid for `reason`, such as undecodable bytes."""
         self.rejected += 1
+        return self._without_numbers(reason, stamp_ns, age)
+
+    def _without_numbers(self, reason: str, stamp_ns: int, age: float) -> Decision:
+        """Return UNKNOWN for every contact point, and hold it."""
         for debouncer in self._debouncers.values():
             debouncer.mark_stale(reason)
         return self._decision(tuple(self._unknown(name, reason, stamp_ns, age) for name in self._debouncers))

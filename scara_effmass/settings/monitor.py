@@ -5,11 +5,12 @@ from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
+from typing_extensions import Self
 
-from scara_effmass.settings.loading import FrozenSettings, fixed, tunable
+from scara_effmass.settings.loading import FrozenSettings, checked, fixed, tunable
 from scara_effmass.share import share
-from scara_effmass.values import Vector3
+from scara_effmass.values import Payload, Vector3
 
 
 class MassModel(str, Enum):
@@ -37,7 +38,8 @@ class Drives(str, Enum):
     IMMOVABLE = "immovable"
 
 
-Offset = Annotated[float, Field(ge=-10.0, le=10.0)]
+Offset = Annotated[float, Field(ge=-2.0, le=2.0)]
+InertiaEntry = Annotated[float, Field(ge=-1e4, le=1e4)]
 Component = Annotated[float, Field(ge=-1e6, le=1e6)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -84,6 +86,18 @@ class MonitorSettings(FrozenSettings):
     )
     payload_com: tuple[Offset, Offset, Offset] = tunable(
         (0.0, 0.0, 0.0), "centre of mass of payload_mass in the frame of the first contact point on the last link [m]"
+    )
+    payload_inertia: tuple[InertiaEntry, InertiaEntry, InertiaEntry, InertiaEntry, InertiaEntry, InertiaEntry] = (
+        tunable(
+            (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            "inertia of payload_mass about its centre of mass, in the axes of payload_com, as ixx, iyy, izz, ixy, ixz, "
+            "iyz [kg m2]; all 0: a point mass",
+        )
+    )
+    payload_topic: str = fixed(
+        "",
+        "latched topic of the payload (geometry_msgs/Inertia), in place of payload_mass, payload_com and "
+        "payload_inertia: UNKNOWN without exactly one publisher and its valid message; empty: none",
     )
     armature: tuple[str, ...] = fixed(
         (),
@@ -180,6 +194,13 @@ class MonitorSettings(FrozenSettings):
         default=False, description="compute an empty velocity from positions and header stamps"
     )
 
+    @field_validator("payload_topic")
+    @classmethod
+    def _check_payload_topic(cls, topic: str, info: ValidationInfo) -> str:
+        if topic and info.data.get("payload_mass"):
+            raise ValueError(f"must be empty with payload_mass = {info.data['payload_mass']} kg")
+        return topic
+
     @field_validator("contact_normal")
     @classmethod
     def _check_contact_normal(cls, text: str) -> str:
@@ -196,6 +217,17 @@ class MonitorSettings(FrozenSettings):
     def fixed_test_direction(self) -> Vector3 | None:
         """Unit vector of `test_direction` in `test_direction_frame`, or None."""
         return _normalized(*self.test_direction)
+
+    @property
+    def payload(self) -> Payload:
+        """Payload that the settings state."""
+        return Payload(self.payload_mass, self.payload_com, self.payload_inertia)
+
+    def with_payload(self, payload: Payload) -> Self:
+        """Return these settings with a `payload` of `payload_topic`. Raises SettingsError if it is out of range."""
+        values = {f"payload_{name}": value for name, value in payload._asdict().items()}
+        checked(MonitorSettings, values, self.payload_topic)
+        return self.model_copy(update=values)
 
     @property
     def robot_path(self) -> Path:

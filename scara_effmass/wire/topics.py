@@ -8,6 +8,8 @@ DIAGNOSTICS = "/diagnostics"
 JOINT_STATES = "joint_states"
 JOINT_COMMANDS = "joint_commands"
 ROBOT_DESCRIPTION = "robot_description"
+PAYLOAD = "payload"
+"""Usual name of the topic of the payload; the parameter payload_topic states it."""
 CONTACT_STATE = "contact_state"
 ALLOWABLE_SPEED = "allowable_speed"
 SPEED_SCALING = "speed_scaling"
@@ -26,6 +28,7 @@ FORCE_OUTPUTS = (FORCE, IMPACT, WRENCH)
 """Outputs of `daq_node`; channels after the first publish one level below, as force/ai1."""
 RECORDED = (
     JOINT_STATES,
+    PAYLOAD,
     *MONITOR_OUTPUTS,
     *FORCE_OUTPUTS,
     IMPACT_VALIDATION,

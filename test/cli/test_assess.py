@@ -13,7 +13,9 @@ from typing import Any
 
 import pytest
 import yaml
+from geometry_msgs.msg import Inertia, Vector3
 from pyarrow import parquet
+from rclpy.serialization import serialize_message
 
 from scara_effmass import __version__
 from scara_effmass.analysis.tables import SCHEMA
@@ -25,10 +27,11 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.debounce import severity
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import ContactAssessment, Verdict
 from scara_effmass.wire.joint_state import JointStateDecoder
+from scara_effmass.wire.message_types import INERTIA
 from test.cli.conftest import Cli, Refused
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -101,6 +104,55 @@ def test_direction_adds_the_mass_along_it(swing_bag: Path, cli: Cli, tmp_path: P
     assert_equal(rows, core_assessments(swing_bag, settings))
     assert len({row["test_direction_x"] for row in rows}) > 100
     assert min(row["test_effective_mass_kg"] for row in rows if row["verdict"] != "UNKNOWN") > 0.9
+
+
+def test_options_of_the_cell_apply(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+    points = ("--contact-point", "tool", "--contact-point", "hand=link4: 0.1 0 0")
+    load = ("--payload", "2", "--payload-com", "-0.1", "0", "0.1", "--payload-inertia", *("0.1",) * 3, *("0",) * 3)
+    words = (
+        *points,
+        *load,
+        "--contact-area",
+        "3",
+        "--person-speed",
+        "0.4",
+        "--contact",
+        "transient",
+        "--model",
+        "full",
+    )
+    assert cli("assess", swing_bag, "-o", tmp_path / "a.parquet", *words).returncode == 0
+    settings = MonitorSettings(
+        contact_points=("tool", "hand=link4: 0.1 0 0"),
+        payload_mass=2.0,
+        payload_com=(-0.1, 0.0, 0.1),
+        payload_inertia=(0.1, 0.1, 0.1, 0.0, 0.0, 0.0),
+        contact_area=3.0,
+        person_speed=0.4,
+        effective_mass_model=MassModel.FULL,
+    )
+    rows = parquet.read_table(tmp_path / "a.parquet").to_pylist()
+    assert_equal(rows, core_assessments(swing_bag, settings))
+    assert {row["contact_point"] for row in rows} == {"tool", "hand"}
+
+
+def test_recorded_payload_counts_from_its_log_time_on(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+    """UNKNOWN before it, then the verdicts of the parameter; the other topic of payloads is another robot's."""
+    with open_bag(swing_bag) as bag, BagWriter(tmp_path / "cell.mcap") as cell:
+        for number, message in enumerate(bag.messages(["/joint_states"])):
+            for topic, mass in (("/payload", 2.0), ("/left/payload", 5.0)):
+                if number == 500:
+                    load = bytes(serialize_message(Inertia(m=mass, com=Vector3(z=0.1))))
+                    cell.write(topic, INERTIA, message.log_time_ns, load)
+            cell.write("/joint_states", JOINT_STATE, message.log_time_ns, message.data)
+    words = ("assess", tmp_path / "cell.mcap", "--payload-topic", "payload", "--params", tmp_path / "cell.yaml")
+    (tmp_path / "cell.yaml").write_text("/**:\n  ros__parameters:\n    release_time: 0.0\n", encoding="utf-8")
+    assert cli(*words, "-o", tmp_path / "a.parquet").returncode == 0
+    rows = parquet.read_table(tmp_path / "a.parquet").to_pylist()
+    assert {row["reason"] for row in rows[:1000]} == {"no payload on payload yet"}
+    assert {(row["verdict"], row["allowable_speed_m_s"]) for row in rows[:1000]} == {("UNKNOWN", 0.0)}
+    settings = MonitorSettings(payload_mass=2.0, payload_com=(0.0, 0.0, 0.1), release_time=0.0)
+    assert_equal([{**row, "bag": ""} for row in rows[1000:]], core_assessments(swing_bag, settings)[1000:])
 
 
 def test_csv_contains_the_exact_assessments(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:

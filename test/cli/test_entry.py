@@ -12,6 +12,8 @@ import pytest
 from scara_effmass import __version__
 from scara_effmass.cli import main
 from scara_effmass.cli.commands import COMMANDS
+from scara_effmass.cli.options import CELL, Option
+from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from test.cli.conftest import Cli, Refused
 
@@ -119,6 +121,14 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "duration of NaN": (["replay", TOUR, "--duration", "nan"], "argument --duration: nan: must be a number > 0"),
     "no subscribers": (["replay", TOUR, "--subscribers", "0"], "--subscribers: 0: must be a whole number from 1"),
     "negative wait": (["replay", TOUR, "--wait", "-1"], "argument --wait: -1: must be a number >= 0"),
+    "text as a centre of mass": (
+        ["doctor", "--payload-com", "0", "0", "up"],
+        "--payload-com: invalid float value: 'up'",
+    ),
+    "two numbers as a centre of mass": (["doctor", "--payload-com", "0", "0"], "--payload-com: expected 3 arguments"),
+    "payload of NaN": (["doctor", "--payload", "nan"], "argument --payload: nan: must be a number >= 0"),
+    "centre of mass in mm": (["doctor", "--payload-com", "0", "0", "120"], "options: payload_com.2 = 120.0: "),
+    "payload of a demo without a bag": (["demo", "--payload", "1"], "demo: payload: the simulated robot carries none"),
     "missing bag to replay": (["replay", "no.mcap"], "no.mcap: does not exist"),
 }
 
@@ -148,6 +158,15 @@ def test_options_override_the_parameter_file(cli: Cli, tmp_path: Path) -> None:
         result = json.loads(cli("limits", "--params", file, *options, "--json").stdout)
         assert [row["name"] for row in result["body_regions"]] == [region]
         assert result["contact"] == contact
+
+
+@pytest.mark.parametrize("command", ["assess", "demo", "doctor", "monitor", "validate"])
+def test_every_command_that_assesses_has_the_options_of_the_cell(command: str) -> None:
+    """A person who approaches changes no measured impact, so `validate` has no speed of a person."""
+    options = {option.dest for option in COMMANDS[command].options if isinstance(option, Option)}
+    cell = {option.dest for option in CELL}
+    assert cell <= set(MonitorSettings.model_fields)
+    assert cell - options == ({"person_speed"} if command == "validate" else set())
 
 
 @pytest.mark.live

@@ -12,6 +12,8 @@ from unittest.mock import Mock
 from xml.etree import ElementTree as ET
 
 import pytest
+from geometry_msgs.msg import Inertia
+from rclpy.serialization import serialize_message
 
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
@@ -19,7 +21,8 @@ from scara_effmass.cli import main
 from scara_effmass.cli.nodes import node_arguments
 from scara_effmass.cli.processes import isolate_ros_domain
 from scara_effmass.share import share
-from test.cli.conftest import Cli
+from scara_effmass.wire.message_types import INERTIA
+from test.cli.conftest import START_NS, Cli
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -42,6 +45,30 @@ def test_ros_arguments_reach_the_node(words: list[str], monkeypatch: pytest.Monk
     monkeypatch.setattr("scara_effmass.nodes.monitor_node.main", node_main)
     assert main(["monitor", *words]) == 7
     node_main.assert_called_once_with(["--ros-args", "--", "--ros-args", "-p", "timeout:=0.3"])
+
+
+def test_options_of_the_cell_become_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The demo passes them to its monitor in the same form."""
+    node_main = Mock(return_value=0)
+    monkeypatch.setattr("scara_effmass.nodes.monitor_node.main", node_main)
+    cell = (
+        "--payload",
+        "2",
+        "--payload-com",
+        "-0.1",
+        "0",
+        "0.1",
+        "--contact-point",
+        "a=link4: 0 0 0",
+        "--person-speed",
+        "1",
+    )
+    assert main(["monitor", *cell]) == 0
+    expected = [
+        *("--ros-args", "-p", 'contact_points:=["a=link4: 0 0 0"]', "-p", "payload_mass:=2.0"),
+        *("-p", "payload_com:=[-0.1, 0.0, 0.1]", "-p", "person_speed:=1.0", "--"),
+    ]
+    node_main.assert_called_once_with(expected)
 
 
 def test_unknown_node_parameter_gives_one_line(cli_process: Cli) -> None:
@@ -117,16 +144,21 @@ def test_demo_marks_the_shipped_recording_as_generated(cli_process: Cli, tmp_pat
     assert result["recording"]["topics"]["/joint_states"]["recorded"] == 250
 
 
-def test_demo_counts_other_devices_and_uses_the_topic_option(swing_bag: Path, cli_process: Cli, tmp_path: Path) -> None:
+def test_demo_counts_other_devices_and_uses_the_topic_and_cell_options(
+    swing_bag: Path, cli_process: Cli, tmp_path: Path
+) -> None:
     with open_bag(swing_bag) as bag, BagWriter(tmp_path / "cell.mcap") as cell:
+        cell.write("/cell/load", INERTIA, START_NS, bytes(serialize_message(Inertia(m=2.0))))
         for number, message in enumerate(bag.messages(["/joint_states"])):
             data = message.data.replace(b"joint", b"wheel") if number % 10 == 9 else message.data
             cell.write("/cell/states", JOINT_STATE, message.log_time_ns, data)
     words = ("--bag", tmp_path / "cell.mcap", "--topic", "cell/states", "--rate", "0", "--duration", "0.5", "--json")
-    done = cli_process("demo", *words)
+    done = cli_process("demo", *words, "--payload-topic", "/cell/load", "--person-speed", "9")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert (result["sent"], result["foreign"], result["received"], result["lost"]) == (250, 25, 225, 0)
+    assert result["cycles_by_verdict"]["VIOLATION"] > 0  # the payload has arrived, and the person is too fast
+    assert not any("payload" in reason for reason in result["unknown_reasons"])
     assert result["generated"] is False
 
 

@@ -98,6 +98,18 @@ def test_plate_normal_and_fixed_obstacle_apply(cli: Cli, campaign: Path) -> None
     assert (settings["plate_normal"], settings["obstacle_fixed"]) == ("0 0 1", True)
 
 
+def test_payload_and_points_reach_the_monitor_and_the_limits_the_validator(cli: Cli, campaign: Path) -> None:
+    points = ("--contact-point", "flange=link4: 0 0 0")
+    load = ("--payload", "2", "--payload-com", "0", "0", "0.1", "--payload-inertia", *("0.1",) * 3, *("0",) * 3)
+    done = cli("validate", campaign, "-o", "report", *points, *load, "--contact-area", "3", "--json")
+    report = json.loads(done.stdout)
+    monitor, validator = report["settings"]["monitor"], report["settings"]["validator"]
+    assert (monitor["payload_mass"], monitor["payload_com"]) == (2.0, [0.0, 0.0, 0.1])
+    assert monitor["payload_inertia"] == [0.1, 0.1, 0.1, 0.0, 0.0, 0.0]
+    assert {impact["contact_point"] for impact in report["impacts"]} == {"flange"}
+    assert (monitor["contact_area"], validator["contact_area"]) == (1.0, 3.0)
+
+
 def test_every_section_of_the_file_counts(cli: Cli, campaign: Path, tmp_path: Path) -> None:
     (tmp_path / "cell.yaml").write_text(
         "monitor: {ros__parameters: {timeout: 0.3}}\n"

@@ -138,6 +138,44 @@ def test_tool_counts_the_same_in_both_formats(tmp_path: Path) -> None:
     assert plain.iso_mass == pytest.approx(dh.iso_mass - rows["payload"]["mass"] / 2.0, rel=1e-12)
 
 
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 10**6), joints=st.integers(2, 6))
+def test_payload_of_the_settings_equals_that_of_the_file(tmp_path: Path, seed: int, joints: int) -> None:
+    """Mass, centre of mass and inertia reach M(q), whichever way they are stated."""
+    rows = random_rows(seed, joints)
+    rows["contact_points"]["tool"] = [0.0, 0.0, 0.0]
+    load = rows["payload"]
+    stated, _ = both(rows, tmp_path)
+    rows["payload"] = {"mass": 0.0}
+    path = tmp_path / "bare.yaml"
+    path.write_text(yaml.safe_dump(rows, sort_keys=False), encoding="utf-8")
+    options = {"payload_mass": load["mass"], "payload_com": load["com"], "payload_inertia": load["inertia"]}
+    robot = load_dh(path, MonitorSettings.model_validate(options))
+    assert robot.payload_mass == pytest.approx(load["mass"])
+    assert robot.iso_mass == pytest.approx(stated.iso_mass)
+    q = stated.sample_configurations()[0]
+    expected, matrix = (r.mass_matrix(r.model, r.model.createData(), q) for r in (stated, robot))
+    np.testing.assert_allclose(matrix, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+    assert not any("point mass" in note for note in robot.notes)
+    point = load_dh(path, MonitorSettings(payload_mass=load["mass"]))
+    assert any("point mass" in note for note in point.notes)
+
+
+@pytest.mark.parametrize(
+    ("mass", "inertia", "problem"),
+    [
+        (2.0, (0.1, 0.1, -0.1, 0.0, 0.0, 0.0), "must not be negative"),
+        (2.0, (0.1, 0.1, 0.3, 0.0, 0.0, 0.0), "violate the triangle inequality"),
+        (2.0, (0.1, 0.1, 0.1, 0.3, 0.0, 0.0), "must not be negative"),
+        (0.0, (0.1, 0.1, 0.1, 0.0, 0.0, 0.0), "must be 0 without payload_mass"),
+    ],
+)
+def test_impossible_payload_is_refused(mass: float, inertia: tuple[float, ...], problem: str, omron_file: Path) -> None:
+    options = MonitorSettings.model_validate({"payload_mass": mass, "payload_inertia": inertia})
+    with pytest.raises(RobotError, match=rf"^payload_inertia = \[.*\]: .*{problem}"):
+        load_robot(omron_file, options)
+
+
 @pytest.mark.parametrize("load", [0.0, 2.5])
 def test_rebuilt_payload_is_the_loaded_one(omron_file: Path, load: float) -> None:
     before = load_robot(omron_file, MonitorSettings(payload_mass=1.0))

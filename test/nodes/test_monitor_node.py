@@ -33,7 +33,8 @@ from test.nodes.conftest import NodeHarness, joint_state, stamp_ns
 MS = 1_000_000
 S = 1_000_000_000
 FAST = (8.0, 0.1, 0.1, 0.1)
-FREE_TEXT = {"robot", "contact_normal", "contact_normal_frame", "test_direction_frame"}
+VECTORS = {"payload_com": 3, "payload_inertia": 6, "test_direction": 3}
+FREE_TEXT = {"robot", "payload_topic", "contact_normal", "contact_normal_frame", "test_direction_frame"}
 READ_ONLY_NAMES = {name for name, field in flat_fields(MonitorSettings).items() if field.json_schema_extra == READ_ONLY}
 
 
@@ -111,8 +112,9 @@ class TestParameters:
             if descriptor.type == ParameterType.PARAMETER_DOUBLE:
                 (bounds,) = descriptor.floating_point_range
                 assert 0.0 <= bounds.from_value < bounds.to_value
-            elif descriptor.name in {"payload_com", "test_direction"}:
+            elif descriptor.name in VECTORS:
                 assert descriptor.type == ParameterType.PARAMETER_DOUBLE_ARRAY
+                assert descriptor.additional_constraints == f"list of {VECTORS[descriptor.name]} numbers"
             elif descriptor.type != ParameterType.PARAMETER_BOOL and descriptor.name not in FREE_TEXT:
                 assert descriptor.additional_constraints
 
@@ -152,6 +154,8 @@ class TestParameters:
             ("test_direction_frame", "nowhere", "test_direction_frame = 'nowhere': must be one of"),
             ("payload_com", [0.0, 0.0], "payload_com.2: Field required"),
             ("payload_com", [0.0, 0.0, math.inf], "payload_com.2 = inf"),
+            ("payload_com", [0.0, 0.0, 120.0], "payload_com.2 = 120.0: Input should be less than or equal to 2"),
+            ("payload_inertia", [0.1, 0.1, 0.1, 0.0, 0.0, 0.0], "must be 0 without payload_mass"),
         ],
     )
     def test_invalid_value_is_refused_with_the_reason(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from scara_effmass.errors import LimitError
+from scara_effmass.errors import LimitError, RobotError
 from scara_effmass.iso15066 import BODY_REGIONS, Limit, Mobility, SpeedLimits, limits_for
 from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.safety import Monitor
@@ -554,6 +554,20 @@ def test_payload_with_another_centre_of_mass_applies(scara: RobotDynamics) -> No
     assert decision is not None
     assert list(decision.contacts) == first_assessment(scara.with_payload(offset), q, qd, offset)
     assert decision.contacts[0].full_mass != assess_one(scara, q, qd, payload_mass=2.0).full_mass
+
+
+def test_inertia_of_the_payload_applies_and_an_impossible_one_changes_nothing(scara: RobotDynamics) -> None:
+    q, qd = (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.1, 0.1)
+    monitor = Monitor(scara, settings_of(payload_mass=2.0))
+    solid = settings_of(payload_mass=2.0, payload_inertia=(0.2, 0.2, 0.2, 0.0, 0.0, 0.0))
+    monitor.apply(solid)
+    with pytest.raises(RobotError, match="triangle inequality"):
+        monitor.apply(settings_of(payload_mass=2.0, payload_inertia=(0.2, 0.2, 0.5, 0.0, 0.0, 0.0)))
+    decision = monitor.assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
+    assert decision is not None
+    assert list(decision.contacts) == first_assessment(scara.with_payload(solid), q, qd, solid)
+    # The inertia turns with the tool, whose heavier turning adds to the mass along the velocity.
+    assert decision.contacts[0].full_mass > assess_one(scara, q, qd, payload_mass=2.0).full_mass
 
 
 def test_effort_limits_raise_the_speed_of_a_stiff_servo(scara: RobotDynamics, scara_variant: Variant) -> None:

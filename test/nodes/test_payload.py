@@ -1,0 +1,94 @@
+"""Live payload: by topic from exactly one publisher, and by the parameter service at once."""
+
+from collections.abc import Callable
+
+from geometry_msgs.msg import Inertia, Vector3
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from scara_effmass_msgs.msg import ContactState
+
+from test.nodes.conftest import NodeHarness, joint_state
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def publisher_of(node: Node, mass: float) -> Publisher:
+    """Return a latched publisher that has stated `mass`."""
+    publisher = node.create_publisher(Inertia, "gripper/payload", LATCHED)
+    publisher.publish(Inertia(m=mass, com=Vector3(z=0.1)))
+    return publisher
+
+
+def test_payload_comes_from_exactly_one_publisher(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = new_harness()
+    first = publisher_of(harness.node, 2.0)  # before the monitor starts
+    settings = ("-p", "release_time:=0.0", "-p", "timeout:=60.0")
+    harness.start("--ros-args", *settings, "-r", "payload:=gripper/payload", "-p", "payload_topic:=payload")
+    harness.subscribe()
+
+    def until(condition: Callable[[ContactState], bool]) -> ContactState:
+        harness.contact_states.clear()
+        found: list[ContactState] = []
+
+        def matching() -> bool:
+            found[:] = [contact for contact in harness.contact_states if condition(contact)]
+            return bool(found)
+
+        harness.spin_until(matching, repeat=lambda: harness.send(joint_state()))
+        return found[0]
+
+    def until_unknown(reason: str) -> None:
+        contact = until(lambda contact: reason in contact.reason)
+        assert (contact.verdict, contact.allowable_speed, contact.effective_mass) == (ContactState.UNKNOWN, 0.0, 0.0)
+
+    heavy = until(lambda contact: contact.verdict == ContactState.OK)
+    text = harness.diagnostic("model", "payload", lambda value: "topic" in value)
+    assert text.endswith("| 0.25 kg (robot file) + 2 kg (topic payload)")
+    first.publish(Inertia(m=4.0, com=Vector3(z=0.1)))
+    heavier = until(lambda contact: contact.iso_mass > heavy.iso_mass + 1.9)
+    assert heavier.full_mass > heavy.full_mass
+    assert heavier.allowable_speed < heavy.allowable_speed
+    first.publish(Inertia(m=-1.0))
+    until_unknown("the payload is unknown: payload: payload_mass = -1.0: ")
+    assert harness.diagnostic("model", "payload", lambda value: "-1.0" in value)
+    first.publish(Inertia(m=2.0, com=Vector3(z=0.1)))
+    until(lambda contact: contact.verdict == ContactState.OK)
+
+    second = publisher_of(harness.node, 0.1)
+    until_unknown("2 publishers of the payload on payload: must be one")
+    harness.node.destroy_publisher(second)
+    until_unknown("no payload from the publisher on payload yet")
+    first.publish(Inertia(m=2.0, com=Vector3(z=0.1)))
+    same = until(lambda contact: contact.verdict == ContactState.OK)
+    assert (same.iso_mass, same.full_mass) == (heavy.iso_mass, heavy.full_mass)
+    harness.node.destroy_publisher(first)
+    until_unknown("no publishers of the payload on payload: must be one")
+    harness.node.create_publisher(Inertia, "gripper/payload", 1)  # not latched
+    assert "a publisher of payload cannot be connected: its DURABILITY" in harness.diagnostic(
+        "input", "incompatible QoS", bool
+    )
+
+
+def test_parameter_service_changes_the_whole_payload_at_once(harness: NodeHarness) -> None:
+    def set_payload(mass: float, com: list[float], inertia: list[float]) -> str:
+        values = {"payload_mass": mass, "payload_com": com, "payload_inertia": inertia}
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        result = harness.call_service(SetParametersAtomically, "set_parameters_atomically", request).result
+        return "" if result.successful else str(result.reason)
+
+    light = harness.response_to(joint_state())
+    try:
+        assert set_payload(2.5, [0.0, 0.0, 0.1], [0.1, 0.1, 0.1, 0.0, 0.0, 0.0]) == ""
+        heavy = harness.response_to(joint_state())
+        assert heavy.iso_mass > light.iso_mass + 2.4
+        refusal = set_payload(0.1, [0.0, 0.0, 0.0], [0.1, 0.1, 0.5, 0.0, 0.0, 0.0])
+        assert "violate the triangle inequality" in refusal
+        unchanged = harness.response_to(joint_state())
+        assert (unchanged.iso_mass, unchanged.full_mass) == (heavy.iso_mass, heavy.full_mass)
+    finally:
+        assert set_payload(0.0, [0.0, 0.0, 0.0], [0.0] * 6) == ""
+    assert harness.response_to(joint_state()).full_mass == light.full_mass
