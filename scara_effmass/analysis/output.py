@@ -9,9 +9,9 @@ from scara_effmass.errors import OutputError
 
 
 def check_output_path(path: Path, *, overwrite: bool) -> None:
-    """Raise OutputError if `path` is a folder, or exists and must not be replaced."""
-    if path.is_dir():
-        raise OutputError(f"{path}: is a folder; must be a file")
+    """Raise OutputError if `path` is a folder, a device or a pipe, or exists and must not be replaced."""
+    if path.exists() and not path.is_file():
+        raise OutputError(f"{path}: is a folder, a device or a pipe; must be a file")
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: already exists; use --force to replace it")
 

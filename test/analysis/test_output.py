@@ -1,5 +1,6 @@
 """Output files appear complete or not at all."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -78,3 +79,11 @@ def test_file_created_meanwhile_is_kept(tmp_path: Path) -> None:
 def test_folder_raises_output_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="is a folder"):
         check_output_path(tmp_path, overwrite=True)
+
+
+def test_device_and_pipe_are_not_replaced(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path in (pipe, Path(os.devnull)):
+        with pytest.raises(OutputError, match="a device or a pipe"):
+            check_output_path(path, overwrite=True)
