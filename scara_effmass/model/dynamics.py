@@ -27,6 +27,8 @@ from scara_effmass.values import NAN, ZERO_VECTOR, FloatArray, Vector3
 
 RANK_TOLERANCE = 1e-9
 """Fraction of the largest singular value of J_v below which a direction counts as unreachable."""
+MAX_NEGATIVE = 1e-6
+"""Ratio to its trace of a negative eigenvalue of a mobility that counts as rounding."""
 MIN_LEVER_M = 1e-9
 """Lever [m] below which a joint does not move the contact point."""
 _WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -114,6 +116,7 @@ class RobotDynamics:
         self._coupled_rotors = bool(robot.rotors.coupling.any())
         self._kinematics = robot.model.createData()
         self._massless_joints = () if self.lumped is None else self.lumped.massless_joints
+        self._lumped_is_regular = self.lumped is None or self.lumped.is_regular
         self._contacts = tuple((name, frame, self._rank(name, frame)) for name, frame in robot.contact_frames.items())
 
     def with_payload(self, settings: MonitorSettings) -> RobotDynamics:
@@ -169,6 +172,9 @@ class RobotDynamics:
         mobilities = [jacobian.dot(response).tolist() for response in responses]
         lumped_mobility = mobilities[0] if self.lumped is not None else []
         full_mobility = mobilities[-1] if not self.full_reason else []
+        reason = self.lumped_reason
+        if not self._lumped_is_regular and not _is_definite(lumped_mobility, rank):
+            lumped_mobility, reason = [], "the lumped mass matrix is singular or not positive definite at this pose"
         changes: list[PoseChange | None] = [None] * len(mobilities)
         if moving and any(matrix is not None for matrix in coriolis):
             jacobian_rate = self._jacobian_rate(frame)
@@ -183,7 +189,6 @@ class RobotDynamics:
             lumped, full = effective_mass(lumped_mobility, direction), effective_mass(full_mobility, direction)
         else:
             lumped, full = _worst_mass(lumped_mobility, rank), _worst_mass(full_mobility, rank)
-        reason = self.lumped_reason
         has_massless_direction = False
         for joint in self._massless_joints:
             x, y, z = jacobian[:, joint].tolist()
@@ -357,6 +362,12 @@ def _worst_mass(mobility: Matrix, rank: int) -> float:
         return NAN
     min_mobility = smallest_eigenvalue(mobility, rank)
     return 1.0 / min_mobility if min_mobility > 0.0 else math.inf
+
+
+def _is_definite(mobility: Matrix, rank: int) -> bool:
+    """Return whether no mass is negative; False for a mobility that is not finite."""
+    trace = mobility[0][0] + mobility[1][1] + mobility[2][2]
+    return 0.0 < trace < math.inf and smallest_eigenvalue(mobility, rank) > -MAX_NEGATIVE * trace
 
 
 def effective_mass(mobility: Matrix, direction: Vector3) -> float:

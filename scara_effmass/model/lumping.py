@@ -4,54 +4,85 @@ For link i with unit axes u_a (proximal) and u_b (distal), and feet f_a and f_b 
 
     kappa1 (f_a + L1 u_a) + kappa2 (f_b + L2 u_b) = CoM,    kappa1 + kappa2 = 1
 
+Skew axes leave no choice, intersecting ones leave kappa2 and parallel ones L2 - L1: `lumping.free_parameters` chooses.
+Of a prismatic axis only the direction counts, and behind the last joint there is no axis but a direction: where the
+axis as drawn does not serve, it goes through the CoM. `lumping.policy` answers for a link without such masses.
 Masses of neighbouring links on the same axis add up, so n joints leave n + 1 masses (Table II of the paper, cited in
-`scara_effmass.model`). Supported: parallel and coincident axes, and prismatic axes, of which only the direction counts.
+`scara_effmass.model`).
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.robot import PARALLEL, Robot
+from scara_effmass.settings import FreeParameters, LumpingPolicy
 from scara_effmass.values import FloatArray, Vector3
 
 ON_AXIS_M = 1e-4
 """Distance [m] below which axes coincide, or a centre of mass lies in their plane: finer than CAD data."""
+RUNAWAY = 10.0
+"""Distance of a mass from the common normal, over the size of the link, above which it runs to infinity."""
+SINGULAR = 1e-9
+"""Ratio to the largest, of the inertia a joint moves at a pose and of the eigenvalues, below which M is singular."""
+TURNS = (0.0, np.pi / 2.0, -np.pi / 2.0)
+"""Joint positions [rad, m] at which axes align, so that a lumped mass matrix can be singular."""
 
 
 @dataclass(frozen=True, slots=True)
 class LumpedLink:
     """One link as two point masses `kappa1 * mass` and `kappa2 * mass` at `point1` and `point2` in its joint frame [m].
 
-    `height1` and `height2` are L1 and L2 [m]. `on_axes` is False if a prismatic axis was shifted through the CoM.
+    `height1` and `height2` are L1 and L2 [m], from the feet of the common normal of its two axes. `axes` is parallel,
+    coincident, intersecting or skew. `on_axes` is False if a mass is beside the axes as drawn. `problem` states with
+    its figure why two masses on the axes cannot reproduce the link, `answer` what `lumping.policy` did about it.
     """
 
     joint: str
     mass: float
+    axes: str
     kappa1: float
     kappa2: float
     height1: float
     height2: float
     point1: Vector3
     point2: Vector3
-    on_axes: bool
+    on_axes: bool = True
+    problem: str = ""
+    answer: str = ""
+
+
+class LumpedMass(NamedTuple):
+    """A point `mass` [kg] at `point` [m] in the frame of `joint` (1-based)."""
+
+    mass: float
+    joint: int
+    point: Vector3
 
 
 @dataclass(frozen=True, slots=True)
 class LumpedModel:
     """Lumped links of a robot and their Pinocchio model, whose mass matrix is Eq. 14.
 
-    `aggregated` are the n + 1 masses [kg] by axis, proximal first; the first does not move. `massless_joints` are the
-    joints (0-based) that move no lumped mass: `model` gives them an armature of 1 to keep its mass matrix regular.
-    The mass along a direction in which such a joint does not move the contact point is unaffected.
+    `aggregated` are the n + 1 masses [kg] by axis, proximal first; the first does not move. `masses` are those left
+    after adding up what lies at one place: n + 1 as well where the heights on the axes agree or do not matter.
+    `massless_joints` are the joints (0-based) that move no lumped mass: `model` gives them an armature of 1 to keep its
+    mass matrix regular. The mass along a direction in which such a joint does not move the contact point is unaffected.
+    `is_regular` tells whether that matrix is positive definite at every pose by its form.
     """
 
     links: tuple[LumpedLink, ...]
     aggregated: tuple[float, ...]
+    masses: tuple[LumpedMass, ...]
     model: pin.Model
     massless_joints: tuple[int, ...]
+    is_regular: bool
 
     def planar_masses(self, robot: Robot) -> tuple[float, float]:
         """Return M2 (elbow) and M3 (end-effector) of the equivalent planar mechanism [kg], after Eq. 25.
@@ -83,27 +114,48 @@ def is_scara(robot: Robot) -> bool:
     return parallel and float(np.linalg.norm(point - (point @ axis) * axis)) < ON_AXIS_M
 
 
+class IndefiniteError(RobotError):
+    """The lumped mass matrix is not positive definite."""
+
+
 def lump(robot: Robot) -> LumpedModel:
-    """Return the lumped model of `robot`. Raises RobotError, naming the link, if there is none."""
+    """Return the lumped model of `robot` by the settings `robot.lumping`.
+
+    Raises RobotError, naming every link without such masses, if the policy is to refuse; and IndefiniteError. Another
+    policy first tries to answer for those links alone, then also for centres of mass outside the slab between the axes.
+    """
     if robot.masses_reason or robot.coms_reason:
         raise RobotError(robot.masses_reason or robot.coms_reason)
-    source = robot.model
-    if list(source.parents)[1:] != list(range(source.njoints - 1)):
+    if list(robot.model.parents)[1:] != list(range(robot.model.njoints - 1)):
         raise RobotError("the joints must form a single chain")
-    links = tuple(_lumped_link(robot, joint) for joint in range(1, source.njoints))
-    model = source.copy()
+    try:
+        return _lumped_model(robot, within_slab=False)
+    except IndefiniteError:
+        if robot.lumping.policy is LumpingPolicy.REFUSE:
+            raise
+    return _lumped_model(robot, within_slab=True)
+
+
+def _lumped_model(robot: Robot, *, within_slab: bool) -> LumpedModel:
+    links = tuple(_lumped_link(robot, joint, within_slab=within_slab) for joint in range(1, robot.model.njoints))
+    problems = [f"link behind {link.joint}: {link.problem}" for link in links if link.problem and not link.answer]
+    if problems:
+        raise RobotError(f"{'; '.join(problems)} (lumping.policy project_com and mass_at_com approximate)")
+    model = robot.model.copy()
     for joint, link in enumerate(links, start=1):
         model.inertias[joint] = _two_masses(link)
     massless_joints = _massless_joints(robot, model)
-    armature = source.armature.copy()
+    armature = robot.model.armature.copy()
     armature[list(massless_joints)] = 1.0
     model.armature = armature
     _require_positive_definite(robot, model, links)
-    masses = [0.0] * source.njoints
+    aggregated = [0.0] * robot.model.njoints
     for index, link in enumerate(links):
-        masses[index] += link.kappa1 * link.mass
-        masses[index + 1] += link.kappa2 * link.mass
-    return LumpedModel(links=links, aggregated=tuple(masses), model=model, massless_joints=massless_joints)
+        aggregated[index] += link.kappa1 * link.mass
+        aggregated[index + 1] += link.kappa2 * link.mass
+    masses = _at_one_place(robot, links)
+    is_regular = all(link.axes in {"parallel", "coincident"} for link in links) and min(masses).mass >= 0.0
+    return LumpedModel(links, tuple(aggregated), masses, model, massless_joints, is_regular)
 
 
 def _distal_axis(robot: Robot, joint: int) -> tuple[FloatArray, FloatArray]:
@@ -114,47 +166,191 @@ def _distal_axis(robot: Robot, joint: int) -> tuple[FloatArray, FloatArray]:
     return placement.translation.copy(), placement.rotation @ robot.axis_in_joint_frame(joint + 1)
 
 
-def _lumped_link(robot: Robot, joint: int) -> LumpedLink:
-    name = robot.joint_names[joint - 1]
-    body = robot.model.inertias[joint]
-    axis = robot.axis_in_joint_frame(joint)
+def _lumped_link(robot: Robot, joint: int, *, within_slab: bool) -> LumpedLink:
+    """Return the masses of the link behind `joint`, by the policy if its axes as drawn have none."""
+    name, body, axis = robot.joint_names[joint - 1], robot.model.inertias[joint], robot.axis_in_joint_frame(joint)
     point, distal = _distal_axis(robot, joint)
-    if float(np.linalg.norm(np.cross(axis, distal))) > PARALLEL:
-        raise RobotError(f"link behind {name}: its axes are not parallel, which the lumped model does not support")
+    fit = robot.lumping.free_parameters is FreeParameters.FIT_INERTIA and not robot.inertias_reason
+    parallel = float(np.linalg.norm(np.cross(axis, distal))) <= PARALLEL
+    link = (_parallel_axes if parallel else _crossed_axes)(
+        name, body, axis, point, distal, fit=fit, within_slab=within_slab
+    )
+    com, height = np.array(body.lever), float(body.lever @ axis)
+    near, far = height * axis, com - height * axis
+    at_com = {
+        "height1": height if parallel else 0.0,
+        "height2": height * float(np.sign(axis @ distal)) if parallel else 0.0,
+    }
+    if not link.problem or body.mass == 0.0:
+        if link.axes != "coincident" or robot.revolute[joint - 1]:
+            return replace(link, problem="")
+        # All of it on the distal axis, which slides: M33 = m_l4 + m_l5 of the paper.
+        return _with_masses(link, 1.0, near, near, problem="", **at_com)
+    # Only the direction of a prismatic axis counts, and the last link has no distal axis: shift it through the CoM.
+    if not robot.revolute[joint - 1]:
+        return _with_masses(link, 0.0, com, com, on_axes=False, problem="", **at_com)
+    if not (*robot.revolute, False)[joint]:
+        reach = 1.0
+        if fit and parallel:  # reproduces the moment about the proximal axis
+            reach += float(axis @ body.inertia @ axis / (body.mass * far @ far))
+        return _with_masses(link, 1.0 / reach, near, near + reach * far, on_axes=False, problem="", **at_com)
+    return _answered(link, com, robot.lumping.policy)
+
+
+def _answered(link: LumpedLink, com: FloatArray, policy: LumpingPolicy) -> LumpedLink:
+    """Return the masses that `policy` gives a link with a problem and its centre of mass at `com` (3,)."""
+    if policy is LumpingPolicy.MASS_AT_COM:
+        return _with_masses(link, 0.5, com, com, on_axes=False, answer="one mass at its centre of mass")
+    if policy is LumpingPolicy.PROJECT_COM:
+        moved = np.linalg.norm(link.kappa1 * np.array(link.point1) + link.kappa2 * np.array(link.point2) - com)
+        return replace(link, answer=f"its centre of mass moved by {1e3 * moved:.1f} mm")
+    return link
+
+
+def _with_masses(link: LumpedLink, kappa2: float, point1: ArrayLike, point2: ArrayLike, **changes: Any) -> LumpedLink:  # noqa: ANN401 - fields of LumpedLink
+    """Return `link` with other masses and `changes`."""
+    points = {"point1": _vector(point1), "point2": _vector(point2)}
+    return replace(link, **{"kappa1": 1.0 - kappa2, "kappa2": kappa2, **points, **changes})
+
+
+def _parallel_axes(
+    name: str,
+    body: pin.Inertia,
+    axis: FloatArray,
+    point: FloatArray,
+    distal: FloatArray,
+    *,
+    fit: bool,
+    within_slab: bool,
+) -> LumpedLink:
+    """Return the masses of a link with parallel axes; with a `problem`, those of the nearest possible CoM."""
     height = float(body.lever @ axis)
     across = body.lever - height * axis
     normal = point - (point @ axis) * axis
     length = float(np.linalg.norm(normal))
+    axes, spread, problem = "parallel", 0.0, ""
     if length < ON_AXIS_M:
-        kappa2, distance = 0.5, float(np.linalg.norm(across))  # coincident axes: any kappa is exact
+        axes, normal = "coincident", np.zeros(3)
+        kappa2, distance = 0.5, float(np.linalg.norm(across))  # any kappa is exact
     else:
         kappa2 = float(across @ normal) / length**2
         distance = float(np.linalg.norm(across - kappa2 * normal))
-    revolute = (*robot.revolute, True)
-    foot1, foot2 = np.zeros(3), normal
-    on_axes = distance <= ON_AXIS_M or body.mass == 0.0
-    if not on_axes:
-        # Only the direction of a prismatic axis counts: shift it through the centre of mass.
-        if not revolute[joint - 1]:
-            kappa2, foot1, foot2 = 0.0, across, across
-        elif not revolute[joint]:
-            kappa2, foot2 = 1.0, across
-        else:
-            raise RobotError(
-                f"link behind {name}: its centre of mass lies {distance * 1e3:.1f} mm off the plane of its two axes, "
-                "so two masses on the axes cannot reproduce it"
-            )
-    return LumpedLink(
-        joint=name,
-        mass=float(body.mass),
-        kappa1=1.0 - kappa2,
-        kappa2=kappa2,
-        height1=height,
-        height2=height * float(np.sign(axis @ distal)),
-        point1=_vector(foot1 + height * axis),
-        point2=_vector(foot2 + height * axis),
-        on_axes=on_axes,
-    )
+    if distance > ON_AXIS_M:
+        problem = f"its centre of mass lies {distance * 1e3:.1f} mm off the plane of its two axes"
+    elif within_slab and not 0.0 <= kappa2 <= 1.0:
+        problem = _outside(kappa2)
+        kappa2 = min(max(kappa2, 0.0), 1.0)
+    share = body.mass * (1.0 - kappa2) * kappa2
+    if fit and share > 0.0:
+        # Two masses at distance r have the tensor share (r^2 1 - r r^T), here with r = normal + spread axis.
+        square, linear = share * _unit_inertia(axis), -share * (np.outer(normal, axis) + np.outer(axis, normal))
+        rest = share * _unit_inertia(normal) - body.inertia
+        middle = _dot(linear, linear) + 2.0 * _dot(rest, square)
+        slope = 2.0 * _dot(square, square), 3.0 * _dot(square, linear), middle, _dot(rest, linear)
+        size = RUNAWAY * (length + abs(height))
+        spread = _minimum(slope, lambda d: np.linalg.norm((square * d + linear) * d + rest), 0.0, -size, size)
+    height1, height2 = height - kappa2 * spread, height + (1.0 - kappa2) * spread
+    signed = height2 * float(np.sign(axis @ distal))
+    points = _vector(height1 * axis), _vector(normal + height2 * axis)
+    return LumpedLink(name, float(body.mass), axes, 1.0 - kappa2, kappa2, height1, signed, *points, problem=problem)
+
+
+def _crossed_axes(
+    name: str,
+    body: pin.Inertia,
+    axis: FloatArray,
+    point: FloatArray,
+    distal: FloatArray,
+    *,
+    fit: bool,
+    within_slab: bool,
+) -> LumpedLink:
+    """Return the masses of a link whose axes intersect or are skew; with a `problem`, those of a nearby CoM."""
+    across = np.cross(axis, distal)
+    across /= np.linalg.norm(across)
+    gap = float(point @ across)
+    foot1 = _along(point, axis, distal)[0] * axis
+    foot2 = foot1 + gap * across
+    offset, mass, axes, problem = float((body.lever - foot1) @ across), float(body.mass), "intersecting", ""
+    if abs(gap) > ON_AXIS_M:
+        axes = "skew"
+    elif abs(offset) > ON_AXIS_M:
+        problem = f"its centre of mass lies {1e3 * abs(offset):.1f} mm off the plane of its two axes"
+    first, second = _along(body.lever - foot1, axis, distal)  # kappa1 L1 and kappa2 L2
+    total = abs(first) + abs(second)
+    kappa2 = least = abs(second) / total if total > 0.0 else 0.5  # of least spread: |L1| = |L2|
+    if axes == "skew":
+        kappa2 = offset / gap
+        far = (
+            max(abs(first), abs(second))
+            if kappa2 in {0.0, 1.0}
+            else max(abs(first / (1.0 - kappa2)), abs(second / kappa2))
+        )
+        if far > RUNAWAY * (total + abs(gap)):
+            problem = f"a mass lies {far:.3g} m from the common normal: kappa2 = {kappa2:.2g}"
+        elif within_slab and not 0.0 <= kappa2 <= 1.0:
+            problem = _outside(kappa2)
+        kappa2 = least if problem else kappa2
+    elif fit and total > 0.0 and mass > 0.0:
+        # sqrt(kappa1 kappa2) r = second / s distal - first s axis with s^2 = kappa2 / kappa1 = t.
+        one, other = mass * first**2 * _unit_inertia(axis), mass * second**2 * _unit_inertia(distal)
+        mixed = np.outer(axis, distal) + np.outer(distal, axis)
+        rest = -mass * first * second * (2.0 * (axis @ distal) * np.eye(3) - mixed) - body.inertia
+        slope = _dot(one, one), _dot(rest, one), 0.0, -_dot(rest, other), -_dot(other, other)
+        high = RUNAWAY * total / max(abs(first), 1e-9 * total)
+        low = max(abs(second), 1e-9 * total) / (RUNAWAY * total)
+        ratio = kappa2 / (1.0 - kappa2) if kappa2 < 1.0 else high
+        ratio = _minimum(slope, lambda t: np.linalg.norm(one * t + other / t + rest), ratio, low, high)
+        kappa2 = ratio / (1.0 + ratio)
+    height1 = first / (1.0 - kappa2) if kappa2 < 1.0 else 0.0
+    height2 = second / kappa2 if kappa2 > 0.0 else 0.0
+    points = _vector(foot1 + height1 * axis), _vector(foot2 + height2 * distal)
+    return LumpedLink(name, mass, axes, 1.0 - kappa2, kappa2, height1, height2, *points, problem=problem)
+
+
+def _along(vector: FloatArray, axis: FloatArray, distal: FloatArray) -> tuple[float, float]:
+    """Return the components of `vector` along two unit vectors that are not parallel; that across both is dropped."""
+    cosine, one, other = float(axis @ distal), float(vector @ axis), float(vector @ distal)
+    square = 1.0 - cosine * cosine
+    return (one - cosine * other) / square, (other - cosine * one) / square
+
+
+def _minimum(
+    slope: Sequence[float], error: Callable[[float], np.floating[Any]], default: float, low: float, high: float
+) -> float:
+    """Return where `error` is smallest: a real root of the polynomial `slope`, or `default`, from `low` to `high`."""
+    roots = [float(root.real) for root in np.roots(slope) if abs(root.imag) <= 1e-9 * (1.0 + abs(root))]
+    return min([min(max(root, low), high) for root in (default, *roots)], key=error)
+
+
+def _dot(left: FloatArray, right: FloatArray) -> float:
+    return float(np.sum(left * right))
+
+
+def _outside(kappa2: float) -> str:
+    return f"its centre of mass lies outside the slab between its axes: kappa2 = {kappa2:.3g} makes M indefinite"
+
+
+def _at_one_place(robot: Robot, links: tuple[LumpedLink, ...]) -> tuple[LumpedMass, ...]:
+    """Return the masses, those at one place on a common revolute axis added up, and none of 0 but on the first axis."""
+    masses: list[LumpedMass] = []
+    flat = True
+    for joint, link in enumerate(links, start=1):
+        near = LumpedMass(link.kappa1 * link.mass, joint, link.point1)
+        if masses:
+            flat = flat and links[joint - 2].axes in {"parallel", "coincident"}
+            last, placement = masses[-1], robot.model.jointPlacements[joint]
+            place, axis = placement.act(np.array(near.point)), placement.rotation @ robot.axis_in_joint_frame(joint)
+            apart = place - np.array(last.point)
+            if flat:  # between parallel axes the height does not matter
+                apart -= (apart @ axis) * axis
+            total = last.mass + near.mass
+            if robot.revolute[joint - 1] and total and float(np.linalg.norm(apart)) <= ON_AXIS_M:
+                mean = (last.mass * np.array(last.point) + near.mass * place) / total
+                masses[-1], near = LumpedMass(total, joint - 1, _vector(mean)), near._replace(mass=0.0)
+        masses += [near] if near.mass or joint == 1 else []
+        masses += [LumpedMass(link.kappa2 * link.mass, joint, link.point2)]
+    return tuple(mass for index, mass in enumerate(masses) if mass.mass or not index)
 
 
 def _two_masses(link: LumpedLink) -> pin.Inertia:
@@ -196,13 +392,26 @@ def _require_positive_definite(robot: Robot, model: pin.Model, links: tuple[Lump
     # A negative mass makes M(q) indefinite near stretched poses, which the samples may miss.
     for axis, mass in enumerate(_masses_by_axis(links)[1:], start=1):
         if mass < 0.0:
-            raise RobotError(f"the lumped mass on axis {axis + 1} is {mass:.3g} kg: must not be negative{cause}")
+            raise IndefiniteError(f"the lumped mass on axis {axis + 1} is {mass:.3g} kg: must not be negative{cause}")
+    lower, upper = model.lowerPositionLimit, model.upperPositionLimit
+    # Joint 1 does not change the eigenvalues; the first six others turn to where axes align.
+    aligned = [
+        (0.0, *turns, *[0.0] * (model.nv - 1 - len(turns))) for turns in product(TURNS, repeat=min(model.nv - 1, 6))
+    ]
+    poses = np.concatenate([robot.sample_configurations(), np.clip(aligned, lower, upper)])
     data = model.createData()
-    for q in robot.sample_configurations():
-        matrix = robot.mass_matrix(model, data, q)
-        scale = np.sqrt(np.diag(matrix).clip(min=0.0))
-        if np.any(scale == 0.0) or np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < 1e-9:
-            raise RobotError(f"the lumped mass matrix is not positive definite at q = {np.round(q, 3).tolist()}{cause}")
+    matrices = np.array([robot.mass_matrix(model, data, q) for q in poses])
+    inertia = np.diagonal(matrices, axis1=1, axis2=2)
+    lacking = inertia < SINGULAR * inertia.max(axis=0)
+    if lacking.any():
+        pose, joint = np.argwhere(lacking)[0].tolist()
+        where = f"{robot.joint_names[joint]} moves no lumped mass at q = {np.round(poses[pose], 3).tolist()}"
+        raise IndefiniteError(f"the lumped mass matrix is singular: {where}{cause}")
+    scale = np.sqrt(inertia)
+    lowest = np.linalg.eigvalsh(matrices / (scale[:, :, None] * scale[:, None, :]))[:, 0]
+    if (lowest < SINGULAR).any():
+        q = np.round(poses[int(np.argmin(lowest))], 3).tolist()
+        raise IndefiniteError(f"the lumped mass matrix is not positive definite at q = {q}{cause}")
 
 
 def _masses_by_axis(links: tuple[LumpedLink, ...]) -> list[float]:
@@ -216,6 +425,6 @@ def _masses_by_axis(links: tuple[LumpedLink, ...]) -> list[float]:
     return masses
 
 
-def _vector(point: FloatArray) -> Vector3:
-    x, y, z = point.tolist()
+def _vector(point: ArrayLike) -> Vector3:
+    x, y, z = np.asarray(point).tolist()
     return x, y, z

@@ -15,7 +15,7 @@ from scara_effmass.errors import RobotError
 from scara_effmass.iso15066 import robot_mass
 from scara_effmass.model.inertial_check import StatedLink, check_inertials, triangle_error
 from scara_effmass.model.rotors import RotorInertia
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import LumpingSettings, MonitorSettings
 from scara_effmass.values import FloatArray, Vector3
 
 PARALLEL = 2e-3
@@ -47,6 +47,7 @@ class Robot:
     payload: Mapping[str, float]
     rebuild: Callable[[MonitorSettings], Robot]
     rotors: RotorInertia
+    lumping: LumpingSettings
     masses_reason: str
     coms_reason: str
     inertias_reason: str
@@ -185,6 +186,7 @@ def build_robot(
             build_robot, bare, origin, links=links, rotors=rotors, notes=notes, file_payload=file_payload, **fields
         ),
         rotors=rotors,
+        lumping=settings.lumping,
         masses_reason=masses_reason,
         coms_reason=masses_reason or check.coms,
         inertias_reason=masses_reason or check.coms or check.inertias,

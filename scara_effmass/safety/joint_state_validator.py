@@ -250,7 +250,7 @@ class JointStateValidator:
         of the error on the high-passed velocity estimates tau alone.
         """
         elapsed_ns = stamp_ns - self._observed_ns
-        if elapsed_ns > self.timeout_ns:
+        if elapsed_ns > self.timeout_ns or not self._comparisons:
             self._comparisons = [(x, v, 0.0, v, 0.0, 0.0) for x, v in zip(positions, velocities, strict=True)]
             self._start_ns = stamp_ns
             elapsed_ns = 0

@@ -17,7 +17,16 @@ from scara_effmass.settings.daq import (
     TareSettings,
 )
 from scara_effmass.settings.loading import checked, load_settings
-from scara_effmass.settings.monitor import ContactType, Drives, MassModel, MonitorSettings, ServoSettings
+from scara_effmass.settings.monitor import (
+    ContactType,
+    Drives,
+    FreeParameters,
+    LumpingPolicy,
+    LumpingSettings,
+    MassModel,
+    MonitorSettings,
+    ServoSettings,
+)
 from scara_effmass.settings.validator import CriterionSettings, ValidatorSettings
 
 __all__ = [
@@ -31,7 +40,10 @@ __all__ = [
     "FilterKind",
     "FilterSettings",
     "ForceSourceKind",
+    "FreeParameters",
     "ImportSettings",
+    "LumpingPolicy",
+    "LumpingSettings",
     "MassModel",
     "MonitorSettings",
     "Ni9230Settings",

@@ -55,6 +55,36 @@ class ServoSettings(FrozenSettings):
     )
 
 
+class LumpingPolicy(str, Enum):
+    """What to do with a link that two masses on its axes cannot reproduce."""
+
+    REFUSE = "refuse"
+    PROJECT_COM = "project_com"
+    MASS_AT_COM = "mass_at_com"
+
+
+class FreeParameters(str, Enum):
+    """Choice among the pairs of masses that reproduce mass and centre of mass of a link."""
+
+    MINIMUM_SPREAD = "minimum_spread"
+    FIT_INERTIA = "fit_inertia"
+
+
+class LumpingSettings(FrozenSettings):
+    """Lumped model: two masses on the axes of each link."""
+
+    policy: LumpingPolicy = fixed(
+        LumpingPolicy.REFUSE,
+        "a link that two masses on its axes cannot reproduce: refuse (no lumped model), project_com (move its centre "
+        "of mass to where they can), or mass_at_com (its whole mass at its centre of mass)",
+    )
+    free_parameters: FreeParameters = fixed(
+        FreeParameters.MINIMUM_SPREAD,
+        "masses where several pairs are possible: minimum_spread (closest to the centre of mass), or fit_inertia "
+        "(closest to the inertia tensor)",
+    )
+
+
 class MonitorSettings(FrozenSettings):
     """Settings of `monitor_node`, `assess` and `replay`, with safe defaults.
 
@@ -110,6 +140,7 @@ class MonitorSettings(FrozenSettings):
         "effective mass behind the verdict: lumped, full, iso (M/2 + m_L), the largest that exists, or auto: lumped "
         "where it exists and model_margin holds in every direction, else full, else iso",
     )
+    lumping: LumpingSettings = LumpingSettings()
     mass_cap: float = tunable(
         1000.0, "upper bound of the published effective masses, reached near singular poses [kg]", ge=100.0, le=1e6
     )

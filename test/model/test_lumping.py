@@ -16,6 +16,7 @@ from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.model.lumping import LumpedModel, is_scara, lump
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.scara_closed_form import scara_lumped_mass
+from scara_effmass.settings import FreeParameters, LumpingPolicy, LumpingSettings
 
 shared_fixture_settings = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -27,12 +28,22 @@ def centres_of_mass_agree(lumped: LumpedModel, robot: Robot) -> bool:
     )
 
 
+def fitted(robot: Robot, policy: LumpingPolicy = LumpingPolicy.REFUSE) -> Robot:
+    return replace(robot, lumping=LumpingSettings(policy=policy, free_parameters=FreeParameters.FIT_INERTIA))
+
+
 def test_structure_of_table_2(omron_dynamics: RobotDynamics) -> None:
     lumped = omron_dynamics.lumped
     assert lumped is not None
-    assert [link.kappa2 for link in lumped.links] == pytest.approx([0.08029 / 0.275, 0.05775 / 0.275, 0.5, 0.5])
+    assert [link.kappa2 for link in lumped.links] == pytest.approx([0.08029 / 0.275, 0.05775 / 0.275, 1.0, 0.5])
     assert all(link.on_axes for link in lumped.links)
+    assert [link.axes for link in lumped.links] == ["parallel", "parallel", "coincident", "coincident"]
     assert lumped.massless_joints == (3,)
+    assert [mass.mass for mass in lumped.masses] == pytest.approx(lumped.aggregated)
+    assert len(lumped.masses) == 5
+    # M33 of the paper: the quill moves m_l4 and m_l5 alone.
+    q = np.array([0.4, 1.2, 0.1, 0.3])
+    assert pin.crba(lumped.model, lumped.model.createData(), q)[2, 2] == pytest.approx(sum(lumped.aggregated[3:]))
     assert is_scara(omron_dynamics.robot)
 
 
@@ -109,10 +120,36 @@ class TestCentreOfMassBesideThePlaneOfTheAxes:
         with pytest.raises(RobotError, match=r"behind joint1: .* 12\.3 mm off the plane"):
             lump(load_rows(omron_rows))
 
-    def test_of_a_coaxial_tool_raises(self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
+    def test_of_a_coaxial_tool_shifts_its_far_axis(
+        self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], along: Callable[..., EffectiveMasses]
+    ) -> None:
         omron_rows["payload"]["com"] = [0.05, 0.0, 0.0]
-        with pytest.raises(RobotError, match=r"behind joint4: .* 35\.7 mm off the plane"):
-            lump(load_rows(omron_rows))
+        omron_rows["contact_points"] = {"edge": [0.08, 0.0, 0.0]}
+        dynamics = RobotDynamics(load_rows(omron_rows))
+        lumped = dynamics.lumped
+        assert lumped is not None
+        assert centres_of_mass_agree(lumped, dynamics.robot)
+        assert [link.on_axes for link in lumped.links] == [True, True, True, False]
+        assert lumped.massless_joints == ()
+        inertia = pin.crba(lumped.model, lumped.model.createData(), np.zeros(4))[3, 3]
+        assert inertia == pytest.approx(0.35 * (0.25 * 0.05 / 0.35) ** 2)
+        # The paper's contact beside the axis, along x4 and across it.
+        q, phi = [0.3, 1.1, 0.1, 0.2], 0.3 + 1.1 - 0.2
+        for angle in (phi, phi + 0.7):
+            masses = along(dynamics, q, [math.cos(angle), math.sin(angle), 0.0])
+            assert 0.0 < masses.lumped < masses.worst_lumped < math.inf
+        with pytest.raises(RobotError, match=r"robot\.yaml: .*off the plane"):
+            lumped.planar_masses(dynamics.robot)
+
+    def test_of_a_coaxial_tool_can_reproduce_its_moment_of_inertia(
+        self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+    ) -> None:
+        omron_rows["payload"]["com"] = [0.05, 0.0, 0.0]
+        robot = fitted(load_rows(omron_rows))
+        lumped = lump(robot)
+        inertia = [pin.crba(model, model.createData(), np.zeros(4))[3, 3] for model in (lumped.model, robot.model)]
+        assert inertia[0] == pytest.approx(inertia[1])
+        assert centres_of_mass_agree(lumped, robot)
 
     @pytest.mark.parametrize("link", [1, 2], ids=["before the slide", "on the slide"])
     def test_of_a_prismatic_joint_shifts_that_axis(
@@ -139,19 +176,6 @@ class TestCentreOfMassBesideThePlaneOfTheAxes:
         assert omron_dynamics.lumped.links[1].point2 == pytest.approx((0.275, 0.0, 0.0))
 
 
-@pytest.mark.parametrize("alpha", [0.01, -1.5707963, 3.0])
-def test_axes_that_are_not_parallel_raise(
-    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], alpha: float
-) -> None:
-    omron_rows["joints"][0]["alpha"] = alpha
-    for body in (*omron_rows["links"], omron_rows["payload"]):
-        body["inertia"] = [body["inertia"]] * 3 + [0.0] * 3
-    robot = load_rows(omron_rows)
-    with pytest.raises(RobotError, match="behind joint1: its axes are not parallel"):
-        lump(robot)
-    assert not is_scara(robot)
-
-
 def test_pi_written_as_3_14_is_parallel(
     omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], omron_dynamics: RobotDynamics
 ) -> None:
@@ -166,14 +190,7 @@ def test_pi_written_as_3_14_is_parallel(
 
 def test_urdf_with_pi_written_as_3_14_has_a_lumped_model(load_urdf_file: Callable[..., Robot]) -> None:
     robot = load_urdf_file("scara_icube_tutorial.urdf")
-    assert lump(robot).aggregated == pytest.approx((0.75, 1.0, 0.85, 0.1), abs=1e-3)
-
-
-def test_six_axis_arm_has_no_lumped_model(load_urdf_file: Callable[..., Robot]) -> None:
-    dynamics = RobotDynamics(load_urdf_file("ur5_robot.urdf"))
-    assert dynamics.lumped is None
-    assert "shoulder_pan_joint: its axes are not parallel" in dynamics.lumped_reason
-    assert dynamics.full_reason == ""
+    assert lump(robot).aggregated == pytest.approx((0.75, 1.0, 0.75, 0.2), abs=1e-3)
 
 
 def test_base_pose_has_no_effect(omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses]) -> None:
@@ -260,4 +277,140 @@ def test_axes_within_two_milliradians_are_parallel(
         body["inertia"] = [body["inertia"]] * 3 + [0.0] * 3
     robot = load_rows(omron_rows)
     assert is_scara(robot) == parallel
-    assert bool(RobotDynamics(robot).lumped_reason) != parallel
+    assert (lump(robot).links[0].axes == "parallel") == parallel
+
+
+class TestCrossedAxes:
+    """Two joints whose axes are neither parallel nor coincident: DH rows of the first one."""
+
+    @pytest.fixture
+    def elbow(self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> Callable[..., Robot]:
+        def build(a: float, alpha: float, com: tuple[float, ...], **lumping: str) -> Robot:
+            omron_rows["joints"], omron_rows["links"] = omron_rows["joints"][:2], omron_rows["links"][:2]
+            omron_rows["joints"][0] |= {"a": a, "alpha": alpha}
+            omron_rows["joints"][1] |= {"alpha": 0.0}
+            tensor = [0.03, 0.02, 0.025, 0.001, -0.002, 0.003]
+            omron_rows["links"][0] |= {"mass": 2.0, "com": list(com), "inertia": tensor}
+            omron_rows["links"][1] |= {"mass": 1.0, "com": [0.1, 0.0, 0.05], "inertia": tensor}
+            omron_rows["payload"]["inertia"] = [1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0]
+            settings_ = LumpingSettings.model_validate(lumping)
+            return replace(load_rows(omron_rows), lumping=settings_)
+
+        return build
+
+    @shared_fixture_settings
+    @given(
+        a=st.floats(0.05, 0.6),
+        alpha=st.floats(0.2, 2.9),
+        share=st.floats(0.15, 0.85),
+        cy=st.floats(-0.1, 0.1),
+        cz=st.floats(-0.2, 0.2),
+    )
+    def test_masses_of_skew_axes_are_those_of_the_closed_form(
+        self, elbow: Callable[..., Robot], a: float, alpha: float, share: float, cy: float, cz: float
+    ) -> None:
+        cx = share * a
+        robot = elbow(a, alpha, (cx, cy, cz), policy="mass_at_com")
+        link = lump(robot).links[0]
+        assert (link.axes, link.problem) == ("skew", "")
+        assert link.kappa2 == pytest.approx(cx / a)
+        assert link.height2 == pytest.approx(-a * cy / (cx * math.sin(alpha)), abs=1e-9)
+        assert link.height1 == pytest.approx((cz + cy / math.tan(alpha)) / (1.0 - cx / a), abs=1e-9)
+        distal = np.array([0.0, -math.sin(alpha), math.cos(alpha)])
+        assert link.point1 == pytest.approx((0.0, 0.0, link.height1), abs=1e-9)
+        assert link.point2 == pytest.approx(np.array([a, 0.0, 0.0]) + link.height2 * distal, abs=1e-9)
+        np.testing.assert_allclose(
+            link.kappa1 * np.array(link.point1) + link.kappa2 * np.array(link.point2), (cx, cy, cz), atol=1e-9
+        )
+
+    @shared_fixture_settings
+    @given(alpha=st.floats(0.3, 2.8), cy=st.floats(-0.2, 0.2), cz=st.floats(-0.2, 0.2), kappa2=st.floats(0.02, 0.98))
+    def test_free_parameter_of_intersecting_axes_is_the_best(
+        self, elbow: Callable[..., Robot], alpha: float, cy: float, cz: float, kappa2: float
+    ) -> None:
+        com = np.array([0.0, cy, cz])
+        distal = np.array([0.0, -math.sin(alpha), math.cos(alpha)])
+        second = -cy / math.sin(alpha)
+        first = cz - second * math.cos(alpha)
+        assume(min(abs(first), abs(second)) > 1e-3)
+        points = np.array([[0.0, 0.0, first / (1.0 - kappa2)], second / kappa2 * distal]) - com
+        kappas = np.array([1.0 - kappa2, kappa2])
+
+        def tensor(arms: Any, shares: Any) -> Any:  # noqa: ANN401
+            return sum(2.0 * s * ((r @ r) * np.eye(3) - np.outer(r, r)) for r, s in zip(arms, shares, strict=True))
+
+        for rule in FreeParameters:
+            robot = elbow(0.0, alpha, tuple(com.tolist()), free_parameters=rule.value)
+            link = replace(lump(robot).links[0])
+            chosen = np.array([link.point1, link.point2]) - com
+            shares = np.array([link.kappa1, link.kappa2])
+            assert link.axes == "intersecting"
+            assert shares @ chosen == pytest.approx(np.zeros(3), abs=1e-9)
+            if rule is FreeParameters.MINIMUM_SPREAD:
+                assert shares @ (chosen**2).sum(axis=1) <= kappas @ (points**2).sum(axis=1) + 1e-12
+            elif max(abs(first / (1.0 - kappa2)), abs(second / kappa2)) < 10.0 * (abs(first) + abs(second)):
+                pairs = (chosen, shares), (points, kappas)
+                errors = [np.linalg.norm(tensor(*pair) - robot.model.inertias[1].inertia) for pair in pairs]
+                assert errors[0] <= errors[1] + 1e-12
+
+    @pytest.mark.parametrize(
+        ("a", "com", "problem"),
+        [
+            (0.0, (0.0031, 0.02, 0.05), "its centre of mass lies 3.1 mm off the plane of its two axes"),
+            (0.2, (0.0002, 0.02, 0.05), "a mass lies 20 m from the common normal: kappa2 = 0.001"),
+        ],
+        ids=["off the plane", "running to infinity"],
+    )
+    def test_link_without_two_masses_is_answered_by_the_policy(
+        self, elbow: Callable[..., Robot], a: float, com: tuple[float, ...], problem: str
+    ) -> None:
+        with pytest.raises(RobotError, match=f"^link behind joint1: {problem} .lumping.policy project_com and mass"):
+            lump(elbow(a, math.pi / 2.0, com))
+        at_com = lump(elbow(a, math.pi / 2.0, com, policy="mass_at_com")).links[0]
+        assert at_com.point1 == at_com.point2 == pytest.approx(com)
+        assert (at_com.problem, at_com.answer, at_com.on_axes) == (problem, "one mass at its centre of mass", False)
+        link = lump(elbow(a, math.pi / 2.0, com, policy="project_com")).links[0]
+        projected = link.kappa1 * np.array(link.point1) + link.kappa2 * np.array(link.point2)
+        moved = np.linalg.norm(projected - np.array(com))
+        assert 1e-4 < moved < 0.2
+        assert link.answer == f"its centre of mass moved by {1e3 * moved:.1f} mm"
+        assert max(abs(link.height1), abs(link.height2)) < 0.2
+        assert sum(lump(elbow(a, math.pi / 2.0, com, policy="project_com")).aggregated) == pytest.approx(3.25)
+
+    def test_every_link_without_two_masses_is_named(self, load_urdf_file: Callable[..., Robot]) -> None:
+        reason = RobotDynamics(load_urdf_file("panda.urdf")).lumped_reason
+        for joint, distance in ((1, 3.9), (2, 3.1), (5, 12.0)):
+            assert f"link behind panda_joint{joint}: its centre of mass lies {distance} mm off the plane" in reason
+
+    def test_indefinite_mass_matrix_is_refused_or_answered(self, elbow: Callable[..., Robot]) -> None:
+        """A counterweight far beyond the first axis."""
+        com = (-0.4, 0.0, 0.0)
+        with pytest.raises(RobotError, match=r"kg: must not be negative: the centre of mass lies outside the slab"):
+            lump(elbow(0.2, math.pi / 2.0, com))
+        link = lump(elbow(0.2, math.pi / 2.0, com, policy="project_com")).links[0]
+        assert (
+            link.problem == "its centre of mass lies outside the slab between its axes: kappa2 = -2 makes M indefinite"
+        )
+        assert link.answer == "its centre of mass moved by 500.0 mm"
+        assert lump(elbow(0.2, math.pi / 2.0, com, policy="mass_at_com")).links[0].point1 == pytest.approx(com)
+
+    def test_tilted_slide_is_shifted_through_the_centre_of_mass(
+        self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+    ) -> None:
+        for body in (*omron_rows["links"], omron_rows["payload"]):
+            body["inertia"] = [body["inertia"]] * 3 + [0.0] * 3
+        omron_rows["joints"][1]["alpha"], omron_rows["joints"][1]["a"] = 2.0, 0.0
+        omron_rows["links"][1]["com"] = [0.05, 0.01, 0.02]
+        lumped = lump(load_rows(omron_rows))
+        assert lumped.links[1].point2 == pytest.approx((0.05, 0.01, 0.02))
+        assert (lumped.links[1].kappa2, lumped.links[1].on_axes, lumped.links[1].problem) == (1.0, False, "")
+
+
+def test_wrist_without_mass_beside_its_axes_has_no_lumped_mass(load_urdf_file: Callable[..., Robot]) -> None:
+    """Joint 5 of this UR5 moves no lumped mass, but the tool: zero mass along n is no answer."""
+    dynamics = RobotDynamics(load_urdf_file("ur5_robot.urdf"))
+    assert dynamics.lumped is not None
+    assert dynamics.lumped.massless_joints == (4, 5)
+    (masses,) = dynamics.effective_masses(np.array([0.3, -1.0, 1.2, 0.4, 0.8, 0.1]), np.full(6, 0.1), 0.005)
+    assert math.isnan(masses.lumped)
+    assert "wrist_2_joint moves the contact point along n, but no lumped mass" in masses.lumped_reason

@@ -133,6 +133,11 @@ def test_invalid_stamp_gives_unknown_and_the_next_valid_one_does_not(
         assert [(c.verdict, c.reason) for c in decision.contacts] == [expected]
 
 
+def test_simulated_time_may_begin_at_zero(scara: RobotDynamics) -> None:
+    feed = Feed(make_monitor(scara), now_ns=0)
+    assert [feed(state(velocity=(1e-9,) * 4))[0] for _ in range(3)] == [Verdict.OK] * 3
+
+
 def test_age_exactly_at_the_limit_is_valid(scara: RobotDynamics) -> None:
     for age_ns in (-20 * MS, 0, 200 * MS):
         decision = make_monitor(scara).assess(state(NOW - age_ns), NOW)
