@@ -12,6 +12,7 @@ from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.recorded_run import RecordedForce
 from scara_effmass.analysis.report import ReportFigure, figure_files, render, report_figure, write_report_files
 from scara_effmass.analysis.time_series import Episode, TimeSeries, intervals
+from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Verdict
 
@@ -66,16 +67,20 @@ class RunReport:
         figure = report_figure(next(self._names), f"{run}, contact point {contact_point}.", CAPTION, drawing)
         episodes = [item for item in intervals(series, settings.timeout) if item.verdict is not Verdict.OK]
         serious = sorted(episodes, key=lambda item: (_SEVERITY.index(item.verdict), item.start - item.stop))[:MAX_ROWS]
-        self._sections.append((figure, sorted(serious), len(episodes) - len(serious)))
+        self._sections.append((figure, sorted(serious, key=lambda item: item.start), len(episodes) - len(serious)))
         self._episodes += [
             {
                 "run": run,
                 "contact_point": contact_point,
                 "verdict": episode.verdict.name,
+                "stamp_ns": series.start_ns + round(episode.start * 1e9),
                 "start_s": episode.start,
                 "duration_s": episode.stop - episode.start,
                 "min_margin_m_s": None if math.isnan(episode.min_margin) else episode.min_margin,
+                "positions": dict(episode.positions),
+                "body_region": episode.body_region,
                 "reason": episode.reason,
+                "remedy": remedy(episode.reason),
             }
             for episode in episodes
         ]
@@ -86,7 +91,7 @@ class RunReport:
         paths = [str(self._folder / name) for name in figure_files(figure.name for figure in figures)]
         summary = {**result, "episodes": self._episodes, "figures": paths}
         texts = {
-            PAGE: render("run.html", title=title, lines=list(lines), sections=self._sections),
+            PAGE: render("run.html", title=title, remedy=remedy, lines=list(lines), sections=self._sections),
             SUMMARY: f"{json.dumps(summary, indent=2, allow_nan=False)}\n",
         }
         write_report_files(self._folder, texts, figures, overwrite=self._overwrite)

@@ -5,7 +5,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
+from scara_effmass.analysis.time_series import NO_JOINT_STATE
 from scara_effmass.safety.debounce import severity
+from scara_effmass.safety.remedies import remedy
 from scara_effmass.values import ContactAssessment, JointState, Verdict
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
@@ -14,6 +16,8 @@ MAX_REASONS = 200
 """Maximum number of different reasons; further ones count as `OTHER_REASONS`, which bounds the memory."""
 OTHER_REASONS = "other reasons"
 REASONS_SHOWN = 5
+MAX_UNKNOWN_SHARE = 0.05
+"""Share of UNKNOWN above which the summary states a remedy."""
 
 
 class TightestMargin(NamedTuple):
@@ -69,9 +73,10 @@ class Summary:
         self.cycles: Counter[Verdict] = Counter()
         self.time_ns: Counter[Verdict] = Counter()
         self.reasons: Counter[str] = Counter()
+        self._numbers: dict[str, list[tuple[float, float]]] = {}
         self.mass_models: Counter[str] = Counter()
         self.gaps = 0
-        self.max_gap_ns = 0
+        self.max_gap_ns = self._gaps_ns = 0
         self.tightest: TightestMargin | None = None
 
     def add(
@@ -90,8 +95,14 @@ class Summary:
         self.cycles[worst.verdict] += 1
         if worst.verdict is Verdict.UNKNOWN:
             reason = NUMBER.sub("…", worst.reason)
-            known = reason in self.reasons or len(self.reasons) < MAX_REASONS
-            self.reasons[reason if known else OTHER_REASONS] += 1
+            if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
+                reason = OTHER_REASONS
+            self.reasons[reason] += 1
+            numbers = [float(number.group()) for number in NUMBER.finditer(worst.reason)]
+            ranges = self._numbers.setdefault(reason, [(number, number) for number in numbers])
+            if reason != OTHER_REASONS:
+                pairs = zip(ranges, numbers, strict=True)
+                self._numbers[reason] = [(min(low, number), max(high, number)) for (low, high), number in pairs]
         elif worst.mass_model:
             self.mass_models[f"{worst.mass_model}: {worst.mass_model_reason}"] += 1
         self._pass_time(at_ns)
@@ -101,6 +112,27 @@ class Summary:
     def only_unknown(self) -> bool:
         """Whether no cycle has a verdict."""
         return self.cycles[Verdict.UNKNOWN] == self.cycles.total()
+
+    @property
+    def remedy(self) -> str:
+        """What to do about the leading reason if more than MAX_UNKNOWN_SHARE is UNKNOWN, else empty."""
+        total_ns, unknown_ns = self.time_ns.total(), self.time_ns[Verdict.UNKNOWN]
+        shares = self.cycles[Verdict.UNKNOWN] / (self.cycles.total() or 1), unknown_ns / (total_ns or 1)
+        if max(shares) <= MAX_UNKNOWN_SHARE:
+            return ""
+        in_gaps = not self.reasons or 2 * self._gaps_ns > unknown_ns
+        return remedy(NO_JOINT_STATE if in_gaps else self.reasons.most_common(1)[0][0])
+
+    def reason_counts(self) -> dict[str, int]:
+        """Return the number of UNKNOWN cycles by reason, most frequent first, with the ranges of its numbers."""
+        counts = {}
+        for reason, count in self.reasons.most_common():
+            first, *others = reason.split("…")
+            ends = (
+                f"{low:.10g}" if low == high else f"{low:.10g} to {high:.10g}" for low, high in self._numbers[reason]
+            )
+            counts[first + "".join(map(str.__add__, ends, others))] = count
+        return counts
 
     def new_recording(self) -> None:
         """Start a new recording; the time since the last cycle is not counted."""
@@ -114,7 +146,8 @@ class Summary:
             "seconds_by_verdict": {verdict.name: self.time_ns[verdict] / 1e9 for verdict in Verdict},
             "gaps": self.gaps,
             "longest_gap_s": self.max_gap_ns / 1e9,
-            "unknown_reasons": dict(self.reasons.most_common()),
+            "unknown_reasons": self.reason_counts(),
+            "remedy": self.remedy,
             "mass_models": dict(self.mass_models.most_common()),
             "tightest": self.tightest and self.tightest.as_dict(),
         }
@@ -133,11 +166,13 @@ class Summary:
             yield from self.tightest.lines()
         for model, count in self.mass_models.most_common():
             yield "mass model", f"{model} ({count / self.mass_models.total():.1%})"
-        reasons = self.reasons.most_common()
+        reasons = list(self.reason_counts().items())
         for reason, count in reasons[:REASONS_SHOWN]:
             yield "UNKNOWN because", f"{reason} ({count} cycles)"
         if reasons[REASONS_SHOWN:]:
             yield "UNKNOWN because", f"{len(reasons) - REASONS_SHOWN} other reasons (--json lists them)"
+        if self.remedy:
+            yield "remedy", self.remedy
 
     def _pass_time(self, at_ns: int) -> None:
         if self._last is None:
@@ -149,4 +184,5 @@ class Summary:
         if elapsed_ns > self._timeout_ns:
             self.time_ns[Verdict.UNKNOWN] += elapsed_ns - self._timeout_ns
             self.gaps += 1
+            self._gaps_ns += elapsed_ns - self._timeout_ns
             self.max_gap_ns = max(self.max_gap_ns, elapsed_ns)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.values import NAN, ContactAssessment, FloatArray, Verdict
+from scara_effmass.values import NAN, ContactAssessment, FloatArray, JointState, Verdict
 
 NO_JOINT_STATE = "no joint state"
 """Reason of the episodes in which no joint state arrived."""
@@ -21,7 +22,8 @@ NO_JOINT_STATE = "no joint state"
 class TimeSeries:
     """Assessments at `time` (m,) [s] since `start_ns`; unknown values are NaN. Speeds [m/s], masses [kg].
 
-    `reasons` holds the reason of each verdict that differs from the one before, by index, and `mass_models` counts the
+    `reasons` holds the reason of each verdict that differs from the one before, by index, `places` its body region and
+    the joint positions by name, and `mass_models` counts the
     models of the masses with their reasons.
     """
 
@@ -37,6 +39,7 @@ class TimeSeries:
     lumped_mass: FloatArray
     full_mass: FloatArray
     iso_mass: FloatArray
+    places: dict[int, tuple[str, dict[str, float]]] = field(default_factory=dict)
 
     def with_gaps(self, timeout: float) -> TimeSeries:
         """Return a copy with a row of NaN after each gap longer than `timeout` [s] begins, which breaks a line."""
@@ -45,6 +48,7 @@ class TimeSeries:
         return TimeSeries(
             start_ns=self.start_ns,
             reasons={},
+            places={},
             mass_models=self.mass_models,
             time=np.insert(self.time, gaps, self.time[gaps - 1] + timeout),
             verdict=np.insert(self.verdict, gaps, Verdict.UNKNOWN),
@@ -52,13 +56,14 @@ class TimeSeries:
         )
 
 
-_VALUES = tuple(field.name for field in fields(TimeSeries))[5:]
+_VALUES = tuple(field.name for field in fields(TimeSeries))[5:-1]
 
 
 class Episode(NamedTuple):
     """An interval of one verdict, from `start` to `stop` [s] since the first joint state.
 
-    `min_margin` [m/s] is NaN where no margin is known; `reason` is that of the first joint state.
+    `min_margin` [m/s] is NaN where no margin is known; `reason`, `body_region` and the joint `positions` by name
+    [rad, m] are those of the first joint state.
     """
 
     start: float
@@ -66,6 +71,8 @@ class Episode(NamedTuple):
     verdict: Verdict
     min_margin: float
     reason: str
+    body_region: str = ""
+    positions: Mapping[str, float] = MappingProxyType({})
 
 
 class TimeSeriesBuilder:
@@ -77,14 +84,17 @@ class TimeSeriesBuilder:
         self._verdicts = array("q")
         self._values = array("d")
         self._reasons: dict[int, str] = {}
+        self._places: dict[int, tuple[str, dict[str, float]]] = {}
         self._mass_models: Counter[str] = Counter()
 
-    def add(self, contact: ContactAssessment, at_ns: int) -> None:
-        """Add an assessment made at `at_ns`; it is placed at its own stamp where that stamp is valid."""
+    def add(self, contact: ContactAssessment, at_ns: int, state: JointState | None = None) -> None:
+        """Add an assessment of `state` made at `at_ns`; it is placed at its own stamp where that stamp is valid."""
         known = contact.effective_mass > 0.0
         decided = contact.verdict is not Verdict.UNKNOWN
         if not self._verdicts or contact.verdict != self._verdicts[-1]:
             self._reasons[len(self._verdicts)] = contact.reason
+            positions = {} if state is None else dict(zip(state.names, state.position.tolist(), strict=False))
+            self._places[len(self._verdicts)] = contact.body_region, positions
         if contact.mass_model:
             self._mass_models[f"{contact.mass_model}: {contact.mass_model_reason}"] += 1
         self._stamps_ns.append(contact.stamp_ns if known else at_ns)
@@ -113,6 +123,7 @@ class TimeSeriesBuilder:
         return TimeSeries(
             start_ns=start_ns,
             reasons={int(rank[index]): reason for index, reason in self._reasons.items()},
+            places={int(rank[index]): place for index, place in self._places.items()},
             mass_models=self._mass_models,
             time=(stamps_ns - start_ns) / 1e9,
             verdict=np.array(self._verdicts)[order],
@@ -156,7 +167,8 @@ def intervals(series: TimeSeries, timeout: float) -> Iterator[Episode]:
         last = min(end, float(time[stop - 1]) + timeout)
         margins = series.margin[start:stop]
         min_margin = NAN if np.isnan(margins).all() else float(np.nanmin(margins))
-        reason = series.reasons.get(max((index for index in series.reasons if index <= start), default=0), "")
-        yield Episode(float(time[start]), last, Verdict(verdict[start]), min_margin, reason)
+        changed = max((index for index in series.reasons if index <= start), default=0)
+        reason, place = series.reasons.get(changed, ""), series.places.get(changed, ("", {}))
+        yield Episode(float(time[start]), last, Verdict(verdict[start]), min_margin, reason, *place)
         if end > last:
             yield Episode(last, end, Verdict.UNKNOWN, NAN, NO_JOINT_STATE)

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
                         table.add(name, log_time_ns, decision.contacts)
                         summary.add(decision.contacts, log_time_ns, state, name)
                         for contact in decision.contacts if series else ():
-                            series[contact.contact_point].add(contact, log_time_ns)
+                            series[contact.contact_point].add(contact, log_time_ns, state)
                 counts["foreign"] += monitor.ignored
                 counts["refused"] += monitor.rejected
                 losses += bag.losses

@@ -4,9 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from scara_effmass.analysis.summary import MAX_REASONS, OTHER_REASONS, Summary
+from scara_effmass.analysis.time_series import NO_JOINT_STATE
 from scara_effmass.safety import unknown_contact
+from scara_effmass.safety.remedies import remedy
 from scara_effmass.values import ContactAssessment, JointState, Verdict
 
 MS = 1_000_000
@@ -72,6 +76,45 @@ def test_reasons_are_counted_without_their_numbers() -> None:
     for reason in ("the joint state is 0.512 s old", "the joint state is -1e-05 s old", "joint1 at 2.5000 rad"):
         summary.add([contact(Verdict.UNKNOWN, 0.0, reason)], 0)
     assert summary.reasons == {"the joint state is … s old": 2, "joint1 at … rad": 1}
+
+
+def test_reasons_carry_the_range_of_their_numbers() -> None:
+    summary = Summary(TIMEOUT_NS)
+    for reason in ("a is 0.512 s old", "a is 203.101 s old", "joint1 at 2.5000 rad", "joint1 at 2.5000 rad"):
+        summary.add([contact(Verdict.UNKNOWN, 0.0, reason)], 0)
+    assert summary.as_dict()["unknown_reasons"] == {"a is 0.512 to 203.101 s old": 2, "joint1 at 2.5 rad": 2}
+    assert ("UNKNOWN because", "a is 0.512 to 203.101 s old (2 cycles)") in summary.lines()
+
+
+@given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(0.0, 10.0)), min_size=1, max_size=30))
+def test_range_covers_every_number(numbers: list[tuple[float, float]]) -> None:
+    summary = Summary(TIMEOUT_NS)
+    for first, second in numbers:
+        summary.add([contact(Verdict.UNKNOWN, 0.0, f"x is {first!r} m after {second!r} s")], 0)
+    (text,) = summary.as_dict()["unknown_reasons"]
+    ends = [[float(number) for number in part.split(" to ")] for part in text[5:-2].split(" m after ")]
+    for end, values in zip(ends, zip(*numbers, strict=True), strict=True):
+        assert (end[0], end[-1]) == pytest.approx((min(values), max(values)))
+
+
+@pytest.mark.parametrize(("unknown", "share"), [(5, False), (6, True)])
+def test_remedy_of_the_leading_reason_from_five_percent_on(unknown: int, *, share: bool) -> None:
+    summary = Summary(TIMEOUT_NS)
+    for number in range(100):
+        reason = "the header stamp is zero" if number < unknown - 1 else "the header stamp is repeated"
+        verdict = Verdict.UNKNOWN if number < unknown else Verdict.OK
+        summary.add([contact(verdict, reason=reason)], 0)
+    assert summary.remedy == (remedy("the header stamp is zero") if share else "")
+    assert (("remedy", summary.remedy) in summary.lines()) is share
+
+
+def test_remedy_of_gaps() -> None:
+    summary = Summary(TIMEOUT_NS)
+    for at_ms in (0, 10, 5000):
+        summary.add(
+            [contact(Verdict.UNKNOWN if at_ms == 10 else Verdict.OK, reason="the header stamp is zero")], at_ms * MS
+        )
+    assert summary.remedy == remedy(NO_JOINT_STATE)
 
 
 def test_number_of_reasons_is_bounded() -> None:

@@ -15,7 +15,7 @@ from scara_effmass.analysis.time_series import (
     intervals,
 )
 from scara_effmass.safety import unknown_contact
-from scara_effmass.values import Verdict
+from scara_effmass.values import JointState, Verdict
 
 OK, WARN, VIOLATION, UNKNOWN = Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN
 TIMEOUT = 0.2
@@ -107,6 +107,21 @@ def test_intervals_have_verdict_margin_and_reason_and_silence_is_unknown() -> No
         (WARN, 1.2, 1.2, "row 6"),
     ]
     assert [row.min_margin for row in rows[1:3]] == pytest.approx([0.0, -0.2])
+
+
+def test_an_interval_has_the_region_and_the_pose_of_its_start() -> None:
+    builder = TimeSeriesBuilder()
+    for number, verdict in enumerate((OK, WARN, WARN, VIOLATION)):
+        state = JointState(1, ("joint1", "joint2"), np.array([0.1, 0.2]) * number, np.zeros(2))
+        row = assessed._replace(stamp_ns=10**9 + 10**8 * number, verdict=verdict, body_region=f"region {number}")
+        builder.add(row, row.stamp_ns, state)
+    rows = list(intervals(builder.build(), TIMEOUT))
+    assert [(row.verdict, row.body_region) for row in rows] == [
+        (OK, "region 0"),
+        (WARN, "region 1"),
+        (VIOLATION, "region 3"),
+    ]
+    assert rows[1].positions == {"joint1": 0.1, "joint2": 0.2}
 
 
 steps = st.lists(st.tuples(st.floats(0.001, 1.0), st.sampled_from(list(Verdict))), min_size=2, max_size=40)

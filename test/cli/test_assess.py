@@ -27,6 +27,7 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.debounce import severity
+from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import ContactAssessment, Verdict
@@ -314,7 +315,13 @@ def test_report_shows_every_contact_point_and_episode(swing_bag: Path, cli: Cli,
     violation = min((e for e in summary["episodes"] if e["min_margin_m_s"]), key=lambda e: e["min_margin_m_s"])
     assert violation["verdict"] == "VIOLATION"
     assert violation["min_margin_m_s"] == summary["tightest"]["margin_m_s"]
+    assert set(violation["positions"]) == {"joint1", "joint2", "joint3", "joint4"}
+    assert violation["body_region"] in violation["reason"]
+    assert violation["remedy"] == remedy(violation["reason"]) != ""
+    assert all(episode["remedy"] for episode in summary["episodes"])
+    assert abs(violation["stamp_ns"] - summary["tightest"]["stamp_ns"]) <= 1e9 * violation["duration_s"] + 1
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert violation["remedy"] in page
     assert page.count("data:image/png;base64,") == 4
     assert "not a certified safety function" in page
     assert "no rotor inertia for joint1" in page
