@@ -101,6 +101,9 @@ class Detector:
     may be wrong. Pulses that follow a contact do not count: AC coupling and ringing respond to compression with
     tension. Neither does force below the baseline for BASELINE_FRAMES frames, which is a load that was removed.
 
+    A sustained contact ends when the force is released, or steady for `settings.longest`, which makes the load the
+    baseline. How the load swings until then is neither an impact nor another sustained contact.
+
     Detectors that start at different samples of a stream return the same impacts to the last bit once they have
     settled: after BASELINE_FRAMES + 3 consecutive quiet frames (0.4 s at 12.8 kS/s) and `settings.rebound_time`
     without a contact.
@@ -117,8 +120,8 @@ class Detector:
     def feed(self, block: ForceBlock) -> list[Impact]:
         """Return the impacts that end with `block`, in order.
 
-        Samples that are not finite count as lost. A contact continues over lost samples if it is still there after them;
-        it is then incomplete. A lower sample number or another sample rate starts a new recording.
+        Samples that are not finite count as lost. A contact that is still there after lost samples is one incomplete
+        contact. A lower sample number or another sample rate starts a new recording.
         """
         impacts: list[Impact] = []
         for part in finite_parts(block):
@@ -201,10 +204,9 @@ class Detector:
         if self._first_search:
             hold = max(round(self._settings.longest * self._rate), 2 * hold)
         recent = list(self._candidates)[-BASELINE_FRAMES:]
-        if len(recent) == BASELINE_FRAMES and self._baseline.is_steady(recent):
-            is_long = len(self._candidates) == self._load_frames and self._baseline.is_steady(self._candidates)
-            if is_long or not self._is_load(recent):
-                self._adopt(recent)
+        is_steady = len(recent) == BASELINE_FRAMES and self._baseline.is_steady(recent)
+        if is_steady and (not self._is_load(recent) or self._is_steady_load()):
+            self._adopt(recent)
         if not self._settled and self._processed - self._held_from >= hold:
             self._held_from = self._frame_end(self._held_from)
 
@@ -212,6 +214,11 @@ class Detector:
         """Return whether `frames` are above the lost baseline: a load, which is a baseline only after `longest`."""
         level = float(np.median([np.median(frame.subsamples) for frame in frames]))
         return not self._first_search and level > self._baseline.force + self._baseline.threshold
+
+    def _is_steady_load(self) -> bool:
+        """Return whether the level has moved by no more than the threshold for `longest`."""
+        levels = [np.median(frame.subsamples) for frame in self._candidates]
+        return len(levels) == self._load_frames and float(np.ptp(levels)) <= self._baseline.threshold
 
     def _adopt(self, frames: Iterable[Frame]) -> None:
         """Adopt `frames` as the baseline unless the signal is stuck where it was noisy before."""

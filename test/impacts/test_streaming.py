@@ -176,7 +176,9 @@ def run(detector: Detector, make_block: MakeBlock, force: FloatArray, edges: lis
 
 
 @pytest.mark.parametrize("lost", [1, 10, 500])
-def test_a_contact_with_lost_samples_is_one_incomplete_impact(make_block: MakeBlock, add_pulse: AddPulse, lost: int) -> None:
+def test_a_contact_with_lost_samples_is_one_incomplete_impact(
+    make_block: MakeBlock, add_pulse: AddPulse, lost: int
+) -> None:
     force = np.random.default_rng(0).normal(0.0, 0.1, 20_000)
     add_pulse(force, 10_000, 4e-3, 100.0)
     (impact,) = run(Detector(DetectionSettings()), make_block, force, [10_020, 20_000], lost)
