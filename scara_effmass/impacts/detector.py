@@ -59,8 +59,8 @@ class SampleBuffer:
         if missing := block.first_sample - self.end:
             last = self._blocks[-1]
             stamp_ns = last.stamp_ns + round((self.end - last.first_sample) / last.sample_rate * 1e9)
-            empty = {"force": np.full(missing, np.nan), "saturated_samples": block.saturated_samples[:0]}
-            self._blocks.append(last._replace(stamp_ns=stamp_ns, first_sample=self.end, **empty))
+            gap = last._replace(stamp_ns=stamp_ns, first_sample=self.end, force=np.full(missing, np.nan))
+            self._blocks.append(gap._replace(saturated_samples=block.saturated_samples[:0]))
         self._blocks.append(block)
         self.end = block.first_sample + block.force.size
 
