@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 
 from scara_effmass.cli.options import (
+    BAG,
     BAGS,
     CELL,
     COUNT,
@@ -430,30 +431,29 @@ examples:
             default=20_000,
         ),
         Option("--table", "format of the table (default: csv)", choices=["csv", "parquet"], default="csv"),
-        ROBOT[1],
-        *LIMITS,
+        *CELL[1:],
         params("monitor_node"),
         FORCE,
         JSON,
     ),
-    "coverage": Command(
-        "show which joint positions, directions and speeds recordings cover",
+    "init": Command(
+        "write a commented parameter file of a cell, which every node and command takes",
         """\
-BAG is a recording, a folder of recordings, or the coverage.json of an earlier run with this robot, whose counts are
-added. DIR receives coverage.json, coverage.png and coverage.svg. Joint states that the monitor refuses do not count.
-The poses are the combinations of four bins of each joint.
+Options set its parameters; on a terminal, init asks for those that are missing. FILE states all of them with their
+meaning, is one that `doctor --params FILE` accepts, and serves monitor, validator and daq. With --bag, the joint states
+of the recording are assessed with it, and the summary printed. Exit status 1: all of them are UNKNOWN.
 
 examples:
-  scara-effmass coverage bags/tour bags/campaign -o out/coverage
-  scara-effmass coverage tuesday.mcap out/coverage/coverage.json -o out/both
+  scara-effmass init
+  scara-effmass init --robot ur5.urdf --bag run1 --payload 2.5 --payload-com 0 0 0.1 --region hand_fingers -o cell.yaml
+  scara-effmass init --robot ur5.urdf --contact-point tool0 --contact-point "elbow=upper_arm_link: 0 0 0.4"
 """,
-        BAGS,
-        output("DIR", "folder for figure and counts"),
+        ROBOT[0],
+        BAG,
         TOPIC,
-        *ROBOT,
-        params("monitor_node"),
+        *CELL[1:],
+        Option("-o --output", "file to write (default: cell.yaml)", "FILE", Path, default=Path("cell.yaml")),
         FORCE,
-        JSON,
     ),
     "limits": Command(
         "print the body-region limits and the allowable speeds",

@@ -37,15 +37,9 @@ def run(args: argparse.Namespace) -> int:
     settings = monitor_settings(args, others=("daq",))
     if not settings.robot_path.is_file():
         raise RobotError(f"{settings.robot_path}: no such file; must be a URDF or DH YAML file")
-    results = [*_installation(), *_environment(), *_daq(args.params), *_limits(settings)]
-    joints: list[dict[str, Any]] = []
-    try:
-        dynamics = load_dynamics(settings)
-    except RobotError as error:
-        results.append(CheckResult("wrong", "robot", str(error)))
-    else:
-        results += [*_robot(dynamics), _mass_model(dynamics, settings.effective_mass_model)]
-        joints = _joints(dynamics)
+    cell, dynamics = cell_results(settings)
+    results = [*_installation(), *_environment(), *_daq(args.params), *cell]
+    joints = _joints(dynamics) if dynamics else []
     healthy = all(result.level != "wrong" for result in results)
     if args.json:
         findings = [result._asdict() for result in results]
@@ -59,6 +53,19 @@ def run(args: argparse.Namespace) -> int:
         problem = "not healthy: the monitor cannot run: see the lines marked wrong"
         printer().print("healthy: the monitor can run with this robot" if healthy else problem)
     return 0 if healthy else 1
+
+
+def cell_results(settings: MonitorSettings) -> tuple[list[CheckResult], RobotDynamics | None]:
+    """Return the results for limits and robot of `settings`, and the robot, None if it cannot be loaded."""
+    results = [*_limits(settings)]
+    try:
+        dynamics = load_dynamics(settings)
+    except RobotError as error:
+        return [*results, CheckResult("wrong", "robot", str(error))], None
+    if settings.payload_topic:
+        text = f"by topic {settings.payload_topic}, not in the masses here; UNKNOWN until it arrives"
+        results.append(CheckResult("note", "payload", text))
+    return [*results, *_robot(dynamics), _mass_model(dynamics, settings.effective_mass_model)], dynamics
 
 
 def _installation() -> Iterator[CheckResult]:

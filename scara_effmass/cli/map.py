@@ -30,6 +30,10 @@ ALONG_X = (1.0, 0.0, 0.0)
 def run(args: argparse.Namespace) -> int:
     """Sample the workspace, write figure, table and summary, and print the summary."""
     settings = monitor_settings(args)
+    if settings.payload_topic:
+        raise SettingsError(
+            f"payload_topic = {settings.payload_topic!r}: must be empty for a map: give --payload-topic ''"
+        )
     if args.test_direction and settings.fixed_test_direction is None:
         raise SettingsError("--direction = 0 0 0: must not be 0")
     table_name = f"{NAME}.{args.table}"

@@ -73,6 +73,7 @@ def plane(text: str) -> tuple[int, float]:
 FORCE = flag("--force", "replace existing output")
 JSON = flag("--json", "print the result as JSON")
 BAGS = Option("bags", "recording, or folder of recordings", "BAG", Path, nargs="+")
+BAG = Option("--bag", "recording to assess, which shows whether the settings fit it", "BAG", Path)
 TOPIC = Option("--topic", "topic of the joint states (default: joint_states, else the only one)")
 ROBOT = (
     Option("--robot", "robot: URDF or DH YAML (default: the shipped Omron i4-550L)", "FILE"),

@@ -84,6 +84,15 @@ def test_joints_without_rotor_inertia_are_named(tmp_path: Path, capsys: pytest.C
     assert texts(result, "ok")["armature"] == "0.3, 0.2, 0, 0 kg m² or kg"
 
 
+def test_payload_and_limits_of_the_options_are_reported(capsys: pytest.CaptureFixture[str]) -> None:
+    _, result = run_doctor(capsys, "--payload", "2", "--contact-area", "3", "--person-speed", "1.6")
+    assert texts(result, "ok")["payload"] == "0.25 kg (robot file) + 2 kg (parameter payload_mass)"
+    assert "3 cm², person at 1.6 m/s: " in texts(result, "ok")["limits"]
+    assert "the payload counts as a point mass" in " ".join(texts(result, "note").values())
+    code, result = run_doctor(capsys, "--payload-topic", "load")
+    assert (code, texts(result, "note")["payload"].split(";")[0]) == (0, "by topic load, not in the masses here")
+
+
 def test_placeholder_inertias_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     robot = str(arm(tmp_path / "arm.urdf", inertia=1.0, mass=1.0))
     code, result = run_doctor(capsys, "--robot", robot, "--model", "iso")

@@ -129,6 +129,10 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "payload of NaN": (["doctor", "--payload", "nan"], "argument --payload: nan: must be a number >= 0"),
     "centre of mass in mm": (["doctor", "--payload-com", "0", "0", "120"], "options: payload_com.2 = 120.0: "),
     "payload of a demo without a bag": (["demo", "--payload", "1"], "demo: payload: the simulated robot carries none"),
+    "payload topic of a map": (
+        ["map", "-o", "m", "--payload-topic", "load"],
+        "payload_topic = 'load': must be empty for",
+    ),
     "missing bag to replay": (["replay", "no.mcap"], "no.mcap: does not exist"),
 }
 
@@ -160,7 +164,7 @@ def test_options_override_the_parameter_file(cli: Cli, tmp_path: Path) -> None:
         assert result["contact"] == contact
 
 
-@pytest.mark.parametrize("command", ["assess", "demo", "doctor", "monitor", "validate"])
+@pytest.mark.parametrize("command", ["assess", "demo", "doctor", "init", "map", "monitor", "validate"])
 def test_every_command_that_assesses_has_the_options_of_the_cell(command: str) -> None:
     """A person who approaches changes no measured impact, so `validate` has no speed of a person."""
     options = {option.dest for option in COMMANDS[command].options if isinstance(option, Option)}

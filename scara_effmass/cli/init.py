@@ -1,0 +1,131 @@
+"""`scara-effmass init`: write the parameter file of a cell."""
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+import yaml
+from pydantic import BaseModel
+
+from scara_effmass import __version__
+from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
+from scara_effmass.analysis.output import atomic_file, check_output_path
+from scara_effmass.analysis.summary import Summary
+from scara_effmass.bags.files import open_bag
+from scara_effmass.cli.console import print_lines, progress_bar
+from scara_effmass.cli.doctor import cell_results
+from scara_effmass.cli.options import BAG, CELL, LIMITS, ROBOT, Option
+from scara_effmass.cli.settings import monitor_settings
+from scara_effmass.errors import EffmassError, SettingsError
+from scara_effmass.iso15066 import BODY_REGIONS
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings
+from scara_effmass.settings.loading import flat_fields
+from scara_effmass.wire.topics import JOINT_STATES
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask for what is missing if stdin is a terminal, assess the recording, and write the file."""
+    check_output_path(args.output, overwrite=args.force)
+    args.params = None
+    settings, dynamics = _checked(args)
+    if sys.stdin.isatty():
+        settings, dynamics = _interview(args, settings, dynamics)
+    lines = [("robot", dynamics.robot.origin), ("contact points", ", ".join(dynamics.contact_points))]
+    unknown = False
+    notes = [
+        "Parameters of a cell for every node and command: --params FILE, launch argument params_file.",
+        f"Written by scara-effmass {__version__} from {dynamics.robot.origin}.",
+    ]
+    if args.bag:
+        topic, summary = _recording(args, settings, dynamics)
+        lines += [("recording", f"{args.bag}, {topic}"), *summary.lines()]
+        unknown = summary.only_unknown
+        if topic.lstrip("/") != JOINT_STATES:
+            notes.append(f"Joint states of {args.bag}: monitor --params FILE -- -r joint_states:={topic}")
+    with atomic_file(args.output, overwrite=args.force) as path:
+        path.write_text(_cell(settings, notes), encoding="utf-8")
+    print_lines([*lines, ("written", args.output), ("next", f"scara-effmass doctor --params {args.output}")])
+    return 1 if unknown else 0
+
+
+def _checked(args: argparse.Namespace) -> tuple[MonitorSettings, RobotDynamics]:
+    """Return the settings of the options and their robot. Raises EffmassError where `doctor` finds something wrong."""
+    robot = args.robot and str(Path(args.robot).resolve())  # the nodes may start elsewhere
+    settings = monitor_settings(args, robot=robot)
+    results, dynamics = cell_results(settings)
+    wrong = [f"{result.subject}: {result.text}" for result in results if result.level == "wrong"]
+    if wrong or dynamics is None:
+        raise SettingsError(wrong[0])
+    return settings, dynamics
+
+
+def _interview(
+    args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics
+) -> tuple[MonitorSettings, RobotDynamics]:
+    """Ask for every option that was not given, until it fits; return as `_checked`."""
+    for option in (ROBOT[0], BAG, *CELL[1:]):
+        name = option.dest
+        is_load = name in {"payload_com", "payload_inertia"}
+        if name == "payload_topic" or getattr(args, name) is not None or (is_load and not args.payload_mass):
+            continue
+        links = [frame.name for frame in dynamics.robot.model.frames if frame.type.name == "BODY"]
+        choices = {"body_regions": BODY_REGIONS, "contact_points": links or dynamics.contact_points}
+        names = choices.get(name, option.keywords.get("choices"))
+        print_lines([(f"{name}: ", option.keywords["help"]), *([("", f"of {', '.join(names)}")] if names else [])])
+        several = "several by commas; " if option.keywords.get("action") else ""
+        while text := input(f"  ({several}Enter: default) ").strip():
+            try:
+                setattr(args, name, _value(option, text))
+                settings, dynamics = _checked(args)
+                break
+            except (EffmassError, ValueError, argparse.ArgumentTypeError) as error:
+                setattr(args, name, None)
+                print_lines([("", error)])
+    return settings, dynamics
+
+
+def _value(option: Option, text: str) -> Any:  # noqa: ANN401 - as argparse
+    """Return the answer `text` as argparse would; several values are separated by commas, numbers by spaces."""
+    kind, nargs, repeated = (option.keywords.get(key) for key in ("type", "nargs", "action"))
+    words = text.split(",") if repeated else text.split() if nargs else [text]
+    values = [(kind or str)(word.strip()) for word in words]
+    return values if repeated or nargs else values[0]
+
+
+def _recording(args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics) -> tuple[str, Summary]:
+    """Return the topic of the joint states, and the summary of their assessment. Raises BagError."""
+    summary = Summary(round(settings.timeout * 1e9))
+    with open_bag(args.bag) as bag, progress_bar() as progress:
+        topic = joint_state_topic(bag, args.topic)
+        task = progress.add_task(bag.path.name, total=next(t.count for t in bag.topics if t.name == topic))
+        for log_time_ns, state, decision in assess_joint_states(bag, topic, Monitor(dynamics, settings)):
+            progress.advance(task)
+            if decision is not None:
+                summary.add(decision.contacts, log_time_ns, state)
+    return topic, summary
+
+
+def _cell(settings: MonitorSettings, notes: Sequence[str]) -> str:
+    """Return the file: `notes`, and a section per node with each parameter below its description."""
+    values = settings.model_dump(mode="json")
+    values["sensor.sensitivity"] = DaqSettings().sensor.sensitivity
+    sections: dict[str, tuple[type[BaseModel], tuple[Option, ...], tuple[str, ...]]] = {
+        "monitor": (MonitorSettings, CELL, ("tool_links", "armature", "drives")),
+        "validator": (ValidatorSettings, (*ROBOT, *LIMITS), ()),
+        "daq": (DaqSettings, (), ("sensor.sensitivity",)),
+    }
+    lines = [f"# {note}" for note in notes]
+    for node, (kind, options, names) in sections.items():
+        fields = flat_fields(MonitorSettings) | flat_fields(kind)
+        lines += [f"/**/{node}:", "  ros__parameters:"]
+        for name in (*(option.dest for option in options), *names):
+            lines += wrap(fields[name].description or "", 118, initial_indent="    # ", subsequent_indent="    # ")
+            value = yaml.safe_dump([values[name]], default_flow_style=True, width=math.inf, allow_unicode=True)
+            lines.append(f"    {name}: {value.strip()[1:-1]}")
+    return "\n".join(lines) + "\n"
