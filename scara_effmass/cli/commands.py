@@ -436,6 +436,25 @@ examples:
         FORCE,
         JSON,
     ),
+    "coverage": Command(
+        "show which joint positions, directions and speeds recordings cover",
+        """\
+BAG is a recording, a folder of recordings, or the coverage.json of an earlier run with this robot, whose counts are
+added. DIR receives coverage.json, coverage.png and coverage.svg. Joint states that the monitor refuses do not count.
+The poses are the combinations of four bins of each joint.
+
+examples:
+  scara-effmass coverage bags/tour bags/campaign -o out/coverage
+  scara-effmass coverage tuesday.mcap out/coverage/coverage.json -o out/both
+""",
+        BAGS,
+        output("DIR", "folder for figure and counts"),
+        TOPIC,
+        *ROBOT,
+        params("monitor_node"),
+        FORCE,
+        JSON,
+    ),
     "init": Command(
         "write a commented parameter file of a cell, which every node and command takes",
         """\

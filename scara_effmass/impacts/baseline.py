@@ -30,12 +30,17 @@ _ZERO_RUN_PROBABILITY = 1e-6
 
 
 class Frame:
-    """A frame of `samples` (n,) [N], its extremes, and at most 128 evenly spaced `subsamples`."""
+    """The `samples` (n,) [N] of a frame that are not NaN, their extremes, and at most 128 evenly spaced `subsamples`.
+
+    `is_present` if at least half of the samples are not NaN; `is_complete` if all are.
+    """
 
     def __init__(self, samples: FloatArray) -> None:
-        self.samples = samples
-        self.subsamples = samples[:: -(-samples.size // _MAX_SUBSAMPLES)]
-        self.low, self.high = float(samples.min()), float(samples.max())
+        self.samples = samples[np.isfinite(samples)]
+        self.is_complete = self.samples.size == samples.size
+        self.is_present = self.samples.size >= 0.5 * samples.size
+        self.subsamples = self.samples[:: -(-self.samples.size // _MAX_SUBSAMPLES) or 1]
+        self.low, self.high = float(self.samples.min(initial=math.inf)), float(self.samples.max(initial=-math.inf))
 
 
 def median_and_deviation(samples: FloatArray) -> tuple[float, float]:
@@ -118,7 +123,9 @@ class Baseline:
         return max(self._settings.threshold, self._settings.noise_factor * max(noise, self.noise))
 
     def is_quiet(self, frame: Frame) -> bool:
-        """Return whether `frame` contains neither a contact, nor a tensile pulse, nor a dropout."""
+        """Return whether `frame` contains neither a contact, nor a tensile pulse, nor a dropout, nor a large gap."""
+        if not frame.is_present:
+            return False
         low, high = min([f.low for f in self._frames]), max([f.high for f in self._frames])
         # Fast path without statistics: the baseline lies between the extremes of its frames.
         is_near = high - self._settings.threshold <= frame.low and frame.high <= low + self._settings.threshold

@@ -55,9 +55,14 @@ class SampleBuffer:
         self._blocks: deque[ForceBlock] = deque()
 
     def append(self, block: ForceBlock) -> None:
-        """Add the samples of the next block."""
+        """Add a block; samples missing before it become NaN, stamped by the block before."""
+        if missing := block.first_sample - self.end:
+            last = self._blocks[-1]
+            stamp_ns = last.stamp_ns + round((self.end - last.first_sample) / last.sample_rate * 1e9)
+            gap = last._replace(stamp_ns=stamp_ns, first_sample=self.end, force=np.full(missing, np.nan))
+            self._blocks.append(gap._replace(saturated_samples=block.saturated_samples[:0]))
         self._blocks.append(block)
-        self.end += block.force.size
+        self.end = block.first_sample + block.force.size
 
     def discard_before(self, index: int) -> None:
         """Discard samples older than sample `index`."""
@@ -96,6 +101,9 @@ class Detector:
     may be wrong. Pulses that follow a contact do not count: AC coupling and ringing respond to compression with
     tension. Neither does force below the baseline for BASELINE_FRAMES frames, which is a load that was removed.
 
+    A sustained contact ends when the force is released, or steady for `settings.longest`, which makes the load the
+    baseline. How the load swings until then is neither an impact nor another sustained contact.
+
     Detectors that start at different samples of a stream return the same impacts to the last bit once they have
     settled: after BASELINE_FRAMES + 3 consecutive quiet frames (0.4 s at 12.8 kS/s) and `settings.rebound_time`
     without a contact.
@@ -112,8 +120,8 @@ class Detector:
     def feed(self, block: ForceBlock) -> list[Impact]:
         """Return the impacts that end with `block`, in order.
 
-        Samples that are not finite count as lost. Lost samples end a contact. A lower sample number or another sample
-        rate starts a new recording.
+        Samples that are not finite count as lost. A contact that is still there after lost samples is one incomplete
+        contact. A lower sample number or another sample rate starts a new recording.
         """
         impacts: list[Impact] = []
         for part in finite_parts(block):
@@ -138,7 +146,7 @@ class Detector:
         self._settled = False
         self._end = self._last = -math.inf  # of the latest impact, and of the latest contact
         self._rebound = 0
-        self._frame_size = MIN_FRAME_SAMPLES
+        self._frame_size, self._load_frames = MIN_FRAME_SAMPLES, BASELINE_FRAMES
         self._begin(0)
 
     def _begin(self, first_sample: int) -> None:
@@ -148,24 +156,27 @@ class Detector:
         self._segment_start: int | None = None
         self._quiet_frames = self._frames_below = 0
         self._previous_quiet: Frame | None = None
-        self._candidates: deque[Frame] = deque(maxlen=BASELINE_FRAMES)
+        self._candidates: deque[Frame] = deque(maxlen=self._load_frames)
         self._held_from = first_sample
         self._first_search = True
+        self._is_loaded = False  # a sustained contact may go on
 
     def _join(self, block: ForceBlock) -> list[Impact]:
-        """Prepare for `block`; return the impacts that a gap before it ends."""
+        """Prepare for `block`; return the impacts that end before it, if it does not continue the samples before."""
         missing = block.first_sample - self._buffer.end
         same_rate = abs(block.sample_rate - self._rate) <= SAME_RATE * self._rate
         self._rate = block.sample_rate
-        if same_rate and not missing and not block.lost_samples:
+        continues = 0 < missing <= self._settings.longest * self._rate or not (missing or block.lost_samples)
+        if same_rate and continues:
             return []
         impacts = self._close()
-        if not same_rate or not 0 <= missing <= self._settings.longest * self._rate:
+        if not same_rate or missing:
             self._restart()
-        self._begin(block.first_sample)
         # A power of two: sample rates that differ by the clock error have the same frames.
         doublings = max(0, round(math.log2(FRAME_TIME * self._rate / MIN_FRAME_SAMPLES)))
         self._frame_size = MIN_FRAME_SAMPLES << doublings
+        self._load_frames = max(BASELINE_FRAMES, math.ceil(self._settings.longest * self._rate / self._frame_size))
+        self._begin(block.first_sample)
         return impacts
 
     def _frame_end(self, index: int) -> int:
@@ -187,14 +198,27 @@ class Detector:
 
     def _search_baseline(self, frame: Frame) -> None:
         """Search a baseline; once it is known, the held samples are processed again."""
-        self._candidates.append(frame)
+        if frame.is_present:
+            self._candidates.append(frame)
         hold = BASELINE_FRAMES * self._frame_size
         if self._first_search:
             hold = max(round(self._settings.longest * self._rate), 2 * hold)
-        if len(self._candidates) == BASELINE_FRAMES and self._baseline.is_steady(self._candidates):
-            self._adopt(self._candidates)
+        recent = list(self._candidates)[-BASELINE_FRAMES:]
+        is_steady = len(recent) == BASELINE_FRAMES and self._baseline.is_steady(recent)
+        if is_steady and (not self._is_load(recent) or self._is_steady_load()):
+            self._adopt(recent)
         if not self._settled and self._processed - self._held_from >= hold:
             self._held_from = self._frame_end(self._held_from)
+
+    def _is_load(self, frames: Iterable[Frame]) -> bool:
+        """Return whether `frames` are above the lost baseline: a load, which is a baseline only after `longest`."""
+        level = float(np.median([np.median(frame.subsamples) for frame in frames]))
+        return not self._first_search and level > self._baseline.force + self._baseline.threshold
+
+    def _is_steady_load(self) -> bool:
+        """Return whether the level has moved by no more than the threshold for `longest`."""
+        levels = [np.median(frame.subsamples) for frame in self._candidates]
+        return len(levels) == self._load_frames and float(np.ptp(levels)) <= self._baseline.threshold
 
     def _adopt(self, frames: Iterable[Frame]) -> None:
         """Adopt `frames` as the baseline unless the signal is stuck where it was noisy before."""
@@ -208,9 +232,10 @@ class Detector:
 
     def _lose_baseline(self, start: int) -> list[Impact]:
         """Report the segment from `start` and search another baseline from here on."""
+        sustained = self.sustained_contacts
         impacts = self._report(self._classify(start, self._processed), start)
+        self._is_loaded |= self.sustained_contacts > sustained
         self._settled = self._first_search = False
-        self._candidates.clear()
         self._held_from = self._processed
         self._segment_start = None
         return impacts
@@ -225,14 +250,18 @@ class Detector:
         if self._segment_start is None:
             self._segment_start = max(self._processed - 2 * self._frame_size, self._buffer.first)
             self._frames_below = 0
+            self._candidates.clear()
         if quiet:
             impacts = self._report(self._classify(self._segment_start, self._processed), self._segment_start)
             self._segment_start = None
             return impacts
-        below = np.median(frame.samples) < self._baseline.force - self._baseline.threshold
+        below = frame.is_present and np.median(frame.samples) < self._baseline.force - self._baseline.threshold
         self._frames_below = self._frames_below + 1 if below else 0
         if self._frames_below == BASELINE_FRAMES:
+            self._candidates.clear()
             return self._lose_baseline(self._segment_start)
+        if frame.is_present:
+            self._candidates.append(frame)
         longest = self._settings.longest * self._buffer.block_at(self._segment_start).sample_rate
         if self._processed - self._segment_start > longest + 2 * self._frame_size:
             return self._split(self._segment_start)
@@ -241,6 +270,7 @@ class Detector:
     def _update_baseline(self, frame: Frame) -> None:
         """Add the quiet frame before `frame` to the baseline if both its neighbours are quiet."""
         self._quiet_frames += 1
+        self._is_loaded = False
         if self._quiet_frames >= 3 and self._previous_quiet is not None:
             self._baseline = self._baseline.extended([self._previous_quiet])
         self._previous_quiet = frame
@@ -263,7 +293,8 @@ class Detector:
         rest = buffer.samples(self._processed, buffer.end)
         if not self._settled:
             frames = [*self._candidates, *([Frame(rest)] if rest.size >= MIN_FRAME_SAMPLES else [])]
-            if frames and self._baseline.is_steady(frames, MIN_QUIET_SHARE if self._first_search else 1.0):
+            share = MIN_QUIET_SHARE if self._first_search else 1.0
+            if frames and self._baseline.is_steady(frames, share) and not self._is_load(frames):
                 self._adopt(frames)
                 impacts += self._advance()
                 rest = buffer.samples(self._processed, buffer.end)
@@ -280,7 +311,8 @@ class Detector:
         buffer = self._buffer
         gap = max(round(GAP_TIME * buffer.block_at(start).sample_rate), MIN_GAP_SAMPLES)
         samples, saturated = buffer.samples(start, stop), buffer.saturated(start, stop)
-        segment = classify(samples, saturated, self._baseline, gap, self._frame_size)
+        longest = round(self._settings.longest * buffer.block_at(start).sample_rate)
+        segment = classify(samples, saturated, self._baseline, gap, self._frame_size, longest)
         self.dropouts += int(np.count_nonzero(segment.dropouts + start >= self._counted))
         self.glitches += int(np.count_nonzero(segment.glitches + start >= self._counted))
         for pulse in segment.tensile_pulses:
@@ -303,8 +335,8 @@ class Detector:
         impacts: list[Impact] = []
         for contact in contacts:
             if self._is_sustained(contact, start):
-                self.sustained_contacts += 1
-            else:
+                self.sustained_contacts += not self._is_loaded
+            elif contact.complete or not self._is_loaded:  # otherwise the end of a sustained contact
                 impacts.append(self._impact(contact, start))
             self._last = start + contact.last
         return impacts

@@ -4,6 +4,7 @@ Forces are in [N], positions and durations in samples.
 """
 
 import math
+import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ PEAK_SHARE = 0.8
 MIN_CUBIC_SAMPLES = 6
 _GLITCH_SHARE = 0.25
 """The neighbours of a glitch are below this share of it, which excludes half-sines of 2.4 samples and more."""
+_MIN_REST_SAMPLES, _REST_SPREAD = 8, 2.0
+"""Between two contacts the force is at rest if so many samples have this interquartile range [noise] at most."""
 _RELEASE = 0.5
 """A contact ends below this share of the threshold."""
 
@@ -56,23 +59,28 @@ class Segment(NamedTuple):
     glitches: NDArray[np.intp]
 
 
-def classify(samples: FloatArray, saturated: BoolArray, baseline: Baseline, gap: int, margin: int) -> Segment:
-    """Return the content of `samples` (n,) [N].
+def classify(
+    samples: FloatArray, saturated: BoolArray, baseline: Baseline, gap: int, margin: int, longest: int = sys.maxsize
+) -> Segment:
+    """Return the content of `samples` (n,) [N]; those that are missing are NaN.
 
     Contacts are separated by at least `gap` samples without force. A contact is complete only if the `margin` samples
-    before it are at the baseline.
+    before it are at the baseline. A load that swings for `longest` samples is one contact.
     """
     force = samples - baseline.force
     dropouts, dropout_ends = flat_runs(samples, baseline.flat_run, baseline.zero_run, saturated)
-    valid = np.ones(samples.size, dtype=np.bool_)
+    valid = np.isfinite(samples)
     for start, stop in zip(dropouts, dropout_ends, strict=True):
         valid[start:stop] = False
     force[~valid] = 0.0
     threshold = _threshold(force, valid, baseline, gap)
     glitches = lone_samples(force, threshold)
+    glitches = glitches[valid[glitches - 1] & valid[glitches] & valid[glitches + 1]]
     force[glitches] = 0.5 * (force[glitches - 1] + force[glitches + 1])
 
     contacts = _contacts(force, valid, saturated, threshold, gap, margin)
+    if contacts and contacts[-1].last - contacts[0].first >= longest:
+        contacts = _join_loads(contacts, force, baseline, longest)
     tensile_pulses: list[DetectedContact] = []
     if force.min() < -baseline.threshold:
         threshold = _threshold(-force, valid, baseline, gap)
@@ -218,7 +226,8 @@ def _contacts(
         earliest = spans[number - 1][1] + 1 if number else 0
         latest = spans[number + 1][0] - 1 if number + 1 < len(spans) else force.size - 1
         clipped = bool(saturated[first : last + 1].any())
-        intact = not clipped and bool(valid[first : last + 1].all())
+        top = first + int(np.argmax(force[first : last + 1]))
+        intact = not clipped and bool(valid[first : last + 1].all() and valid[max(top - 1, 0) : top + 2].all())
         contact = measure(force, first, last, earliest, latest, intact=intact)
         before = force[max(earliest, first - margin) : first]
         complete = (
@@ -229,9 +238,29 @@ def _contacts(
             and (before.size < MIN_INCOMPLETE_SAMPLES or abs(float(np.median(before))) <= threshold)
         )
         # A contact compresses the sensor in sum; noise does not.
-        if contact.area > 0.0 and (complete or last - first + 1 >= MIN_INCOMPLETE_SAMPLES):
+        if contact.area > 0.0 and (complete or np.count_nonzero(valid[first : last + 1]) >= MIN_INCOMPLETE_SAMPLES):
             contacts.append(contact._replace(complete=complete, clipped=clipped))
     return contacts
+
+
+def _join_loads(
+    contacts: list[DetectedContact], force: FloatArray, baseline: Baseline, longest: int
+) -> list[DetectedContact]:
+    """Return `contacts`; those between which the `force` (n,) [N] swings for `longest` samples about a load are one."""
+    chains = [contacts[:1]]
+    for contact in contacts[1:]:
+        between = force[chains[-1][-1].last + 1 : contact.first]
+        low, high = np.percentile(between, (25.0, 75.0))
+        if between.size >= _MIN_REST_SAMPLES and high - low <= _REST_SPREAD * baseline.noise:
+            chains.append([contact])
+        else:
+            chains[-1].append(contact)
+    joined: list[DetectedContact] = []
+    for chain in chains:
+        first, last = chain[0].first, chain[-1].last
+        is_load = last - first >= longest and float(force[first : last + 1].mean()) > _RELEASE * baseline.threshold
+        joined += [chain[0]._replace(last=last, end=chain[-1].end, complete=False)] if is_load else chain
+    return joined
 
 
 def _threshold(force: FloatArray, valid: BoolArray, baseline: Baseline, gap: int) -> float:

@@ -1,0 +1,142 @@
+"""Coverage of recordings: what of joint ranges, poses, directions and speeds they contain; mergeable counts."""
+
+from __future__ import annotations
+
+import json
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from pydantic import BaseModel, NonNegativeInt
+
+from scara_effmass.analysis.plot_style import CYCLE, STYLE, new_figure
+from scara_effmass.errors import SettingsError
+from scara_effmass.model.robot import Robot
+from scara_effmass.settings import checked
+from scara_effmass.values import ContactAssessment, FloatArray, JointState
+
+POSITIONS = 24
+"""Bins of each joint's range."""
+POSE_BINS = 4
+"""Bins of each joint's range whose combinations are the poses."""
+AZIMUTHS, ELEVATIONS = 12, 7
+"""Bins of the directions, of equal area on the sphere; horizontal ones are in the middle of a bin."""
+SPEEDS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+"""Lower ends [m/s] of the bins of the speed."""
+
+
+class Coverage(BaseModel):
+    """Number of joint states in each bin of a quantity: "position JOINT", "direction POINT" and "speed POINT".
+
+    `ranges` are those of the joints [rad, m] by name, one turn where there is no limit. `poses` are the visited
+    combinations of POSE_BINS bins per joint, as numbers with that base.
+    """
+
+    robot: str
+    ranges: dict[str, tuple[float, float]]
+    recordings: list[str] = []
+    joint_states: NonNegativeInt = 0
+    counts: dict[str, list[NonNegativeInt]]
+    poses: set[NonNegativeInt] = set()
+
+    @classmethod
+    def of_robot(cls, robot: Robot) -> Coverage:
+        """Return an empty coverage."""
+        limits = zip(robot.model.lowerPositionLimit.tolist(), robot.model.upperPositionLimit.tolist(), strict=True)
+        ranges = [ends if all(map(math.isfinite, ends)) else (-math.pi, math.pi) for ends in limits]
+        counts = {f"position {name}": [0] * POSITIONS for name in robot.joint_names}
+        for point in robot.contact_frames:
+            counts |= {f"direction {point}": [0] * (AZIMUTHS * ELEVATIONS), f"speed {point}": [0] * len(SPEEDS)}
+        return cls(robot=robot.name, ranges=dict(zip(robot.joint_names, ranges, strict=True)), counts=counts)
+
+    def begin(self, recording: str) -> None:
+        """Start a recording. Raises SettingsError for one that has been counted."""
+        if recording in self.recordings:
+            raise SettingsError(f"{recording}: must not be counted twice")
+        self.recordings.append(recording)
+
+    def add(self, state: JointState, contacts: Sequence[ContactAssessment]) -> None:
+        """Count a joint state with its assessments, unless it was invalid."""
+        if not all(contact.effective_mass > 0.0 for contact in contacts):
+            return
+        self.joint_states += 1
+        position_of, pose = dict(zip(state.names, state.position.tolist(), strict=True)), 0
+        for name, (lower, upper) in self.ranges.items():
+            # The tolerance of the limits lets positions lie a little outside.
+            share = min(max((position_of[name] - lower) / (upper - lower), 0.0), 1.0 - 1e-12)
+            self.counts[f"position {name}"][int(share * POSITIONS)] += 1
+            pose = pose * POSE_BINS + int(share * POSE_BINS)
+        self.poses.add(pose)
+        for contact in contacts:
+            x, y, z = contact.direction
+            self.counts[f"speed {contact.contact_point}"][bisect_right(SPEEDS, contact.speed) - 1] += 1
+            if x or y or z:
+                azimuth = int((math.atan2(y, x) / (2.0 * math.pi) + 0.5) * AZIMUTHS) % AZIMUTHS
+                elevation = min(int((z + 1.0) / 2.0 * ELEVATIONS), ELEVATIONS - 1)
+                self.counts[f"direction {contact.contact_point}"][elevation * AZIMUTHS + azimuth] += 1
+
+    def merge(self, path: Path) -> None:
+        """Add the coverage in the file `path`. Raises SettingsError for one of another robot or a recording twice."""
+        try:
+            values = json.loads(path.read_text(encoding="utf-8"))["coverage"]
+        except (OSError, ValueError, KeyError, TypeError):
+            raise SettingsError(f"{path}: cannot be read: must be a coverage.json") from None
+        other = checked(Coverage, values, str(path))
+        for text, own, its in (
+            ("robot and ranges", (self.robot, self.ranges), (other.robot, other.ranges)),
+            ("bins", *({name: len(bins) for name, bins in one.counts.items()} for one in (self, other))),
+        ):
+            if own != its:
+                raise SettingsError(f"{path}: {text} = {its}: must be {own}")
+        for recording in other.recordings:
+            self.begin(recording)
+        for name, bins in self.counts.items():
+            self.counts[name] = [one + two for one, two in zip(bins, other.counts[name], strict=True)]
+        self.joint_states += other.joint_states
+        self.poses |= other.poses
+
+    def shares(self) -> dict[str, Any]:
+        """Return the covered share of each quantity, of the poses, and the lower end of the fastest bins [m/s]."""
+        visited = {name: np.flatnonzero(bins) for name, bins in self.counts.items()}
+        shares = {name: len(bins) / len(self.counts[name]) for name, bins in visited.items() if name[:5] != "speed"}
+        fastest = {name: SPEEDS[max(bins, default=0)] for name, bins in visited.items() if name[:5] == "speed"}
+        return {**shares, "poses": len(self.poses) / POSE_BINS ** len(self.ranges), "fastest_bin_from_m_s": fastest}
+
+    def figure(self) -> Figure:
+        """Return the bins of the joints, and of direction and speed of each contact point."""
+        points = [name.partition(" ")[2] for name in self.counts if name.startswith("direction ")]
+        with mpl.rc_context(STYLE):
+            height = 0.32 * len(self.ranges) + 1.4
+            title = f"{self.robot}: coverage of {len(self.recordings)} recordings, {self.joint_states} joint states"
+            figure = new_figure(11.0, height + 3.3 * len(points), title)
+            grid = figure.add_gridspec(1 + len(points), 2, height_ratios=[height, *[3.0] * len(points)])
+            joints = figure.add_subplot(grid[0, :])
+            rows = np.array([self.counts[f"position {name}"] for name in self.ranges], float)
+            _draw_bins(joints, rows, (0.0, 100.0), (0.0, len(rows)))
+            names = [f"{name}, {lower:.2f} to {upper:.2f}" for name, (lower, upper) in self.ranges.items()]
+            joints.set_yticks(np.arange(len(names)) + 0.5, names)
+            joints.invert_yaxis()
+            joints.set(xlabel="position within the range of the joint [%]")
+            for row, point in enumerate(points, start=1):
+                directions = figure.add_subplot(grid[row, 0])
+                table = np.reshape(self.counts[f"direction {point}"], (ELEVATIONS, AZIMUTHS)).astype(float)
+                _draw_bins(directions, table, (-180.0, 180.0), (-1.0, 1.0))
+                directions.set(xlabel="azimuth of the velocity [deg]", ylabel="its z component", title=point)
+                speeds = figure.add_subplot(grid[row, 1])
+                speeds.bar(range(len(SPEEDS)), self.counts[f"speed {point}"], width=0.9, color=CYCLE[0])
+                speeds.set_xticks(range(len(SPEEDS)), [f"{speed:g}" for speed in SPEEDS], fontsize=9.0)
+                speeds.set(xlabel="speed, from [m/s]", ylabel="joint states", title=point, yscale="log")
+        return figure
+
+
+def _draw_bins(axes: Axes, bins: FloatArray, x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Draw the visited `bins` (n, m) over x and y; the others stay white."""
+    edges = (np.linspace(*ends, count + 1) for ends, count in ((x, bins.shape[1]), (y, bins.shape[0])))
+    mesh = axes.pcolormesh(*edges, np.where(bins > 0, bins, np.nan), norm="log", edgecolor="#EEEEEE", linewidth=0.3)
+    axes.figure.colorbar(mesh, ax=axes, label="joint states")

@@ -1,0 +1,46 @@
+"""`scara-effmass coverage`."""
+
+import argparse
+import json
+
+from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
+from scara_effmass.analysis.coverage import Coverage
+from scara_effmass.analysis.output import check_output_files
+from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
+from scara_effmass.bags.files import find_bags, open_bag
+from scara_effmass.cli.console import print_result, progress_bar
+from scara_effmass.cli.settings import load_dynamics, monitor_settings
+from scara_effmass.safety import Monitor
+
+NAME, FILE = "coverage", "coverage.json"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Count the joint states of the recordings and of earlier files, write figure and counts, and print the shares."""
+    settings = monitor_settings(args)
+    check_output_files(args.output, [FILE, *figure_files([NAME])], overwrite=args.force)
+    dynamics = load_dynamics(settings)
+    coverage = Coverage.of_robot(dynamics.robot)
+    earlier = [path for path in args.bags if path.suffix == ".json"]
+    for path in earlier:
+        coverage.merge(path)
+    with progress_bar() as progress:
+        for path in (bag for folder in args.bags if folder not in earlier for bag in find_bags(folder)):
+            with open_bag(path) as bag:
+                topic = joint_state_topic(bag, args.topic)
+                task = progress.add_task(path.name, total=next(t.count for t in bag.topics if t.name == topic))
+                coverage.begin(f"{bag.path.name}, {bag.start_ns} ns")  # also after it was moved
+                for _, state, decision in assess_joint_states(bag, topic, Monitor(dynamics, settings)):
+                    progress.advance(task)
+                    if state is not None and decision is not None:
+                        coverage.add(state, decision.contacts)
+    shares = coverage.shares()
+    result = {"output": str(args.output), "joint_states": coverage.joint_states, "covered": shares}
+    text = json.dumps({**result, "coverage": coverage.model_dump(mode="json")}, allow_nan=False)
+    figure = report_figure(NAME, f"Coverage of {coverage.robot}", "", coverage.figure())
+    write_report_files(args.output, {FILE: f"{text}\n"}, [figure], overwrite=args.force)
+    lines = [("recordings", len(coverage.recordings)), ("joint states", f"{coverage.joint_states} valid ones")]
+    lines += [(name, f"{share:.1%} of its bins") for name, share in shares.items() if isinstance(share, float)]
+    lines += [(name, f"fastest from {speed:g} m/s on") for name, speed in shares["fastest_bin_from_m_s"].items()]
+    print_result(result, [*lines, ("written", args.output / FILE)], as_json=args.json)
+    return 0

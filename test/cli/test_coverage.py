@@ -1,0 +1,34 @@
+"""`coverage`: recordings and earlier counts give figure and file; refusals are one line."""
+
+import json
+from pathlib import Path
+
+from matplotlib.image import imread
+
+from scara_effmass.share import share
+from test.cli.conftest import Cli, Refused
+
+
+def test_counts_of_an_earlier_run_are_added(swing_bag: Path, cli: Cli, refused: Refused, tmp_path: Path) -> None:
+    done = cli("coverage", swing_bag, "-o", tmp_path / "swing")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "direction tool" in done.stdout
+    assert {path.name for path in (tmp_path / "swing").iterdir()} == {
+        f"coverage.{end}" for end in ("json", "png", "svg")
+    }
+    assert imread(tmp_path / "swing" / "coverage.png").shape[1] > 1000
+    assert (tmp_path / "swing" / "coverage.json").stat().st_size < 5000
+    earlier = tmp_path / "swing" / "coverage.json"
+    both = json.loads(cli("coverage", share("bags", "tour"), earlier, "-o", tmp_path / "both", "--json").stdout)
+    swing = json.loads(earlier.read_text(encoding="utf-8"))
+    assert both["joint_states"] > swing["joint_states"] > 900
+    for name, covered in swing["covered"].items():
+        assert name == "fastest_bin_from_m_s" or 0.0 < covered <= both["covered"][name]
+    assert "must not be counted twice" in refused("coverage", swing_bag, earlier, "-o", tmp_path / "again")
+    assert "--force" in refused("coverage", swing_bag, "-o", tmp_path / "swing")
+
+
+def test_other_file_is_refused(refused: Refused, tmp_path: Path) -> None:
+    for content in ("{}", "no JSON", "[1]"):
+        (tmp_path / "other.json").write_text(content, encoding="utf-8")
+        assert "must be a coverage.json" in refused("coverage", tmp_path / "other.json", "-o", tmp_path / "out")
