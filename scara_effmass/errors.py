@@ -3,9 +3,15 @@
 A message is one line: `FILE: key = value: must be RULE`.
 """
 
+_MAX_LENGTH = 2000
+"""Longest message [characters]: a value from a file may be of any length."""
+
 
 class EffmassError(Exception):
     """Base of all errors of this package; the command line prints one line and exits with 2."""
+
+    def __str__(self) -> str:
+        return " ".join(super().__str__().split())[:_MAX_LENGTH]
 
 
 class SettingsError(EffmassError, ValueError):

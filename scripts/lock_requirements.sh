@@ -1,5 +1,5 @@
 #!/bin/sh
-# Write the two locked requirement files for all supported Pythons; usage: lock_requirements.sh PYTHON
+# Write the two locked requirement files, with hashes, for all supported Pythons; usage: lock_requirements.sh PYTHON
 set -eu
 python=$1
 cd "$(dirname "$0")/.."
@@ -14,8 +14,8 @@ with open("pyproject.toml", "rb") as file:
     print(*tomllib.load(file)["build-system"]["requires"], sep="\n")
 PYTHON
 lock() {
-    "$python" -m uv pip compile --quiet --universal --upgrade --no-annotate --python-version 3.10 \
-        --custom-compile-command "make lock" pyproject.toml "$build" --group build "$@"
+    "$python" -m uv pip compile --quiet --universal --upgrade --generate-hashes --no-annotate \
+        --python-version 3.10 --custom-compile-command "make lock" pyproject.toml "$build" --group build "$@"
 }
 lock --extra dev --output-file requirements.lock
 lock --group colcon --constraint requirements.lock --output-file requirements-colcon.lock

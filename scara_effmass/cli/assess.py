@@ -74,7 +74,8 @@ def _lines(
     yield "joint states", f"{counts['joint_states']}{foreign}"
     yield from summary.lines()
     if summary.only_unknown:
-        yield "no verdict", "every joint state is UNKNOWN: the reasons say why; `scara-effmass doctor` checks the robot"
+        problem = "every joint state is UNKNOWN: the reasons say why; `scara-effmass doctor` checks the robot"
+        yield "no verdict", problem if counts["joint_states"] else "there was no joint state to read"
     if counts["refused"]:
         yield "rejected", f"{counts['refused']} joint states (UNKNOWN)"
     if robot_warning:

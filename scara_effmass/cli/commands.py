@@ -10,11 +10,11 @@ from scara_effmass.cli.options import (
     COUNT,
     DIRECTION,
     FORCE,
-    IMPORT,
     JSON,
     LIMITS,
     MASS,
     NOT_NEGATIVE,
+    NUMBER,
     PAYLOAD,
     POSITIVE,
     REPEATED,
@@ -28,7 +28,7 @@ from scara_effmass.cli.options import (
     plane,
 )
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
-from scara_effmass.settings import ForceSourceKind, FreeParameters, LumpingPolicy
+from scara_effmass.settings import ForceSourceKind
 from scara_effmass.wire.topics import RECORDED
 
 
@@ -122,7 +122,7 @@ examples:
             "--sensitivity",
             "from the sensor's certificate [mV/N] (default: 2.248)",
             "MV_PER_N",
-            float,
+            NUMBER,
             dest="sensor.sensitivity",
         ),
         params("daq_node"),
@@ -137,7 +137,7 @@ examples:
   scara-effmass validator --obstacle-mass 2.39
   scara-effmass validator --params my_cell.yaml -- -p stiffness:=2000.0
 """,
-        Option("--obstacle-mass", "mass of the obstacle, m_H [kg]", "KG", float),
+        Option("--obstacle-mass", "mass of the obstacle, m_H [kg]", "KG", NUMBER),
         params("validator_node"),
     ),
     "sim": Command(
@@ -150,7 +150,7 @@ examples:
   scara-effmass sim --start 1800000000
   scara-effmass daq --source sim -- -p sim.scene:=cell -p sim.start:=1800000000.0
 """,
-        Option("--start", "ROS time of the start [s] (default: now)", "S", float),
+        Option("--start", "ROS time of the start [s] (default: now)", "S", NUMBER),
         Option("--seed", "random seed of the noise (default: 0)", kind=int),
         flag("--clock", "publish /clock and wait for nodes that fall behind", default=None),
     ),
@@ -165,13 +165,26 @@ examples:
   scara-effmass import load_cell.csv -o load_cell
   scara-effmass import run.csv --topic "Force (lbf)" --time-column "Time (ms)" --invert -o run.mcap
   scara-effmass import bridge.tdms --topic cell/ai0 --sensitivity 2.31 -o bridge
-  scara-effmass import wrist.mcap --topic /ft_sensor/wrench --axis norm -o wrist_force
+  scara-effmass import wrist.mcap --topic /ft_sensor/wrench --axis x -o wrist_force
 """,
         Option("files", "CSV file, TDMS file or bag", "FILE", Path, nargs="+"),
         output("BAG", "bag to write"),
         Option("--topic", "topic, CSV column or TDMS channel of the force (default: the only one)"),
-        *IMPORT,
+        Option("--axis", "component of a wrench (default: z)", choices=["x", "y", "z"]),
+        Option("--unit", "N, kN, lbf, kgf, V or mV (default: as the file states, N for messages)"),
+        Option("--time-column", "CSV column of the times (default: the first one)", "NAME"),
         Option("--frame", "frame of the sensor (default: force_sensor)", dest="frame_id"),
+        flag("--invert", "compression is negative in the file", dest="sensor.invert", default=None),
+        Option(
+            "--sensitivity",
+            "sensitivity behind V or mV [mV/N] (default: 2.248)",
+            "MV_PER_N",
+            NUMBER,
+            dest="sensor.sensitivity",
+        ),
+        Option(
+            "--range", "end of the measuring range; marks saturation (default: 2224)", "N", NUMBER, dest="sensor.range"
+        ),
         FORCE,
         JSON,
     ),
@@ -260,7 +273,6 @@ examples:
         "compare measured impacts with their predictions offline; write a report",
         """\
 Impacts are detected in the force blocks of a recording; without force blocks, recorded impacts or wrenches are used.
---force-from reads the force from a file beside the recording, whose clock may be another: its offset is estimated.
 The obstacle mass is --obstacle-mass, else the run information of the recording, else obstacle_mass in section
 validator of FILE. All recordings form one series. DIR receives report.html, report.json, and figures as PNG and SVG.
 
@@ -274,35 +286,17 @@ examples:
   scara-effmass validate device.mcap -o out/device --fixed --stiffness 75 --region hand_fingers
   scara-effmass validate bags/campaign -o out/validation
   scara-effmass validate monday.mcap -o out/monday --obstacle-mass 2.39 --model full
-  scara-effmass validate arm.mcap --force-from load_cell.csv --invert -o out/arm --obstacle-mass 2.39
   scara-effmass validate bags/campaign -o out/validation --params cell.yaml --force --json
 """,
         BAGS,
         output("DIR", "folder for the report"),
         TOPIC,
         Option(
-            "--force-topic",
-            "topic of force blocks, impacts or wrenches, CSV column or TDMS channel (default: force, or the only one)",
-            "TOPIC",
+            "--force-topic", "topic of force blocks, impacts or wrenches (default: force, or the only one)", "TOPIC"
         ),
-        Option(
-            "--force-from",
-            "CSV file, TDMS file or bag with the force, one for each BAG (default: the BAG)",
-            "FILE",
-            Path,
-            action="append",
-            default=[],
-        ),
-        Option(
-            "--force-offset",
-            "time to add to the stamps in FILE (default: estimated from the kinks of the velocity)",
-            "S",
-            number("a number", math.isfinite),
-        ),
-        *IMPORT,
-        Option("--obstacle-mass", "mass of the obstacle, or of the measuring device, in all recordings", "KG", float),
+        Option("--obstacle-mass", "mass of the obstacle, or of the measuring device, in all recordings", "KG", NUMBER),
         flag("--fixed", "the obstacle, or measuring device, cannot move", dest="obstacle_fixed", default=None),
-        Option("--stiffness", "of the contact, or of the device (default: fitted to the series)", "N_PER_MM", float),
+        Option("--stiffness", "of the contact, or of the device (default: fitted to the series)", "N_PER_MM", NUMBER),
         Option(
             "--plate-normal",
             'normal of the plate in the base frame, "X Y Z", if the recording states none (default: the motion)',
@@ -322,18 +316,12 @@ DIR receives every figure as PNG and SVG, and the paper's claims beside this pro
 claims.json. The robot is the shipped Omron i4-550L. Forces are those of the shipped campaign, which is simulated,
 or of --campaign. A claim that does not match is not an error.
 
-With --robot: Figs. 6, 8 to 12 and 15 for another robot, from 20 000 configurations over its joint ranges; the page says
-what is left out, and why.
-
 examples:
   scara-effmass figures -o out/figures
-  scara-effmass figures -o out/ur5 --robot ur5.urdf
   scara-effmass figures -o out/figures --campaign out/campaign --force --json
 """,
         output("DIR", "folder for figures and page"),
         Option("--campaign", "recorded impacts, one bag per run (default: the shipped ones)", "DIR", Path),
-        Option("--robot", "another robot, URDF or DH YAML, without claims and experiment", "FILE"),
-        params("monitor_node, for --robot"),
         FORCE,
         JSON,
     ),
@@ -368,10 +356,10 @@ examples:
             "--stiffness",
             "of the tip [N/mm] (default: 2000), with --hertz [N/mm^1.5] (default: 3400)",
             "N_PER_MM",
-            float,
+            NUMBER,
         ),
-        Option("--damping", "of the tip (default: 0)", "N_S_PER_M", float, default=0.0),
-        Option("--friction", "between tip and plate (default: 0)", "COEFFICIENT", float, default=0.0),
+        Option("--damping", "of the tip (default: 0)", "N_S_PER_M", NUMBER, default=0.0),
+        Option("--friction", "between tip and plate (default: 0)", "COEFFICIENT", NUMBER, default=0.0),
         flag("--hertz", "use a Hertz contact, F = k d^1.5, not a linear spring"),
         FORCE,
         JSON,
@@ -486,42 +474,6 @@ examples:
         *CELL[1:],
         Option("-o --output", "file to write (default: cell.yaml)", "FILE", Path, default=Path("cell.yaml")),
         FORCE,
-    ),
-    "lump": Command(
-        "show the lumped model of a robot and compare it with the full model",
-        """\
-Prints the two masses of each link as in Table II of the paper, why a link has none and what --policy did about it,
-the masses by axis, and lumped over full masses at random poses along random directions: effective masses, and
-reduced masses with a hand and with a chest. DIR receives lump.json and a picture of the masses on the robot.
-Exit status 1: there is no lumped model.
-
-examples:
-  scara-effmass lump
-  scara-effmass lump panda.urdf --policy project_com --free-parameters fit_inertia -o out/panda
-  scara-effmass lump arm.urdf --poses 10000 --seed 2 --json
-""",
-        Option("robot", "URDF or DH YAML (default: the shipped Omron i4-550L)", "ROBOT", nargs="?"),
-        Option("-o --output", "folder for picture and lump.json", "DIR", Path),
-        Option(
-            "--policy",
-            "answer to links without two masses on their axes (default: refuse)",
-            choices=[policy.value for policy in LumpingPolicy],
-        ),
-        Option(
-            "--free-parameters",
-            "choice among several pairs of masses (default: minimum_spread)",
-            choices=[rule.value for rule in FreeParameters],
-        ),
-        Option("--poses", "number of random poses (default: 2000)", "N", COUNT, default=2000),
-        Option(
-            "--seed",
-            "random seed of poses and directions (default: 1)",
-            kind=number("a whole number from 0", lambda seed: seed >= 0, int),
-            default=1,
-        ),
-        params("monitor_node"),
-        FORCE,
-        JSON,
     ),
     "limits": Command(
         "print the body-region limits and the allowable speeds",

@@ -13,6 +13,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from scara_effmass import __version__
 from scara_effmass.cli.console import print_json, print_table, printer
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
@@ -22,10 +24,6 @@ from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, Moni
 
 if TYPE_CHECKING:
     from scara_effmass.model.dynamics import RobotDynamics
-
-
-COMPARED_POSES = 300
-"""Number of random poses and directions at which the lumped is compared with the full mass."""
 
 
 class CheckResult(NamedTuple):
@@ -69,8 +67,7 @@ def cell_results(settings: MonitorSettings) -> tuple[list[CheckResult], RobotDyn
     if settings.payload_topic:
         text = f"by topic {settings.payload_topic}, not in the masses here; UNKNOWN until it arrives"
         results.append(CheckResult("note", "payload", text))
-    results += [*_robot(dynamics), *_comparison(dynamics, settings.model_margin)]
-    return [*results, _mass_model(dynamics, settings.effective_mass_model)], dynamics
+    return [*results, *_robot(dynamics), _mass_model(dynamics, settings.effective_mass_model)], dynamics
 
 
 def _installation() -> Iterator[CheckResult]:
@@ -89,12 +86,6 @@ def _installation() -> Iterator[CheckResult]:
         except Exception as error:  # noqa: BLE001, PERF203 - a broken installation may raise anything
             reason = " ".join(str(error).split()) or type(error).__name__
             yield CheckResult("wrong", subject, f"{reason}; install scara_effmass again, or source ROS 2")
-
-    if str(import_module("scara_effmass.safety.monitor").__file__).endswith(".py"):
-        hint = "a cycle takes about three times as long; `make setup` or `pip install` compiles it again"
-        yield CheckResult("note", "core", f"Python sources, not compiled or changed since: {hint}")
-    else:
-        yield CheckResult("ok", "core", "compiled by mypyc")
 
 
 def _version(module: str, wheel: str) -> str:
@@ -161,6 +152,9 @@ def _limits(settings: MonitorSettings) -> Iterator[CheckResult]:
         yield CheckResult("wrong", "limits", str(error))
     else:
         yield CheckResult("ok", "limits", f"{EDITION}; hash {TABLE_HASH}; {contact}: {regions}")
+        area = settings.contact_area
+        hint = f": allows {area:g} times the pressure force of 1 cm², if the whole area bears" if area > 1.0 else ""
+        yield CheckResult("note" if hint else "ok", "contact area", f"{area:g} cm²{hint}")
 
 
 def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
@@ -168,6 +162,8 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
     aggregated = "" if dynamics.lumped is None else ", ".join(f"{mass:.4g}" for mass in dynamics.lumped.aggregated)
     yield CheckResult("ok", "robot", f"{robot.name} ({robot.origin}), base frame {robot.base_frame}")
     yield CheckResult("ok", "contact points", ", ".join(dynamics.contact_points))
+    yield CheckResult("wrong" if robot.units_reason else "ok", "units", robot.units_reason or "plausible")
+    yield CheckResult("ok", "reach", f"{robot.reach:.3g} m from {robot.joint_names[0]} over the joint ranges")
     for subject, problem, text in (
         ("masses", robot.masses_reason, "present"),
         ("centres of mass", robot.coms_reason, "present"),
@@ -183,6 +179,8 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
         yield CheckResult("ok", "payload", robot.payload_text)
     else:
         yield CheckResult("note", "payload", "0 kg: the last link must include the tool and its load")
+    for name, text in _home_masses(dynamics):
+        yield CheckResult("ok", f"home pose, {name}", text)
     warning = robot.rotors.warning
     armatures = ", ".join(f"{value:.4g}" for value in robot.model.armature.tolist())
     yield CheckResult("note" if warning else "ok", "armature", warning or f"{armatures} kg m² or kg")
@@ -190,21 +188,17 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
         yield CheckResult("note", "robot file", note)
 
 
-def _comparison(dynamics: RobotDynamics, margin: float) -> Iterator[CheckResult]:
-    """Compare the lumped with the full mass of each contact point, in one line."""
-    from scara_effmass.analysis.lumped_model import compare_models  # noqa: PLC0415 - loads matplotlib
-
-    if dynamics.lumped is None or dynamics.full_reason:
-        return
-    comparisons, missing = compare_models(dynamics, margin, COMPARED_POSES, seed=1)
-    masses = {entry.contact_point: entry for entry in comparisons if entry.quantity == "mass"}
-    lines = []
-    for point, share in zip(dynamics.contact_points, missing, strict=True):
-        lines.append(
-            f"{point}: {masses[point].text if point in masses else f'no lumped mass at {share:.0%} of the poses'}"
-        )
-    is_heavy = len(masses) == len(lines) and not any(entry.too_light for entry in masses.values())
-    yield CheckResult("ok" if is_heavy else "note", "lumped over full", "; ".join(lines))
+def _home_masses(dynamics: RobotDynamics) -> Iterator[tuple[str, str]]:
+    """Yield each contact point and its masses along the base axes, all joints at 0 or their limit nearest to it."""
+    model = dynamics.robot.model
+    q = np.clip(np.zeros(model.nv), model.lowerPositionLimit, model.upperPositionLimit)
+    for name, masses in zip(
+        dynamics.contact_points, dynamics.effective_masses(q, np.zeros(model.nv), 0.0), strict=True
+    ):
+        for kind, mobility in (("lumped", masses.lumped_mobility), ("full", masses.full_mobility)):
+            if mobility and not (kind == "lumped" and masses.has_massless_direction):
+                axes = (f"{1.0 / mobility[i][i]:.3g}" if mobility[i][i] > 1e-9 else "no motion" for i in range(3))
+                yield name, f"{kind} mass {' / '.join(axes)} kg along x / y / z of {dynamics.robot.base_frame}"
 
 
 def _mass_model(dynamics: RobotDynamics, model: MassModel) -> CheckResult:

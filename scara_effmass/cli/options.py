@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from scara_effmass.settings import ContactType, MassModel
+from scara_effmass.settings.loading import number_rule
 
 
 class Option:
@@ -51,13 +52,14 @@ def number(rule: str, is_valid: Callable[[float], bool], kind: type[float] = flo
     """Return an argparse type: a number for which `is_valid` holds; `rule` says what it must be."""
 
     def parse(text: str) -> float:
+        hint = ""
         try:
             value = kind(text)
+            if is_valid(value):
+                return value
         except ValueError:
-            value = math.nan
-        if not is_valid(value):
-            raise argparse.ArgumentTypeError(f"{text}: must be {rule}")
-        return value
+            hint = number_rule(text).removeprefix("must be a number")
+        raise argparse.ArgumentTypeError(f"{text}: must be {rule}{hint}")
 
     return parse
 
@@ -84,21 +86,8 @@ ROBOT = (
         choices=[model.value for model in MassModel],
     ),
 )
-IMPORT = (
-    Option("--axis", "of a wrench; norm: |F|, without a sign (default: z)", choices=["x", "y", "z", "norm"]),
-    Option("--unit", "N, kN, lbf, kgf, V or mV (default: as the file states, N for messages)"),
-    Option("--time-column", "CSV column of the times (default: the first one)", "NAME"),
-    flag("--invert", "compression is negative in the file", dest="sensor.invert", default=None),
-    Option(
-        "--sensitivity",
-        "sensitivity behind V or mV [mV/N] (default: 2.248)",
-        "MV_PER_N",
-        float,
-        dest="sensor.sensitivity",
-    ),
-    Option("--range", "end of the measuring range; marks saturation (default: 2224)", "N", float, dest="sensor.range"),
-)
 NOT_NEGATIVE = number("a number >= 0", lambda value: 0.0 <= value < math.inf)
+NUMBER = number("a number", lambda _: True)
 POSITIVE = number("a number > 0", lambda value: value > 0.0)
 PAYLOAD = (
     Option(
@@ -120,14 +109,14 @@ PAYLOAD = (
         "--payload-com",
         "its centre of mass in the frame of the first contact point on the last link [m]",
         ("X", "Y", "Z"),
-        float,
+        NUMBER,
         nargs=3,
     ),
     Option(
         "--payload-inertia",
         "its inertia about the centre of mass [kg m2] (default: a point mass)",
         ("IXX", "IYY", "IZZ", "IXY", "IXZ", "IYZ"),
-        float,
+        NUMBER,
         nargs=6,
     ),
     Option("--payload-topic", "latched topic of the payload (geometry_msgs/Inertia), in place of the three", "TOPIC"),
@@ -151,7 +140,7 @@ DIRECTION = (
         "--direction",
         "direction along which the effective mass is computed, as of a press test",
         ("X", "Y", "Z"),
-        float,
+        NUMBER,
         nargs=3,
         dest="test_direction",
     ),

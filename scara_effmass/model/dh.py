@@ -3,40 +3,49 @@
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pinocchio as pin
-import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, Field, Strict, ValidationError, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from scara_effmass.errors import RobotError
+from scara_effmass.input_files import read_yaml
 from scara_effmass.model.contact_point import ContactPoint, contact_point
 from scara_effmass.model.inertial_check import StatedLink, principal_moments
+from scara_effmass.model.plausibility import MAX_ANGLE_RAD
 from scara_effmass.model.robot import PARALLEL, Robot, add_contact_frame, build_robot, inertia_tensor
 from scara_effmass.model.rotors import rotor_inertia
 from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings.loading import FrozenSettings, broken_rule, nearest
 from scara_effmass.values import ZERO_VECTOR, FloatArray
 
 
-def _no_bool(value: object) -> object:
-    # Pydantic would read YAML's `yes` as 1.
-    if isinstance(value, bool):
-        raise ValueError("must be a number")  # noqa: TRY004  pydantic reports a ValueError under its key
+def _bounded(value: float) -> float:
+    if abs(value) > 1e6:
+        raise ValueError("must be at most 1e6 in magnitude")
     return value
 
 
-Number = Annotated[float, BeforeValidator(_no_bool), Field(ge=-1e6, le=1e6)]
+Number = Annotated[float, Strict(), AfterValidator(_bounded)]
 """A finite number; a magnitude above a million [SI] is a typing error and would overflow later."""
 Point = tuple[Number, Number, Number]
 Inertia = Number | tuple[Number, Number, Number, Number, Number, Number]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+class _Strict(FrozenSettings):
+    @model_validator(mode="before")
+    @classmethod
+    def _check_keys(cls, rows: object) -> object:
+        for key in rows if isinstance(rows, dict) else ():
+            if key not in cls.model_fields:
+                comma = ": a number must have a decimal point, as 5.1" * isinstance(key, (int, float))
+                rule = comma or nearest(str(key), cls.model_fields)
+                raise PydanticCustomError("key", "{text}", {"text": f"{key}: unknown: {rule.lstrip(': ')}"})
+        return rows
 
 
 class DhJoint(_Strict):
@@ -57,6 +66,11 @@ class DhJoint(_Strict):
 
     @model_validator(mode="after")
     def _ordered(self) -> DhJoint:
+        for key in ("alpha", "theta"):
+            if abs(angle := getattr(self, key)) > MAX_ANGLE_RAD:
+                raise ValueError(
+                    f"{key} = {angle:g}: must be in radians: {angle:g} degrees are {math.radians(angle):.9g}"
+                )
         if self.lower >= self.upper:
             raise ValueError(f"lower = {self.lower}: must be < upper = {self.upper}")
         return self
@@ -102,7 +116,7 @@ class DhPayload(DhLink):
 class DhContactPoint(_Strict):
     """Point `at` [m] in the frame of `link` (name, or number from 1), that of its com; a list: in the last DH frame."""
 
-    link: str | Annotated[int, BeforeValidator(_no_bool)] = ""
+    link: str | Annotated[int, Strict()] = ""
     at: Point
 
     @model_validator(mode="before")
@@ -169,18 +183,32 @@ def load_dh(path: Path, settings: MonitorSettings) -> Robot:
         value = getattr(settings, key)
         if value and value != type(settings).model_fields[key].default:
             raise RobotError(f"{key} = {value!r}: must be unset for a DH file: set it in {path}")
+    rows = read_yaml(path, RobotError)
+    if isinstance(rows, dict) and any(isinstance(node, dict) and "ros__parameters" in node for node in rows.values()):
+        raise RobotError(
+            f"{path}: holds parameters of {', '.join(map(str, rows))}: must be a robot; use --params for it"
+        )
     try:
-        file = DhFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RobotError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+        file = DhFile.model_validate(rows)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        value = f" = {reprlib.repr(first['input'])}" if key and not isinstance(first["input"], dict) else ""
-        raise RobotError(f"{path}: {key or 'file'}{value}: {first['msg'].removeprefix('Value error, ')}") from None
+        # Where one number or a list may stand, a list fails as a number first.
+        first = min(error.errors(), key=lambda item: item["type"] == "float_type" and isinstance(item["input"], list))
+        raise RobotError(f"{path}: {_place(first['loc'], rows)}{broken_rule(first)}") from None
     return _robot(file, str(path), settings)
+
+
+def _place(keys: Sequence[int | str], rows: Any) -> str:  # noqa: ANN401 - what the file holds
+    """Return the place of an error as people count, with the name: "links 2 (forearm): mass"."""
+    place = ""
+    for key in keys:
+        if isinstance(rows, dict):
+            place += f"{': ' if place.endswith(')') else '.' if place else ''}{key}"
+            rows = rows.get(key)
+        elif isinstance(rows, list) and isinstance(key, int):
+            rows = rows[key] if key < len(rows) else None
+            name = rows.get("name", "") if isinstance(rows, dict) else ""
+            place += f" {key + 1}{f' ({name})' if name else ''}"
+    return place or "file"
 
 
 def _robot(file: DhFile, origin: str, settings: MonitorSettings) -> Robot:

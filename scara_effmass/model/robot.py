@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from typing import Any
@@ -14,6 +14,7 @@ import pinocchio as pin
 from scara_effmass.errors import RobotError
 from scara_effmass.iso15066 import robot_mass
 from scara_effmass.model.inertial_check import StatedLink, check_inertials, triangle_error
+from scara_effmass.model.plausibility import judge
 from scara_effmass.model.rotors import RotorInertia
 from scara_effmass.settings import LumpingSettings, MonitorSettings
 from scara_effmass.values import FloatArray, Vector3
@@ -22,6 +23,8 @@ PARALLEL = 2e-3
 """Sine of the angle below which two axes count as parallel, because some files write pi as 3.14."""
 UNKNOWN_EFFORT = 1e9
 """Effort limit from which on none is stated; URDF files write 0 as well."""
+MAX_MOVING_JOINTS = 64
+"""Largest number of joints of a model; the memory of its dynamics grows with its cube, 300 joints take 2.6 GB."""
 SAMPLES = 64
 """Number of configurations at which structural properties of a model are evaluated."""
 
@@ -35,7 +38,8 @@ class Robot:
     ids. `tip` is the end of the last link in the last joint's frame; the link's distal axis is parallel to the joint
     axis through it. `payload` are the masses m_L [kg] of tool and load by source; `rebuild` returns this robot with the
     load of other settings. A `*_reason` states why masses, centres of mass (CoM) or inertias are implausible; it is
-    empty if they are plausible.
+    empty if they are plausible. `units_reason` states what is certainly not in SI units: the monitor refuses the robot.
+    `reach` [m] is the largest distance of `tip` and contact points from the first joint, over the sampled poses.
     """
 
     name: str
@@ -52,6 +56,8 @@ class Robot:
     coms_reason: str
     inertias_reason: str
     notes: tuple[str, ...]
+    reach: float = 0.0
+    units_reason: str = ""
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -100,12 +106,6 @@ class Robot:
         motion = data.v
         axis = motion.angular if self.revolute[joint - 1] else motion.linear
         return np.asarray(axis, dtype=np.float64)
-
-    def joint_poses(self, q: FloatArray) -> FloatArray:
-        """Return the poses (n, 4, 4) of the joint frames in the base frame at `q` (n,)."""
-        data = self.model.createData()
-        pin.forwardKinematics(self.model, data, q)
-        return np.array([pose.homogeneous for pose in list(data.oMi)[1:]])
 
     def sample_configurations(self, count: int = SAMPLES) -> FloatArray:
         """Return (count, n) configurations [rad, m] spread evenly over the joint ranges, the same on every call.
@@ -157,11 +157,14 @@ def build_robot(
     m_L is `file_payload` [kg], which `bare` includes, the links that match a glob of `settings.tool_links`, and
     the payload of `settings`, in the frame of the first contact point behind the last joint, or else of `tip`.
 
-    Raises RobotError for a model without joints or mass, an impossible payload, and `tool_links` that match none.
+    Raises RobotError for a model without joints or mass or with too many joints, for an impossible payload, and for
+    `tool_links` that match none.
     """
     fields: dict[str, Any] = {"contact_frames": contact_frames, "tip": tip, "name": name, "base_frame": base_frame}
     if bare.nv == 0:
         raise RobotError(f"{origin}: must have at least one joint that moves")
+    if bare.nv > MAX_MOVING_JOINTS:
+        raise RobotError(f"{origin}: {bare.nv} joints move: must be at most {MAX_MOVING_JOINTS}; lock the others")
     if not any(link.mass > 0.0 for link in links):
         raise RobotError(f"{origin}: the moving links have no mass: every link must have its mass and centre of mass")
     model = bare.copy()
@@ -184,7 +187,7 @@ def build_robot(
         f"tool_links {', '.join(settings.tool_links)}": _tool_mass(links, settings.tool_links, origin),
         source: settings.payload_mass,
     }
-    return Robot(
+    robot = Robot(
         model=model,
         origin=origin,
         payload={name: mass for name, mass in payload.items() if mass or name.startswith("topic ")},
@@ -199,6 +202,8 @@ def build_robot(
         notes=(*notes, *point_mass, *check.notes, *rotors.notes, *filter(None, [rotors.warning])),
         **fields,
     )
+    found = judge(robot)
+    return replace(robot, reach=found.reach, units_reason=found.units, notes=(*robot.notes, *found.notes))
 
 
 def inertia_tensor(entries: Sequence[float]) -> FloatArray:

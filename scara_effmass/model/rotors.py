@@ -18,6 +18,9 @@ from scara_effmass.values import FloatArray
 
 _RULE = "must be joint=value (0 or more), joint1,joint2=value"
 
+_MAX_INERTIA = 1e6
+"""Largest inertia that is not a typing error."""
+
 
 class RotorInertia(NamedTuple):
     """The matrix B (n, n) [kg m2, kg for a sliding joint], the joints without a statement, and notes on the sources."""
@@ -66,6 +69,8 @@ def rotor_inertia(
             sources[i] = "the setting armature"
     unstated = tuple(joints[i] for i in range(len(joints)) if i not in sources)
     matrix = np.nan_to_num(matrix)
+    if np.abs(matrix).max(initial=0.0) > _MAX_INERTIA:
+        raise RobotError(f"{origin}: rotor inertia: must be at most {_MAX_INERTIA:g} kg m2 or kg")
     lowest = float(np.linalg.eigvalsh(matrix).min(initial=0.0))
     if lowest < -1e-9 * np.trace(matrix):
         raise RobotError(

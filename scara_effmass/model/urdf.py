@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
+from scara_effmass.input_files import read_text
 from scara_effmass.model.contact_point import contact_point
 from scara_effmass.model.robot import Robot, add_contact_frame, build_robot
 from scara_effmass.model.rotors import RotorInertia, rotor_inertia
@@ -19,13 +20,7 @@ from scara_effmass.settings import MonitorSettings
 
 def load_urdf(path: Path, settings: MonitorSettings) -> Robot:
     """Return the robot of the URDF file at `path`. Raises RobotError."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise RobotError(f"{path}: must be a URDF or a DH YAML file") from None
-    return parse_urdf(text, str(path), settings)
+    return parse_urdf(read_text(path, RobotError), str(path), settings)
 
 
 def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
@@ -101,5 +96,5 @@ def _reduced_model(tree: UrdfTree, fixed: set[str]) -> pin.Model:
         model = pin.buildModelFromXML(ET.tostring(tree.root, encoding="unicode"))
         reference = np.clip(pin.neutral(model), model.lowerPositionLimit, model.upperPositionLimit)
         return pin.buildReducedModel(model, [model.getJointId(name) for name in sorted(fixed)], reference)
-    except (ValueError, RuntimeError) as error:
+    except (ValueError, RuntimeError) as error:  # RuntimeError includes that of elements nested too deeply
         raise RobotError(f"{tree.origin}: Pinocchio cannot read it: {' '.join(str(error).split())}") from None

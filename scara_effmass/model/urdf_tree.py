@@ -6,6 +6,7 @@ Pinocchio's parser skips what it cannot read, with a message on stderr only, so 
 from __future__ import annotations
 
 import math
+import reprlib
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
@@ -14,8 +15,13 @@ import numpy as np
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.inertial_check import StatedLink, principal_moments
+from scara_effmass.model.plausibility import MAX_ANGLE_RAD
 
 MOVING = ("revolute", "continuous", "prismatic")
+MAX_JOINTS = 500
+"""Largest number of joints in a file, fixed ones included; the time to check them grows with its square."""
+_MAX_NUMBER = 1e6
+"""Largest magnitude of a length, mass or inertia [SI]; beyond it the dynamics overflow."""
 _CONTINUOUS_LIMIT = 1e6
 """Limit [rad] of a continuous joint read as revolute, for which Pinocchio uses one coordinate, as joint_states do."""
 _MIN_AXIS_LENGTH = 1e-9
@@ -24,6 +30,8 @@ _MIN_AXIS_LENGTH = 1e-9
 
 def read_urdf(text: str, origin: str, locked_joints: Sequence[str]) -> UrdfTree:
     """Return the tree of the URDF `text`; a continuous joint becomes a revolute one. Raises RobotError."""
+    if "<!ENTITY" in text:
+        raise RobotError(f"{origin}: must not define XML entities")
     try:
         root = ET.fromstring(text)  # noqa: S314  a robot description is trusted input: the robot runs on it
     except (ET.ParseError, ValueError) as error:
@@ -32,7 +40,10 @@ def read_urdf(text: str, origin: str, locked_joints: Sequence[str]) -> UrdfTree:
         raise RobotError(f"{origin}: root element = <{root.tag}>: must be <robot>")
     if any("xacro" in element.tag for element in root.iter()):
         raise RobotError(f"{origin}: must not contain xacro macros: expand them first (xacro FILE > robot.urdf)")
-    for joint in root.findall("joint"):
+    joints = root.findall("joint")
+    if len(joints) > MAX_JOINTS:
+        raise RobotError(f"{origin}: {len(joints)} joints: must be at most {MAX_JOINTS}")
+    for joint in joints:
         where = f"{origin}: joint {joint.get('name')}"
         _check_pose(joint, where)
         for dynamics in joint.findall("dynamics"):
@@ -116,8 +127,10 @@ class UrdfTree:
 def _check_pose(joint: ET.Element, where: str) -> None:
     pose, axis = joint.find("origin"), joint.find("axis")
     if pose is not None:
-        for key in ("xyz", "rpy"):
-            _numbers(pose, key, where, 3, default="0 0 0")
+        _numbers(pose, "xyz", where, 3, default="0 0 0")
+        angles = _numbers(pose, "rpy", where, 3, default="0 0 0")
+        if max(map(abs, angles)) > MAX_ANGLE_RAD:
+            raise RobotError(f"{where}: <origin rpy> = {pose.get('rpy')!r}: must be in radians, not in degrees")
     if (
         axis is not None
         and math.hypot(*_numbers(axis, "xyz", where, 3)) < _MIN_AXIS_LENGTH
@@ -136,10 +149,10 @@ def _check_limit(joint: ET.Element, where: str) -> None:
         limit.set("upper", str(_CONTINUOUS_LIMIT))
     if limit is None:
         raise RobotError(f"{where}: must have <limit> with lower < upper")
-    lower, upper = (_numbers(limit, key, where, 1, default="0")[0] for key in ("lower", "upper"))
+    lower, upper = (_numbers(limit, key, where, 1, default="0", largest=math.inf)[0] for key in ("lower", "upper"))
     if lower >= upper:
         raise RobotError(f"{where}: limit lower = {lower:g}: must be < upper = {upper:g}")
-    if _numbers(limit, "velocity", where, 1)[0] < 0.0:
+    if _numbers(limit, "velocity", where, 1, largest=math.inf)[0] < 0.0:
         raise RobotError(f"{where}: limit velocity = {limit.get('velocity')!r}: must not be negative")
 
 
@@ -183,12 +196,17 @@ def _stated(name: str, link: ET.Element, origin: str) -> list[StatedLink]:
     return [StatedLink(name, mass_kg, np.array(com), tensor)]
 
 
-def _numbers(element: ET.Element, key: str, where: str, count: int, default: str = "") -> tuple[float, ...]:
+def _numbers(
+    element: ET.Element, key: str, where: str, count: int, default: str = "", largest: float = _MAX_NUMBER
+) -> tuple[float, ...]:
     text = element.get(key, default)
     try:
         values = tuple(float(word) for word in text.split())
     except ValueError:
         values = ()
+    name = f"{where}: <{element.tag} {key}> = {reprlib.repr(text)}"
     if len(values) != count or not all(map(math.isfinite, values)):
-        raise RobotError(f"{where}: <{element.tag} {key}> = {text!r}: must be {count} finite number{'s' * (count > 1)}")
+        raise RobotError(f"{name}: must be {count} finite number{'s' * (count > 1)}")
+    if max(map(abs, values)) > largest:
+        raise RobotError(f"{name}: must be at most {largest:g}")
     return values

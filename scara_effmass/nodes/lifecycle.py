@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
+from itertools import pairwise
 from typing import TypeVar
 
 import rclpy
@@ -375,6 +376,10 @@ def _end(node: LifecycleBase | None, executor: Executor | None) -> None:
 
 def _init(arguments: list[str]) -> None:
     """Initialise ROS. Raises SettingsError for unknown arguments."""
+    for option, assignment in pairwise(arguments):
+        if option in {"-p", "--param", "-r", "--remap"} and ":=" not in assignment:
+            name, _, value = assignment.partition("=")
+            raise SettingsError(f"{option} {assignment}: must be NAME:=VALUE{f': write {name}:={value}' * bool(value)}")
     parser = argparse.ArgumentParser(
         usage="%(prog)s [--ros-args ...]", description="Run one node until a signal ends it.", allow_abbrev=False
     )

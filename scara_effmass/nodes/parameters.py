@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from scara_effmass.errors import EffmassError, SettingsError
-from scara_effmass.settings.loading import Settings, checked, flat_fields, nearest
+from scara_effmass.settings.loading import Settings, check_types, checked, flat_fields, nearest
 
 _ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
@@ -28,9 +28,10 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
     values = {}
     for name, parameter in sorted(overrides.items()):
         if name in fields:
-            values[name] = _checked_type(node, parameter, fields[name])
+            values[name] = from_ros(parameter)
         elif not name.startswith(_ROS_PARAMETERS):
             raise SettingsError(f"{node.get_name()}: no parameter {name!r}: {nearest(name, fields)}")
+    check_types(settings, values, node.get_name())
     checked_settings = checked(settings, values, node.get_name())
     for name, field in fields.items():
         parameter = _parameter(name, values.get(name, field.default))
@@ -72,25 +73,9 @@ def on_parameters_changed(
 
 def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401 - the settings model checks the type
     """Return the value of `parameter` for a settings model."""
-    value = parameter.value
-    return tuple(value) if parameter.type_ in {Parameter.Type.STRING_ARRAY, Parameter.Type.DOUBLE_ARRAY} else value
-
-
-def _checked_type(node: Node, parameter: Parameter, field: FieldInfo) -> Any:  # noqa: ANN401
-    """Return the value of `parameter`. Raises SettingsError if its type is not that of `field`."""
-    if parameter.type_ is Parameter.Type.NOT_SET and isinstance(field.default, tuple):
-        return ()  # ROS passes an empty list from a file or command line as NOT_SET
-    expected = _parameter(parameter.name, field.default).type_
-    if parameter.type_ is not expected:
-        is_integer = parameter.type_ is Parameter.Type.INTEGER and expected is Parameter.Type.DOUBLE
-        hint = f": write {parameter.value}.0" if is_integer else ""
-        if expected is Parameter.Type.STRING:  # YAML reads y, N, yes, no, on and off as booleans
-            is_boolean = parameter.type_ is Parameter.Type.BOOL
-            word = ("y" if parameter.value else "N") if is_boolean else parameter.value
-            hint = f""": YAML needs quotes, as in {parameter.name}:="'{word}'\""""
-        rule = f"must be {expected.name}, is {parameter.type_.name}{hint}"
-        raise SettingsError(f"{node.get_name()}: {parameter.name} = {parameter.value!r}: {rule}")
-    return from_ros(parameter)
+    if parameter.type_ is Parameter.Type.NOT_SET:
+        return ()  # as ROS passes an empty list from a file or command line
+    return tuple(parameter.value) if parameter.type_.name.endswith("_ARRAY") else parameter.value
 
 
 def _parameter(name: str, value: Any) -> Parameter:  # noqa: ANN401

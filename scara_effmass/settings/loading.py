@@ -1,15 +1,19 @@
 """Load and check settings from files and parameters; an error is one line."""
 
-from collections.abc import Collection, Iterable, Mapping
+import math
+import re
+import reprlib
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from scara_effmass.errors import SettingsError
+from scara_effmass.input_files import read_yaml
 
 Settings = TypeVar("Settings", bound=BaseModel)
 
@@ -20,6 +24,17 @@ NODE_ONLY = frozenset(
     {"robot", "autostart", "command_tolerance", "use_sim_time", "stop_at_end", "find_impacts", "report_folder"}
 )
 """Parameters of nodes alone: a shared file may hold them, offline commands ignore them."""
+
+
+_GROUP = "must hold keys with their values"
+_RULES = {
+    "missing": "must be present",
+    "string_type": "must be text",
+    "tuple_type": "must be a list",
+    "model_type": _GROUP,
+    "dict_type": _GROUP,
+}
+"""Rules by pydantic's type of error, where its own text speaks of Python."""
 
 
 def fixed(default: object, description: str, **limits: Any) -> Any:  # noqa: ANN401 - as pydantic's Field
@@ -50,8 +65,56 @@ def checked(kind: type[Settings], values: Mapping[str, Any], origin: str) -> Set
         key = ".".join(str(part) for part in first["loc"]) or "settings"
         if first["type"] == "extra_forbidden":
             raise SettingsError(f"{origin}: {key}: unknown: {nearest(key, flat_fields(kind))}") from None
-        value = "" if first["type"] == "missing" else f" = {first['input']!r}"
-        raise SettingsError(f"{origin}: {key}{value}: {first['msg']}") from None
+        raise SettingsError(f"{origin}: {key}{broken_rule(first)}") from None
+
+
+def broken_rule(problem: Mapping[str, Any]) -> str:
+    """Return value and rule of a pydantic error, as " = -1: must be greater than 0"."""
+    value, kind = problem["input"], problem["type"]
+    text = "" if isinstance(value, dict) or kind in {"missing", "key"} else f" = {reprlib.repr(value)}"
+    rule = number_rule(value) if kind == "float_type" else _RULES.get(kind, problem["msg"])
+    return f"{text}: {rule.removeprefix('Value error, ').replace('Input should', 'must')}"
+
+
+def number_rule(value: object) -> str:
+    """Return the rule for a `value` that is not a number; it says how to write 5,1 and pi."""
+    try:
+        number = float(str(value).replace(",", "."))
+    except ValueError:
+        return f"must be a number{': write 3.14159265 for pi' * bool(re.search(r'(?i)pi', str(value)))}"
+    return f"must be a number{f': write {number!r}' * math.isfinite(number)}"
+
+
+def check_types(kind: type[BaseModel], values: Mapping[str, Any], origin: str) -> None:
+    """Require the types of ROS parameters in `values`, by flat name: as ROS, from a file and from a node alike.
+
+    Raises SettingsError.
+    """
+    for name, field in flat_fields(kind).items():
+        value = values.get(name, field.default)
+        expected, stated = _ros_type(field.default), _ros_type(value)
+        if expected == stated or (expected.endswith("ARRAY") and isinstance(value, Sequence) and len(value) == 0):
+            continue
+        hint = ""
+        if expected == "STRING":  # YAML reads y, N, yes, no, on and off as booleans
+            word = ("y" if value else "N") if stated == "BOOL" else value
+            hint = f""": YAML needs quotes, as in {name}:="'{word}'\""""
+        elif expected == "DOUBLE" and stated in {"INTEGER", "STRING"}:
+            hint = number_rule(value).removeprefix("must be a number")
+        elif expected == f"{stated}_ARRAY":
+            hint = f": write [{value}]"
+        elif expected == "DOUBLE_ARRAY" and stated == "INTEGER_ARRAY":
+            hint = f": write {list(map(float, value))}"
+        raise SettingsError(f"{origin}: {name} = {reprlib.repr(value)}: must be {expected}, is {stated}{hint}")
+
+
+def _ros_type(value: object) -> str:
+    """Return the name of the type of a ROS parameter."""
+    if isinstance(value, (list, tuple)):
+        kinds = {_ros_type(item) for item in value} or {"STRING"}
+        return f"{kinds.pop()}_ARRAY" if len(kinds) == 1 else "a mixed list"
+    names = {bool: "BOOL", int: "INTEGER", float: "DOUBLE", str: "STRING", dict: "a group"}
+    return "STRING" if isinstance(value, Enum) else names.get(type(value), "nothing")
 
 
 def flat_fields(settings: type[BaseModel], prefix: str = "") -> dict[str, FieldInfo]:
@@ -77,12 +140,7 @@ def load_settings(kind: type[Settings], path: Path, node: str, other_nodes: Coll
     The file holds `/**`, `node` or `/**/node` over `ros__parameters`, as written by `ros2 param dump`. Parameters of
     other nodes are ignored; a file for `other_nodes` alone gives the defaults. Raises SettingsError.
     """
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+    document = read_yaml(path, SettingsError)
     if not isinstance(document, dict) or not document:
         raise SettingsError(f"{path}: must hold {node} (or /**) over ros__parameters")
     owners = {name: str(name).rpartition("/")[2] for name in document}
@@ -96,7 +154,15 @@ def load_settings(kind: type[Settings], path: Path, node: str, other_nodes: Coll
             raise SettingsError(f"{path}: {name}: must hold ros__parameters")
         items = section["ros__parameters"].items()
         parameters |= {key: value for key, value in items if key in kind.model_fields or key not in NODE_ONLY}
+    check_types(kind, _flat(parameters), str(path))
     return checked(kind, parameters, str(path))
+
+
+def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `values` with nested mappings turned into dotted keys."""
+    groups = {key: _flat(value) if isinstance(value, dict) else {} for key, value in values.items()}
+    flat = {key: value for key, value in values.items() if not isinstance(value, dict)}
+    return flat | {f"{key}.{name}": value for key, group in groups.items() for name, value in group.items()}
 
 
 def _grouped(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -106,7 +172,7 @@ def _grouped(values: Mapping[str, Any]) -> dict[str, Any]:
         group, _, rest = str(key).partition(".")
         if rest and isinstance(grouped.setdefault(group, {}), dict):
             grouped[group][rest] = value
-        elif isinstance(value, dict):
+        elif isinstance(value, dict) and isinstance(grouped.get(group, {}), dict):
             grouped[group] = {**grouped.get(group, {}), **value}
         else:
             grouped[group] = value

@@ -123,7 +123,7 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "negative wait": (["replay", TOUR, "--wait", "-1"], "argument --wait: -1: must be a number >= 0"),
     "text as a centre of mass": (
         ["doctor", "--payload-com", "0", "0", "up"],
-        "--payload-com: invalid float value: 'up'",
+        "--payload-com: up: must be a number",
     ),
     "two numbers as a centre of mass": (["doctor", "--payload-com", "0", "0"], "--payload-com: expected 3 arguments"),
     "payload of NaN": (["doctor", "--payload", "nan"], "argument --payload: nan: must be a number >= 0"),

@@ -372,5 +372,5 @@ def test_missing_or_binary_file_raises(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match=r"robot\.urdf: cannot be read"):
         load_urdf(path, MonitorSettings())
     path.write_bytes(b"\xff\xfe")
-    with pytest.raises(RobotError, match=r"robot\.urdf: must be a URDF or a DH YAML file"):
+    with pytest.raises(RobotError, match=r"robot\.urdf: line 1: must be UTF-8 text"):
         load_urdf(path, MonitorSettings())

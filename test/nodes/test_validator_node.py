@@ -214,13 +214,13 @@ def test_reset_begins_a_new_series(node: ValidatorHarness) -> None:
 @pytest.mark.parametrize(
     ("argument", "line"),
     [
-        ("obstacle_mass:=-1.0", "validator: obstacle_mass = -1.0: Input should be greater than or equal to 0"),
+        ("obstacle_mass:=-1.0", "validator: obstacle_mass = -1.0: must be greater than or equal to 0"),
         ("nonsense:=1", "validator: no parameter 'nonsense': must be contact_point,"),
         (
             "criterion.least_count:=1",
-            "validator: criterion.least_count = 1: Input should be greater than or equal to 2",
+            "validator: criterion.least_count = 1: must be greater than or equal to 2",
         ),
-        ("effective_mass_model:=none", "validator: effective_mass_model = 'none': Input should be 'lumped', "),
+        ("effective_mass_model:=none", "validator: effective_mass_model = 'none': must be 'lumped', "),
     ],
 )
 def test_invalid_parameter_is_refused(refusal_of: Callable[..., str], argument: str, line: str) -> None:

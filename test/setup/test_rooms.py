@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "scara_effmass"
 
 FLOORS = (
-    {"errors", "parent", "share", "values", "settings"},
+    {"errors", "input_files", "parent", "share", "values", "settings"},
     {"iso15066"},
     {"model"},
     {"safety", "impacts"},

@@ -37,7 +37,7 @@ def direct_requirements(*extras: str) -> list[str]:
 def locked(python: str, name: str) -> dict[str, str]:
     """Return the versions that lock file `name` installs on a Python, by package."""
     lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
-    requirements = [Requirement(line) for line in lines if line and not line.startswith("#")]
+    requirements = [Requirement(line.removesuffix(" \\")) for line in lines if line and not line.startswith(("#", " "))]
     environment = {"python_version": python, "python_full_version": f"{python}.0", "sys_platform": "linux"}
     versions: dict[str, str] = {}
     for requirement in requirements:
@@ -82,6 +82,19 @@ def test_locks_agree(python: str) -> None:
     assert {name: colcon[name] for name in tests.keys() & colcon} == {
         name: tests[name] for name in tests.keys() & colcon
     }
+
+
+@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-colcon.lock"])
+def test_every_locked_requirement_has_its_hashes(lock: str) -> None:
+    text = (ROOT / lock).read_text(encoding="utf-8")
+    requirements = re.findall(r"^[a-z0-9].*(?:\n {4}.*)*", text, re.MULTILINE)
+    without = [item.split()[0] for item in requirements if not re.search(r" --hash=sha256:[0-9a-f]{64}$", item)]
+    assert len(requirements) > 200
+    assert not without
+
+
+def test_set_up_checks_the_hashes() -> None:
+    assert "--require-hashes" in (ROOT / "Makefile").read_text(encoding="utf-8")
 
 
 def test_locks_contain_no_host_and_no_path() -> None:

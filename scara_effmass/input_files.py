@@ -1,0 +1,110 @@
+"""Read text and YAML files of limited size; an error is one line that names the place."""
+
+import re
+import reprlib
+import stat
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from scara_effmass.errors import EffmassError
+
+MAX_TEXT_BYTES = 5_000_000
+MAX_YAML_BYTES = 500_000
+_MAX_YAML_DEPTH, _MAX_YAML_VALUES = 20, 20_000
+_MAX_INTEGER = 2**63
+
+
+def read_text(path: Path, error: type[EffmassError], max_bytes: int = MAX_TEXT_BYTES) -> str:
+    """Return the UTF-8 text of the regular file at `path`. Raises `error`, also for a file above `max_bytes`."""
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise error(f"{path}: cannot be read: must be a regular file")
+        with path.open("rb") as file:
+            content = file.read(max_bytes + 1)
+    except (OSError, ValueError) as problem:
+        if isinstance(problem, EffmassError):
+            raise
+        raise error(f"{path}: cannot be read: {getattr(problem, 'strerror', problem)}") from None
+    if len(content) > max_bytes:
+        raise error(f"{path}: must not be larger than {max_bytes / 1e6:g} MB")
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as problem:
+        line = content.count(b"\n", 0, problem.start) + 1
+        raise error(f"{path}: line {line}: must be UTF-8 text") from None
+
+
+def read_yaml(path: Path, error: type[EffmassError]) -> Any:  # noqa: ANN401 - what the file holds
+    """Return the content of the YAML file at `path`, numbers and text read as ROS reads them. Raises `error`."""
+    text = read_text(path, error, MAX_YAML_BYTES)
+    try:
+        return yaml.load(text, _Loader)  # noqa: S506 - derived from SafeLoader
+    except yaml.MarkedYAMLError as problem:
+        mark = problem.problem_mark or problem.context_mark
+        place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        raise error(f"{path}: not YAML: {place}{problem.problem or problem.context}") from None
+    except yaml.YAMLError as problem:
+        raise error(f"{path}: not YAML: {' '.join(str(problem).split())}") from None
+
+
+class _Loader(yaml.SafeLoader):
+    """Bounds depth and size, aliases written out; refuses keys stated twice and values that are not of their tag."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = self._values = self._open_anchors = 0
+        self._sizes: dict[str | None, int] = {}
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        is_alias, anchor, before = isinstance(event, yaml.AliasEvent), getattr(event, "anchor", None), self._values
+        self._depth += 1
+        self._values += self._sizes.get(anchor, 1) if is_alias else 1
+        for is_wrong, rule in (
+            (self._depth > _MAX_YAML_DEPTH, f"must nest at most {_MAX_YAML_DEPTH} levels"),
+            (self._values > _MAX_YAML_VALUES, f"must hold at most {_MAX_YAML_VALUES} values, aliases written out"),
+            (is_alias and self._open_anchors, "must not use an alias inside of an anchored value"),
+        ):
+            if is_wrong:
+                raise yaml.MarkedYAMLError(problem=rule, problem_mark=event.start_mark)
+        is_anchored = anchor is not None and not is_alias
+        self._open_anchors += is_anchored
+        node = super().compose_node(parent, index)
+        self._open_anchors -= is_anchored
+        self._depth -= 1
+        if is_anchored:
+            self._sizes[anchor] = self._values - before
+        return node
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:  # noqa: ANN401, FBT001, FBT002
+        keys: set[str] = set()
+        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
+            if isinstance(key, yaml.ScalarNode) and key.value in keys:
+                raise yaml.MarkedYAMLError(problem=f"must state {key.value} once", problem_mark=key.start_mark)
+            keys.add(key.value if isinstance(key, yaml.ScalarNode) else "")
+        return super().construct_mapping(node, deep)
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:  # noqa: ANN401, FBT001, FBT002
+        try:
+            value = super().construct_object(node, deep)
+            is_valid = not isinstance(value, int) or abs(value) < _MAX_INTEGER
+        except yaml.YAMLError:
+            raise
+        except Exception:  # noqa: BLE001 - with an explicit tag, PyYAML raises whatever the conversion raises
+            is_valid = False
+        if not is_valid:
+            problem = f"{reprlib.repr(node.value)}: must be a valid {node.tag.rpartition(':')[2]}"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+        return value
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(":timestamp")]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+"""As in ROS, a date is text, and 1e-3 is a number."""
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)

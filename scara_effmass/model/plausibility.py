@@ -1,0 +1,154 @@
+"""Judge whether a robot is stated in SI units: lengths, masses, inertias, angles and efforts beside each other.
+
+The bounds lie a factor of five or more beyond those of 50 published arms, legs and humanoids with reaches of 0.1 to
+1.3 m: 4 to 117 kg moving mass per reach cubed [kg/m3], links of at most 0.65 m, joint ranges of at most 20 rad, radii
+of gyration of 0.08 to 0.6 reaches.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from scara_effmass.values import FloatArray
+
+if TYPE_CHECKING:
+    from scara_effmass.model.robot import Robot
+
+MAX_LINK_M, LONG_LINK_M = 10.0, 3.0
+"""Length of a link that is certainly not in metres, and one that is worth a note; the other pairs likewise."""
+MIN_REACH_M = 0.05
+MAX_DENSITY, HIGH_DENSITY, LOW_DENSITY, MIN_DENSITY = 3000.0, 600.0, 1.0, 0.1
+"""Moving mass over the cube of the reach [kg/m3]."""
+MAX_DISTANCE_M = 5.0
+"""Distance of a centre of mass from its joint, or radius of gyration, if it also exceeds three reaches."""
+MIN_DEGREES, MAX_DEGREES = 50.0, 1500.0
+"""Range of a revolute joint [rad] that is one in degrees, if those of all others are; above, there is no limit."""
+WIDE_RANGE_RAD, WIDE_RANGE_M, NO_RANGE = 6.0 * math.pi + 0.01, 10.0, 1e5
+MAX_ANGLE_RAD = 7.0
+"""Fixed angle that is certainly not in radians: it exceeds one turn."""
+
+
+class Plausibility(NamedTuple):
+    """Reach [m] from the first joint, why the units are certainly not SI (empty if they may be), and doubts."""
+
+    reach: float
+    units: str
+    notes: tuple[str, ...]
+
+
+def judge(robot: Robot) -> Plausibility:
+    """Judge `robot` over its joint ranges; only the notes depend on the payload of the settings."""
+    model, data = robot.model, robot.model.createData()
+    reach, gravity, ratios = 0.0, np.zeros(model.nv), []
+    for q in robot.sample_configurations():
+        pin.framesForwardKinematics(model, data, q)
+        base = data.oMi[1].translation
+        ends = [data.oMi[model.njoints - 1] * robot.tip, *(data.oMf[frame] for frame in robot.contact_frames.values())]
+        reach = max(reach, *(float(np.linalg.norm(end.translation - base)) for end in ends))
+        gravity = np.maximum(gravity, np.abs(pin.computeGeneralizedGravity(model, data, q)))
+        if not robot.inertias_reason:
+            frame = next(iter(robot.contact_frames.values()))
+            jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3].reshape(3, -1)
+            matrix = robot.mass_matrix(model, data, q)
+            ratios.append(3.0 / max(np.trace(jacobian @ np.linalg.pinv(matrix) @ jacobian.T), 1e-12))
+    wrong = list(_wrong(robot, reach))
+    return Plausibility(
+        reach, "; ".join(wrong), () if wrong else (*_doubts(robot, reach, ratios), *_joint_doubts(robot, gravity))
+    )
+
+
+def _wrong(robot: Robot, reach: float) -> Iterator[str]:
+    """Yield what is certainly not in SI units."""
+    link, length = _longest_link(robot)
+    if length > MAX_LINK_M:
+        unit, factor = ("millimetres", 1e3) if length > 50.0 else ("centimetres", 1e2)
+        yield f"{link} is {length:.4g} m long: must be in metres, not in {unit}"
+        reach /= factor
+    masses, volume = f"{robot.moving_mass:.4g} kg move at a reach of {reach:.3g} m", max(reach, MIN_REACH_M) ** 3
+    if robot.moving_mass > MAX_DENSITY * volume:
+        yield f"{masses}: must be in kilograms, not in grams"
+    elif robot.moving_mass + robot.payload_mass < MIN_DENSITY * volume:
+        yield f"{masses}: must be in kilograms, not in tonnes, and lengths in metres"
+    elif length <= MAX_LINK_M:
+        farthest = max(MAX_DISTANCE_M, 3.0 * reach)
+        name, _, distance, _ = max(_bodies(robot), key=lambda body: body[2])
+        if distance > farthest:
+            yield f"the centre of mass of {name} is {distance:.4g} m away: must be in metres, not in millimetres"
+        name, mass, _, radius = max(_bodies(robot), key=lambda body: body[3])
+        if radius > 2.0 * farthest and not robot.inertias_reason:
+            yield f"the inertia of {name} is that of {mass:.3g} kg at {radius:.4g} m: must be in kg m2, not kg mm2"
+    ranges = dict(_bounded_ranges(robot))
+    if ranges and all(MIN_DEGREES < width <= MAX_DEGREES for width in ranges.values()):
+        name, width = max(ranges.items(), key=lambda item: item[1])
+        yield f"{name} has a range of {width:.4g} rad: must be in radians, not in degrees"
+
+
+def _doubts(robot: Robot, reach: float, ratios: list[float]) -> Iterator[str]:
+    """Yield lengths, masses and inertias that may be correct, and are worth a look."""
+    link, length = _longest_link(robot)
+    if length > LONG_LINK_M or reach < MIN_REACH_M:
+        yield f"check the lengths: reach {reach:.3g} m, {link} is {length:.3g} m long"
+    density = robot.moving_mass / max(reach, MIN_REACH_M) ** 3
+    if not robot.masses_reason and not LOW_DENSITY <= density <= HIGH_DENSITY:
+        yield f"check the masses: {robot.moving_mass:.3g} kg move at a reach of {reach:.3g} m"
+    for name, _, distance, _ in _bodies(robot):
+        if distance > reach:
+            yield f"check the centre of mass of {name}: {distance:.3g} m from its joint, reach {reach:.3g} m"
+    radius = max((radius for _, _, _, radius in _bodies(robot)), default=0.0)
+    if not robot.inertias_reason and not 0.03 * reach <= radius <= 3.0 * reach:
+        yield f"check the inertias: the largest radius of gyration is {radius:.3g} m at a reach of {reach:.3g} m"
+    ratio = float(np.median(ratios)) / (robot.moving_mass + robot.payload_mass) if ratios else 1.0
+    if not 1e-3 < ratio < 3.0:
+        yield f"check masses and inertias: the effective mass is typically {ratio:.2g} of the moving mass"
+    if robot.payload_mass > 3.0 * robot.moving_mass:
+        yield f"check the payload: {robot.payload_mass:.4g} kg on {robot.moving_mass:.3g} kg moving mass"
+
+
+def _joint_doubts(robot: Robot, gravity: FloatArray) -> Iterator[str]:
+    """Yield ranges and effort limits that are worth a look; `gravity` (n,) is the largest over the poses [N m, N]."""
+    for name, width in _bounded_ranges(robot):
+        if width > WIDE_RANGE_RAD:
+            yield f"check the limits of {name}: {width:.4g} rad are more than three turns"
+    spans = zip(robot.joint_names, robot.revolute, _widths(robot), strict=True)
+    for name in (name for name, revolute, width in spans if not revolute and WIDE_RANGE_M < width < NO_RANGE):
+        yield f"check the limits of {name}: it travels more than {WIDE_RANGE_M:g} m"
+    loads = [row for row in zip(robot.joint_names, robot.effort_limits, gravity, strict=True) if row[2] > 1e-3]
+    for name, effort, load in loads:
+        if effort < 0.5 * load or all(1e3 * other < limit < np.inf for _, limit, other in loads):
+            yield f"check the effort limit of {name}: {effort:.3g} N m or N, where gravity takes up to {load:.3g}"
+
+
+def _longest_link(robot: Robot) -> tuple[str, float]:
+    """Return the longest link [m]: from a joint to the next, or to the tip or a contact point."""
+    model = robot.model
+    joints = range(2, model.njoints)
+    spans = [(model.names[model.parents[i]], model.names[i], model.jointPlacements[i]) for i in joints]
+    spans.append((model.names[model.njoints - 1], "the tip", robot.tip))
+    frames = [(name, model.frames[frame]) for name, frame in robot.contact_frames.items()]
+    spans += [(model.names[frame.parentJoint], name, frame.placement) for name, frame in frames]
+    start, end, placement = max(spans, key=lambda span: float(np.linalg.norm(span[2].translation)))
+    return f"the link from {start} to {end}", float(np.linalg.norm(placement.translation))
+
+
+def _bodies(robot: Robot) -> Iterator[tuple[str, float, float, float]]:
+    """Yield joint, mass [kg], distance of the centre of mass [m] and radius of gyration [m] of each body with mass."""
+    for name, body in zip(robot.joint_names, list(robot.model.inertias)[1:], strict=True):
+        if body.mass > 0.0:
+            moment = max(float(np.linalg.eigvalsh(body.inertia)[-1]), 0.0)
+            yield name, body.mass, float(np.linalg.norm(body.lever)), math.sqrt(moment / body.mass)
+
+
+def _widths(robot: Robot) -> list[float]:
+    return list((robot.model.upperPositionLimit - robot.model.lowerPositionLimit).tolist())
+
+
+def _bounded_ranges(robot: Robot) -> Iterator[tuple[str, float]]:
+    """Yield name and range [rad] of the revolute joints that have limits."""
+    for name, revolute, width in zip(robot.joint_names, robot.revolute, _widths(robot), strict=True):
+        if revolute and width < NO_RANGE:
+            yield name, width
