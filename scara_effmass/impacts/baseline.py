@@ -32,12 +32,11 @@ _ZERO_RUN_PROBABILITY = 1e-6
 class Frame:
     """The `samples` (n,) [N] of a frame that are not NaN, their extremes, and at most 128 evenly spaced `subsamples`.
 
-    `is_present` if at least half of the samples are not NaN; `is_complete` if all are.
+    `is_present` if at least half of the samples are not NaN.
     """
 
     def __init__(self, samples: FloatArray) -> None:
         self.samples = samples[np.isfinite(samples)]
-        self.is_complete = self.samples.size == samples.size
         self.is_present = self.samples.size >= 0.5 * samples.size
         self.subsamples = self.samples[:: -(-self.samples.size // _MAX_SUBSAMPLES) or 1]
         self.low, self.high = float(self.samples.min(initial=math.inf)), float(self.samples.max(initial=-math.inf))

@@ -205,20 +205,16 @@ class Detector:
             hold = max(round(self._settings.longest * self._rate), 2 * hold)
         recent = list(self._candidates)[-BASELINE_FRAMES:]
         is_steady = len(recent) == BASELINE_FRAMES and self._baseline.is_steady(recent)
-        if is_steady and (not self._is_load(recent) or self._is_steady_load()):
+        if is_steady and not self._is_moving_load(recent):
             self._adopt(recent)
         if not self._settled and self._processed - self._held_from >= hold:
             self._held_from = self._frame_end(self._held_from)
 
-    def _is_load(self, frames: Iterable[Frame]) -> bool:
-        """Return whether `frames` are above the lost baseline: a load, which is a baseline only after `longest`."""
-        level = float(np.median([np.median(frame.subsamples) for frame in frames]))
-        return not self._first_search and level > self._baseline.force + self._baseline.threshold
-
-    def _is_steady_load(self) -> bool:
-        """Return whether the level has moved by no more than the threshold for `longest`."""
-        levels = [np.median(frame.subsamples) for frame in self._candidates]
-        return len(levels) == self._load_frames and float(np.ptp(levels)) <= self._baseline.threshold
+    def _is_moving_load(self, recent: Iterable[Frame]) -> bool:
+        """Return whether `recent` are above the lost baseline and have not been within a threshold for `longest`."""
+        levels, recent_levels = ([np.median(f.subsamples) for f in frames] for frames in (self._candidates, recent))
+        is_load = not self._first_search and np.median(recent_levels) > self._baseline.force + self._baseline.threshold
+        return bool(is_load and (len(levels) < self._load_frames or np.ptp(levels) > self._baseline.threshold))
 
     def _adopt(self, frames: Iterable[Frame]) -> None:
         """Adopt `frames` as the baseline unless the signal is stuck where it was noisy before."""
@@ -294,7 +290,7 @@ class Detector:
         if not self._settled:
             frames = [*self._candidates, *([Frame(rest)] if rest.size >= MIN_FRAME_SAMPLES else [])]
             share = MIN_QUIET_SHARE if self._first_search else 1.0
-            if frames and self._baseline.is_steady(frames, share) and not self._is_load(frames):
+            if frames and self._baseline.is_steady(frames, share) and not self._is_moving_load(frames):
                 self._adopt(frames)
                 impacts += self._advance()
                 rest = buffer.samples(self._processed, buffer.end)
