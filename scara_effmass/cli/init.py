@@ -18,7 +18,7 @@ from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_lines, progress_bar
 from scara_effmass.cli.doctor import cell_results
-from scara_effmass.cli.options import BAG, CELL, LIMITS, ROBOT, Option
+from scara_effmass.cli.options import BAG, CELL, ROBOT, Option
 from scara_effmass.cli.settings import monitor_settings
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.iso15066 import BODY_REGIONS
@@ -27,6 +27,9 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.settings.loading import flat_fields
 from scara_effmass.wire.topics import JOINT_STATES
+
+UNASKED = {"payload_topic", "joint_map", "joint_names", "joint_limits", "velocity_source", "velocity_window"}
+"""Options that few cells need."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -72,7 +75,7 @@ def _interview(
     for option in (ROBOT[0], BAG, *CELL[1:]):
         name = option.dest
         is_load = name in {"payload_com", "payload_inertia"}
-        if name == "payload_topic" or getattr(args, name) is not None or (is_load and not args.payload_mass):
+        if name in UNASKED or getattr(args, name) is not None or (is_load and not args.payload_mass):
             continue
         links = [frame.name for frame in dynamics.robot.model.frames if frame.type.name == "BODY"]
         choices = {"body_regions": BODY_REGIONS, "contact_points": links or dynamics.contact_points}
@@ -115,16 +118,17 @@ def _cell(settings: MonitorSettings, notes: Sequence[str]) -> str:
     """Return the file: `notes`, and a section per node with each parameter below its description."""
     values = settings.model_dump(mode="json")
     values["sensor.sensitivity"] = DaqSettings().sensor.sensitivity
-    sections: dict[str, tuple[type[BaseModel], tuple[Option, ...], tuple[str, ...]]] = {
-        "monitor": (MonitorSettings, CELL, ("tool_links", "armature", "drives")),
-        "validator": (ValidatorSettings, (*ROBOT, *LIMITS), ()),
-        "daq": (DaqSettings, (), ("sensor.sensitivity",)),
+    cell = [option.dest for option in CELL]
+    sections: dict[str, tuple[type[BaseModel], list[str]]] = {
+        "monitor": (MonitorSettings, [*cell, "tool_links", "armature", "drives"]),
+        "validator": (ValidatorSettings, ["robot", *(name for name in cell if name in ValidatorSettings.model_fields)]),
+        "daq": (DaqSettings, ["sensor.sensitivity"]),
     }
     lines = [f"# {note}" for note in notes]
-    for node, (kind, options, names) in sections.items():
+    for node, (kind, names) in sections.items():
         fields = flat_fields(MonitorSettings) | flat_fields(kind)
         lines += [f"/**/{node}:", "  ros__parameters:"]
-        for name in (*(option.dest for option in options), *names):
+        for name in names:
             lines += wrap(fields[name].description or "", 118, initial_indent="    # ", subsequent_indent="    # ")
             value = yaml.safe_dump([values[name]], default_flow_style=True, width=math.inf, allow_unicode=True)
             lines.append(f"    {name}: {value.strip()[1:-1]}")
