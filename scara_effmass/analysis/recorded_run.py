@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,8 +12,10 @@ from scara_effmass.bags import run_info
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import check_definition
+from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, DecodeError, SettingsError
 from scara_effmass.impacts.impact_matcher import check_run_info
+from scara_effmass.importers import IMPORTERS
 from scara_effmass.importers.force import import_force
 from scara_effmass.settings import ImportSettings
 from scara_effmass.values import NAN, FloatArray, ForceBlock, Impact, RunInfo
@@ -107,8 +110,8 @@ def read_force(bag: Bag) -> RecordedForce | None:
     )
 
 
-def measurement_topic(bag: Bag, name: str | None) -> Topic:
-    """Return the topic `name`, or the one of the first type in USUAL that the bag has.
+def measurement_topic(bag: Bag, name: str) -> Topic:
+    """Return the topic `name`, or without a name the one of the first type in USUAL that the bag has.
 
     Of several topics of that type, the one with the usual name is taken. Raises BagError, with the topics of these
     types, when none or several remain.
@@ -117,24 +120,37 @@ def measurement_topic(bag: Bag, name: str | None) -> Topic:
     if not candidates:
         raise BagError(f"{bag.path}: must hold {FORCE_BLOCK} or {IMPACT}, as daq publishes them, or {WRENCH_STAMPED}")
     preferred = [topic for topic in candidates if topic.type == candidates[0].type]
-    if name is not None:
+    if name:
         selected = [topic for topic in candidates if topic.name.lstrip("/") == name.lstrip("/")]
     else:
         selected = [topic for topic in preferred if topic.name.lstrip("/") == USUAL[topic.type]] or preferred
     if len(selected) == 1:
         return selected[0]
-    problem = "several topics hold the force" if name is None else f"no force on {name}"
+    problem = f"no force on {name}" if name else "several topics hold the force"
     raise BagError(f"{bag.path}: {problem}; give --force-topic one of {', '.join(topic.name for topic in candidates)}")
 
 
-def measurements(bag: Bag, topic: Topic, unreadable: Counter[str]) -> Iterator[Measurement]:
+def file_measurements(path: Path, settings: ImportSettings, unreadable: Counter[str]) -> Iterator[Measurement]:
+    """Yield the force in a CSV or TDMS file, whose log times are its stamps, or the measurements in a bag.
+
+    Raises BagError or SettingsError.
+    """
+    if path.suffix.lower() in IMPORTERS:
+        for block in import_force(path, settings)[1]:
+            yield Measurement(block.stamp_ns + round(len(block.force) / block.sample_rate * NS), block)
+        return
+    with open_bag(path) as bag:
+        yield from measurements(bag, measurement_topic(bag, settings.topic), settings, unreadable)
+
+
+def measurements(bag: Bag, topic: Topic, settings: ImportSettings, unreadable: Counter[str]) -> Iterator[Measurement]:
     """Yield the force blocks or impacts of `topic`; count messages that cannot be decoded in `unreadable`.
 
-    Wrenches are imported as force blocks; the force is their z component. Raises BagError when the recording has
-    another definition of the type, or wrenches cannot be imported.
+    Wrenches are imported as force blocks, as `settings` state. Raises BagError when the recording has another
+    definition of the type, or wrenches cannot be imported.
     """
     if topic.type in {WRENCH_STAMPED, WRENCH}:
-        yield from _import_wrenches(bag, topic)
+        yield from _import_wrenches(bag, settings.model_copy(update={"topic": topic.name}))
         return
     check_definition(bag.types, topic.type, str(bag.path))
     decode = decode_force_block if topic.type == FORCE_BLOCK else decode_impact
@@ -146,11 +162,11 @@ def measurements(bag: Bag, topic: Topic, unreadable: Counter[str]) -> Iterator[M
                 unreadable[f"{bag.path}: {topic.name}: left out: {error}"] += 1
 
 
-def _import_wrenches(bag: Bag, topic: Topic) -> Iterator[Measurement]:
+def _import_wrenches(bag: Bag, settings: ImportSettings) -> Iterator[Measurement]:
     """Yield the imported force of a topic of wrenches; log times keep their distance from the stamps of the first."""
-    first_log_ns = next(message.log_time_ns for message in bag.messages([topic.name]))
+    first_log_ns = next(message.log_time_ns for message in bag.messages([settings.topic]))
     first_stamp_ns: int | None = None
-    _, blocks = import_force(bag.path, ImportSettings(topic=topic.name))
+    _, blocks = import_force(bag.path, settings)
     for block in blocks:
         first_stamp_ns = block.stamp_ns if first_stamp_ns is None else first_stamp_ns
         end_ns = block.stamp_ns + round(len(block.force) / block.sample_rate * NS)

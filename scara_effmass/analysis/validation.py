@@ -5,22 +5,35 @@ The log time of a message replaces its arrival time at a node.
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from heapq import merge
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from scara_effmass.analysis.assessment import AssessedState, assess_joint_states, joint_state_topic
-from scara_effmass.analysis.recorded_run import Measurement, measurement_topic, measurements, run_infos
+from scara_effmass.analysis.recorded_run import (
+    Measurement,
+    file_measurements,
+    measurement_topic,
+    measurements,
+    run_infos,
+)
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
+from scara_effmass.errors import BagError
+from scara_effmass.impacts.clock_offset import recording_offset
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings
-from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo, ValidatedImpact
+from scara_effmass.settings import DetectionSettings, ImportSettings, MonitorSettings, ValidatorSettings
+from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo, ValidatedImpact, Verdict
+from scara_effmass.wire.cdr import NS
 
 if TYPE_CHECKING:
     from scara_effmass.model.dynamics import RobotDynamics
@@ -30,7 +43,9 @@ if TYPE_CHECKING:
 class ValidationSettings:
     """Settings of monitor, validator and detection, and the topics to read; None: chosen automatically.
 
-    `obstacle_mass` [kg] overrides the recordings; if both state none, `validator.obstacle_mass` applies.
+    `obstacle_mass` [kg] overrides the recordings; if both state none, `validator.obstacle_mass` applies. `force` states
+    topic and import of the force, which is in the recordings or in `force_from`, one file for each of them.
+    `force_offset` [s] is added to the stamps in these files; None: estimated from the velocity at the impacts.
     """
 
     monitor: MonitorSettings = field(default_factory=MonitorSettings)
@@ -38,16 +53,19 @@ class ValidationSettings:
     detection: DetectionSettings = field(default_factory=DetectionSettings)
     obstacle_mass: float | None = None
     topic: str | None = None
-    force_topic: str | None = None
+    force: ImportSettings = field(default_factory=ImportSettings)
+    force_from: tuple[Path, ...] = ()
+    force_offset: float | None = None
 
 
 @dataclass(slots=True)
 class ValidatedRecording:
     """Contents of one recording, and its part of the `impacts` and `refused` of the whole result.
 
-    `dropouts` and `glitches` (single samples), and `pushes` (contacts too long for impacts) are counted in force
-    blocks; 0 if `force_topic` holds impacts. `relative_uncertainty` is the maximum stated for the force. `losses`
-    lists unreadable parts.
+    `dropouts`, `glitches` (single samples) and `sustained_contacts` (too long for impacts) are counted in force blocks;
+    0 if `force_topic` holds impacts. `relative_uncertainty` is the maximum stated for the force. `losses` lists
+    unreadable parts. If the force is in another file, `force_topic` is its path, `force_offset` [s] was added to its
+    stamps, and `force_clock` says so.
     """
 
     path: Path
@@ -60,7 +78,9 @@ class ValidatedRecording:
     lost_samples: int = 0
     dropouts: int = 0
     glitches: int = 0
-    pushes: int = 0
+    sustained_contacts: int = 0
+    force_offset: float = 0.0
+    force_clock: str = ""
     sources: tuple[str, ...] = ()
     relative_uncertainty: float = 0.0
     impacts: tuple[ValidatedImpact, ...] = ()
@@ -105,10 +125,10 @@ def validate(
     validator = Validator(settings.validator)
     recordings: list[ValidatedRecording] = []
     ends = [(0, 0)]
-    for path in paths:
+    for path, force_path in zip(paths, settings.force_from or repeat(None), strict=False):
         validator.begin_recording()
         with open_bag(path) as bag:
-            recordings.append(_feed(bag, Monitor(dynamics, settings.monitor), validator, settings, advance))
+            recordings.append(_feed(bag, force_path, dynamics, validator, settings, advance))
         validator.finish()
         result = validator.result()
         ends.append((len(result.impacts), len(result.refused)))
@@ -120,21 +140,32 @@ def validate(
 
 
 def _feed(
-    bag: Bag, monitor: Monitor, validator: Validator, settings: ValidationSettings, advance: Callable[[float], object]
+    bag: Bag,
+    force_path: Path | None,
+    dynamics: RobotDynamics,
+    validator: Validator,
+    settings: ValidationSettings,
+    advance: Callable[[float], object],
 ) -> ValidatedRecording:
-    """Feed one recording into monitor, detector and validator, and return its contents."""
+    """Feed one recording, and the force in `force_path`, into monitor, detector and validator; return its contents."""
     states = joint_state_topic(bag, settings.topic)
-    force = measurement_topic(bag, settings.force_topic)
     infos = tuple(run_infos(bag))
-    _set_runs(validator, settings, infos)
-    recording = ValidatedRecording(bag.path, states, force.name, infos, any(info.simulated for info in infos))
-    detector = Detector(settings.detection)
+    recording = ValidatedRecording(bag.path, states, str(force_path), infos, any(info.simulated for info in infos))
     unreadable: Counter[str] = Counter()
+    if force_path is None:
+        force = measurement_topic(bag, settings.force.topic)
+        recording.force_topic = force.name
+        measured = measurements(bag, force, settings.force, unreadable)
+    else:
+        foreign = list(file_measurements(force_path, settings.force, unreadable))
+        measured = _on_joint_clock(foreign, bag, recording, Monitor(dynamics, settings.monitor), settings)
+    _set_runs(validator, settings, infos)
+    detector = Detector(settings.detection)
     share = 1.0 / next(topic.count for topic in bag.topics if topic.name == states)
     force_ns = 0
     records: tuple[Iterator[AssessedState | Measurement], ...] = (
-        measurements(bag, force, unreadable),
-        assess_joint_states(bag, states, monitor),
+        measured,
+        assess_joint_states(bag, states, Monitor(dynamics, settings.monitor)),
     )
     for item in merge(*records, key=lambda record: record.log_time_ns):
         if isinstance(item, AssessedState):
@@ -147,15 +178,69 @@ def _feed(
         recording.count(value)
         if isinstance(value, ForceBlock):
             validator.add_force(value, force_ns)
-        for impact in detector.feed(value) if isinstance(value, ForceBlock) else (value,):
+        for impact in _impacts(detector, value):
             validator.add_impact(impact, force_ns)
     for impact in detector.finish():
         validator.add_impact(impact, force_ns)
     recording.dropouts, recording.glitches = detector.dropouts, detector.glitches
-    recording.pushes = detector.sustained_contacts
+    recording.sustained_contacts = detector.sustained_contacts
     undecoded = (f"{line} ({count} times)" if count > 1 else line for line, count in unreadable.items())
     recording.losses = (*bag.losses, *undecoded)
     return recording
+
+
+def _impacts(detector: Detector, value: ForceBlock | Impact) -> Sequence[Impact]:
+    return detector.feed(value) if isinstance(value, ForceBlock) else (value,)
+
+
+def _on_joint_clock(
+    measured: Sequence[Measurement],
+    bag: Bag,
+    recording: ValidatedRecording,
+    monitor: Monitor,
+    settings: ValidationSettings,
+) -> Iterator[Measurement]:
+    """Return what was `measured` by another clock, with stamps and log times of the joint states. Raises BagError."""
+    stamps_ns, lags_ns, velocity = array("q"), array("q"), array("d")
+    point = settings.validator.contact_point
+    for item in assess_joint_states(bag, recording.joint_state_topic, monitor):
+        contacts = item.decision.contacts if item.decision else ()
+        contact = next((one for one in contacts if not point or one.contact_point == point), None)
+        if contact is None or contact.stamp_ns <= (stamps_ns[-1] if stamps_ns else 0):
+            continue
+        if contact.verdict is not Verdict.UNKNOWN or any(contact.direction):
+            stamps_ns.append(contact.stamp_ns)
+            lags_ns.append(item.log_time_ns - contact.stamp_ns)
+            velocity.extend(contact.speed * component for component in contact.direction)
+    offset_ns, origin = round((settings.force_offset or 0.0) * NS), "as given"
+    if settings.force_offset is None:
+        detector = Detector(settings.detection)
+        impacts = [impact for item in measured for impact in _impacts(detector, item.value)] + detector.finish()
+        impacts = [impact for impact in impacts if not (impact.incomplete or impact.rebound)]
+        begin_ns, first_ns = (stamps_ns[0], impacts[0].stamp_ns) if stamps_ns and impacts else (0, 0)
+        kink = recording_offset(
+            np.array([(impact.stamp_ns - first_ns) / NS for impact in impacts]),
+            np.array([impact.impulse for impact in impacts]),
+            np.array([impact.duration for impact in impacts]),
+            (np.frombuffer(stamps_ns, np.int64) - begin_ns) / NS,
+            np.frombuffer(velocity).reshape(-1, 3),
+        )
+        if kink is None:
+            problem = f"not one offset fits its {len(impacts)} impacts to the velocity in {bag.path}"
+            raise BagError(f"{recording.force_topic}: {problem}; give --force-offset")
+        offset_ns = round(kink.delay * NS) + begin_ns - first_ns
+        origin = f"from the velocity (impacts: {len(impacts)}, resolution {1e3 * kink.resolution:.1f} ms)"
+    recording.force_offset = offset_ns / NS
+    recording.force_clock = f"{recording.force_topic}: its stamps {recording.force_offset:+.6f} s, {origin}"
+    lag_ns = int(np.median(lags_ns)) if lags_ns else 0
+
+    def moved(value: ForceBlock | Impact) -> Measurement:
+        stamp_ns = value.stamp_ns + offset_ns
+        span_s = len(value.force) / value.sample_rate if isinstance(value, ForceBlock) else 0.0
+        value = value._replace(stamp_ns=stamp_ns, simulated=value.simulated or recording.simulated)
+        return Measurement(stamp_ns + round(span_s * NS) + lag_ns, value)
+
+    return (moved(value) for _, value in measured)
 
 
 def _set_runs(validator: Validator, settings: ValidationSettings, infos: Sequence[RunInfo]) -> None:

@@ -68,7 +68,12 @@ def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
     yield "result", result.verdict
     yield "limit", limit_text(result)
     simulated = f", {result.simulated} of them simulated" if result.simulated else ""
-    yield "impacts", f"{result.seen} detected, {len(result.impacts)} in the series{simulated}"
+    sustained = sum(recording.sustained_contacts for recording in validation.recordings)
+    longer = f"; {sustained} sustained contacts" if sustained else ""
+    yield "impacts", f"{result.seen} detected, {len(result.impacts)} in the series{simulated}{longer}"
+    for recording in validation.recordings:
+        if recording.force_clock:
+            yield "force", recording.force_clock
     for model in result.models:
         series = model.overall
         if not series.count:
@@ -142,6 +147,7 @@ def record(validation: Validation, settings: ValidationSettings, robot: Robot) -
             "validator": settings.validator.model_dump(mode="json"),
             "detection": settings.detection.model_dump(mode="json"),
             "obstacle_mass": settings.obstacle_mass,
+            "force": settings.force.model_dump(mode="json"),
         },
         "robot": {"name": robot.name, "origin": robot.origin, "notes": list(robot.notes)},
         "units": UNITS,

@@ -10,6 +10,7 @@ from scara_effmass.cli.options import (
     COUNT,
     DIRECTION,
     FORCE,
+    IMPORT,
     JSON,
     LIMITS,
     MASS,
@@ -165,26 +166,13 @@ examples:
   scara-effmass import load_cell.csv -o load_cell
   scara-effmass import run.csv --topic "Force (lbf)" --time-column "Time (ms)" --invert -o run.mcap
   scara-effmass import bridge.tdms --topic cell/ai0 --sensitivity 2.31 -o bridge
-  scara-effmass import wrist.mcap --topic /ft_sensor/wrench --axis x -o wrist_force
+  scara-effmass import wrist.mcap --topic /ft_sensor/wrench --axis norm -o wrist_force
 """,
         Option("files", "CSV file, TDMS file or bag", "FILE", Path, nargs="+"),
         output("BAG", "bag to write"),
         Option("--topic", "topic, CSV column or TDMS channel of the force (default: the only one)"),
-        Option("--axis", "component of a wrench (default: z)", choices=["x", "y", "z"]),
-        Option("--unit", "N, kN, lbf, kgf, V or mV (default: as the file states, N for messages)"),
-        Option("--time-column", "CSV column of the times (default: the first one)", "NAME"),
+        *IMPORT,
         Option("--frame", "frame of the sensor (default: force_sensor)", dest="frame_id"),
-        flag("--invert", "compression is negative in the file", dest="sensor.invert", default=None),
-        Option(
-            "--sensitivity",
-            "sensitivity behind V or mV [mV/N] (default: 2.248)",
-            "MV_PER_N",
-            NUMBER,
-            dest="sensor.sensitivity",
-        ),
-        Option(
-            "--range", "end of the measuring range; marks saturation (default: 2224)", "N", NUMBER, dest="sensor.range"
-        ),
         FORCE,
         JSON,
     ),
@@ -273,6 +261,7 @@ examples:
         "compare measured impacts with their predictions offline; write a report",
         """\
 Impacts are detected in the force blocks of a recording; without force blocks, recorded impacts or wrenches are used.
+--force-from reads the force from a file beside the recording, whose clock may be another: its offset is estimated.
 The obstacle mass is --obstacle-mass, else the run information of the recording, else obstacle_mass in section
 validator of FILE. All recordings form one series. DIR receives report.html, report.json, and figures as PNG and SVG.
 
@@ -286,14 +275,32 @@ examples:
   scara-effmass validate device.mcap -o out/device --fixed --stiffness 75 --region hand_fingers
   scara-effmass validate bags/campaign -o out/validation
   scara-effmass validate monday.mcap -o out/monday --obstacle-mass 2.39 --model full
+  scara-effmass validate arm.mcap --force-from load_cell.csv --invert -o out/arm --obstacle-mass 2.39
   scara-effmass validate bags/campaign -o out/validation --params cell.yaml --force --json
 """,
         BAGS,
         output("DIR", "folder for the report"),
         TOPIC,
         Option(
-            "--force-topic", "topic of force blocks, impacts or wrenches (default: force, or the only one)", "TOPIC"
+            "--force-topic",
+            "topic of force blocks, impacts or wrenches, CSV column or TDMS channel (default: force, or the only one)",
+            "TOPIC",
         ),
+        Option(
+            "--force-from",
+            "CSV file, TDMS file or bag with the force, one for each BAG (default: the BAG)",
+            "FILE",
+            Path,
+            action="append",
+            default=[],
+        ),
+        Option(
+            "--force-offset",
+            "time to add to the stamps in FILE (default: estimated from the kinks of the velocity)",
+            "S",
+            number("a number", math.isfinite),
+        ),
+        *IMPORT,
         Option("--obstacle-mass", "mass of the obstacle, or of the measuring device, in all recordings", "KG", NUMBER),
         flag("--fixed", "the obstacle, or measuring device, cannot move", dest="obstacle_fixed", default=None),
         Option("--stiffness", "of the contact, or of the device (default: fitted to the series)", "N_PER_MM", NUMBER),

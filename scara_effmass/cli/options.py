@@ -86,8 +86,22 @@ ROBOT = (
         choices=[model.value for model in MassModel],
     ),
 )
-NOT_NEGATIVE = number("a number >= 0", lambda value: 0.0 <= value < math.inf)
 NUMBER = number("a number", lambda _: True)
+IMPORT = (
+    Option("--axis", "of a wrench; norm: |F|, without a sign (default: z)", choices=["x", "y", "z", "norm"]),
+    Option("--unit", "N, kN, lbf, kgf, V or mV (default: as the file states, N for messages)"),
+    Option("--time-column", "CSV column of the times (default: the first one)", "NAME"),
+    flag("--invert", "compression is negative in the file", dest="sensor.invert", default=None),
+    Option(
+        "--sensitivity",
+        "sensitivity behind V or mV [mV/N] (default: 2.248)",
+        "MV_PER_N",
+        NUMBER,
+        dest="sensor.sensitivity",
+    ),
+    Option("--range", "end of the measuring range; marks saturation (default: 2224)", "N", NUMBER, dest="sensor.range"),
+)
+NOT_NEGATIVE = number("a number >= 0", lambda value: 0.0 <= value < math.inf)
 POSITIVE = number("a number > 0", lambda value: value > 0.0)
 PAYLOAD = (
     Option(

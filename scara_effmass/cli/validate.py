@@ -7,10 +7,10 @@ from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
 from scara_effmass.bags.files import find_bags
 from scara_effmass.cli.console import print_result, progress_bar
-from scara_effmass.cli.options import LIMITS, PAYLOAD, ROBOT
+from scara_effmass.cli.options import IMPORT, LIMITS, PAYLOAD, ROBOT
 from scara_effmass.cli.settings import load_dynamics, override, selected
 from scara_effmass.errors import SettingsError
-from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings, load_settings
+from scara_effmass.settings import DaqSettings, ImportSettings, MonitorSettings, ValidatorSettings, load_settings
 from scara_effmass.settings.loading import Settings
 
 NOT_ACCEPTED = 1
@@ -27,6 +27,10 @@ def run(args: argparse.Namespace) -> int:
     for path in reversed(paths):
         if counts[path.resolve()] > 1:  # its impacts would count twice
             raise SettingsError(f"{path}: must be given only once")
+    if len(args.force_from) not in {0, len(paths)}:
+        raise SettingsError(
+            f"argument --force-from: {len(args.force_from)} files: must be {len(paths)}, as many as BAGs"
+        )
     with progress_bar() as progress:
         task = progress.add_task("recordings", total=len(paths))
         validation = validate(paths, dynamics, settings, lambda share: progress.advance(task, share))
@@ -51,5 +55,7 @@ def validation_settings(args: argparse.Namespace) -> ValidationSettings:
         detection=section(DaqSettings, "daq").detection,
         obstacle_mass=args.obstacle_mass,
         topic=args.topic,
-        force_topic=args.force_topic,
+        force=override(ImportSettings(topic=args.force_topic or ""), selected(args, *IMPORT)),
+        force_from=tuple(args.force_from),
+        force_offset=args.force_offset,
     )

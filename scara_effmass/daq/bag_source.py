@@ -1,4 +1,4 @@
-"""Force from a bag: read its ForceBlocks, count the samples that are missing between them, play them at their pace."""
+"""Force from a bag: read its ForceBlocks or wrenches, count the samples that are missing, play them at their pace."""
 
 import math
 import threading
@@ -16,10 +16,11 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers import IMPORTERS
-from scara_effmass.settings import DaqSettings, Stamps
+from scara_effmass.importers.force import import_force
+from scara_effmass.settings import DaqSettings, ImportSettings, Stamps
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.cdr import NS
-from scara_effmass.wire.message_types import FORCE_BLOCK
+from scara_effmass.wire.message_types import FORCE_BLOCK, WRENCH, WRENCH_STAMPED
 
 POLL_S = 0.005
 """Polling period of the clock, which may be simulated."""
@@ -38,8 +39,10 @@ MAX_OVERLAP_NS = NS
 
 
 def _topic(bag: Bag, name: str, convert: str) -> Topic:
-    """Return the topic `name`, or the only one with ForceBlocks."""
-    topics = [topic for topic in bag.topics if topic.type == FORCE_BLOCK and topic.count]
+    """Return the topic `name`, or the only one with ForceBlocks, else with wrenches."""
+    full = [topic for topic in bag.topics if topic.count]
+    blocks = [topic for topic in full if topic.type == FORCE_BLOCK]
+    topics = blocks or [topic for topic in full if topic.type in {WRENCH_STAMPED, WRENCH}]
     candidates = [topic for topic in topics if not name or topic.name in {name, f"/{name}"}]
     if len(candidates) == 1:
         return candidates[0]
@@ -86,7 +89,7 @@ def _check_block(block: ForceBlock, sample_rate: float, origin: str) -> None:
 
 @final
 class BagSource(ForceSource):
-    """Play the ForceBlocks of a bag by the ROS clock; each comes at the time of its last sample.
+    """Play the ForceBlocks or wrenches of a bag by the ROS clock; each block comes at the time of its last sample.
 
     If the clock starts within the span of the bag or up to 10 s before it, the bag is being replayed on that clock:
     stamps are times of the clock, and a late start catches up. Otherwise, and with the stamps `now`, the first sample
@@ -113,6 +116,7 @@ class BagSource(ForceSource):
         self.is_unpaced = settings.bag.rate == 0.0
         self.subscriber_timeout = settings.bag.subscriber_timeout
         self._settings = settings.bag
+        self._sensor = settings.sensor.model_copy(update={"invert": False})  # the signal conditioner inverts
         self._now_ns = now_ns
         self._reading = threading.Lock()
         self._closing = threading.Event()
@@ -205,9 +209,12 @@ class BagSource(ForceSource):
         if path.is_file() and path.suffix.lower() in IMPORTERS:
             raise BagError(f"{path}: is not a bag; {convert}")
         bag = self._bag = open_bag(path)
-        topic = _topic(bag, self._settings.topic, convert).name
+        found = _topic(bag, self._settings.topic, convert)
+        topic = found.name
         origin = f"{bag.path}: {topic}"
-        blocks = (block for block in bag.force_blocks(topic) if len(block.force))
+        wrench = ImportSettings(topic=topic, axis=self._settings.axis, unit=self._settings.unit, sensor=self._sensor)
+        recorded = bag.force_blocks(topic) if found.type == FORCE_BLOCK else import_force(path, wrench)[1]
+        blocks = (block for block in recorded if len(block.force))
         first = next(blocks, None)
         if first is None:
             raise BagError("; ".join([f"{origin}: has no force that can be read", *bag.losses]))

@@ -15,6 +15,11 @@ MIN_LOSS = 0.02
 """Share of the speed that a kink takes at least."""
 EARLIER_SHARE = 0.25
 """The kink is the first loss of this share of the largest one: a rebound may take more speed than the impact."""
+MIN_RIVAL_LOSS = 0.1
+"""Share of the largest sudden loss of speed that another one has at least to vote for the offset of a recording."""
+MAX_RIVAL = 0.9
+MAX_VOTERS = 500
+"""Impacts and kinks that vote, the strongest."""
 NOISE_FACTOR = 6.0
 """A kink exceeds this multiple of the robust standard deviation of all changes of speed in the window."""
 
@@ -76,6 +81,49 @@ def velocity_kink(seconds: FloatArray, velocity: FloatArray, duration: float) ->
     i = int(np.argmax(values[1:] <= half))
     share = (values[i] - half) / (values[i] - values[i + 1])
     return Kink(float(times[i] + share * (times[i + 1] - times[i]) - 0.5 * duration), 0.5 * period)
+
+
+def recording_offset(
+    onsets: FloatArray, impulses: FloatArray, durations: FloatArray, seconds: FloatArray, velocity: FloatArray
+) -> Kink | None:
+    """Return the offset of the clock of `velocity` (n, 3) [m/s] at `seconds` (n,) from that of m impacts.
+
+    The impacts have `onsets` (m,) [s], `impulses` (m,) [N s] and `durations` (m,) [s]. Each pair of an impact and a
+    sudden loss of speed votes for an offset, with the product of impulse and loss; kinks near the best one refine it.
+    None if no loss stands out, or another offset has more than MAX_RIVAL of its votes.
+    """
+    if not len(onsets) or len(seconds) < MIN_STATES:
+        return None
+    period = float(np.median(np.diff(seconds)))
+    width = float(np.median(durations)) + period
+    speeds = np.linalg.norm(velocity, axis=1)
+    after = np.column_stack([np.interp(seconds + width, seconds, component) for component in velocity.T])
+    loss = speeds - np.einsum("ij,ij->i", after, velocity) / np.maximum(speeds, np.finfo(float).tiny)
+    sudden = loss - np.interp(seconds - width, seconds, loss)  # braking is as strong before
+    begins = np.flatnonzero(sudden > max(MIN_RIVAL_LOSS * sudden.max(), MIN_LOSS * speeds.max()))
+    if not begins.size:
+        return None
+    runs = np.split(begins, np.flatnonzero(np.diff(seconds[begins]) > width) + 1)
+    kinks = np.array([run[np.argmax(sudden[run])] for run in runs])
+    strongest = np.argsort(-impulses, kind="stable")[:MAX_VOTERS]
+    kinks = kinks[np.argsort(-sudden[kinks], kind="stable")[:MAX_VOTERS]]
+    offsets = np.subtract.outer(seconds[kinks], onsets[strongest]).ravel()
+    votes = np.multiply.outer(sudden[kinks], impulses[strongest]).ravel()
+    order = np.argsort(offsets)
+    offsets, total = offsets[order], np.concatenate([[0.0], np.cumsum(votes[order])])
+    sums = total[np.searchsorted(offsets, offsets + width, side="right")] - total[:-1]
+    best = int(np.argmax(sums))
+    rivals = np.abs(offsets - offsets[best]) > WINDOW
+    if rivals.any() and sums[rivals].max() > MAX_RIVAL * sums[best]:
+        return None
+    found = []
+    for onset, duration in zip(onsets + offsets[best], durations, strict=True):
+        window = slice(*np.searchsorted(seconds, [onset - WINDOW, onset + WINDOW]))
+        kink = velocity_kink(seconds[window] - onset, velocity[window], float(duration))
+        found += [] if kink is None else [kink]
+    if not found:
+        return None
+    return Kink(float(offsets[best] + np.median([kink.delay for kink in found])), max(k.resolution for k in found))
 
 
 def clock_offset(kinks: Iterable[Kink], tolerance: float) -> ClockOffset:

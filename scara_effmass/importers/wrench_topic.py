@@ -1,5 +1,6 @@
 """Force from a topic of wrenches or numbers in a bag, one sample per message."""
 
+import math
 from array import array
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ CLOCK_STEP_RUN = 100
 
 
 def open_wrench_topic(path: Path, settings: ImportSettings) -> ForceFile:
-    """Read the force along `settings.axis` of a topic of wrenches, or a topic of Float64.
+    """Read the force along `settings.axis`, or its norm, of a topic of wrenches, or a topic of Float64.
 
     Times are those of the header, or the log times where no header is stamped. Raises BagError.
     """
@@ -102,9 +103,13 @@ def _sample(message: Any, kind: str, axis: str) -> tuple[int, float]:  # noqa: A
     if kind == FLOAT64:
         return 0, float(message.data)
     if kind == WRENCH:
-        return 0, float(getattr(message.force, axis))
+        return 0, _component(message.force, axis)
     stamp = message.header.stamp
-    return int(stamp.sec) * NS + int(stamp.nanosec), float(getattr(message.wrench.force, axis))
+    return int(stamp.sec) * NS + int(stamp.nanosec), _component(message.wrench.force, axis)
+
+
+def _component(force: Any, axis: str) -> float:  # noqa: ANN401 - a class that the bag defines
+    return math.hypot(force.x, force.y, force.z) if axis == "norm" else float(getattr(force, axis))
 
 
 def _sort(log_times_ns: IntArray, stamps_ns: IntArray, values: FloatArray, origin: str) -> tuple[IntArray, FloatArray]:

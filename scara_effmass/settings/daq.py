@@ -11,6 +11,9 @@ from pydantic_core import PydanticCustomError
 
 from scara_effmass.settings.loading import FrozenSettings, fixed, tunable
 
+AXIS = "^([xyz]|norm)$"
+UNIT = "^(|N|kN|lbf|kgf|V|mV)$"
+
 
 class ForceSourceKind(str, Enum):
     """Force source."""
@@ -130,8 +133,10 @@ class Ni9230Settings(FrozenSettings):
 class BagSettings(FrozenSettings):
     """A bag as the source."""
 
-    path: str = fixed("", "bag with ForceBlocks: rosbag2 folder, .mcap, .db3 or .bag")
-    topic: str = fixed("", "topic of the ForceBlocks; empty: the only one")
+    path: str = fixed("", "bag with ForceBlocks or wrenches: rosbag2 folder, .mcap, .db3 or .bag")
+    topic: str = fixed("", "topic of the ForceBlocks, or of the wrenches if there are none; empty: the only one")
+    axis: str = fixed("z", "force of a wrench: x, y, z, or norm, |F| without a sign", pattern=AXIS)
+    unit: str = fixed("", "unit of wrenches: N, kN, lbf, kgf, V or mV; empty: N", pattern=UNIT)
     rate: float = fixed(1.0, "multiple of the recorded speed; 0: as fast as possible", ge=0.0, le=1e3)
     subscriber_timeout: float = fixed(3.0, "how long to wait for a subscriber before playing [s]", ge=0.0, le=3600.0)
     stamps: Stamps = fixed(Stamps.RECORDED, "recorded, or now: as if measured now; relative stamps are always now")
@@ -186,11 +191,11 @@ class ImportSettings(FrozenSettings):
     """Select the force in a file and state what the file does not."""
 
     topic: str = tunable("", "topic, CSV column or TDMS channel of the force; empty: the only one")
-    axis: str = tunable("z", "component of a wrench: x, y or z", pattern="^[xyz]$")
+    axis: str = tunable("z", "force of a wrench: x, y, z, or norm, |F| without a sign", pattern=AXIS)
     unit: str = tunable(
         "",
         "unit of the values: N, kN, lbf, kgf, V or mV; empty: as the file states, N for messages",
-        pattern="^(|N|kN|lbf|kgf|V|mV)$",
+        pattern=UNIT,
     )
     time_column: str = tunable("", "CSV column of the times; empty: the first column")
     frame_id: str = tunable("force_sensor", "frame of the sensor; its z axis points along compression")

@@ -20,7 +20,7 @@ from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import MassModel, MonitorSettings, ValidatorSettings
+from scara_effmass.settings import ImportSettings, MassModel, MonitorSettings, SensorSettings, ValidatorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.campaign import Campaign
 from scara_effmass.sim.experiment import run_impact
@@ -183,6 +183,62 @@ def test_wrenches_are_imported_where_there_is_neither_force_nor_impact(
     assert impact.stamp_ns == pytest.approx(expected.stamp_ns, abs=S / 12_800)
     for name in ("measured_force", "speed", "effective_mass", "reduced_mass", "obstacle_mass"):
         assert getattr(impact, name) == pytest.approx(getattr(expected, name), rel=1e-3)
+
+
+def without_force(source: Path, folder: Path) -> tuple[Path, Path]:
+    """Return copies of a recording: without its force, and the force as CSV, negative, at times from its own start."""
+    path, table = folder / f"{source.name}.mcap", folder / f"{source.name}.csv"
+    with open_bag(source) as bag, BagWriter(path) as writer, table.open("w", encoding="utf-8") as file:
+        for item in bag.messages():
+            if item.type != FORCE_BLOCK:
+                writer.write(*item)
+        file.write("Time (s),Temperature,Force (N)\n")
+        start_ns = next(bag.force_blocks("/force")).stamp_ns
+        for block in bag.force_blocks("/force"):
+            for number, force in enumerate(block.force.tolist()):
+                seconds = (block.stamp_ns - start_ns) / S + number / block.sample_rate
+                file.write(f"{seconds:.7f},20,{-force:.4f}\n")
+    return path, table
+
+
+def test_force_in_a_file_of_another_clock_gives_the_same_result(
+    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path, validation: Validation
+) -> None:
+    paths, tables = zip(*(without_force(path, tmp_path) for path in campaign), strict=True)
+    importing = ImportSettings(topic="Force (N)", sensor=SensorSettings(invert=True))
+    settings = replace(SETTINGS, force=importing, force_from=tables)
+    result, recordings = validate(paths, dynamics, settings)
+    assert (result.accepted, len(result.impacts), result.simulated) == (True, 6, 6)
+    for path, table, recording in zip(campaign, tables, recordings, strict=True):
+        with open_bag(path) as bag:
+            start_s = next(bag.force_blocks("/force")).stamp_ns / S
+        assert recording.force_offset == pytest.approx(start_s, abs=1e-3)
+        assert recording.force_topic == str(table)
+        assert recording.force_clock.startswith(f"{table}: its stamps +")
+        assert recording.force_clock.endswith("s, from the velocity (impacts: 1, resolution 0.5 ms)")
+    for impact, expected in zip(result.impacts, validation.result.impacts, strict=True):
+        assert impact.measured_force == pytest.approx(expected.measured_force, rel=1e-3)
+        assert impact.effective_mass == pytest.approx(expected.effective_mass, rel=1e-3)
+
+
+def test_a_given_offset_is_applied(campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path) -> None:
+    path, table = without_force(campaign[0], tmp_path)
+    with open_bag(campaign[0]) as bag:
+        start_s = next(bag.force_blocks("/force")).stamp_ns / S
+    importing = ImportSettings(topic="Force (N)", sensor=SensorSettings(invert=True))
+    settings = replace(SETTINGS, force=importing, force_from=(table,), force_offset=start_s + 0.02)
+    result, (recording,) = validate([path], dynamics, settings)
+    assert recording.force_clock == f"{table}: its stamps {start_s + 0.02:+.6f} s, as given"
+    assert result.clock_offset.offset == pytest.approx(-0.02, abs=1e-3)
+
+
+def test_force_that_fits_the_velocity_nowhere_is_refused(
+    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path
+) -> None:
+    path, table = without_force(campaign[0], tmp_path)
+    settings = replace(SETTINGS, force=ImportSettings(topic="Force (N)"), force_from=(table,))  # of the wrong sign
+    with pytest.raises(BagError, match=rf"{table}: not one offset fits its 0 impacts to .*{path}; give --force-offset"):
+        validate([path], dynamics, settings)
 
 
 def test_largest_model_can_be_selected(campaign: list[Path], dynamics: RobotDynamics) -> None:
@@ -481,10 +537,10 @@ def test_several_force_topics_require_a_choice(campaign: list[Path], dynamics: R
                 writer.write(topic, *message[1:])
     with pytest.raises(BagError, match="several topics hold the force; give --force-topic one of /left, /right"):
         validate([path], dynamics, SETTINGS)
-    found = validate([path], dynamics, replace(SETTINGS, force_topic="right"))
+    found = validate([path], dynamics, replace(SETTINGS, force=ImportSettings(topic="right")))
     assert (found.recordings[0].force_topic, len(found.result.impacts)) == ("/right", 1)
     with pytest.raises(BagError, match="no force on up; give --force-topic one of"):
-        validate([path], dynamics, replace(SETTINGS, force_topic="up"))
+        validate([path], dynamics, replace(SETTINGS, force=ImportSettings(topic="up")))
 
 
 def test_undecodable_force_blocks_are_reported_as_losses(

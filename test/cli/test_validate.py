@@ -158,6 +158,24 @@ def test_recording_may_be_given_only_once(refused: Refused, campaign: Path) -> N
     assert refused("validate", campaign, again, "-o", "report") == f"{again}: must be given only once"
 
 
+def test_force_files_are_as_many_as_recordings(refused: Refused, campaign: Path) -> None:
+    line = refused("validate", campaign, "-o", "report", "--force-from", "cell.csv")
+    assert line == "argument --force-from: 1 files: must be 6, as many as BAGs"
+    assert "--force-offset: soon: must be a number" in refused("validate", "a", "-o", "b", "--force-offset", "soon")
+
+
+def test_force_beside_a_recording(cli: Cli, campaign: Path, tmp_path: Path) -> None:
+    run = campaign / "300_200_500g_1"
+    with open_bag(run) as bag, BagWriter(tmp_path / "force.mcap") as writer:
+        for message in bag.messages(["/force"]):
+            writer.write(*message)
+    done = cli("validate", run, "--force-from", "force.mcap", "-o", "report")
+    assert "force           force.mcap: its stamps " in done.stdout
+    report = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
+    assert abs(report["recordings"][0]["force_offset"]) < 1e-3
+    assert len(report["impacts"]) == 1
+
+
 @pytest.mark.parametrize(("option", "value"), [("--obstacle-mass", "-1"), ("--stiffness", "nan")])
 def test_invalid_option_is_refused(refused: Refused, campaign: Path, option: str, value: str) -> None:
     line = refused("validate", campaign, "-o", "report", f"{option}={value}")

@@ -13,10 +13,10 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.daq.bag_source import BagSource
 from scara_effmass.daq.source import Reading
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.settings import BagSettings, DaqSettings
+from scara_effmass.settings import BagSettings, DaqSettings, SensorSettings
 from scara_effmass.wire.force import force_block_message
-from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK
-from test.bags.messages import serialized
+from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
+from test.bags.messages import header, message, serialized
 from test.daq.force_bag import MS, START_NS, block_messages, force_block, write_blocks, write_messages
 
 NS = 10**9
@@ -154,6 +154,27 @@ def test_ambiguous_topic_is_refused(tmp_path: Path) -> None:
         with pytest.raises(BagError, match=f"two: {setting}: must be one of /force, /force/ai1"):
             played(path, topic)
     assert len(played(path, "force/ai1")) == 1
+
+
+@pytest.mark.parametrize(("axis", "force"), [("z", 12.0), ("y", -4.0), ("norm", 13.0)])
+def test_wrenches_are_played_where_there_are_no_force_blocks(tmp_path: Path, axis: str, force: float) -> None:
+    vector = message("geometry_msgs/msg/Vector3", {"x": 3.0, "y": -4.0, "z": 12.0})
+    wrench = message(WRENCH, {"force": vector, "torque": vector})
+    stamps_ns = [START_NS + n * MS for n in range(300)]
+    fields = [{"header": header(stamp_ns, "ft"), "wrench": wrench} for stamp_ns in stamps_ns]
+    wrenches = [
+        ("/ft", WRENCH_STAMPED, stamp_ns, serialized(WRENCH_STAMPED, values))
+        for stamp_ns, values in zip(stamps_ns, fields, strict=True)
+    ]
+    path = write_messages(tmp_path / "wrist", wrenches)
+    bag = BagSettings(path=str(path), rate=0.0, axis=axis, unit="kN")
+    source = BagSource(DaqSettings(bag=bag, sensor=SensorSettings(invert=True)), lambda: START_NS)
+    source.start()
+    readings = list(iter(lambda: source.read(0.0), None))
+    source.close()
+    assert source.ended
+    assert [reading.stamp_ns for reading in readings] == [START_NS + n * 100 * MS for n in range(3)]
+    assert np.concatenate([reading.samples[0] for reading in readings]) == pytest.approx(1e3 * force)
 
 
 def test_file_without_force_blocks_is_refused_with_the_remedy(tmp_path: Path) -> None:

@@ -75,6 +75,8 @@ def test_wrench_gives_the_selected_axis_at_the_rate_of_its_stamps(tmp_path: Path
     assert blocks[0].sample_rate == pytest.approx(500.0)
     assert blocks[0].source == "run, /wrench force.z"
     assert set(force_of(imported(path, axis="y"))) == {2.0}
+    assert force_of(imported(path, axis="norm")) == pytest.approx([(1.0 + 4.0 + n * n) ** 0.5 for n in range(1000)])
+    assert imported(path, axis="norm")[0].source == "run, /wrench force.norm"
 
 
 def test_messages_are_sorted_gaps_counted_and_invalid_stamps_left_out(tmp_path: Path) -> None:

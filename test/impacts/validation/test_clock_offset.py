@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.clock_offset import Kink, clock_offset, velocity_kink
+from scara_effmass.impacts.clock_offset import Kink, clock_offset, recording_offset, velocity_kink
 from scara_effmass.values import FloatArray
 
 DURATION = 2e-3
@@ -69,3 +69,42 @@ def test_offset_of_a_series() -> None:
     assert nothing.impacts == 0
     assert math.isnan(nothing.offset)
     assert nothing.resolution == math.inf
+
+
+def motion(times: FloatArray, onsets: FloatArray, losses: FloatArray) -> FloatArray:
+    """Return the velocity (n, 3) of strokes of 0.5 s at 0.25 m/s that lose a share of it at the `onsets`, and brake."""
+    speed = 0.25 * np.clip(4.0 * np.sin(2.0 * np.pi * times), 0.0, 1.0)
+    for onset, loss in zip(onsets, losses, strict=True):
+        speed *= 1.0 - loss * np.clip((times - onset) / DURATION, 0.0, 1.0) * (times < np.floor(onset) + 0.75)
+    return np.asarray(speed[:, None] * np.array([0.6, -0.8, 0.0]))
+
+
+@settings(max_examples=30)
+@given(
+    strokes=st.lists(st.integers(0, 28), min_size=1, max_size=8, unique=True).map(sorted),
+    offset=st.floats(-1e4, 1e4),
+    period=st.sampled_from([1e-3, 2e-3, 4e-3]),
+    seed=st.integers(0, 2**32),
+)
+def test_the_offset_of_a_recording_is_found(strokes: list[int], offset: float, period: float, seed: int) -> None:
+    """The clock of the force is any time behind; a stroke may end without an impact."""
+    rng = np.random.default_rng(seed)
+    onsets = np.array(strokes) + rng.uniform(0.15, 0.3, len(strokes))
+    losses = rng.uniform(0.2, 0.9, len(strokes))
+    times = np.arange(0.0, 30.0, period)
+    velocity = motion(times, onsets, losses) + rng.normal(0.0, 1e-4, (times.size, 3))
+    kink = recording_offset(onsets - offset, 2.0 * losses, np.full(len(strokes), DURATION), times, velocity)
+    assert kink is not None
+    assert kink.delay == pytest.approx(offset, abs=kink.resolution + 1e-3)
+
+
+def test_no_offset_where_none_or_several_fit() -> None:
+    times = np.arange(0.0, 30.0, 1e-3)
+    onsets = 0.2 + np.arange(20.0)
+    equal = np.full(20, 0.4)
+    strokes = motion(times, onsets, equal)
+    durations = np.full(20, DURATION)
+    assert recording_offset(onsets, equal, durations, times, strokes) is None  # a stroke later fits 19 of 20
+    assert recording_offset(onsets[:1], equal[:1], durations[:1], times, strokes) is None
+    assert recording_offset(onsets, equal, durations, times, 0.0 * strokes) is None
+    assert recording_offset(onsets[:0], equal[:0], durations[:0], times, strokes) is None
