@@ -161,7 +161,7 @@ class Cells:
         with mpl.rc_context(STYLE):
             columns = min(len(panels), 2)
             rows = -(-len(panels) // columns)
-            figure = new_figure(6.2 * columns, 5.2 * rows + 0.3, title)
+            figure = new_figure(max(6.2 * columns, 8.5), 5.2 * rows + 0.3, title)
             for number, (label, values) in enumerate(panels):
                 axes = figure.add_subplot(rows, columns, number + 1)
                 table = np.full(last - first + 1, np.nan)

@@ -323,12 +323,18 @@ DIR receives every figure as PNG and SVG, and the paper's claims beside this pro
 claims.json. The robot is the shipped Omron i4-550L. Forces are those of the shipped campaign, which is simulated,
 or of --campaign. A claim that does not match is not an error.
 
+With --robot: Figs. 6, 8 to 12 and 15 for another robot, from 20 000 configurations over its joint ranges; the page says
+what is left out, and why.
+
 examples:
   scara-effmass figures -o out/figures
+  scara-effmass figures -o out/ur5 --robot ur5.urdf
   scara-effmass figures -o out/figures --campaign out/campaign --force --json
 """,
         output("DIR", "folder for figures and page"),
         Option("--campaign", "recorded impacts, one bag per run (default: the shipped ones)", "DIR", Path),
+        Option("--robot", "another robot, URDF or DH YAML, without claims and experiment", "FILE"),
+        params("monitor_node, for --robot"),
         FORCE,
         JSON,
     ),

@@ -5,22 +5,44 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from scara_effmass.cli.console import print_result, progress_bar
-from scara_effmass.cli.settings import load_dynamics
+from scara_effmass.cli.settings import load_dynamics, monitor_settings
+from scara_effmass.errors import SettingsError
 from scara_effmass.paper.claims import Outcome
-from scara_effmass.paper.figure_set import STEPS, FigureSet, make_figure_set
+from scara_effmass.paper.figure_set import PAGE, STEPS, FigureSet, make_figure_set
+from scara_effmass.paper.other_robot import SAMPLES, RobotMasses, check_output, make_figures
 from scara_effmass.paper.runs import read_inputs
+from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 
 
 def run(args: argparse.Namespace) -> int:
     """Write figures and claims, and print a summary."""
+    if args.robot:
+        return _other_robot(args)
     with progress_bar() as progress:
         task = progress.add_task("figures", total=STEPS)
         inputs = read_inputs(load_dynamics(MonitorSettings()), args.campaign or share("bags", "campaign"))
         figure_set = make_figure_set(inputs, args.output, overwrite=args.force, advance=lambda: progress.advance(task))
     result = {"output": str(args.output), **figure_set.as_dict()}
     print_result(result, _lines(figure_set, args.output), as_json=args.json)
+    return 0
+
+
+def _other_robot(args: argparse.Namespace) -> int:
+    """Draw what the paper shows of its robot's masses for the robot of --robot."""
+    if args.campaign:
+        raise SettingsError(f"--campaign = {args.campaign}: must belong to the paper's robot, so without --robot")
+    settings = monitor_settings(args)
+    check_output(args.output, overwrite=args.force)
+    monitor = Monitor(load_dynamics(settings), settings)
+    with progress_bar() as progress:
+        task = progress.add_task("configurations", total=SAMPLES)
+        masses = RobotMasses(monitor, lambda: progress.advance(task))
+    summary = make_figures(monitor, masses, args.output, overwrite=args.force)
+    lines = [("figures", ", ".join(summary["figures"])), ("model", summary["model"])]
+    lines += [("left out", f"{part}: {reason}") for part, reason in summary["left_out"].items()]
+    print_result(summary, [*lines, ("written", args.output / PAGE)], as_json=args.json)
     return 0
 
 
@@ -33,4 +55,4 @@ def _lines(figure_set: FigureSet, output: Path) -> Iterator[tuple[str, str]]:
     agreement = figure_set.agreement
     differences = f"{agreement.full_relative_difference:.1e} and {agreement.lumped_relative_difference:.1e}"
     yield "check", f"Eqs. 27 and 28 against {agreement.poses} mass matrices: max. relative differences {differences}"
-    yield "written", str(output / "index.html")
+    yield "written", str(output / PAGE)

@@ -41,3 +41,19 @@ def test_folder_without_impacts_is_refused(refused: Refused, tmp_path: Path) -> 
 def test_output_that_is_a_file_is_refused(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     assert "file" in refused("figures", "-o", tmp_path / "file")
+
+
+def test_campaign_belongs_to_the_paper_s_robot(refused: Refused, tmp_path: Path) -> None:
+    words = (
+        "figures",
+        "-o",
+        tmp_path / "out",
+        "--robot",
+        share("config", "robots", "panda.urdf"),
+        "--campaign",
+        tmp_path,
+    )
+    assert refused(*words) == f"--campaign = {tmp_path}: must belong to the paper's robot, so without --robot"
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "index.html").touch()
+    assert "--force" in refused(*words[:5])

@@ -1,0 +1,157 @@
+"""The paper's maps and distribution of the masses for any other robot, from configurations over its joint ranges."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from scara_effmass.analysis.output import check_output_files
+from scara_effmass.analysis.plot_style import CYCLE, ISO_RED, STYLE, new_figure
+from scara_effmass.analysis.report import figure_files, render, report_figure, write_report_files
+from scara_effmass.analysis.tables import provenance
+from scara_effmass.analysis.workspace_map import Cells, Plane, sample_workspace
+from scara_effmass.errors import RobotError
+from scara_effmass.iso15066 import reduced_mass
+from scara_effmass.model.dynamics import effective_mass
+from scara_effmass.paper.figure_set import PAGE
+from scara_effmass.paper.scara import OBSTACLES_KG, SHOWN_OBSTACLE_KG, relative_error
+from scara_effmass.safety import Monitor
+from scara_effmass.values import FloatArray, Mobility6, Vector3
+
+SUMMARY = "figures.json"
+NUMBERS = (6, 8, 9, 10, 11, 12, 15)
+"""Numbers of the figures in the paper."""
+SAMPLES = 20_000
+BINS, MAX_SHOWN_PERCENTILE = 60, 95.0
+ALONG_X, ALONG_Y, OBLIQUE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.6, 0.8, 0.0)
+NAMES = {"lumped": "simplified model", "full": "full model"}
+LEFT_OUT = {
+    "Fig. 7": "its poses follow from the closed forms of the paper's SCARA",
+    "Fig. 14": "right and left arm are those of a SCARA; each cell counts every configuration",
+    "Figs. 17 to 19": "they show the experiment with the paper's robot",
+    "claims": "they are those about the paper's robot",
+}
+"""What another robot does not have, and why."""
+
+
+class Maps(NamedTuple):
+    """Title of a figure, and the values (m,) of its maps by label, of which a cell shows the largest or smallest."""
+
+    title: str
+    panels: dict[str, FloatArray]
+    smallest: bool = False
+    iso_mass: float | None = None
+
+
+class RobotMasses:
+    """Masses of a robot in sampled configurations, by the simplified model if there is one, and by the full one."""
+
+    def __init__(self, monitor: Monitor, advance: Callable[[], object] = lambda: None, samples: int = SAMPLES) -> None:
+        """Take `samples` configurations. Raises RobotError without any mass that depends on the direction."""
+        self.robot = monitor.dynamics.robot
+        self.sample = sample_workspace(monitor, ALONG_X, "", Plane(), samples, advance)
+        self._cells = Cells(self.sample)
+        masses = {model: self._along(ALONG_X, model) for model in NAMES}
+        self.masses = {model: mass for model, mass in masses.items() if np.isfinite(mass).any()}
+        if not self.masses:
+            raise RobotError(f"{self.robot.origin}: no mass along a direction: {monitor.dynamics.full_reason}")
+        self.model = next(iter(self.masses))
+
+    def _along(self, n: Vector3, model: str) -> FloatArray:
+        """Return the mass of `model` along `n` (m,) [kg]; NaN without it."""
+        rows: list[Mobility6] = [getattr(contact, f"{model}_mobility") for contact in self.sample.contacts]
+        matrices = ([[a, b, c], [b, d, e], [c, e, f]] if a + d + f > 0.0 else [] for a, b, c, d, e, f in rows)
+        return np.array([effective_mass(matrix, n) for matrix in matrices])
+
+    def figures(self) -> Iterator[tuple[str, str, Figure]]:
+        """Yield name, caption and figure."""
+        for name, maps in self._maps().items():
+            reduce = "smallest" if maps.smallest else "largest"
+            caption = f"Each cell shows the {reduce} of the sampled values in it."
+            sign = -1.0 if maps.smallest else 1.0
+            panels = [(label, sign * self._cells.largest(sign * values)) for label, values in maps.panels.items()]
+            mark = (maps.iso_mass, "ISO, M/2 + m_L") if maps.iso_mass else None
+            yield name, caption, self._cells.draw(f"{maps.title}\n{self.robot.name}, seen from above", panels, mark)
+        yield "figure_8", "Each cell counts the same.", self._density()
+
+    def _maps(self) -> dict[str, Maps]:
+        own, by, n = self.masses[self.model], NAMES[self.model], "n = [1 0 0]"
+        obstacles = {f"$m_H$ = {obstacle:g} kg": obstacle for obstacle in OBSTACLES_KG}
+        mu = {f"µ [kg], {text}": reduced_mass(own, obstacle) for text, obstacle in obstacles.items()}
+        directions = {f"µ [kg], n = {list(n)}": self._along(n, self.model) for n in (ALONG_Y, OBLIQUE)}
+        turned = {text: reduced_mass(mass, SHOWN_OBSTACLE_KG) for text, mass in directions.items()}
+        shown = f"{by}, $m_H$ = {SHOWN_OBSTACLE_KG:g} kg"
+        masses = {f"effective mass [kg], {NAMES[model]}": mass for model, mass in self.masses.items()}
+        maps = {
+            "figure_6": Maps(f"Fig. 6  Effective mass, {n}", masses, iso_mass=self.robot.iso_mass),
+            "figure_10": Maps(f"Fig. 10  Reduced mass, {by}, {n}", mu),
+            "figure_12": Maps(f"Fig. 12  Reduced mass, {shown}", turned),
+            "figure_15": Maps(
+                f"Fig. 15  Smallest reduced mass, {shown}, {n}",
+                {"µ [kg]": reduced_mass(own, SHOWN_OBSTACLE_KG)},
+                smallest=True,
+            ),
+        }
+        if len(self.masses) > 1:
+            full, text = self.masses["full"], "of the simplified against the full model"
+            errors = {
+                f"error [%], {text}": relative_error(reduced_mass(full, obstacle), reduced_mass(own, obstacle))
+                for text, obstacle in obstacles.items()
+            }
+            error = {"error [%]": relative_error(full, own)}
+            maps["figure_9"] = Maps(f"Fig. 9  Error {text} in effective mass, {n}", error)
+            maps["figure_11"] = Maps(f"Fig. 11  Error {text} in reduced mass, {n}", errors)
+        return maps
+
+    def _density(self) -> Figure:
+        """Return the probability density of the masses along x over the area of the workspace."""
+        share = 1.0 / np.bincount(self._cells.of)[self._cells.of]
+        finite = np.concatenate([mass[np.isfinite(mass)] for mass in self.masses.values()])
+        edges = np.linspace(0.0, float(np.percentile(finite, MAX_SHOWN_PERCENTILE)), BINS + 1)
+        with mpl.rc_context(STYLE):
+            figure = new_figure(8.5, 5.0, f"Fig. 8  Probability density, n = [1 0 0]\n{self.robot.name}")
+            axes = figure.subplots()
+            for color, (model, mass) in zip(CYCLE, self.masses.items(), strict=False):
+                known = np.isfinite(mass)
+                shares, _ = np.histogram(mass[known], edges, weights=share[known] / share[known].sum())
+                axes.stairs(shares / (edges[1] - edges[0]), edges, color=color, linewidth=1.8, label=NAMES[model])
+            iso_mass = self.robot.iso_mass
+            axes.axvline(iso_mass, color=ISO_RED, linewidth=2.0, label=f"ISO, M/2 + m_L = {iso_mass:.2f} kg")
+            axes.set(xlabel="effective mass along x [kg]", ylabel="probability density [1/kg]")
+            axes.legend()
+        return figure
+
+
+def check_output(folder: Path, *, overwrite: bool) -> None:
+    """Raise OutputError where a file that `make_figures` writes exists."""
+    files = figure_files(f"figure_{number}" for number in NUMBERS)
+    check_output_files(folder, [PAGE, SUMMARY, *files], overwrite=overwrite)
+
+
+def make_figures(monitor: Monitor, masses: RobotMasses, folder: Path, *, overwrite: bool) -> dict[str, Any]:
+    """Write the figures of the robot of `monitor`, a page and a summary into `folder`; return the summary.
+
+    Raises OutputError where a file exists.
+    """
+    made = sorted(masses.figures(), key=lambda item: int(item[0].rpartition("_")[2]))
+    figures = [report_figure(name, name.replace("figure_", "Fig. "), caption, figure) for name, caption, figure in made]
+    left_out = dict(LEFT_OUT)
+    if len(made) < len(NUMBERS):
+        reason = monitor.dynamics.lumped_reason or "a joint moves the contact point, but no lumped mass"
+        left_out["Figs. 9 and 11"] = f"the {NAMES[masses.model]} is the only one: {reason}"
+    summary = {
+        "robot": masses.robot.origin,
+        "model": masses.model,
+        "figures": [figure.name for figure in figures],
+        "left_out": left_out,
+        "provenance": provenance(monitor.settings, masses.robot.origin, []),
+    }
+    page = render("robot.html", robot=masses.robot, figures=figures, left_out=left_out)
+    write_report_files(
+        folder, {PAGE: page, SUMMARY: json.dumps(summary, indent=2) + "\n"}, figures, overwrite=overwrite
+    )
+    return summary
