@@ -7,7 +7,7 @@ worst of the sampled configurations that reach it; one between them may be worse
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -33,9 +33,12 @@ MAX_DRAWS = 10
 """Configurations drawn per configuration wanted: those that do not reach the plane do not count."""
 COLOUR_PERCENTILE = 95.0
 """Percentile of the cells at which the colours of a mass end."""
-MASSES = ("effective_mass", "reduced_mass", "worst_normal_reduced_mass")
-"""Fields of the assessment of which a cell holds the largest value [kg]."""
-LABELS = ("effective mass along n [kg]", "reduced mass along n [kg]", "reduced mass, worst contact normal [kg]")
+MASSES = {
+    "effective_mass": "effective mass along n [kg]",
+    "reduced_mass": "reduced mass along n [kg]",
+    "worst_normal_reduced_mass": "reduced mass, worst contact normal [kg]",
+}
+"""Fields of the assessment of which a cell holds the largest value, and their labels."""
 AXES = "xyz"
 
 
@@ -44,11 +47,6 @@ class Plane(NamedTuple):
 
     axis: int = 2
     value: float = math.nan
-
-    @property
-    def across(self) -> list[int]:
-        """Numbers of the two axes of the map."""
-        return [axis for axis in range(3) if axis != self.axis]
 
     def __str__(self) -> str:
         """Return the plane in words."""
@@ -135,7 +133,8 @@ class Cells:
 
     def __init__(self, sample: WorkspaceSample) -> None:
         """Choose a size of one digit."""
-        points = sample.positions[:, sample.plane.across]
+        self.axes = [axis for axis in range(3) if axis != sample.plane.axis]
+        points = sample.positions[:, self.axes]
         extent = max(float(np.ptp(points, axis=0).max()) / CELLS, 1e-3)
         digit = 10.0 ** math.floor(math.log10(extent))
         self.size = digit * math.ceil(extent / digit)
@@ -150,34 +149,32 @@ class Cells:
         np.fmax.at(result, self.of, values)
         return result
 
-    def draw(self, title: str, panels: Sequence[tuple[str, FloatArray]], mark: tuple[float, str] | None) -> Figure:
-        """Return a figure with a map of the values (c,) of each of `panels`, which begin with their label.
+    def draw(self, title: str, panels: Mapping[str, FloatArray], iso_mass: float | None = None) -> Figure:
+        """Return a figure with a map of the values (c,) of each of `panels`, by label; bright is unfavourable.
 
-        `mark`, a value and its name, is drawn on the first colour bar. Bright is unfavourable: a small speed.
+        `iso_mass` [kg] is drawn on the first colour bar.
         """
         first, last = self._corners.min(axis=0), self._corners.max(axis=0)
         edges = [self.size * np.arange(low, high + 2) for low, high in zip(first, last, strict=True)]
-        x, y = self.sample.plane.across
+        x, y = (f"{AXES[axis]} [m]" for axis in self.axes)
         with mpl.rc_context(STYLE):
             columns = min(len(panels), 2)
             rows = -(-len(panels) // columns)
             figure = new_figure(max(6.2 * columns, 8.5), 5.2 * rows + 0.3, title)
-            for number, (label, values) in enumerate(panels):
+            for number, (label, values) in enumerate(panels.items()):
                 axes = figure.add_subplot(rows, columns, number + 1)
                 table = np.full(last - first + 1, np.nan)
                 table[tuple((self._corners - first).T)] = values
                 is_speed = label.endswith("[m/s]")
-                top = float(np.nanmax(values) if is_speed else np.nanpercentile(values, COLOUR_PERCENTILE))
-                cmap = "cividis_r" if is_speed else "cividis"
-                mesh = axes.pcolormesh(*edges, table.T, cmap=cmap, vmax=top)
-                extend = "max" if np.nanmax(values) > top else "neither"
-                bar = figure.colorbar(mesh, ax=axes, label=label, extend=extend)
+                top = np.nanpercentile(values, 100.0 if is_speed else COLOUR_PERCENTILE)
+                mesh = axes.pcolormesh(*edges, table.T, cmap="cividis_r" if is_speed else "cividis", vmax=top)
+                bar = figure.colorbar(mesh, ax=axes, label=label, extend="neither" if is_speed else "max")
                 axes.plot(0.0, 0.0, "+", color=ISO_RED, markersize=10.0)
-                axes.set(xlabel=f"{AXES[x]} [m]", ylabel=f"{AXES[y]} [m]", aspect="equal")
+                axes.set(xlabel=x, ylabel=y, aspect="equal")
                 axes.set_title(f"({'abcdefgh'[number]})")
-                if mark and number == 0:
-                    bar.ax.axhline(mark[0], color=ISO_RED, linewidth=2.5)
-                    axes.set_title(f"(a)  red on the scale: {mark[1]} = {mark[0]:.2f} kg")
+                if iso_mass is not None and number == 0:
+                    bar.ax.axhline(iso_mass, color=ISO_RED, linewidth=2.5)
+                    axes.set_title(f"(a)  red on the scale: ISO, M/2 + m_L = {iso_mass:.2f} kg")
         return figure
 
 
@@ -187,10 +184,9 @@ def map_table(cells: Cells, joints: Sequence[str]) -> pa.Table:
     order = np.lexsort((speed, cells.of))
     slowest = order[np.unique(cells.of[order], return_index=True)[1]]
     contacts = [sample.contacts[row] for row in slowest]
-    across = [AXES[axis] for axis in sample.plane.across]
     return pa.table(
         {
-            **{f"{axis}_m": column for axis, column in zip(across, cells.centres.T, strict=True)},
+            **{f"{AXES[axis]}_m": column for axis, column in zip(cells.axes, cells.centres.T, strict=True)},
             "configurations": np.bincount(cells.of),
             "unknown": np.bincount(cells.of, sample.unknown).astype(int),
             **{f"{name}_kg": cells.largest(sample.masses(name)) for name in MASSES},
@@ -203,9 +199,10 @@ def map_table(cells: Cells, joints: Sequence[str]) -> pa.Table:
 
 def draw_map(cells: Cells, table: pa.Table, title: str, iso_mass: float) -> Figure:
     """Return the maps of mass, reduced masses and allowable speed in `table`."""
-    panels = [(label, table[f"{name}_kg"].to_numpy()) for name, label in zip(MASSES, LABELS, strict=True)]
-    panels.append(("allowable speed along n [m/s]", table["allowable_speed_m_s"].to_numpy()))
-    return cells.draw(title, panels, (iso_mass, "ISO, M/2 + m_L"))
+    panels = {label: table[f"{name}_kg"].to_numpy() for name, label in MASSES.items()}
+    return cells.draw(
+        title, panels | {"allowable speed along n [m/s]": table["allowable_speed_m_s"].to_numpy()}, iso_mass
+    )
 
 
 def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
@@ -214,11 +211,8 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
     `rise_by_second_half` tells by how much the second half of the sample raised the bound, as a share, of cells that
     the first half had reached: it shows how complete the sample is.
     """
-    sample, bound = cells.sample, cells.sample.masses(MASSES[-1])
-    by_half = [
-        cells.largest(np.where(np.arange(len(bound)) < end, bound, np.nan)) for end in (len(bound) // 2, len(bound))
-    ]
-    rise = by_half[1] / by_half[0] - 1.0
+    sample, bound = cells.sample, cells.sample.masses("worst_normal_reduced_mass")
+    early = cells.largest(np.where(np.arange(len(bound)) < len(bound) // 2, bound, np.nan))
     columns = [f"{name}_kg" for name in MASSES] + ["allowable_speed_m_s"]
     return {
         "direction": list(sample.direction),
@@ -231,7 +225,7 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
         **{name: _percentiles(table[name].to_numpy()) for name in columns},
         "iso_mass_kg": iso_mass,
         "share_above_iso_mass": float(np.mean(table[columns[0]].to_numpy() > iso_mass)),
-        "rise_by_second_half": _percentiles(rise),
+        "rise_by_second_half": _percentiles(cells.largest(bound) / early - 1.0),
         "slowest": table.take([int(np.argmin(table[columns[-1]].to_numpy()))]).to_pylist()[0],
     }
 

@@ -9,7 +9,7 @@ from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
 from scara_effmass.paper.claims import Outcome
 from scara_effmass.paper.figure_set import PAGE, STEPS, FigureSet, make_figure_set
-from scara_effmass.paper.other_robot import SAMPLES, RobotMasses, check_output, make_figures
+from scara_effmass.paper.other_robot import SAMPLES, make_figures
 from scara_effmass.paper.runs import read_inputs
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
@@ -34,12 +34,10 @@ def _other_robot(args: argparse.Namespace) -> int:
     if args.campaign:
         raise SettingsError(f"--campaign = {args.campaign}: must belong to the paper's robot, so without --robot")
     settings = monitor_settings(args)
-    check_output(args.output, overwrite=args.force)
     monitor = Monitor(load_dynamics(settings), settings)
     with progress_bar() as progress:
         task = progress.add_task("configurations", total=SAMPLES)
-        masses = RobotMasses(monitor, lambda: progress.advance(task))
-    summary = make_figures(monitor, masses, args.output, overwrite=args.force)
+        summary = make_figures(monitor, args.output, overwrite=args.force, advance=lambda: progress.advance(task))
     lines = [("figures", ", ".join(summary["figures"])), ("model", summary["model"])]
     lines += [("left out", f"{part}: {reason}") for part, reason in summary["left_out"].items()]
     print_result(summary, [*lines, ("written", args.output / PAGE)], as_json=args.json)

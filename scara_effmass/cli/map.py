@@ -9,15 +9,7 @@ from typing import Any
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
 from scara_effmass.analysis.tables import open_table, provenance
-from scara_effmass.analysis.workspace_map import (
-    MASSES,
-    Cells,
-    Plane,
-    draw_map,
-    map_table,
-    sample_workspace,
-    summarize,
-)
+from scara_effmass.analysis.workspace_map import MASSES, Cells, Plane, draw_map, map_table, sample_workspace, summarize
 from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
@@ -39,20 +31,18 @@ def run(args: argparse.Namespace) -> int:
     table_name = f"{NAME}.{args.table}"
     check_output_files(args.output, [*figure_files([NAME]), table_name, SUMMARY], overwrite=args.force)
     dynamics = load_dynamics(settings)
-    monitor, plane, direction = (
+    monitor, direction, frame = (
         Monitor(dynamics, settings),
-        Plane(*args.plane),
-        settings.fixed_test_direction or ALONG_X,
+        settings.fixed_test_direction,
+        settings.test_direction_frame,
     )
     with progress_bar() as progress:
         task = progress.add_task("configurations", total=args.samples)
-        frame, count = settings.test_direction_frame, args.samples
-        sample = sample_workspace(monitor, direction, frame, plane, count, lambda: progress.advance(task))
-    robot, point = dynamics.robot, dynamics.contact_points[0]
-    cells = Cells(sample)
-    table = map_table(cells, robot.joint_names)
-    origin = provenance(settings, robot.origin, [])
-    axes = " ".join(f"{component:.3g}" for component in direction)
+        plane, advance = Plane(*args.plane), lambda: progress.advance(task)
+        sample = sample_workspace(monitor, direction or ALONG_X, frame, plane, args.samples, advance)
+    robot, point, cells = dynamics.robot, dynamics.contact_points[0], Cells(sample)
+    table, origin = map_table(cells, robot.joint_names), provenance(settings, robot.origin, [])
+    axes = " ".join(f"{component:.3g}" for component in sample.direction)
     where = f"n = [{axes}]{' of ' * bool(frame)}{frame}, {plane}"
     title = f"{robot.name}, contact point {point}, {settings.effective_mass_model.value} mass, {where}"
     caption = f"Each cell shows the worst of the sampled configurations that reach it. {title}"
@@ -78,8 +68,5 @@ def _lines(summary: dict[str, Any]) -> Iterator[tuple[str, str]]:
     for name, unit in (dict.fromkeys(MASSES, "kg") | {"allowable_speed": "m_s"}).items():
         values = ", ".join(f"{key} {value:.3g}" for key, value in summary[f"{name}_{unit}"].items())
         yield name.removesuffix("_reduced_mass").replace("_", " "), f"{values} {unit.replace('_', '/')}"
-    rise = summary["rise_by_second_half"]
-    yield (
-        "completeness",
-        f"its second half raised the bound of a cell by {rise['p50']:.1%} (median), {rise['p95']:.1%} (P95)",
-    )
+    rise = "{p50:.1%} (median), {p95:.1%} (P95)".format(**summary["rise_by_second_half"])
+    yield "completeness", f"its second half raised the bound of a cell by {rise}"

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -38,15 +38,6 @@ LEFT_OUT = {
 """What another robot does not have, and why."""
 
 
-class Maps(NamedTuple):
-    """Title of a figure, and the values (m,) of its maps by label, of which a cell shows the largest or smallest."""
-
-    title: str
-    panels: dict[str, FloatArray]
-    smallest: bool = False
-    iso_mass: float | None = None
-
-
 class RobotMasses:
     """Masses of a robot in sampled configurations, by the simplified model if there is one, and by the full one."""
 
@@ -67,45 +58,34 @@ class RobotMasses:
         matrices = ([[a, b, c], [b, d, e], [c, e, f]] if a + d + f > 0.0 else [] for a, b, c, d, e, f in rows)
         return np.array([effective_mass(matrix, n) for matrix in matrices])
 
-    def figures(self) -> Iterator[tuple[str, str, Figure]]:
-        """Yield name, caption and figure."""
-        for name, maps in self._maps().items():
-            reduce = "smallest" if maps.smallest else "largest"
-            caption = f"Each cell shows the {reduce} of the sampled values in it."
-            sign = -1.0 if maps.smallest else 1.0
-            panels = [(label, sign * self._cells.largest(sign * values)) for label, values in maps.panels.items()]
-            mark = (maps.iso_mass, "ISO, M/2 + m_L") if maps.iso_mass else None
-            yield name, caption, self._cells.draw(f"{maps.title}\n{self.robot.name}, seen from above", panels, mark)
-        yield "figure_8", "Each cell counts the same.", self._density()
-
-    def _maps(self) -> dict[str, Maps]:
-        own, by, n = self.masses[self.model], NAMES[self.model], "n = [1 0 0]"
+    def figures(self) -> Iterator[tuple[int, Figure]]:
+        """Yield number and figure, in order."""
+        own, by, n, m_h = self.masses[self.model], NAMES[self.model], "n = [1 0 0]", SHOWN_OBSTACLE_KG
         obstacles = {f"$m_H$ = {obstacle:g} kg": obstacle for obstacle in OBSTACLES_KG}
-        mu = {f"µ [kg], {text}": reduced_mass(own, obstacle) for text, obstacle in obstacles.items()}
-        directions = {f"µ [kg], n = {list(n)}": self._along(n, self.model) for n in (ALONG_Y, OBLIQUE)}
-        turned = {text: reduced_mass(mass, SHOWN_OBSTACLE_KG) for text, mass in directions.items()}
-        shown = f"{by}, $m_H$ = {SHOWN_OBSTACLE_KG:g} kg"
         masses = {f"effective mass [kg], {NAMES[model]}": mass for model, mass in self.masses.items()}
-        maps = {
-            "figure_6": Maps(f"Fig. 6  Effective mass, {n}", masses, iso_mass=self.robot.iso_mass),
-            "figure_10": Maps(f"Fig. 10  Reduced mass, {by}, {n}", mu),
-            "figure_12": Maps(f"Fig. 12  Reduced mass, {shown}", turned),
-            "figure_15": Maps(
-                f"Fig. 15  Smallest reduced mass, {shown}, {n}",
-                {"µ [kg]": reduced_mass(own, SHOWN_OBSTACLE_KG)},
-                smallest=True,
-            ),
-        }
-        if len(self.masses) > 1:
-            full, text = self.masses["full"], "of the simplified against the full model"
-            errors = {
-                f"error [%], {text}": relative_error(reduced_mass(full, obstacle), reduced_mass(own, obstacle))
-                for text, obstacle in obstacles.items()
-            }
-            error = {"error [%]": relative_error(full, own)}
-            maps["figure_9"] = Maps(f"Fig. 9  Error {text} in effective mass, {n}", error)
-            maps["figure_11"] = Maps(f"Fig. 11  Error {text} in reduced mass, {n}", errors)
-        return maps
+        yield 6, self._maps(f"Fig. 6  Largest effective mass, {n}", masses, self.robot.iso_mass)
+        yield 8, self._density()
+        both, text = len(self.masses) > 1, "of the simplified against the full model"
+        full = self.masses.get("full", own)
+        if both:
+            yield 9, self._maps(f"Fig. 9  Largest error {text}, {n}", {"error [%]": relative_error(full, own)})
+        mu = {f"µ [kg], {label}": reduced_mass(own, obstacle) for label, obstacle in obstacles.items()}
+        yield 10, self._maps(f"Fig. 10  Largest reduced mass, {by}, {n}", mu)
+        if both:
+            pairs = {label: (reduced_mass(full, mass), reduced_mass(own, mass)) for label, mass in obstacles.items()}
+            errors = {f"error [%], {label}": relative_error(*pair) for label, pair in pairs.items()}
+            yield 11, self._maps(f"Fig. 11  Largest error in reduced mass {text}, {n}", errors)
+        along = {f"µ [kg], n = {list(n)}": reduced_mass(self._along(n, self.model), m_h) for n in (ALONG_Y, OBLIQUE)}
+        yield 12, self._maps(f"Fig. 12  Largest reduced mass, {by}, $m_H$ = {m_h:g} kg", along)
+        title = f"Fig. 15  Smallest reduced mass, {by}, $m_H$ = {m_h:g} kg, {n}"
+        yield 15, self._maps(title, {"µ [kg]": reduced_mass(own, m_h)}, sign=-1.0)
+
+    def _maps(
+        self, title: str, panels: dict[str, FloatArray], iso_mass: float | None = None, sign: float = 1.0
+    ) -> Figure:
+        """Return maps of the largest (`sign` -1: smallest) of the values (m,) in each cell, by label."""
+        largest = {label: sign * self._cells.largest(sign * values) for label, values in panels.items()}
+        return self._cells.draw(f"{title}\n{self.robot.name}, seen from above", largest, iso_mass)
 
     def _density(self) -> Figure:
         """Return the probability density of the masses along x over the area of the workspace."""
@@ -126,19 +106,18 @@ class RobotMasses:
         return figure
 
 
-def check_output(folder: Path, *, overwrite: bool) -> None:
-    """Raise OutputError where a file that `make_figures` writes exists."""
-    files = figure_files(f"figure_{number}" for number in NUMBERS)
-    check_output_files(folder, [PAGE, SUMMARY, *files], overwrite=overwrite)
-
-
-def make_figures(monitor: Monitor, masses: RobotMasses, folder: Path, *, overwrite: bool) -> dict[str, Any]:
+def make_figures(
+    monitor: Monitor, folder: Path, *, overwrite: bool, advance: Callable[[], object], samples: int = SAMPLES
+) -> dict[str, Any]:
     """Write the figures of the robot of `monitor`, a page and a summary into `folder`; return the summary.
 
-    Raises OutputError where a file exists.
+    Raises RobotError as `RobotMasses`, and OutputError where a file exists.
     """
-    made = sorted(masses.figures(), key=lambda item: int(item[0].rpartition("_")[2]))
-    figures = [report_figure(name, name.replace("figure_", "Fig. "), caption, figure) for name, caption, figure in made]
+    names = [f"figure_{number}" for number in NUMBERS]
+    check_output_files(folder, [PAGE, SUMMARY, *figure_files(names)], overwrite=overwrite)
+    masses = RobotMasses(monitor, advance, samples)
+    caption = "Each cell shows one of the sampled configurations in it; in Fig. 8 each cell counts the same."
+    made = [report_figure(f"figure_{n}", f"Fig. {n}", caption, figure) for n, figure in masses.figures()]
     left_out = dict(LEFT_OUT)
     if len(made) < len(NUMBERS):
         reason = monitor.dynamics.lumped_reason or "a joint moves the contact point, but no lumped mass"
@@ -146,12 +125,10 @@ def make_figures(monitor: Monitor, masses: RobotMasses, folder: Path, *, overwri
     summary = {
         "robot": masses.robot.origin,
         "model": masses.model,
-        "figures": [figure.name for figure in figures],
+        "figures": [figure.name for figure in made],
         "left_out": left_out,
         "provenance": provenance(monitor.settings, masses.robot.origin, []),
     }
-    page = render("robot.html", robot=masses.robot, figures=figures, left_out=left_out)
-    write_report_files(
-        folder, {PAGE: page, SUMMARY: json.dumps(summary, indent=2) + "\n"}, figures, overwrite=overwrite
-    )
+    page = render("robot.html", robot=masses.robot, figures=made, left_out=left_out)
+    write_report_files(folder, {PAGE: page, SUMMARY: json.dumps(summary, indent=2) + "\n"}, made, overwrite=overwrite)
     return summary
