@@ -7,6 +7,7 @@ worst of the sampled configurations that reach it; one between them may be worse
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -220,6 +221,9 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
         "configurations": len(bound),
         "left_out": sample.left_out,
         "unknown": int(sample.unknown.sum()),
+        "mass_models": Counter(
+            f"{item.mass_model}: {item.mass_model_reason}" for item in sample.contacts
+        ).most_common(),
         "cells": table.num_rows,
         "cell_m": cells.size,
         **{name: _percentiles(table[name].to_numpy()) for name in columns},

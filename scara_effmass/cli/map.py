@@ -64,6 +64,8 @@ def _lines(summary: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "sample", f"{summary['configurations']} configurations; {summary['left_out']} left out: cannot move along n"
     if summary["unknown"]:
         yield "UNKNOWN", f"{summary['unknown']} configurations; their cells allow 0 m/s"
+    for model, count in summary["mass_models"]:
+        yield "mass model", f"{model} ({count / summary['configurations']:.1%})"
     yield "cells", f"{summary['cells']} of {1e3 * summary['cell_m']:g} mm, each with its worst configuration"
     for name, unit in (dict.fromkeys(MASSES, "kg") | {"allowable_speed": "m_s"}).items():
         values = ", ".join(f"{key} {value:.3g}" for key, value in summary[f"{name}_{unit}"].items())

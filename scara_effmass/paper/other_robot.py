@@ -120,7 +120,8 @@ def make_figures(
     made = [report_figure(f"figure_{n}", f"Fig. {n}", caption, figure) for n, figure in masses.figures()]
     left_out = dict(LEFT_OUT)
     if len(made) < len(NUMBERS):
-        reason = monitor.dynamics.lumped_reason or "a joint moves the contact point, but no lumped mass"
+        missing = monitor.dynamics.full_reason if masses.model == "lumped" else monitor.dynamics.lumped_reason
+        reason = missing or "a joint moves the contact point, but no lumped mass"
         left_out["Figs. 9 and 11"] = f"the {NAMES[masses.model]} is the only one: {reason}"
     summary = {
         "robot": masses.robot.origin,

@@ -21,6 +21,7 @@ def test_map_of_a_plane_of_a_six_axis_arm(cli: Cli, refused: Refused, tmp_path: 
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads(done.stdout)
     assert (result["configurations"], result["plane"]) == (300, "plane z = 0.3 m")
+    assert result["mass_models"] == [["full: effective_mass_model full", 300]]
     assert result["direction"] == [0.0, 0.0, -1.0]
     assert {path.name for path in out.iterdir()} == {"map.png", "map.svg", "map.csv", "map.json"}
     assert imread(out / "map.png").shape[1] > 1000

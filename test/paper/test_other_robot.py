@@ -50,3 +50,10 @@ def test_robot_without_a_simplified_model_has_no_error_of_it(tmp_path: Path) -> 
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert "mm off the plane of its two axes" in summary["left_out"]["Figs. 9 and 11"]
     assert all(reason.split("'")[0] in page for reason in summary["left_out"].values())
+
+
+def test_robot_without_inertias_has_the_simplified_model_only(tmp_path: Path) -> None:
+    without_inertia = monitor(Path(__file__).parents[1] / "robots" / "scara_icube_tutorial.urdf")
+    summary = make_figures(without_inertia, tmp_path, overwrite=False, advance=list, samples=100)
+    assert (summary["model"], bool(without_inertia.dynamics.full_reason)) == ("lumped", True)
+    assert without_inertia.dynamics.full_reason in summary["left_out"]["Figs. 9 and 11"]
