@@ -29,7 +29,7 @@ from scara_effmass.cli.options import (
     plane,
 )
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
-from scara_effmass.settings import ForceSourceKind
+from scara_effmass.settings import ForceSourceKind, FreeParameters, LumpingPolicy
 from scara_effmass.wire.topics import RECORDED
 
 
@@ -487,6 +487,42 @@ examples:
         *CELL[1:],
         Option("-o --output", "file to write (default: cell.yaml)", "FILE", Path, default=Path("cell.yaml")),
         FORCE,
+    ),
+    "lump": Command(
+        "show the lumped model of a robot and compare it with the full model",
+        """\
+Prints the two masses of each link as in Table II of the paper, why a link has none and what --policy did about it,
+the masses by axis, and lumped over full masses at random poses along random directions: effective masses, and
+reduced masses with a hand and with a chest. DIR receives lump.json and a picture of the masses on the robot.
+Exit status 1: there is no lumped model.
+
+examples:
+  scara-effmass lump
+  scara-effmass lump panda.urdf --policy project_com --free-parameters fit_inertia -o out/panda
+  scara-effmass lump arm.urdf --poses 10000 --seed 2 --json
+""",
+        Option("robot", "URDF or DH YAML (default: the shipped Omron i4-550L)", "ROBOT", nargs="?"),
+        Option("-o --output", "folder for picture and lump.json", "DIR", Path),
+        Option(
+            "--policy",
+            "answer to links without two masses on their axes (default: refuse)",
+            choices=[policy.value for policy in LumpingPolicy],
+        ),
+        Option(
+            "--free-parameters",
+            "choice among several pairs of masses (default: minimum_spread)",
+            choices=[rule.value for rule in FreeParameters],
+        ),
+        Option("--poses", "number of random poses (default: 2000)", "N", COUNT, default=2000),
+        Option(
+            "--seed",
+            "random seed of poses and directions (default: 1)",
+            kind=number("a whole number from 0", lambda seed: seed >= 0, int),
+            default=1,
+        ),
+        params("monitor_node"),
+        FORCE,
+        JSON,
     ),
     "limits": Command(
         "print the body-region limits and the allowable speeds",

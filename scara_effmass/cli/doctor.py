@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from scara_effmass.model.dynamics import RobotDynamics
 
 
+COMPARED_POSES = 300
+"""Number of random poses and directions at which the lumped is compared with the full mass."""
+
+
 class CheckResult(NamedTuple):
     """One line of the report: `level` is "ok", "note" or "wrong" (the monitor cannot run)."""
 
@@ -67,7 +71,8 @@ def cell_results(settings: MonitorSettings) -> tuple[list[CheckResult], RobotDyn
     if settings.payload_topic:
         text = f"by topic {settings.payload_topic}, not in the masses here; UNKNOWN until it arrives"
         results.append(CheckResult("note", "payload", text))
-    return [*results, *_robot(dynamics), _mass_model(dynamics, settings.effective_mass_model)], dynamics
+    results += [*_robot(dynamics), *_comparison(dynamics, settings.model_margin)]
+    return [*results, _mass_model(dynamics, settings.effective_mass_model)], dynamics
 
 
 def _installation() -> Iterator[CheckResult]:
@@ -199,6 +204,23 @@ def _home_masses(dynamics: RobotDynamics) -> Iterator[tuple[str, str]]:
             if mobility and not (kind == "lumped" and masses.has_massless_direction):
                 axes = (f"{1.0 / mobility[i][i]:.3g}" if mobility[i][i] > 1e-9 else "no motion" for i in range(3))
                 yield name, f"{kind} mass {' / '.join(axes)} kg along x / y / z of {dynamics.robot.base_frame}"
+
+
+def _comparison(dynamics: RobotDynamics, margin: float) -> Iterator[CheckResult]:
+    """Compare the lumped with the full mass of each contact point, in one line."""
+    from scara_effmass.analysis.lumped_model import compare_models  # noqa: PLC0415 - loads matplotlib
+
+    if dynamics.lumped is None or dynamics.full_reason:
+        return
+    comparisons, missing = compare_models(dynamics, margin, COMPARED_POSES, seed=1)
+    masses = {entry.contact_point: entry for entry in comparisons if entry.quantity == "mass"}
+    lines = []
+    for point, share in zip(dynamics.contact_points, missing, strict=True):
+        lines.append(
+            f"{point}: {masses[point].text if point in masses else f'no lumped mass at {share:.0%} of the poses'}"
+        )
+    is_heavy = len(masses) == len(lines) and not any(entry.too_light for entry in masses.values())
+    yield CheckResult("ok" if is_heavy else "note", "lumped over full", "; ".join(lines))
 
 
 def _mass_model(dynamics: RobotDynamics, model: MassModel) -> CheckResult:

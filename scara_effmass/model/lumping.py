@@ -29,6 +29,8 @@ ON_AXIS_M = 1e-4
 """Distance [m] below which axes coincide, or a centre of mass lies in their plane: finer than CAD data."""
 RUNAWAY = 10.0
 """Distance of a mass from the common normal, over the size of the link, above which it runs to infinity."""
+FIT_REACH = 3.0
+"""Distance at most of a mass that fits the inertia, beyond the axes, in radii of gyration of the link."""
 SINGULAR = 1e-9
 """Ratio to the largest, of the inertia a joint moves at a pose and of the eigenvalues, below which M is singular."""
 TURNS = (0.0, np.pi / 2.0, -np.pi / 2.0)
@@ -136,8 +138,13 @@ def lump(robot: Robot) -> LumpedModel:
     return _lumped_model(robot, within_slab=True)
 
 
+def lumped_links(robot: Robot, *, within_slab: bool = False) -> tuple[LumpedLink, ...]:
+    """Return the masses of each link, those with a `problem` without `answer` included, which `lump` refuses."""
+    return tuple(_lumped_link(robot, joint, within_slab=within_slab) for joint in range(1, robot.model.njoints))
+
+
 def _lumped_model(robot: Robot, *, within_slab: bool) -> LumpedModel:
-    links = tuple(_lumped_link(robot, joint, within_slab=within_slab) for joint in range(1, robot.model.njoints))
+    links = lumped_links(robot, within_slab=within_slab)
     problems = [f"link behind {link.joint}: {link.problem}" for link in links if link.problem and not link.answer]
     if problems:
         raise RobotError(f"{'; '.join(problems)} (lumping.policy project_com and mass_at_com approximate)")
@@ -247,7 +254,7 @@ def _parallel_axes(
         rest = share * _unit_inertia(normal) - body.inertia
         middle = _dot(linear, linear) + 2.0 * _dot(rest, square)
         slope = 2.0 * _dot(square, square), 3.0 * _dot(square, linear), middle, _dot(rest, linear)
-        size = RUNAWAY * (length + abs(height))
+        size = length + FIT_REACH * _gyration(body)
         spread = _minimum(slope, lambda d: np.linalg.norm((square * d + linear) * d + rest), 0.0, -size, size)
     height1, height2 = height - kappa2 * spread, height + (1.0 - kappa2) * spread
     signed = height2 * float(np.sign(axis @ distal))
@@ -297,8 +304,8 @@ def _crossed_axes(
         mixed = np.outer(axis, distal) + np.outer(distal, axis)
         rest = -mass * first * second * (2.0 * (axis @ distal) * np.eye(3) - mixed) - body.inertia
         slope = _dot(one, one), _dot(rest, one), 0.0, -_dot(rest, other), -_dot(other, other)
-        high = RUNAWAY * total / max(abs(first), 1e-9 * total)
-        low = max(abs(second), 1e-9 * total) / (RUNAWAY * total)
+        reach = total + FIT_REACH * _gyration(body)
+        high, low = reach / max(abs(first), 1e-9 * reach), max(abs(second), 1e-9 * reach) / reach
         ratio = kappa2 / (1.0 - kappa2) if kappa2 < 1.0 else high
         ratio = _minimum(slope, lambda t: np.linalg.norm(one * t + other / t + rest), ratio, low, high)
         kappa2 = ratio / (1.0 + ratio)
@@ -321,6 +328,11 @@ def _minimum(
     """Return where `error` is smallest: a real root of the polynomial `slope`, or `default`, from `low` to `high`."""
     roots = [float(root.real) for root in np.roots(slope) if abs(root.imag) <= 1e-9 * (1.0 + abs(root))]
     return min([min(max(root, low), high) for root in (default, *roots)], key=error)
+
+
+def _gyration(body: pin.Inertia) -> float:
+    """Return the radius of gyration [m] of the mean moment of inertia."""
+    return float(np.sqrt(np.trace(body.inertia) / (3.0 * body.mass)))
 
 
 def _dot(left: FloatArray, right: FloatArray) -> float:

@@ -107,6 +107,12 @@ class Robot:
         axis = motion.angular if self.revolute[joint - 1] else motion.linear
         return np.asarray(axis, dtype=np.float64)
 
+    def joint_poses(self, q: FloatArray) -> FloatArray:
+        """Return the poses (n, 4, 4) of the joint frames in the base frame at `q` (n,)."""
+        data = self.model.createData()
+        pin.forwardKinematics(self.model, data, q)
+        return np.array([pose.homogeneous for pose in list(data.oMi)[1:]])
+
     def sample_configurations(self, count: int = SAMPLES) -> FloatArray:
         """Return (count, n) configurations [rad, m] spread evenly over the joint ranges, the same on every call.
 

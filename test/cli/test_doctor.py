@@ -62,7 +62,7 @@ def test_shipped_robot_is_healthy(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_robot_without_the_chosen_mass_model_is_not_healthy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    robot = str(arm(tmp_path / "arm.urdf"))
+    robot = str(arm(tmp_path / "arm.urdf", x=1e-4))  # a lumped mass would lie 30 m away
     assert run_doctor(capsys, "--robot", robot)[0] == 0
     code, result = run_doctor(capsys, "--robot", robot, "--model", "lumped")
     assert code == 1

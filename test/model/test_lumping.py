@@ -348,7 +348,7 @@ class TestCrossedAxes:
             assert shares @ chosen == pytest.approx(np.zeros(3), abs=1e-9)
             if rule is FreeParameters.MINIMUM_SPREAD:
                 assert shares @ (chosen**2).sum(axis=1) <= kappas @ (points**2).sum(axis=1) + 1e-12
-            elif max(abs(first / (1.0 - kappa2)), abs(second / kappa2)) < 10.0 * (abs(first) + abs(second)):
+            elif max(abs(first / (1.0 - kappa2)), abs(second / kappa2)) < abs(first) + abs(second) + 0.33:
                 pairs = (chosen, shares), (points, kappas)
                 errors = [np.linalg.norm(tensor(*pair) - robot.model.inertias[1].inertia) for pair in pairs]
                 assert errors[0] <= errors[1] + 1e-12
