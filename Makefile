@@ -46,7 +46,7 @@ lint: setup  ## run ruff and mypy
 
 coverage: setup  ## measure the branch coverage of each room; ROOM restricts the tests
 	@mkdir -p build
-	$(PYTEST) --cov --cov-report= $(addprefix test/,$(ROOM))
+	SCARA_EFFMASS_SOURCES=1 $(PYTEST) --cov --cov-report= $(addprefix test/,$(ROOM))
 	$(BIN)/python scripts/coverage_table.py $(ROOM)
 
 mutants: setup  ## test mutants of the pure rooms; ROOM, N and SEED choose the sample
@@ -82,7 +82,7 @@ clean:  ## remove all generated files
 		--requirement $< && \
 	touch $@
 
-.venv/.installed: .venv/.requirements pyproject.toml package.xml $(shell find cmake msg_schemas scripts -type f)
+.venv/.installed: .venv/.requirements pyproject.toml package.xml setup.py $(shell find cmake msg_schemas scripts -type f)
 	@echo "building the messages and installing this tree"
 	@$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@

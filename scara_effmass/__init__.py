@@ -7,8 +7,11 @@ use, so that `import scara_effmass` alone imports neither Pinocchio nor ROS.
 
 from __future__ import annotations
 
+import os
+import sys
 from importlib import import_module
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -53,6 +56,24 @@ __all__ = [
 ]
 
 __version__ = version("scara_effmass")
+
+
+def _import_changed_sources() -> None:
+    """Let an editable installation import the sources if one of them is newer than its compiled module.
+
+    Compiled modules that fit together are used together or not at all. With SCARA_EFFMASS_SOURCES=1 none is used.
+    """
+    for finder in sys.meta_path:
+        compiled, sources = getattr(finder, "known_wheel_files", {}), getattr(finder, "known_source_files", {})
+        ours = [name for name in compiled if name in sources and name.startswith(f"{__name__}.")]
+        folder = Path(getattr(finder, "dir", ""))
+        times = [(Path(sources[name]).stat().st_mtime, (folder / compiled[name]).stat().st_mtime) for name in ours]
+        if os.environ.get("SCARA_EFFMASS_SOURCES") == "1" or any(source > library for source, library in times):
+            for name in ours:
+                del compiled[name]
+
+
+_import_changed_sources()
 
 _MODULES = [
     "errors",

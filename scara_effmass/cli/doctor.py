@@ -92,6 +92,12 @@ def _installation() -> Iterator[CheckResult]:
             reason = " ".join(str(error).split()) or type(error).__name__
             yield CheckResult("wrong", subject, f"{reason}; install scara_effmass again, or source ROS 2")
 
+    if str(import_module("scara_effmass.safety.monitor").__file__).endswith(".py"):
+        hint = "a cycle takes about three times as long; `make setup` or `pip install` compiles it again"
+        yield CheckResult("note", "core", f"Python sources, not compiled or changed since: {hint}")
+    else:
+        yield CheckResult("ok", "core", "compiled by mypyc")
+
 
 def _version(module: str, wheel: str) -> str:
     """Return version and location of `module`, which pip installs as `wheel` and apt under its own name."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.impacts.clock_offset import WINDOW, Kink, velocity_kink
-from scara_effmass.iso15066.mobility import mobility_along
+from scara_effmass.iso15066.pose_change import mobility_along
 from scara_effmass.settings import MassModel, ValidatorSettings
 from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vector3, Verdict
 

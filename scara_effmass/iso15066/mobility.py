@@ -3,26 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from scara_effmass.iso15066.pose_change import CLAMPED_TOLERANCE, Matrix, PoseChange
 from scara_effmass.values import Vector3
 
-if TYPE_CHECKING:
-    from scara_effmass.iso15066.pose_change import PoseChange
-
-CLAMPED_TOLERANCE = 1e-11
-"""Ratio to the trace of the mobility that counts as unreachable against a clamped body part."""
 BOUND_TOLERANCE = 1e-9
 """Ratio to the trace of the mobility, below which a direction does not count in `is_bounded`: rounding."""
-
-Matrix = list[list[float]]
-
-
-def mobility_along(matrix: Matrix, direction: Vector3) -> float:
-    """Return n^T A n [1/kg] of a symmetric (3, 3) `matrix` A for the unit vector `direction` n (3,)."""
-    (a, b, c), (_, d, e), (_, _, f) = matrix
-    x, y, z = direction
-    return a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
 
 
 def is_bounded(matrix: Matrix, bound: Matrix, factor: float) -> bool:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from scara_effmass.errors import LimitError
 from scara_effmass.iso15066.drives import MAX_MOBILITY, Line, contact_lines
+from scara_effmass.iso15066.limits import Criterion, Limit
 from scara_effmass.iso15066.mobility import Mobility
 from scara_effmass.iso15066.pose_change import contact_time
 from scara_effmass.settings import Drives, MonitorSettings
-
-if TYPE_CHECKING:
-    from scara_effmass.iso15066.limits import Criterion, Limit
 
 MIN_EFFECTIVE_MASS = 1e-6
 """Smallest effective mass [kg] for which a speed is computed: a lower one means that the robot model is wrong."""

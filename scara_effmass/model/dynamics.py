@@ -11,15 +11,15 @@ can move in. The paper is cited in `scara_effmass.model`.
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Sequence
+from collections.abc import Callable, Container, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.iso15066.mobility import Matrix, is_bounded, mobility_along
-from scara_effmass.iso15066.pose_change import PoseChange
+from scara_effmass.iso15066.mobility import is_bounded
+from scara_effmass.iso15066.pose_change import Matrix, PoseChange, mobility_along
 from scara_effmass.model.lumping import LumpedModel, lump
 from scara_effmass.model.robot import Robot
 from scara_effmass.settings import MonitorSettings
@@ -135,73 +135,90 @@ class RobotDynamics:
         speed_threshold: float,
         velocity_tolerance: Sequence[float] = (),
         changes: Container[str] = (),
+        margin: float | None = None,
     ) -> list[EffectiveMasses]:
         """Return the effective masses of each contact point at `q` (n,) [rad, m] and `qd` (n,), Eqs. 3-14.
 
         A contact point slower than `speed_threshold` [m/s] has no direction; its masses are of the worst direction.
         `velocity_tolerance` (n,) bounds the errors of `qd`; empty: no errors. `changes` names the models, lumped or
-        full, whose change of pose is computed.
+        full, whose change of pose is computed; with `margin` not of both, but of the lumped one where
+        `EffectiveMasses.lumped_is_heavy_enough`, else of the full one.
         """
         pin.computeJointJacobiansTimeVariation(self.robot.model, self._kinematics, q, qd)
-        inverses, coriolis = [], []
-        for name, (model, data) in self._models.items():
-            inverses.append(self._inverse(model, data, q))
-            coriolis.append(pin.computeCoriolisMatrix(model, data, q, qd) if name in changes else None)
+        inverses = [self._inverse(model, data, q) for model, data in self._models.values()]
+        wanted = [name in changes for name in self._models]
+        matrices: list[FloatArray | None] = [None for _ in inverses]
+
+        def coriolis(index: int) -> FloatArray:
+            matrix = matrices[index]
+            if matrix is None:
+                model, data = list(self._models.values())[index]
+                matrix = matrices[index] = pin.computeCoriolisMatrix(model, data, q, qd)
+            return matrix
+
+        rates = qd.tolist()
         return [
-            self._at_contact(qd, frame, rank, inverses, coriolis, speed_threshold, velocity_tolerance)
+            self._at_contact(
+                rates, frame, rank, inverses, wanted, coriolis, speed_threshold, velocity_tolerance, margin
+            )
             for _, frame, rank in self._contacts
         ]
 
     def _at_contact(
         self,
-        qd: FloatArray,
+        qd: list[float],
         frame: int,
         rank: int,
         inverses: list[FloatArray],
-        coriolis: list[FloatArray | None],
+        wanted: list[bool],
+        coriolis: Callable[[int], FloatArray],
         speed_threshold: float,
         velocity_tolerance: Sequence[float],
+        margin: float | None,
     ) -> EffectiveMasses:
+        # Few calls of numpy, each of which costs more than the products of a row, and the rows as lists for the rest.
         jacobian = self._jacobian(frame)
-        transposed = jacobian.T
-        vx, vy, vz = jacobian.dot(qd).tolist()
+        rows: Matrix = jacobian.tolist()
+        vx, vy, vz = _times(rows, qd)
         speed = math.sqrt(vx * vx + vy * vy + vz * vz)
         moving = speed >= speed_threshold and speed > 0.0
         direction = (vx / speed, vy / speed, vz / speed) if moving else ZERO_VECTOR
-        responses = [inverse.dot(transposed) for inverse in inverses]  # M^-1 J_v^T
-        mobilities = [jacobian.dot(response).tolist() for response in responses]
+        responses = [jacobian.dot(inverse) for inverse in inverses]  # J_v M^-1
+        response_rows: list[Matrix] = [response.tolist() for response in responses]
+        mobilities = [_symmetric(rows, response) for response in response_rows]
         lumped_mobility = mobilities[0] if self.lumped is not None else []
         full_mobility = mobilities[-1] if not self.full_reason else []
         reason = self.lumped_reason
         if not self._lumped_is_regular and not _is_definite(lumped_mobility, rank):
             lumped_mobility, reason = [], "the lumped mass matrix is singular or not positive definite at this pose"
-        changes: list[PoseChange | None] = [None] * len(mobilities)
-        if moving and any(matrix is not None for matrix in coriolis):
-            jacobian_rate = self._jacobian_rate(frame)
-            held = jacobian_rate.dot(qd).tolist()
-            for i, (matrix, response) in enumerate(zip(coriolis, responses, strict=True)):
-                if matrix is not None:
-                    # K = dJ/dt - J M^-1 C: K qd accelerates the point of free joints, and dA/dt = Z + Z^T.
-                    rate = jacobian_rate - response.T.dot(matrix)
-                    accelerations = (tuple(rate.dot(qd).tolist()), tuple(held))
-                    changes[i] = PoseChange(direction, speed, mobilities[i], rate.dot(response).tolist(), accelerations)
         if moving:
             lumped, full = effective_mass(lumped_mobility, direction), effective_mass(full_mobility, direction)
         else:
             lumped, full = _worst_mass(lumped_mobility, rank), _worst_mass(full_mobility, rank)
         has_massless_direction = False
         for joint in self._massless_joints:
-            x, y, z = jacobian[:, joint].tolist()
+            x, y, z = rows[0][joint], rows[1][joint], rows[2][joint]
             if x * x + y * y + z * z > MIN_LEVER_M * MIN_LEVER_M:
                 has_massless_direction = True
                 nx, ny, nz = direction
                 if not moving or abs(nx * x + ny * y + nz * z) > MIN_LEVER_M:
                     lumped = NAN
                     reason = f"{self.robot.joint_names[joint]} moves the contact point along n, but no lumped mass"
-        singular = math.sqrt(max(smallest_eigenvalue(jacobian.dot(transposed).tolist(), rank), 0.0))
-        tolerance = 0.0
-        for joint_tolerance, x, y, z in zip(velocity_tolerance, *jacobian.tolist(), strict=False):
-            tolerance += joint_tolerance * math.sqrt(x * x + y * y + z * z)
+        if margin is not None and len(wanted) > 1:
+            both = lumped_mobility and full_mobility and not has_massless_direction
+            takes_lumped = bool(both) and is_bounded(lumped_mobility, full_mobility, 1.0 - margin)
+            wanted = [wanted[0] and takes_lumped, wanted[1] and not takes_lumped]
+        changes: list[PoseChange | None] = [None for _ in wanted]
+        if moving and any(wanted):
+            jacobian_rate = self._jacobian_rate(frame)
+            held = _times(jacobian_rate.tolist(), qd)
+            for i, response in enumerate(responses):
+                if wanted[i]:
+                    # K = dJ/dt - J M^-1 C: K qd accelerates the point of free joints, and dA/dt = Z + Z^T.
+                    rate: Matrix = (jacobian_rate - response.dot(coriolis(i))).tolist()
+                    turning = [[_dot(row, column) for column in response_rows[i]] for row in rate]
+                    changes[i] = PoseChange(direction, speed, mobilities[i], turning, (_times(rate, qd), held))
+        singular = math.sqrt(max(smallest_eigenvalue(_symmetric(rows, rows), rank), 0.0))
         # By position, because keywords cost time in the hot path.
         return EffectiveMasses(
             speed,
@@ -214,7 +231,7 @@ class RobotDynamics:
             full_mobility,
             rank,
             has_massless_direction,
-            tolerance,
+            _speed_tolerance(rows, velocity_tolerance),
             changes[0] if self.lumped is not None else None,
             changes[-1] if not self.full_reason else None,
         )
@@ -329,6 +346,33 @@ class RobotDynamics:
                 f"{self.robot.origin}: contact point {name}: must not lie on the axis of every joint that moves it"
             )
         return rank
+
+
+def _dot(a: list[float], b: list[float]) -> float:
+    total = 0.0
+    for x, y in zip(a, b):  # noqa: B905 - mypyc has no fast loop for zip with keywords
+        total += x * y
+    return total
+
+
+def _times(rows: Matrix, vector: list[float]) -> Vector3:
+    return _dot(rows[0], vector), _dot(rows[1], vector), _dot(rows[2], vector)
+
+
+def _speed_tolerance(jacobian: Matrix, velocity_tolerance: Sequence[float]) -> float:
+    """Return the error of the speed [m/s] that errors of the joint velocities up to `velocity_tolerance` can cause."""
+    tolerance = 0.0
+    for joint_tolerance, x, y, z in zip(velocity_tolerance, jacobian[0], jacobian[1], jacobian[2]):  # noqa: B905
+        tolerance += joint_tolerance * math.sqrt(x * x + y * y + z * z)
+    return tolerance
+
+
+def _symmetric(left: Matrix, right: Matrix) -> Matrix:
+    """Return the product (3, 3) of `left` (3, n) and the transposed `right` (3, n), which is symmetric."""
+    x, y, z = left
+    u, v, w = right
+    b, c, e = _dot(x, v), _dot(x, w), _dot(y, w)
+    return [[_dot(x, u), b, c], [b, _dot(y, v), e], [c, e, _dot(z, w)]]
 
 
 def smallest_eigenvalue(matrix: Matrix, rank: int) -> float:

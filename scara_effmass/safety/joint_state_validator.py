@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scara_effmass.model.robot import Robot
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray, JointState
-
-if TYPE_CHECKING:
-    from scara_effmass.model.robot import Robot
 
 IndexArray = NDArray[np.intp]
 _Comparison = tuple[float, float, float, float, float, float]
@@ -217,8 +215,9 @@ class JointStateValidator:
                 return "the velocity is empty, and one joint state alone cannot be differentiated"
             qd = (q - last_q) / (elapsed_ns / 1e9)
         positions, velocities = q.tolist(), qd.tolist()
-        for x, v, lower, upper, max_speed in zip(
-            positions, velocities, self._lower, self._upper, self._max_speeds, strict=True
+        # mypyc has no fast loop for zip with keywords; all have one value per joint.
+        for x, v, lower, upper, max_speed in zip(  # noqa: B905
+            positions, velocities, self._lower, self._upper, self._max_speeds
         ):
             # A comparison with NaN is false, so this form also catches NaN.
             if not (lower <= x <= upper and -max_speed <= v <= max_speed):
@@ -264,8 +263,8 @@ class JointStateValidator:
         lag_tolerance = LAG_TOLERANCE_S + self._max_lag * LAG_PRIOR / (LAG_PRIOR + excitation)
         correlation, excitation, reason = 0.0, 0.0, ""
         comparisons: list[_Comparison] = []
-        for x, v, position_tolerance, comparison in zip(
-            positions, velocities, self._position_tolerances, self._comparisons, strict=True
+        for x, v, position_tolerance, comparison in zip(  # noqa: B905 - as in _motion
+            positions, velocities, self._position_tolerances, self._comparisons
         ):
             last_x, last_v, error, mean, peak, allowance = comparison
             error = (error + x - last_x - half_step * (v + last_v)) * decay

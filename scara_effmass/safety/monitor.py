@@ -18,7 +18,7 @@ from scara_effmass.iso15066 import (
     peak_force,
     reduced_mass,
 )
-from scara_effmass.iso15066.mobility import Matrix
+from scara_effmass.iso15066.pose_change import Matrix
 from scara_effmass.model.dynamics import EffectiveMasses, ModelMass, RobotDynamics, effective_mass
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.safety.debounce import VerdictDebouncer, severity
@@ -122,10 +122,6 @@ class Monitor:
         # Along the velocity the bound is that of the paper and of the standard, in the pose of the first touch.
         choices = {} if settings.contact_normal == "velocity" else {"lumped": _LUMPED, "full": _FULL}
         self._changes = [name for name, choice in choices.items() if settings.effective_mass_model in choice]
-        # The full model's change of pose is computed only at a joint state at which auto takes the full mass.
-        self._late_changes: list[str] = []
-        if settings.effective_mass_model is MassModel.AUTO and self.dynamics.lumped and not self.dynamics.full_reason:
-            self._changes, self._late_changes = self._changes[:1], self._changes
         self._drives_push = settings.drives is Drives.SERVO
         self._joints_are_held = self._drives_push and not settings.servo.computed_torque
         self._clamps = settings.contact is ContactType.QUASI_STATIC
@@ -206,13 +202,13 @@ class Monitor:
             for debouncer in self._debouncers.values():
                 debouncer.mark_stale(f"no joint state for {(state.stamp_ns - previous_ns) / 1e9:.3f} s")
         effective_masses = self.dynamics.effective_masses(
-            motion.q, motion.qd, self.settings.speed_threshold, motion.velocity_tolerance, self._changes
+            motion.q,
+            motion.qd,
+            self.settings.speed_threshold,
+            motion.velocity_tolerance,
+            self._changes,
+            self.settings.model_margin if self.settings.effective_mass_model is MassModel.AUTO else None,
         )
-        margin = self.settings.model_margin
-        if self._late_changes and not all(m.lumped_is_heavy_enough(margin) for m in effective_masses):
-            effective_masses = self.dynamics.effective_masses(
-                motion.q, motion.qd, self.settings.speed_threshold, motion.velocity_tolerance, self._late_changes
-            )
         contacts = [
             self._assess_contact(index, name, debouncer, masses, motion.q, motion.qd, state.stamp_ns, age)
             for index, ((name, debouncer), masses) in enumerate(

@@ -553,7 +553,8 @@ def test_payload_with_another_centre_of_mass_applies(scara: RobotDynamics) -> No
     monitor.apply(offset)
     decision = monitor.assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
     assert decision is not None
-    assert list(decision.contacts) == first_assessment(scara.with_payload(offset), q, qd, offset)
+    # As text, because a NaN is equal to itself only as the same object.
+    assert repr(list(decision.contacts)) == repr(first_assessment(scara.with_payload(offset), q, qd, offset))
     assert decision.contacts[0].full_mass != assess_one(scara, q, qd, payload_mass=2.0).full_mass
 
 

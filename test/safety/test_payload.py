@@ -43,7 +43,8 @@ def test_verdict_waits_for_the_payload_and_is_that_of_the_parameters(awaiting: M
     settings = checked(MonitorSettings, {"release_time": 0.0, **names}, "test")
     by_parameter = Monitor(scara.with_payload(settings), settings)
     first_of(by_parameter)
-    assert first_of(awaiting, 1) == first_of(by_parameter, 1)
+    # As text, because a NaN is equal to itself only as the same object.
+    assert repr(first_of(awaiting, 1)) == repr(first_of(by_parameter, 1))
     assert awaiting.payload_text == "0.25 kg (robot file) + 2.5 kg (topic payload)"
     awaiting.take_payload(Payload(0.0, (0.0, 0.0, 0.0), NONE))
     assert awaiting.payload_text == "0.25 kg (robot file) + 0 kg (topic payload)"
