@@ -9,6 +9,7 @@ from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.diagnostics import status
 from scara_effmass.safety import Monitor
+from scara_effmass.settings import MassModel
 from scara_effmass.values import ContactAssessment, Decision, Verdict
 
 _NO_ROBOT = "no robot"
@@ -93,7 +94,10 @@ def _model_status(monitor: Monitor) -> DiagnosticStatus:
         "first cause": f"{cause.verdict.name} at {cause.stamp_ns / 1e9:.6f} s: {cause.reason}" if cause else "",
         **{f"decisions {verdict.name}": count for verdict, count in monitor.verdicts.items()},
     }
-    problem = monitor.payload_reason or next(iter(missing_models(dynamics)), "") or robot.rotors.warning
+    missing = missing_models(dynamics)
+    if monitor.settings.effective_mass_model is MassModel.AUTO and not dynamics.full_reason:
+        missing = []  # the full model decides where there is no lumped one
+    problem = monitor.payload_reason or next(iter(missing), "") or robot.rotors.warning
     return status("model", "lumped and full model", values, problem=problem)
 
 

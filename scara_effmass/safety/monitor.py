@@ -112,6 +112,7 @@ class Monitor:
         self.settings = settings
         self._limits = limits
         self._validator.apply(settings)
+        self._is_auto = settings.effective_mass_model is MassModel.AUTO
         self._mass_factor = 1.0 + settings.mass_uncertainty
         margin = f"more than {100.0 * settings.model_margin:.3g} % lighter than the full model"
         self._heavy_enough, self._lighter = f"nowhere {margin}", f"the lumped model is {margin} along some direction"
@@ -207,7 +208,7 @@ class Monitor:
             self.settings.speed_threshold,
             motion.velocity_tolerance,
             self._changes,
-            self.settings.model_margin if self.settings.effective_mass_model is MassModel.AUTO else None,
+            self.settings.model_margin if self._is_auto and self._is_scara else None,
         )
         contacts = [
             self._assess_contact(index, name, debouncer, masses, motion.q, motion.qd, state.stamp_ns, age)
@@ -294,7 +295,7 @@ class Monitor:
             model_reason = why
             for model in models[1:]:
                 worst_mass = max(worst_mass, model.worst_mass)
-                if model.mass > mass:
+                if model.mass > mass and why is not self._heavy_enough:
                     mass, model_name = model.mass, model.name
             any_normal = _any_normal(models, masses)
             held = [
@@ -457,12 +458,13 @@ class Monitor:
         """Return the names of the models that decide, none if the chosen one is missing, and why these."""
         settings, choice = self.settings, self.settings.effective_mass_model
         has_lumped, has_full = not math.isnan(masses.lumped), not math.isnan(masses.full)
-        if choice is not MassModel.AUTO:
+        if not self._is_auto:
             there = {"lumped": has_lumped and choice in _LUMPED, "full": has_full and choice in _FULL}
             there["iso"] = choice in {MassModel.ISO, MassModel.LARGEST}
             return [name for name, is_there in there.items() if is_there], f"effective_mass_model {choice.value}"
         if masses.lumped_is_heavy_enough(settings.model_margin):
-            return ["lumped"], self._heavy_enough
+            # The change of pose can differ more than the mass: but for a SCARA, the full model bounds the speed, too.
+            return ["lumped"] if self._is_scara else ["lumped", "full"], self._heavy_enough
         lumped_reason = masses.lumped_reason
         if masses.has_massless_direction:
             lumped_reason = lumped_reason or "a joint moves the contact point, but no lumped mass"

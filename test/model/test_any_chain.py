@@ -198,3 +198,31 @@ def test_seven_axes_at_singular_poses_allow_no_more_than_the_full_model(arm: Arm
             assert all(map(math.isfinite, (auto.effective_mass, auto.allowable_speed, auto.force_bound)))
             chosen.add(auto.mass_model)
     assert "full" in chosen
+
+
+def test_lumped_mass_that_auto_takes_allows_no_more_than_the_full_model(load_urdf_file: Load) -> None:
+    """Fast motions of an arm whose models differ little in mass, but more in the change of pose."""
+    robot = load_urdf_file("kinova.urdf", contact_points=("j2s6s200_end_effector",))
+    dynamics = RobotDynamics(robot)
+    models = {
+        name: MonitorSettings.model_validate({"effective_mass_model": name}) for name in ("auto", "lumped", "full")
+    }
+    monitors = {name: Monitor(dynamics, settings) for name, settings in models.items()}
+    rng = np.random.default_rng(RNG_SEED)
+    taken = 0
+    for q in poses(robot, 300):
+        qd = (
+            rng.uniform(-1.0, 1.0, robot.model.nv) * np.minimum(robot.model.velocityLimit, 3.0) * rng.choice([0.2, 0.9])
+        )
+        contacts = {}
+        for name, monitor in monitors.items():
+            monitor.clear_history()
+            decision = monitor.assess(JointState(NOW, robot.joint_names, q, qd), NOW)
+            assert decision is not None
+            (contacts[name],) = decision.contacts
+        if contacts["auto"].mass_model == "lumped":
+            taken += 1
+            assert contacts["auto"].effective_mass == contacts["lumped"].effective_mass
+            for other in ("lumped", "full"):
+                assert contacts["auto"].allowable_speed <= contacts[other].allowable_speed * (1.0 + 1e-9)
+    assert 100 < taken < 300

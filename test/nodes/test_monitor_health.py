@@ -8,7 +8,8 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.nodes.monitor_health import monitor_statuses
 from scara_effmass.safety import Monitor, unknown_decision
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import MassModel, MonitorSettings
+from scara_effmass.share import share
 
 
 def model_status(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[str, str]]:
@@ -34,3 +35,13 @@ def test_stated_rotor_inertia_gives_no_warning() -> None:
     status, values = model_status(MonitorSettings(armature=("joint1=0.3", "joint2=0", "joint3=0", "joint4=0")))
     assert status.level == DiagnosticStatus.OK
     assert "rotor inertia from the setting armature: joint1 0.3, joint2 0" in values["notes"]
+
+
+def test_missing_lumped_model_is_a_warning_only_where_it_decides() -> None:
+    panda = MonitorSettings(robot=str(share("config", "robots", "panda.urdf")), armature=("menagerie/panda",))
+    for model, level in (("auto", DiagnosticStatus.OK), ("lumped", DiagnosticStatus.WARN)):
+        status, values = model_status(panda.model_copy(update={"effective_mass_model": MassModel(model)}))
+        assert status.level == level, status.message
+        assert values["lumped mass"].startswith(
+            "link behind panda_joint1: its centre of mass lies 3.9 mm off the plane"
+        )

@@ -56,10 +56,10 @@ def bare_scara(tmp_path_factory: pytest.TempPathFactory) -> RobotDynamics:
 
 @pytest.fixture(scope="session")
 def skew_scara(tmp_path_factory: pytest.TempPathFactory) -> RobotDynamics:
-    """The SCARA with its second axis tilted out of the first link's plane of mass: it cannot be lumped."""
+    """The SCARA with intersecting first axes and the first centre of mass beside their plane: it cannot be lumped."""
 
     def tilt(file: dict[str, Any]) -> None:
-        file["joints"][0]["alpha"] = 1.1
+        file["joints"][0] |= {"a": 0.0, "alpha": 1.1}
         file["links"][0]["com"] = [0.08, 0.05, 0.0]
         for body in (*file["links"], file["payload"]):
             body["inertia"] = [body["inertia"]] * 3 + [0.0] * 3

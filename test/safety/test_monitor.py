@@ -94,9 +94,10 @@ def test_unknown_contact_states_no_number() -> None:
     assert math.isnan(contact.lumped_mass)
     assert math.isnan(contact.full_mass)
     assert contact.lumped_mobility == contact.full_mobility == (0.0,) * 6
+    assert contact.test_direction == (0.0, 0.0, 0.0)
     names = set(contact._fields) - {
         *("stamp_ns", "contact_point", "reason", "input_age", "direction", "lumped_mass", "full_mass"),
-        *("lumped_mobility", "full_mobility"),
+        *("lumped_mobility", "full_mobility", "test_direction"),
     }
     assert {name for name in names if getattr(contact, name)} == set()
 
