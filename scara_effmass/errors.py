@@ -11,7 +11,7 @@ class EffmassError(Exception):
     """Base of all errors of this package; the command line prints one line and exits with 2."""
 
     def __str__(self) -> str:
-        return " ".join(super().__str__().split())[:_MAX_LENGTH]
+        return " ".join(super().__str__().splitlines())[:_MAX_LENGTH]
 
 
 class SettingsError(EffmassError, ValueError):

@@ -14,6 +14,8 @@ MAX_TEXT_BYTES = 5_000_000
 MAX_YAML_BYTES = 500_000
 _MAX_YAML_DEPTH, _MAX_YAML_VALUES = 20, 20_000
 _MAX_INTEGER = 2**63
+YAML_ERRORS = (yaml.YAMLError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""What `yaml.safe_load` raises on a file that any tool may have written or damaged."""
 
 
 def read_text(path: Path, error: type[EffmassError], max_bytes: int = MAX_TEXT_BYTES) -> str:

@@ -15,6 +15,7 @@ from scara_effmass.bags.mcap_bag import McapBag
 from scara_effmass.bags.mcap_copy import MAGIC
 from scara_effmass.bags.rosbags_bag import RosbagsBag
 from scara_effmass.errors import BagError
+from scara_effmass.input_files import YAML_ERRORS
 
 SUFFIXES = {".mcap", ".db3", ".bag"}
 METADATA = "metadata.yaml"
@@ -150,7 +151,7 @@ def _read_metadata(folder: Path, losses: LossLog) -> dict[str, Any]:
     except FileNotFoundError:
         losses.add(f"{path}: does not exist; read without it")
         return {}
-    except (yaml.YAMLError, ValueError, TypeError, LookupError):
+    except YAML_ERRORS:
         information = None
     if not isinstance(information, dict) or not isinstance(information.get("relative_file_paths"), list):
         losses.add(f"{path}: does not describe a bag; read without it")

@@ -18,6 +18,7 @@ from scara_effmass.bags.mcap_copy import DAMAGE, RECORD_HEAD, copy_records, open
 from scara_effmass.bags.recording_report import LOSSES_RECORD, losses_custom_data
 from scara_effmass.bags.rosbag2 import BagFile, is_being_written, sync_folder, write_metadata
 from scara_effmass.errors import BagError, OutputError
+from scara_effmass.input_files import YAML_ERRORS
 
 DAMAGED_SUFFIX = ".damaged"
 """Suffix of an original that is kept because not all of its content could be copied."""
@@ -147,7 +148,7 @@ def _complete_file(path: Path) -> BagFile | None:
 def _update_metadata(folder: Path, files: Sequence[FileRepair], contents: Sequence[BagFile]) -> bool:
     """Write metadata.yaml unless it is present and correct; return whether it was written."""
     information: dict[str, object] = {}
-    with suppress(OSError, yaml.YAMLError, ValueError, TypeError, LookupError):
+    with suppress(OSError, *YAML_ERRORS):
         text = (folder / METADATA).read_text(encoding="utf-8")
         information = dict(yaml.safe_load(text)["rosbag2_bagfile_information"])
     names, count = [file.path.name for file in files], sum(file.messages for file in files)

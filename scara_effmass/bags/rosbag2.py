@@ -13,6 +13,7 @@ import yaml
 from scara_effmass.bags.batches import Topic, merged_topics
 from scara_effmass.bags.files import METADATA, bag_files, is_rosbag2_folder
 from scara_effmass.errors import OutputError
+from scara_effmass.input_files import YAML_ERRORS
 
 ROSBAG2_VERSION = 9
 """Metadata version of ROS 2 Jazzy."""
@@ -145,7 +146,7 @@ def _parse_profiles(text: str) -> list[Any]:
     """Return the QoS profiles of a file, which any tool may have written; empty if invalid."""
     try:
         profiles = yaml.safe_load(text)
-    except yaml.YAMLError:
+    except YAML_ERRORS:
         return []
     return profiles if isinstance(profiles, list) else []
 

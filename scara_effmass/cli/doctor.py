@@ -164,8 +164,9 @@ def _limits(settings: MonitorSettings) -> Iterator[CheckResult]:
     else:
         yield CheckResult("ok", "limits", f"{EDITION}; hash {TABLE_HASH}; {contact}: {regions}")
         area = settings.contact_area
-        hint = f": allows {area:g} times the pressure force of 1 cm², if the whole area bears" if area > 1.0 else ""
-        yield CheckResult("note" if hint else "ok", "contact area", f"{area:g} cm²{hint}")
+        if area > 1.0:
+            hint = f"{area:g} cm²: allows {area:g} times the pressure force of 1 cm², if the whole area bears"
+            yield CheckResult("note", "contact area", hint)
 
 
 def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:

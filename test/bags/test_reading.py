@@ -518,7 +518,16 @@ class TestFolder:
                     lambda folder, text=text: (folder / "metadata.yaml").write_text(text),
                     "does not describe a bag; read without it",
                 )
-                for text in ("", "[", "a: 1", "rosbag2_bagfile_information: 3", "\x00")
+                for text in (
+                    "",
+                    "[",
+                    "a: 1",
+                    "rosbag2_bagfile_information: 3",
+                    "\x00",
+                    "!!int abc",
+                    "!!bool x",
+                    "[" * 5000,
+                )
             ),
         ],
     )

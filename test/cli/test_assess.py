@@ -156,6 +156,18 @@ def test_recorded_payload_counts_from_its_log_time_on(swing_bag: Path, cli: Cli,
     assert_equal([{**row, "bag": ""} for row in rows[1000:]], core_assessments(swing_bag, settings)[1000:])
 
 
+def test_recording_without_a_readable_joint_state_gives_status_1(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+    (recording,) = swing_bag.glob("*.mcap")
+    content = bytearray(recording.read_bytes())
+    middle = slice(len(content) // 3, len(content) // 3 + 200)
+    content[middle] = bytes(255 - byte for byte in content[middle])
+    (tmp_path / "damaged.mcap").write_bytes(content)
+    done = cli("assess", tmp_path / "damaged.mcap", "-o", tmp_path / "a.csv")
+    assert done.returncode == 1
+    assert "no verdict      there was no joint state to read" in done.stdout
+    assert "not read        " in done.stdout
+
+
 def test_csv_contains_the_exact_assessments(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     assert cli("assess", swing_bag, "-o", tmp_path / "a.csv").returncode == 0
     with (tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:

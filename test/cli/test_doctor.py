@@ -7,12 +7,15 @@ from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from scara_effmass.cli import main
 from scara_effmass.daq import ni_driver
 from scara_effmass.daq.ni9230 import Ni9230Source
 from scara_effmass.errors import DriverMissingError
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.load import load_robot
 from scara_effmass.settings import DaqSettings
 from scara_effmass.share import share
 
@@ -59,6 +62,55 @@ def test_shipped_robot_is_healthy(capsys: pytest.CaptureFixture[str]) -> None:
     assert "1.94, 2.38" in ok["lumped model"]
     assert [joint["name"] for joint in result["joints"]] == ["joint1", "joint2", "joint3", "joint4"]
     assert sum(joint["link_mass_kg"] for joint in result["joints"]) == pytest.approx(5.04 + 0.25)
+
+
+def test_reach_moving_mass_and_masses_at_the_home_pose_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    ok = texts(run_doctor(capsys, "--robot", str(share("config", "robots", "ur5_robot.urdf")))[1], "ok")
+    assert ok["units"] == "plausible"
+    assert ok["reach"] == "0.931 m from shoulder_pan_joint over the joint ranges"
+    assert ok["moving mass"] == "16.99 kg without the payload"
+    robot = load_robot(share("config", "robots", "ur5_robot.urdf"))
+    frame = robot.contact_frames["ee_link"]
+    q = np.zeros(6)
+    jacobian = RobotDynamics(robot).jacobian(q, frame)
+    matrix = robot.mass_matrix(robot.model, robot.model.createData(), q)
+    masses = 1.0 / np.diag(jacobian @ np.linalg.inv(np.triu(matrix) + np.triu(matrix, 1).T) @ jacobian.T)
+    stated = re.search(r"full mass (\S+) / (\S+) / (\S+) kg along x / y / z of world", ok["home pose, ee_link"])
+    assert stated is not None
+    assert [float(text) for text in stated.groups()] == pytest.approx(masses.tolist(), rel=0.005)
+
+
+def test_robot_in_millimetres_grams_and_degrees_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = SHIPPED.read_text(encoding="utf-8").replace("a: 0.275", "a: 325")
+    for old, new in (("2.3736", "132"), ("2.5831", "148"), ("6.2832", "360")):
+        text = text.replace(old, new)
+    text = re.sub(r"- \{name: link(.), mass: (\S+), com: \[(\S+), 0.0, 0.0\].*", _in_grams, text)
+    robot = tmp_path / "scara.yaml"
+    robot.write_text(text, encoding="utf-8")
+    code, result = run_doctor(capsys, "--robot", str(robot))
+    assert (code, result["healthy"]) == (1, False)
+    units = texts(result, "wrong")["units"]
+    for rule in (
+        "325 m long: must be in metres, not in mill",
+        "5040 kg move at a reach",
+        "720 rad: must be in radians",
+    ):
+        assert rule in units
+    assert "moving mass" in texts(result, "ok")
+    assert [joint["upper"] for joint in result["joints"]] == [132.0, 148.0, 0.45, 360.0]
+
+
+def _in_grams(row: re.Match[str]) -> str:
+    mass, com = (1e3 * float(text) for text in row.groups()[1:])
+    return f"- {{name: link{row[1]}, mass: {mass}, com: [{com}, 0.0, 0.0]}}"
+
+
+def test_large_contact_area_gives_a_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "contact area" not in texts(run_doctor(capsys)[1], "note")
+    params = tmp_path / "cell.yaml"
+    params.write_text("/**:\n  ros__parameters:\n    contact_area: 10.0\n", encoding="utf-8")
+    note = texts(run_doctor(capsys, "--params", str(params))[1], "note")["contact area"]
+    assert note == "10 cm²: allows 10 times the pressure force of 1 cm², if the whole area bears"
 
 
 def test_robot_without_the_chosen_mass_model_is_not_healthy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

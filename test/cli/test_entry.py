@@ -89,6 +89,18 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "unknown model": (["doctor", "--model", "heavy"], "'heavy'"),
     "unknown region": (["limits", "--region", "tail"], "body_regions = 'tail': must be one of skull"),
     "region without a limit": (["limits", "--region", "face"], "permits no contact"),
+    "decimal comma": (["limits", "--mass", "2,77"], "argument --mass: 2,77: must be a number >= 1e-06 kg: write 2.77"),
+    "decimal comma of a stiffness": (
+        ["validate", TOUR, "-o", "out", "--stiffness", "2,77"],
+        "argument --stiffness: 2,77: must be a number: write 2.77",
+    ),
+    "pi as a mass": (["limits", "--mass", "2*pi"], "must be a number >= 1e-06 kg: write 3.14159265 for pi"),
+    "parameters as a robot": (
+        ["assess", TOUR, "-o", "a.csv", "--robot", str(share("config", "monitor.yaml"))],
+        "monitor.yaml: holds parameters of /**/monitor: must be a robot; use --params for it",
+    ),
+    "device as a robot": (["assess", TOUR, "-o", "a.csv", "--robot", "/dev/zero"], "must be a regular file"),
+    "robot as parameters": (["assess", TOUR, "-o", "a.csv", "--params", ROBOT], ": must hold monitor (or /**)"),
     "mass of NaN": (["limits", "--mass", "nan"], "argument --mass: nan: must be a number >= 1e-06 kg"),
     "ROS arguments of a command without a node": (["limits", "--ros-args", "-p", "a:=1"], "--ros-args"),
     "missing robot": (["doctor", "--robot", "no.urdf"], "no.urdf: no such file; must be a URDF or DH YAML file"),
