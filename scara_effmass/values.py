@@ -102,6 +102,7 @@ class ContactAssessment(NamedTuple):
     mass_model_reason: str = ""
     test_direction: Vector3 = ZERO_VECTOR
     test_effective_mass: float = 0.0
+    velocity_delay: float = 0.0
 
 
 class Decision(NamedTuple):

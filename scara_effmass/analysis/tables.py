@@ -46,6 +46,7 @@ _UNITS = {
     "force_bound": "force_bound_n",
     "clamping_force": "clamping_force_n",
     "test_effective_mass": "test_effective_mass_kg",
+    "velocity_delay": "velocity_delay_s",
 }
 _LABELS = (
     *("contact_point", "body_region", "criterion", "verdict", "reason"),

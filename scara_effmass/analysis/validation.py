@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from scara_effmass.analysis.assessment import AssessedState, assess_joint_states, joint_state_topic
+from scara_effmass.analysis.assessment import AssessedState, Time, assess_joint_states, joint_state_topic
 from scara_effmass.analysis.recorded_run import (
     Measurement,
     file_measurements,
@@ -53,6 +53,7 @@ class ValidationSettings:
     detection: DetectionSettings = field(default_factory=DetectionSettings)
     obstacle_mass: float | None = None
     topic: str | None = None
+    time: Time = Time.LIVE
     force: ImportSettings = field(default_factory=ImportSettings)
     force_from: tuple[Path, ...] = ()
     force_offset: float | None = None
@@ -165,7 +166,7 @@ def _feed(
     force_ns = 0
     records: tuple[Iterator[AssessedState | Measurement], ...] = (
         measured,
-        assess_joint_states(bag, states, Monitor(dynamics, settings.monitor)),
+        assess_joint_states(bag, states, Monitor(dynamics, settings.monitor), settings.time),
     )
     for item in merge(*records, key=lambda record: record.log_time_ns):
         if isinstance(item, AssessedState):

@@ -11,6 +11,7 @@ from scara_effmass.cli.options import (
     DIRECTION,
     FORCE,
     IMPORT,
+    JOINTS,
     JSON,
     LIMITS,
     MASS,
@@ -20,6 +21,7 @@ from scara_effmass.cli.options import (
     POSITIVE,
     REPEATED,
     ROBOT,
+    TIME,
     TOPIC,
     Option,
     flag,
@@ -241,17 +243,23 @@ examples:
 FILE must end in .parquet, .csv or .mcap. Each bag is assessed by a fresh monitor, whose clock is the log time of the
 joint states. DIR gets report.html, summary.json, and a figure of each bag and contact point as PNG and SVG.
 
+Exit status 1: one of several bags could not be assessed; the others were.
+
 examples:
   scara-effmass assess bags/tour -o tour.parquet --report out/tour
   scara-effmass assess monday.mcap tuesday.mcap -o week.csv --robot my_robot.urdf --model full
   scara-effmass assess bags/tour -o tour.mcap --region hand_fingers --contact-area 2 --json
   scara-effmass assess bags/tour -o press.parquet --direction 0 0 -1
+  scara-effmass assess old.bag -o old.csv --joint-map "left_*=*" --velocity from-positions --velocity-window 0.05
+  scara-effmass assess positions.bag --velocity-bag velocities.bag -o joined.csv --time log
 """,
         BAGS,
         output("FILE", ".parquet, .csv or .mcap"),
         Option("--report", "folder for figures, episodes and summary", "DIR", Path),
         TOPIC,
         *CELL,
+        Option("--velocity-bag", "recording of the velocities, joined by log time", "BAG", Path),
+        TIME,
         *DIRECTION,
         params("monitor_node"),
         FORCE,
@@ -311,6 +319,8 @@ examples:
         ),
         *ROBOT,
         *PAYLOAD,
+        *JOINTS,
+        TIME,
         *LIMITS,
         params("monitor_node, validator_node and daq_node (its detection)"),
         FORCE,

@@ -9,7 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from scara_effmass.analysis.assessment import generated_description, joint_state_topic, payload_topics
+from scara_effmass.analysis.assessment import (
+    generated_description,
+    input_lines,
+    joint_state_topic,
+    payload_topics,
+)
 from scara_effmass.analysis.recorded_run import read_force
 from scara_effmass.analysis.run_report import PAGE, RunReport
 from scara_effmass.analysis.summary import Summary
@@ -21,6 +26,7 @@ from scara_effmass.errors import EffmassError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.monitor_client import MonitorClient
 from scara_effmass.nodes.replay_topics import JOINT_STATES
+from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import ContactAssessment
 from scara_effmass.wire.message_types import FORCE_BLOCK
@@ -66,17 +72,18 @@ class LiveRun:
         """Number of this robot's joint states that the monitor did not answer."""
         return self.sent - self.foreign - self.answered
 
-    def read_back(self, bag: ReplayedBag, duration_s: float, joints: tuple[str, ...]) -> None:
+    def read_back(self, bag: ReplayedBag, duration_s: float, monitor: Monitor) -> None:
         """Read from `bag` the count of joint states of other devices and the pose of the tightest margin."""
         tightest = self.summary.tightest
         with open_bag(bag.path) as opened:
             stop_ns = opened.start_ns + round(duration_s * 1e9) if duration_s < math.inf else opened.end_ns + 1
             for block in opened.joint_state_blocks(bag.topic, stop_ns=stop_ns):
-                if block.names and set(block.names).isdisjoint(joints):
+                names = monitor.names_of(block.names)
+                if names and set(names).isdisjoint(monitor.dynamics.robot.joint_names):
                     self.foreign += len(block)
                 elif tightest and (block.stamp_ns == tightest.contact.stamp_ns).any():
                     row = int((block.stamp_ns == tightest.contact.stamp_ns).argmax())
-                    positions = dict(zip(block.names, block.position[row].tolist(), strict=True))
+                    positions = dict(zip(names, block.position[row].tolist(), strict=True))
                     self.summary.tightest = tightest._replace(positions=positions)
 
     def lines(self) -> Iterator[tuple[str, str]]:
@@ -104,7 +111,7 @@ def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
             description=generated_description(opened),
         )
     report = RunReport(args.out, len(dynamics.contact_points), settings, overwrite=args.force)
-    introduction = _introduction(bag, dynamics, settings.effective_mass_model.value, args.rate)
+    introduction = _introduction(bag, dynamics, settings, args.rate)
     if not args.json:
         print_lines(introduction)
     with processes.removed_on_failure(args.out / processes.RECORDING):
@@ -181,7 +188,7 @@ def _run_live(
         show_status = stack.enter_context(live_status(printer(), visible=not args.json))
         processes.spin_until(lambda: replay.ended, client, nodes, math.inf)
         live.replayed = json.loads(replay.output())
-        live.read_back(bag, args.duration, dynamics.robot.joint_names)
+        live.read_back(bag, args.duration, Monitor(dynamics, settings))
         client.spin(ANSWER_TIMEOUT_S, lambda: client.cycles >= live.sent - live.foreign)
         live.answered, live.watchdog_messages = client.cycles, client.watchdog_decisions
         if force:
@@ -193,7 +200,9 @@ def _run_live(
     return live
 
 
-def _introduction(bag: ReplayedBag, dynamics: RobotDynamics, mass_model: str, rate: float) -> list[tuple[str, str]]:
+def _introduction(
+    bag: ReplayedBag, dynamics: RobotDynamics, settings: MonitorSettings, rate: float
+) -> list[tuple[str, str]]:
     speed = f"{rate:g} times the original speed" if rate else "as fast as the monitor answers"
     generated = f"generated, no real robot: {bag.description}" if bag.description else ""
     return [
@@ -202,6 +211,7 @@ def _introduction(bag: ReplayedBag, dynamics: RobotDynamics, mass_model: str, ra
         ("live", "the monitor node computes all verdicts now, from that motion"),
         ("not measured", "masses and permissible forces come from the robot's model and ISO/TS 15066"),
         ("robot", f"{dynamics.robot.name}, {dynamics.robot.origin}"),
-        ("mass model", mass_model),
+        ("mass model", settings.effective_mass_model.value),
+        *input_lines(settings),
         *(("robot file", note) for note in dynamics.robot.notes),
     ]

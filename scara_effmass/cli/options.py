@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from scara_effmass.settings import ContactType, MassModel
+from scara_effmass.settings import ContactType, MassModel, VelocitySource
 from scara_effmass.settings.loading import number_rule
 
 
@@ -72,6 +72,11 @@ def plane(text: str) -> tuple[int, float]:
     return "xyz".index(axis), number("AXIS=M with a number M", math.isfinite)(value)
 
 
+def words(text: str) -> list[str]:
+    """Return the words of a list, separated by commas."""
+    return text.split(",")
+
+
 FORCE = flag("--force", "replace existing output")
 JSON = flag("--json", "print the result as JSON")
 BAGS = Option("bags", "recording, or folder of recordings", "BAG", Path, nargs="+")
@@ -86,6 +91,26 @@ ROBOT = (
         choices=[model.value for model in MassModel],
     ),
 )
+JOINTS = (
+    Option("--joint-limits", 'in place of the file\'s: "joint=LOWER UPPER,..." [rad or m]', "LIMITS", words),
+    Option("--joint-map", 'names of joint states and robot: "reported=robot,..." or "left_*=*"', "MAP", words),
+    Option("--joint-names", "names for joint states that have none: NAME,...", "NAMES", words),
+    Option(
+        "--velocity",
+        "reported, or from-positions (default: reported)",
+        kind=lambda text: text.replace("-", "_"),
+        choices=[source.value for source in VelocitySource],
+        dest="velocity_source",
+    ),
+    Option("--velocity-window", "window of the velocity filter; delays it by half (default: none)", "S", float),
+)
+TIME = Option(
+    "--time",
+    "header stamps, judged at the log times as live (default) or alone, or log times in their place",
+    choices=["live", "header", "log"],
+    default="live",
+)
+NOT_NEGATIVE = number("a number >= 0", lambda value: 0.0 <= value < math.inf)
 NUMBER = number("a number", lambda _: True)
 IMPORT = (
     Option("--axis", "of a wrench; norm: |F|, without a sign (default: z)", choices=["x", "y", "z", "norm"]),
@@ -101,7 +126,6 @@ IMPORT = (
     ),
     Option("--range", "end of the measuring range; marks saturation (default: 2224)", "N", NUMBER, dest="sensor.range"),
 )
-NOT_NEGATIVE = number("a number >= 0", lambda value: 0.0 <= value < math.inf)
 POSITIVE = number("a number > 0", lambda value: value > 0.0)
 PAYLOAD = (
     Option(
@@ -160,7 +184,7 @@ DIRECTION = (
     ),
     Option("--direction-frame", "frame of the direction (default: the base)", "FRAME", dest="test_direction_frame"),
 )
-CELL = (*ROBOT, *PAYLOAD, *LIMITS, PERSON)
+CELL = (*ROBOT, *JOINTS, *PAYLOAD, *LIMITS, PERSON)
 """Robot, what it carries, and what it can hit: the options of every command that assesses, all of them settings."""
 COUNT = number("a whole number from 1", lambda count: count >= 1, int)
 MASS = number("a number from 0.001 to 1000", lambda mass: 1e-3 <= mass <= 1e3)

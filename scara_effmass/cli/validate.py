@@ -3,11 +3,12 @@
 import argparse
 from collections import Counter
 
+from scara_effmass.analysis.assessment import Time, input_lines
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
 from scara_effmass.bags.files import find_bags
 from scara_effmass.cli.console import print_result, progress_bar
-from scara_effmass.cli.options import IMPORT, LIMITS, PAYLOAD, ROBOT
+from scara_effmass.cli.options import IMPORT, JOINTS, LIMITS, PAYLOAD, ROBOT
 from scara_effmass.cli.settings import load_dynamics, override, selected
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings import DaqSettings, ImportSettings, MonitorSettings, ValidatorSettings, load_settings
@@ -35,8 +36,9 @@ def run(args: argparse.Namespace) -> int:
         task = progress.add_task("recordings", total=len(paths))
         validation = validate(paths, dynamics, settings, lambda share: progress.advance(task, share))
     result = write_report(validation, settings, dynamics.robot, args.output, overwrite=args.force)
-    lines = [*summary_lines(validation), ("written", args.output / PAGE)]
-    print_result({**result, "output": str(args.output)}, lines, as_json=args.json)
+    notes = list(input_lines(settings.monitor, settings.time))
+    lines = [*summary_lines(validation), *notes, ("written", args.output / PAGE)]
+    print_result({**result, "input": notes, "output": str(args.output)}, lines, as_json=args.json)
     return 0 if validation.result.accepted and not validation.result.exceedances else NOT_ACCEPTED
 
 
@@ -50,11 +52,12 @@ def validation_settings(args: argparse.Namespace) -> ValidationSettings:
     names = ("stiffness", "obstacle_mass", "obstacle_fixed", "plate_normal", "effective_mass_model")
     options = selected(args, *LIMITS) | {name: getattr(args, name) for name in names}
     return ValidationSettings(
-        monitor=override(section(MonitorSettings, "monitor"), selected(args, *ROBOT, *PAYLOAD)),
+        monitor=override(section(MonitorSettings, "monitor"), selected(args, *ROBOT, *JOINTS, *PAYLOAD)),
         validator=override(section(ValidatorSettings, "validator"), options),
         detection=section(DaqSettings, "daq").detection,
         obstacle_mass=args.obstacle_mass,
         topic=args.topic,
+        time=Time(args.time),
         force=override(ImportSettings(topic=args.force_topic or ""), selected(args, *IMPORT)),
         force_from=tuple(args.force_from),
         force_offset=args.force_offset,

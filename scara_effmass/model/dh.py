@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -189,12 +189,21 @@ def load_dh(path: Path, settings: MonitorSettings) -> Robot:
             f"{path}: holds parameters of {', '.join(map(str, rows))}: must be a robot; use --params for it"
         )
     try:
+        _set_limits(rows, settings.position_limits)
         file = DhFile.model_validate(rows)
     except ValidationError as error:
         # Where one number or a list may stand, a list fails as a number first.
         first = min(error.errors(), key=lambda item: item["type"] == "float_type" and isinstance(item["input"], list))
         raise RobotError(f"{path}: {_place(first['loc'], rows)}{broken_rule(first)}") from None
     return _robot(file, str(path), settings)
+
+
+def _set_limits(content: Any, limits: Mapping[str, tuple[float, float]]) -> None:  # noqa: ANN401 - unchecked YAML
+    """Replace lower and upper of the joints that `limits` name."""
+    joints = content.get("joints") if isinstance(content, dict) else ()
+    for row in joints if isinstance(joints, list) else ():
+        if isinstance(row, dict) and str(row.get("name")) in limits:
+            row["lower"], row["upper"] = limits[str(row["name"])]
 
 
 def _place(keys: Sequence[int | str], rows: Any) -> str:  # noqa: ANN401 - what the file holds

@@ -17,6 +17,7 @@ from scara_effmass.model.inertial_check import StatedLink, check_inertials, tria
 from scara_effmass.model.plausibility import judge
 from scara_effmass.model.rotors import RotorInertia
 from scara_effmass.settings import LumpingSettings, MonitorSettings
+from scara_effmass.settings.loading import nearest
 from scara_effmass.values import FloatArray, Vector3
 
 PARALLEL = 2e-3
@@ -173,6 +174,10 @@ def build_robot(
         raise RobotError(f"{origin}: {bare.nv} joints move: must be at most {MAX_MOVING_JOINTS}; lock the others")
     if not any(link.mass > 0.0 for link in links):
         raise RobotError(f"{origin}: the moving links have no mass: every link must have its mass and centre of mass")
+    joints = list(bare.names)[1:]
+    for joint in settings.position_limits:
+        if joint not in joints:
+            raise RobotError(f"{origin}: joint_limits = {joint!r}: {nearest(joint, joints)}")
     model = bare.copy()
     model.armature = np.diag(rotors.matrix)
     if load := _payload(settings):

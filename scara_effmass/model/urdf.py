@@ -31,7 +31,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
     match a glob of `settings.locked_joints`, are fixed: the mass behind them counts, their motion does not.
     `settings.armature` wins over the rotor inertia of the URDF. `build_robot` adds the payload. Raises RobotError.
     """
-    tree = read_urdf(text, origin, settings.locked_joints)
+    tree = read_urdf(text, origin, settings.locked_joints, settings.position_limits)
     notes = []
     entries = settings.contact_points
     if not entries:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import reprlib
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -28,8 +28,13 @@ _MIN_AXIS_LENGTH = 1e-9
 """Length below which an axis has no direction."""
 
 
-def read_urdf(text: str, origin: str, locked_joints: Sequence[str]) -> UrdfTree:
-    """Return the tree of the URDF `text`; a continuous joint becomes a revolute one. Raises RobotError."""
+def read_urdf(
+    text: str, origin: str, locked_joints: Sequence[str], limits: Mapping[str, tuple[float, float]]
+) -> UrdfTree:
+    """Return the tree of the URDF `text`; a continuous joint becomes a revolute one.
+
+    `limits` [rad or m] replace those of the joints that they name; locked joints need none. Raises RobotError.
+    """
     if "<!ENTITY" in text:
         raise RobotError(f"{origin}: must not define XML entities")
     try:
@@ -49,7 +54,10 @@ def read_urdf(text: str, origin: str, locked_joints: Sequence[str]) -> UrdfTree:
         for dynamics in joint.findall("dynamics"):
             dynamics.attrib.setdefault("damping", "0")  # urdfdom refuses an armature alone
         if joint.get("type") in MOVING:
-            _check_limit(joint, where)
+            name = joint.get("name", "")
+            _add_limit(joint, limits.get(name), is_locked=_is_locked(name, locked_joints))
+            if not _is_locked(name, locked_joints):
+                _check_limit(joint, where)
     return UrdfTree(root, origin, locked_joints)
 
 
@@ -62,11 +70,7 @@ class UrdfTree:
         self.links = _by_name(root, "link", origin)
         self.joints = _by_name(root, "joint", origin)
         self.stated = [link for name, element in self.links.items() for link in _stated(name, element, origin)]
-        self.locked = {
-            name
-            for name in self.joints
-            if self.kind(name) != "fixed" and any(fnmatchcase(name.lower(), glob.lower()) for glob in locked_joints)
-        }
+        self.locked = {name for name in self.joints if self.kind(name) != "fixed" and _is_locked(name, locked_joints)}
         self._parents: dict[str, tuple[str, str]] = {}
         for name, joint in self.joints.items():
             parent, child = (_end(joint, role, self.links, origin) for role in ("parent", "child"))
@@ -139,6 +143,24 @@ def _check_pose(joint: ET.Element, where: str) -> None:
         raise RobotError(f"{where}: axis = {axis.get('xyz')!r}: must have a direction")
 
 
+def _is_locked(joint: str, globs: Sequence[str]) -> bool:
+    return any(fnmatchcase(joint.lower(), glob.lower()) for glob in globs)
+
+
+def _add_limit(joint: ET.Element, limits: tuple[float, float] | None, *, is_locked: bool) -> None:
+    """Replace the ends of the <limit> of `joint` by `limits`, and complete it, which urdfdom requires."""
+    if limits is None and not is_locked:
+        return
+    limit = joint.find("limit")
+    if limit is None:
+        limit = ET.SubElement(joint, "limit")
+    for key in ("effort", "velocity"):
+        limit.attrib.setdefault(key, "0")
+    if limits is not None:
+        joint.set("type", joint.get("type", "").replace("continuous", "revolute"))
+        limit.attrib.update(lower=str(limits[0]), upper=str(limits[1]))
+
+
 def _check_limit(joint: ET.Element, where: str) -> None:
     limit = joint.find("limit")
     if joint.get("type") == "continuous":
@@ -147,11 +169,12 @@ def _check_limit(joint: ET.Element, where: str) -> None:
             limit = ET.SubElement(joint, "limit", effort="0", velocity="0")
         limit.set("lower", str(-_CONTINUOUS_LIMIT))
         limit.set("upper", str(_CONTINUOUS_LIMIT))
+    hint = f', in the file or as joint_limits "{joint.get("name")}=LOWER UPPER"'
     if limit is None:
-        raise RobotError(f"{where}: must have <limit> with lower < upper")
+        raise RobotError(f"{where}: must have <limit> with lower < upper{hint}")
     lower, upper = (_numbers(limit, key, where, 1, default="0", largest=math.inf)[0] for key in ("lower", "upper"))
     if lower >= upper:
-        raise RobotError(f"{where}: limit lower = {lower:g}: must be < upper = {upper:g}")
+        raise RobotError(f"{where}: limit lower = {lower:g}: must be < upper = {upper:g}{hint}")
     if _numbers(limit, "velocity", where, 1, largest=math.inf)[0] < 0.0:
         raise RobotError(f"{where}: limit velocity = {limit.get('velocity')!r}: must not be negative")
 

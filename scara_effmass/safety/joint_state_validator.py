@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.model.robot import Robot
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.safety.joint_state_adapter import suggested_map
+from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.values import FloatArray, JointState
 
 IndexArray = NDArray[np.intp]
@@ -56,7 +57,9 @@ class Motion(NamedTuple):
 
 
 class OtherDevice(NamedTuple):
-    """Result for a joint state that names none of the robot's joints: another device on the same topic."""
+    """Result for a joint state whose `names` are none of the robot's joints: another device on the same topic."""
+
+    names: tuple[str, ...]
 
 
 class JointStateValidator:
@@ -90,7 +93,9 @@ class JointStateValidator:
         self._max_speeds = [speed * (1.0 + settings.joint_speed_tolerance) for speed in max_speeds]
         self.timeout_ns = round(settings.timeout * NANOSECONDS)
         self.future_tolerance_ns = round(settings.future_tolerance * NANOSECONDS)
-        self._differentiate = settings.differentiate_velocity
+        self._empty_velocity = "the velocity is empty: set velocity_source to from_positions"
+        if settings.velocity_source is VelocitySource.FROM_POSITIONS:
+            self._empty_velocity = "the velocity is empty, and one joint state alone cannot be differentiated"
         self._position_tolerances = self._per_joint(settings.position_tolerance)
         self._velocity_tolerance = settings.velocity_tolerance
         self._max_lag = settings.max_velocity_lag
@@ -113,9 +118,9 @@ class JointStateValidator:
         self._command.clear()
         self.last_stamp_ns = 0
         self._last_sequence_number: int | None = None
-        self._last_q: FloatArray | None = None
         self._unconfirmed = set(range(len(self._joints)))
-        self._start_ns = self._observed_ns = 0
+        self._observed_ns = 0
+        self._agreed_since: list[tuple[int, float]] = []
         self._comparisons: list[_Comparison] = []
         self._lag_correlation = self._lag_excitation = 0.0
 
@@ -135,7 +140,7 @@ class JointStateValidator:
         last, self._last_sequence_number = self._last_sequence_number, sequence_number
         if last is not None and sequence_number is not None and sequence_number <= last:
             return f"a second publisher, or a restarted one: joint state number {sequence_number} follows number {last}"
-        motion = self._length_error(state) or self._stamp_error(state.stamp_ns, now_ns) or self._motion(state, layout)
+        motion = self._stamp_error(state.stamp_ns, now_ns) or self._length_error(state) or self._motion(state, layout)
         if self._command_tolerances and isinstance(motion, Motion):
             return self._command_error(motion.q.tolist(), now_ns) or motion
         return motion
@@ -171,9 +176,9 @@ class JointStateValidator:
             return f"joint {duplicate} is named twice"
         missing = [name for name in self._joints if name not in index_of]
         if len(missing) == len(self._joints):
-            return OtherDevice()
+            return OtherDevice(names)
         if missing:
-            return f"joint {missing[0]} is missing"
+            return f"joint {missing[0]} is missing{suggested_map(names, self._joints)}"
         indices = [index_of[name] for name in self._joints]
         return None if indices == list(range(len(names))) else np.array(indices)
 
@@ -185,7 +190,7 @@ class JointStateValidator:
             return ""
         if len(state.velocity):
             return f"{len(state.velocity)} velocities for {n} names"
-        return "" if self._differentiate else "the velocity is empty"
+        return self._empty_velocity
 
     def _stamp_error(self, stamp_ns: int, now_ns: int) -> str:
         last_ns, latest_ns = self.last_stamp_ns, now_ns + self.future_tolerance_ns
@@ -206,14 +211,8 @@ class JointStateValidator:
         q, qd = state.position, state.velocity
         if layout is not None:
             q = q[layout]
-            qd = qd[layout] if len(qd) else qd
-        stamp_ns = state.stamp_ns
-        elapsed_ns = stamp_ns - self.last_stamp_ns if self.last_stamp_ns else 0
-        last_q, self._last_q, self.last_stamp_ns = self._last_q, q, stamp_ns
-        if not len(qd):
-            if last_q is None or elapsed_ns > self.timeout_ns:
-                return "the velocity is empty, and one joint state alone cannot be differentiated"
-            qd = (q - last_q) / (elapsed_ns / 1e9)
+            qd = qd[layout]
+        self.last_stamp_ns = stamp_ns = state.stamp_ns
         positions, velocities = q.tolist(), qd.tolist()
         # mypyc has no fast loop for zip with keywords; all have one value per joint.
         for x, v, lower, upper, max_speed in zip(  # noqa: B905
@@ -251,7 +250,7 @@ class JointStateValidator:
         elapsed_ns = stamp_ns - self._observed_ns
         if elapsed_ns > self.timeout_ns or not self._comparisons:
             self._comparisons = [(x, v, 0.0, v, 0.0, 0.0) for x, v in zip(positions, velocities, strict=True)]
-            self._start_ns = stamp_ns
+            self._agreed_since = [(stamp_ns, x) for x in positions]
             elapsed_ns = 0
         self._observed_ns = stamp_ns
         seconds = elapsed_ns / 1e9
@@ -284,7 +283,7 @@ class JointStateValidator:
                 reason = reason or self._mismatch(i, excess)
                 error = lag * change + math.copysign(min(abs(excess), MAX_EXCESS * tolerance), excess)
                 self._unconfirmed.add(i)
-                self._start_ns = stamp_ns
+                self._agreed_since[i] = stamp_ns, x
             correlation += error * change
             excitation += change * change
             comparisons.append((x, v, error, mean, peak, allowance))
@@ -294,13 +293,29 @@ class JointStateValidator:
         self._lag_correlation = (self._lag_correlation + correlation * seconds) * decay
         self._lag_excitation = (self._lag_excitation + excitation * seconds) * decay
         if self._unconfirmed and not reason:
-            if stamp_ns - self._start_ns >= CONFIRMATION_NS:
-                self._unconfirmed.clear()
-            self._unconfirmed = {i for i in self._unconfirmed if velocities[i] == 0.0}
-            if self._unconfirmed:
-                name = self._joints[min(self._unconfirmed)]
-                reason = f"the velocity of {name} reads zero, not yet confirmed by its position"
+            reason = self._unconfirmed_zero(positions, velocities, stamp_ns, tolerances)
         return reason
+
+    def _unconfirmed_zero(
+        self, positions: list[float], velocities: list[float], stamp_ns: int, tolerances: list[float]
+    ) -> str:
+        """Return which joint reads a velocity of exactly zero that its position has not confirmed, or an empty string.
+
+        A joint that moved farther than the comparison tolerates, in agreement with its velocity, shows that velocities
+        are reported: then zeros are confirmed. Of a joint that lies, the comparison tells.
+        """
+        moves = any(
+            v != 0.0 and abs(x - first_x) > tolerance * WINDOW_S
+            for x, v, (_, first_x), tolerance in zip(positions, velocities, self._agreed_since, tolerances, strict=True)
+        )
+        self._unconfirmed = {
+            i
+            for i in self._unconfirmed
+            if not moves and velocities[i] == 0.0 and stamp_ns - self._agreed_since[i][0] < CONFIRMATION_NS
+        }
+        if not self._unconfirmed:
+            return ""
+        return f"the velocity of {self._joints[min(self._unconfirmed)]} reads zero, not yet confirmed by its position"
 
     def _mismatch(self, i: int, excess: float) -> str:
         return f"the position of {self._joints[i]} is {excess:+.4f} {self._units[i]} off the integral of its velocity"

@@ -22,6 +22,7 @@ from scara_effmass.iso15066.pose_change import Matrix
 from scara_effmass.model.dynamics import EffectiveMasses, ModelMass, RobotDynamics, effective_mass
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.safety.debounce import VerdictDebouncer, severity
+from scara_effmass.safety.joint_state_adapter import JointStateAdapter, suggested_map
 from scara_effmass.safety.joint_state_validator import NANOSECONDS, JointStateValidator, OtherDevice
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
 from scara_effmass.values import (
@@ -76,6 +77,7 @@ class Monitor:
             raise RobotError(f"{dynamics.robot.origin}: {reason}")
         self._use(dynamics)
         self.settings = settings
+        self._adapter = JointStateAdapter(dynamics.robot.joint_names, settings)
         self._validator = JointStateValidator(dynamics.robot)
         self._debouncers = {name: VerdictDebouncer() for name in dynamics.contact_points}
         self.first_cause: Cause | None = None
@@ -87,6 +89,7 @@ class Monitor:
         self._payload: Payload | None = None
         self.payload_reason = f"no payload on {topic} yet" if topic else ""
         """Why the payload is unknown, which makes every verdict UNKNOWN; empty if it is known."""
+        self._other_names: tuple[str, ...] = ()
         self.apply(settings)
 
     def _use(self, dynamics: RobotDynamics) -> None:
@@ -111,6 +114,7 @@ class Monitor:
             self._use(self.dynamics.with_payload(settings))
         self.settings = settings
         self._limits = limits
+        self._adapter.apply(settings)
         self._validator.apply(settings)
         self._is_auto = settings.effective_mass_model is MassModel.AUTO
         self._mass_factor = 1.0 + settings.mass_uncertainty
@@ -140,6 +144,17 @@ class Monitor:
         """The payload with its sources, or why it is unknown."""
         return self.payload_reason or self.dynamics.robot.payload_text
 
+    @property
+    def joint_map_hint(self) -> str:
+        """Names of the last joint state without a joint of the robot, and a `joint_map` for them; empty if none."""
+        names = self._other_names
+        return f"; they name {', '.join(names)}{suggested_map(names, self.dynamics.robot.joint_names)}" if names else ""
+
+    def names_of(self, reported: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names that `joint_map` and `joint_names` give to the joints of a joint state."""
+        names = self._adapter.names_of(reported)
+        return reported if isinstance(names, str) else names
+
     def reset(self) -> None:
         """Clear the first cause, and with it a latched verdict."""
         self.first_cause = None
@@ -148,6 +163,7 @@ class Monitor:
 
     def clear_history(self) -> None:
         """Discard earlier joint states: the node's clock jumped back, and the stamps follow."""
+        self._adapter.reset()
         self._validator.reset()
         for debouncer in self._debouncers.values():
             debouncer.clear()
@@ -158,7 +174,9 @@ class Monitor:
 
     def take_command(self, command: JointState, now_ns: int) -> None:
         """Take the positions that the controller commanded, received at `now_ns` on the node's clock."""
-        self._validator.take_command(command, now_ns)
+        names = self._adapter.names_of(command.names)
+        if not isinstance(names, str):
+            self._validator.take_command(command._replace(names=names), now_ns)
 
     def take_payload(self, payload: Payload | str) -> None:
         """Count `payload` of `payload_topic` from the next joint state on.
@@ -190,9 +208,11 @@ class Monitor:
             # System time was set back, which raises no jump callback.
             self.clear_history()
             previous_ns = 0
-        motion = validator.validate(state, now_ns, sequence_number)
+        adapted = self._adapter.adapt(state) if self._adapter.is_needed else state
+        motion = adapted if isinstance(adapted, str) else validator.validate(adapted, now_ns, sequence_number)
         if isinstance(motion, OtherDevice):
             self.ignored += 1
+            self._other_names = motion.names
             return None
         age = (now_ns - state.stamp_ns) / 1e9 if state.stamp_ns > 0 else 0.0
         if isinstance(motion, str):
@@ -202,11 +222,15 @@ class Monitor:
         if previous_ns and state.stamp_ns - previous_ns > validator.timeout_ns:
             for debouncer in self._debouncers.values():
                 debouncer.mark_stale(f"no joint state for {(state.stamp_ns - previous_ns) / 1e9:.3f} s")
+        tolerance = motion.velocity_tolerance
+        if self._adapter.is_needed:
+            changes = self._adapter.velocity_change
+            tolerance = [tolerated + change for tolerated, change in zip(tolerance, changes, strict=True)]
         effective_masses = self.dynamics.effective_masses(
             motion.q,
             motion.qd,
             self.settings.speed_threshold,
-            motion.velocity_tolerance,
+            tolerance,
             self._changes,
             self.settings.model_margin if self._is_auto and self._is_scara else None,
         )
@@ -238,7 +262,7 @@ class Monitor:
         last_ns, seconds = self._validator.last_stamp_ns, elapsed_ns / 1e9
         reason = f"no joint state for {seconds:.2f} s" if last_ns else "no joint state yet"
         if self.ignored:
-            reason += f" ({self.ignored} named none of the robot's joints)"
+            reason += f" ({self.ignored} named none of the robot's joints){self.joint_map_hint}"
         contacts = [self._unknown(name, reason, last_ns or now_ns, seconds) for name in self._debouncers]
         return self._decision(tuple(contact._replace(watchdog=True) for contact in contacts))
 
@@ -368,6 +392,7 @@ class Monitor:
             model_reason,
             test_direction,
             min(test_mass, cap),
+            self._adapter.delay_s,
         )
 
     def _along_test_direction(

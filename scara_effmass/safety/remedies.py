@@ -23,6 +23,7 @@ REMEDIES: dict[str, str] = {
     "name … of the joint state is empty": NAMES,
     "joint … is named twice": DRIVER,
     "joint … is missing": NAMES,
+    "joint_map gives joint … several names": "make the entries of `joint_map` fit each joint once",
     "positions for … names": DRIVER,
     "velocities for … names": DRIVER,
     "the velocity is empty": VELOCITY,

@@ -26,6 +26,7 @@ from scara_effmass.settings.monitor import (
     MassModel,
     MonitorSettings,
     ServoSettings,
+    VelocitySource,
 )
 from scara_effmass.settings.validator import CriterionSettings, ValidatorSettings
 
@@ -54,6 +55,7 @@ __all__ = [
     "Stamps",
     "TareSettings",
     "ValidatorSettings",
+    "VelocitySource",
     "checked",
     "load_settings",
 ]

@@ -1,6 +1,7 @@
 """Settings of the monitor."""
 
 import math
+import re
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -36,6 +37,13 @@ class Drives(str, Enum):
     FREE = "free"
     SERVO = "servo"
     IMMOVABLE = "immovable"
+
+
+class VelocitySource(str, Enum):
+    """Joint velocities: as reported, or computed from positions and header stamps."""
+
+    REPORTED = "reported"
+    FROM_POSITIONS = "from_positions"
 
 
 Offset = Annotated[float, Field(ge=-2.0, le=2.0)]
@@ -103,6 +111,17 @@ class MonitorSettings(FrozenSettings):
         (),
         'points to watch: a link (URDF) or point (DH YAML) by name, or "name=link: x y z", a point in the frame '
         "of a link [m]; empty: all points of a DH file, the tip of the longest chain of a URDF",
+    )
+    joint_map: tuple[str, ...] = fixed(
+        (),
+        'names of the robot for those in the joint states: "reported=robot"; * on both sides stands for any text '
+        '("left_*=*"); "re:REGEX=NAME" with groups \\1, \\2',
+    )
+    joint_names: tuple[str, ...] = fixed(
+        (), "names of the positions in joint states without names; empty: such joint states give UNKNOWN"
+    )
+    joint_limits: tuple[str, ...] = fixed(
+        (), 'position limits in place of those of the robot file [rad or m]: "joint=lower upper"'
     )
     locked_joints: tuple[str, ...] = fixed(
         ("*gripper*", "*finger*"),
@@ -221,9 +240,36 @@ class MonitorSettings(FrozenSettings):
         ge=0.0,
         le=0.5,
     )
-    differentiate_velocity: bool = tunable(
-        default=False, description="compute an empty velocity from positions and header stamps"
+    velocity_source: VelocitySource = tunable(
+        VelocitySource.REPORTED, "joint velocities: reported, or from_positions (and header stamps)"
     )
+    velocity_window: float = tunable(
+        0.0,
+        "window of the velocity filter, which delays the velocity by half of it [s]: mean of the reported ones, or "
+        "slope of a line through the positions; 0: none, or the last two positions",
+        ge=0.0,
+        le=1.0,
+    )
+
+    @field_validator("velocity_window")
+    @classmethod
+    def _check_window(cls, window_s: float, info: ValidationInfo) -> float:
+        max_lag_s = info.data.get("max_velocity_lag", window_s)
+        if window_s > max_lag_s:  # half of the lag is left to the driver
+            raise ValueError(f"must be at most max_velocity_lag = {max_lag_s} s")
+        return window_s
+
+    @field_validator("joint_map")
+    @classmethod
+    def _check_joint_map(cls, entries: tuple[str, ...]) -> tuple[str, ...]:
+        _renames(entries)
+        return entries
+
+    @field_validator("joint_limits")
+    @classmethod
+    def _check_joint_limits(cls, entries: tuple[str, ...]) -> tuple[str, ...]:
+        _limits(entries)
+        return entries
 
     @field_validator("payload_topic")
     @classmethod
@@ -261,9 +307,51 @@ class MonitorSettings(FrozenSettings):
         return self.model_copy(update=values)
 
     @property
+    def joint_renames(self) -> list[tuple[re.Pattern[str], str]]:
+        """Pattern of the reported name, and template of the robot's name, for each entry of `joint_map`."""
+        return _renames(self.joint_map)
+
+    @property
+    def position_limits(self) -> dict[str, tuple[float, float]]:
+        """Lower and upper limit [rad or m] of the joints in `joint_limits`."""
+        return _limits(self.joint_limits)
+
+    @property
     def robot_path(self) -> Path:
         """Path of the robot file: `robot`, or the shipped Omron i4-550L where that is empty."""
         return Path(self.robot) if self.robot else share("config", "omron_i4_550l.yaml")
+
+
+def _renames(entries: tuple[str, ...]) -> list[tuple[re.Pattern[str], str]]:
+    renames = []
+    for entry in entries:
+        reported, _, name = entry.rpartition("=")
+        is_regex = reported.startswith("re:")
+        if not reported or not name or (not is_regex and max(reported.count("*"), name.count("*")) > 1):
+            raise ValueError(f'{entry!r}: must be "reported=robot", "left_*=*" or "re:REGEX=NAME"')
+        if not is_regex:
+            reported, name = re.escape(reported).replace(r"\*", "(.*)"), name.replace("*", r"\1")
+        try:
+            pattern = re.compile(reported.removeprefix("re:"))
+            re.sub(pattern, name, "")
+        except (re.error, IndexError) as error:
+            raise ValueError(f"{entry!r}: {error}: must be a regular expression and a name") from None
+        renames.append((pattern, name))
+    return renames
+
+
+def _limits(entries: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    limits = {}
+    for entry in entries:
+        joint, _, numbers = entry.partition("=")
+        try:
+            lower, upper = map(float, numbers.split())
+        except ValueError:
+            lower = upper = 0.0
+        if not joint or not -math.inf < lower < upper < math.inf:
+            raise ValueError(f'{entry!r}: must be "joint=lower upper" with lower < upper')
+        limits[joint] = lower, upper
+    return limits
 
 
 def unit_vector(text: str) -> Vector3 | None:

@@ -20,8 +20,8 @@ _DOUBLES = 15
 _FLOAT64 = struct.Struct("<4sd")
 _END = struct.Struct("<d??6xd?7x15d")
 """From input_age to full_mobility."""
-_TEST = struct.Struct("<4d")
-"""test_direction and test_effective_mass."""
+_TAIL = struct.Struct("<5d")
+"""From test_direction to velocity_delay."""
 
 
 def contact_from(message: ContactState) -> ContactAssessment:
@@ -65,9 +65,8 @@ class ContactStateEncoder:
         """Return the CDR bytes of the message."""
         stamp_ns, _, direction, *numbers = contact[:15]
         body_region, criterion, verdict, reason = contact[15:19]
-        *_, lumped_mobility, full_mobility, contact_normal, mass_model, model_reason, test_direction, test_mass = (
-            contact
-        )
+        *_, lumped_mobility, full_mobility, contact_normal, mass_model, model_reason = contact[:-3]
+        test_direction, test_mass, delay = contact[-3:]
         texts = (body_region, criterion, verdict, reason, contact_normal, mass_model, model_reason)
         if texts != self._texts:
             encoded = with_text(with_text(b"", body_region), criterion) + bytes((verdict,))
@@ -80,5 +79,5 @@ class ContactStateEncoder:
             + self._encoded_texts
             + _END.pack(*contact[19:27], *lumped_mobility, *full_mobility)
             + self._encoded_models
-            + _TEST.pack(*test_direction, test_mass)
+            + _TAIL.pack(*test_direction, test_mass, delay)
         )

@@ -45,6 +45,18 @@ def test_shipped_file(omron: Robot) -> None:
     assert omron.model.velocityLimit.tolist() == [12.6, 12.6, 3.0, 50.0]
 
 
+def test_limits_by_option_replace_those_of_the_file(omron_rows: dict[str, Any], tmp_path: Path) -> None:
+    put(omron_rows, "joints.0.lower", ...)
+    put(omron_rows, "joints.1.upper", -9.0)
+    path = tmp_path / "robot.yaml"
+    path.write_text(yaml.safe_dump(omron_rows), encoding="utf-8")
+    robot = load_dh(path, MonitorSettings(joint_limits=("joint1=-1 2", "joint2=-0.5 0.5")))
+    assert robot.model.lowerPositionLimit.tolist()[:2] == [-1.0, -0.5]
+    assert robot.model.upperPositionLimit.tolist()[:2] == [2.0, 0.5]
+    with pytest.raises(RobotError, match="joint_limits = 'joint5': must be joint"):
+        load_dh(OMRON, MonitorSettings(joint_limits=("joint5=-1 2",)))
+
+
 def test_samples_cover_the_joint_limits(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
     for joint, (lower, upper) in enumerate(((4.0, 6.0), (-6.0, -4.5), (5.0, 5.3), (-100.0, 100.0))):
         omron_rows["joints"][joint].update(lower=lower, upper=upper)

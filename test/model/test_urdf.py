@@ -153,6 +153,27 @@ class TestFixedJoints:
         assert robot.moving_mass == pytest.approx(5.34)
         assert "held fixed in the model: side" in robot.notes
 
+    @pytest.mark.parametrize("limit", ["", '<limit effort="1" velocity="3"/>', '<limit lower="0" upper="0"/>'])
+    def test_locked_joints_need_no_limits(self, limit: str) -> None:
+        text = with_more(link("jaw", 0.3), joint("gripper", "tool", "jaw", inside=limit or " "))
+        robot = parse(text, locked_joints=("gripper",))
+        assert robot.joint_names == ("j1", "j2", "j3", "j4")
+        with pytest.raises(
+            RobotError, match=r'joint gripper: .*, in the file or as joint_limits "gripper=LOWER UPPER"'
+        ):
+            parse(text, locked_joints=())
+
+    @pytest.mark.parametrize("limit", ["", '<limit lower="0" upper="0" effort="1" velocity="3"/>', "<limit/>"])
+    def test_limits_by_option(self, limit: str) -> None:
+        stated = '<limit lower="-2" upper="2" effort="1" velocity="3"/>'
+        robot = parse(SCARA.replace(stated, limit, 1), joint_limits=("j1=-0.5 0.7", "j4=-1 1"))
+        assert robot.model.lowerPositionLimit.tolist() == [-0.5, -2.0, -2.0, -1.0]
+        assert robot.model.upperPositionLimit.tolist() == [0.7, 2.0, 2.0, 1.0]
+        with pytest.raises(
+            RobotError, match=r"scara.urdf: joint_limits = 'j5': must be one of j1, j2, j3, j4|must be j"
+        ):
+            parse(joint_limits=("j5=-1 1",))
+
     def test_joints_beyond_a_contact_point_move(self) -> None:
         # What the elbow presents depends on how the forearm lies, so q2 must stay in the model.
         robot = parse(contact_points=("fore",), payload_mass=0.25)

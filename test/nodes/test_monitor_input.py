@@ -193,7 +193,7 @@ def test_second_publisher_of_either_reliability_is_received_and_reported(
 
 
 def test_empty_velocity_is_differentiated_on_request(harness: NodeHarness) -> None:
-    assert harness.set_parameters(differentiate_velocity=True) == ""
+    assert harness.set_parameters(velocity_source="from_positions") == ""
     try:
         stamp = time.time_ns()
         harness.response_to(joint_state(stamp, velocity=()))
@@ -205,7 +205,7 @@ def test_empty_velocity_is_differentiated_on_request(harness: NodeHarness) -> No
             harness.response_to(joint_state(stamp + step + 1, position=moved)).speed, rel=1e-9
         )
     finally:
-        assert harness.set_parameters(differentiate_velocity=False) == ""
+        assert harness.set_parameters(velocity_source="reported") == ""
 
 
 def test_diagnostics_name_a_subscriber_with_incompatible_qos(harness: NodeHarness) -> None:

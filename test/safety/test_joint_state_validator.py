@@ -285,6 +285,35 @@ class TestZeroVelocity:
             q = (0.3 + 1e-5 * i + 0.0005 * (-1) ** i, 1.2, 0.1, -0.4)
             assert feed(state(position=q, velocity=(0.0,) * 4))[0] is Verdict.OK
 
+    def test_zeros_are_confirmed_by_another_joint_that_moves(self, scara: RobotDynamics) -> None:
+        feed = Feed(make_monitor(scara))
+        speed = 1.0
+        verdicts = [
+            feed(state(position=(0.3 + speed * i * 1e-3, *Q[1:]), velocity=(speed, 0.0, 0.0, 0.0)))[0]
+            for i in range(100)
+        ]
+        first_ok = verdicts.index(Verdict.OK)
+        assert 10 < first_ok < 30  # milliseconds: joint 1 moved farther than the tolerances explain
+        assert set(verdicts[first_ok:]) == {Verdict.OK}
+
+    def test_velocity_of_one_sample_confirms_no_zeros(self, scara: RobotDynamics) -> None:
+        """Joint 1 states a velocity, but its position stays: that contradicts, and confirms nothing."""
+        feed = Feed(make_monitor(scara))
+        verdicts = [feed(state(velocity=(0.5, 0.0, 0.0, 0.0)))[0] for _ in range(300)]
+        assert set(verdicts) == {Verdict.UNKNOWN}
+
+    def test_slow_start_and_reversal_of_one_joint_leave_no_doubt_about_its_zeros(self, scara: RobotDynamics) -> None:
+        """Joint 4 reports zero below 0.05 rad/s, which is off its position at times; joint 1 moves all the time."""
+        feed = Feed(make_monitor(scara))
+        reasons = []
+        for i in range(20_000):
+            t = i / 500.0
+            q = np.array([0.9 * np.sin(0.8 * t), 1.2, 0.1, np.sin(0.25 * t) ** 3])
+            qd = np.array([0.72 * np.cos(0.8 * t), 0.0, 0.0, 0.75 * np.sin(0.25 * t) ** 2 * np.cos(0.25 * t)])
+            reasons.append(feed(state(position=q, velocity=np.where(np.abs(qd) < 0.05, 0.0, qd)), 2 * MS)[1])
+        assert any(reason.startswith("the position of joint4") for reason in reasons)
+        assert not any("reads zero" in reason for reason in reasons[100:])
+
 
 Lie = Callable[[Motion], tuple[FloatArray, FloatArray]]
 LIES: dict[str, Lie] = {
@@ -495,7 +524,7 @@ class TestDifferentiation:
         step_ns = 15_625_000
         start = NOW - NOW % step_ns
         with_velocity = make_monitor(scara, velocity_tolerance=0.0)
-        differentiated = make_monitor(scara, velocity_tolerance=0.0, differentiate_velocity=True)
+        differentiated = make_monitor(scara, velocity_tolerance=0.0, velocity_source="from_positions")
         qd = (0.5, -0.25, 0.125, 1.0)
         for i in range(4):
             q = tuple(x + v * i / 64.0 for x, v in zip((0.25, 1.25, 0.125, -0.5), qd, strict=True))
@@ -503,20 +532,23 @@ class TestDifferentiation:
             expected = with_velocity.assess(state(now, position=q, velocity=qd), now)
             decision = differentiated.assess(state(now, position=q, velocity=()), now)
             assert decision is not None
+            assert expected is not None
             if i:
-                assert repr(decision) == repr(expected)
+                (contact,), (stated,) = decision.contacts, expected.contacts
+                assert (contact.velocity_delay, stated.velocity_delay) == (0.5 * step_ns / 1e9, 0.0)
+                assert repr(contact._replace(velocity_delay=0.0)) == repr(stated)
             else:
                 assert decision.contacts[0].reason.startswith("the velocity is empty, and one joint state alone")
 
     def test_gap_cannot_be_differentiated(self, scara: RobotDynamics) -> None:
-        feed = Feed(make_monitor(scara, differentiate_velocity=True))
+        feed = Feed(make_monitor(scara, velocity_source="from_positions"))
         feed(state(velocity=()))
         verdict, reason = feed(state(velocity=()), 201 * MS)
         assert verdict is Verdict.UNKNOWN
         assert "cannot be differentiated" in reason
 
     def test_nan_position_gives_no_velocity(self, scara: RobotDynamics) -> None:
-        feed = Feed(make_monitor(scara, differentiate_velocity=True))
+        feed = Feed(make_monitor(scara, velocity_source="from_positions"))
         feed(state(velocity=()))
         assert feed(state(position=(NAN, *Q[1:]), velocity=())) == (
             Verdict.UNKNOWN,
@@ -526,7 +558,7 @@ class TestDifferentiation:
         assert feed(state(velocity=()))[1].startswith("the velocity of joint1 reads zero")
 
     def test_wrong_velocity_length_is_invalid_with_differentiation(self, scara: RobotDynamics) -> None:
-        feed = Feed(make_monitor(scara, differentiate_velocity=True))
+        feed = Feed(make_monitor(scara, velocity_source="from_positions"))
         assert feed(state(velocity=QD[:2])) == (Verdict.UNKNOWN, "2 velocities for 4 names")
 
 
@@ -569,10 +601,13 @@ def test_no_input_raises_or_gives_nan_or_a_wrong_verdict(
     states: list[JointState],
     differentiate: bool,  # noqa: FBT001
 ) -> None:
-    monitor = make_monitor(scara, differentiate_velocity=differentiate)
+    monitor = make_monitor(scara, velocity_source="from_positions" if differentiate else "reported")
     last_ns = 0
     for joint_state in states:
-        valid = is_valid(joint_state, NOW, last_ns)
+        # From positions, a reported velocity is not used, whatever it is, if there is one for each name.
+        is_unused = differentiate and len(joint_state.velocity) in {0, len(joint_state.names)}
+        used = joint_state._replace(velocity=np.zeros(len(joint_state.names))) if is_unused else joint_state
+        valid = is_valid(used, NOW, last_ns)
         decision = monitor.assess(joint_state, NOW)
         if decision is None:
             assert not set(joint_state.names) & set(JOINTS)
@@ -588,7 +623,7 @@ def test_no_input_raises_or_gives_nan_or_a_wrong_verdict(
         if contact.verdict is Verdict.UNKNOWN:
             assert contact.reason
             assert (contact.allowable_speed, decision.allowable_speed, decision.speed_scaling) == (0.0, 0.0, 0.0)
-        elif not (differentiate and not len(joint_state.velocity)):
+        else:
             assert valid
         if valid:
             last_ns = joint_state.stamp_ns
@@ -670,6 +705,6 @@ class TestBoundaries:
     def test_gap_up_to_the_timeout_can_be_differentiated(
         self, scara: RobotDynamics, gap_ms: int, expected: Verdict
     ) -> None:
-        feed = Feed(make_monitor(scara, differentiate_velocity=True))
+        feed = Feed(make_monitor(scara, velocity_source="from_positions"))
         feed(state(velocity=()))
         assert feed(state(position=[q + 0.01 for q in Q], velocity=()), gap_ms * MS)[0] is expected

@@ -27,7 +27,7 @@ NAMES = re.compile(r"reason|masses|.*_reason|error|warning|_empty_velocity|_payl
 """Variables and attributes that hold reasons."""
 CALLS = re.compile("reject|mark_stale|_?publish_last|_?unknown|unknown_decision")
 """Functions that take a reason."""
-NO_REASONS = {"remedy", "_limit_text", "_choice", "suggested_map"}
+NO_REASONS = {"remedy", "_limit_text", "_choice", "suggested_map", "joint_map_hint"}
 """Functions of `safety` whose text is not a reason, or only a part of one."""
 PREFIXES = ("held after: ", "latched until reset: ")
 

@@ -19,7 +19,7 @@ CONTRACT = {
         "obstacle_mass reduced_mass stiffness predicted_force allowable_speed margin body_region criterion verdict "
         "reason input_age worst_direction_used mass_capped smallest_singular_value watchdog "
         "worst_normal_reduced_mass force_bound clamping_force lumped_mobility full_mobility contact_normal mass_model "
-        "mass_model_reason test_direction test_effective_mass"
+        "mass_model_reason test_direction test_effective_mass velocity_delay"
     ),
     "ForceBlock": (
         "header first_sample sample_rate force lost_samples saturated saturated_samples clock_residual filter_delay "
