@@ -88,6 +88,47 @@ def test_last_message_before_the_end_is_unknown(
         assert harness.process.wait(TIMEOUT_S) == 0
 
 
+SLOW_ACKNOWLEDGEMENT = """
+import time
+from rclpy.publisher import Publisher
+from scara_effmass.nodes import monitor_node
+wait_for_all_acked = Publisher.wait_for_all_acked
+def slowly(publisher, timeout):
+    print(publisher.topic_name, flush=True)
+    time.sleep(1.0)
+    return wait_for_all_acked(publisher, timeout)
+Publisher.wait_for_all_acked = slowly
+raise SystemExit(monitor_node.main())
+"""
+
+
+def test_nothing_follows_the_last_message_and_a_second_signal_changes_nothing(
+    new_harness: Callable[..., NodeHarness],
+) -> None:
+    harness = new_harness()
+    process = harness.start(*PATIENT, command=(sys.executable, "-c", SLOW_ACKNOWLEDGEMENT))
+    harness.subscribe()
+    answer(harness, ContactState.OK)
+    harness.process_may_end = True
+
+    def send() -> None:
+        harness.send(joint_state(velocity=STILL))
+
+    process.send_signal(signal.SIGTERM)
+    harness.spin_until(lambda: harness.contact_states[-1].verdict == ContactState.UNKNOWN, repeat=send)
+    process.send_signal(signal.SIGTERM)
+    harness.spin_until(lambda: process.poll() is not None, repeat=send)
+    harness.spin_until(lambda: not harness.node.count_publishers("contact_state"))
+    assert process.returncode == 0
+    assert process.stdout is not None
+    assert process.stdout.read().split() == ["/contact_state", "/allowable_speed", "/speed_scaling"]
+    assert harness.contact_states[-1].reason == "the node shuts down"
+    verdicts = [c.verdict for c in harness.contact_states]
+    from_ok = verdicts[verdicts.index(ContactState.OK) :]
+    assert from_ok == [*[ContactState.OK] * (len(from_ok) - 1), ContactState.UNKNOWN]
+    assert [received[-1] for received in harness.scalars.values()] == [0.0, 0.0]
+
+
 def test_deactivation_leaves_latch_and_debounce_alone(new_harness: Callable[..., NodeHarness]) -> None:
     harness = new_harness(*PATIENT, "-p", "latch:=true")
     harness.subscribe()
