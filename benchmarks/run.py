@@ -27,7 +27,22 @@ def main() -> None:
     def row(what: str, ours: float, against: str, theirs: float, unit: str, goal: str) -> None:
         table.add_row(what, f"{ours:,.1f} {unit}", against, f"{theirs:,.1f} {unit}", f"{ours / theirs:.2f}", goal)
 
-    row("core, one cycle", *_around("CRBA + J + solve, one mass", core.measure()), "us", "<= 2")
+    pinocchio = "CRBA + J + solve, one mass"
+    kind = "compiled" if core.compiled() else "NOT compiled, see doctor"
+    row(f"core, one cycle ({kind})", *_around(pinocchio, core.measure()), "us", "<= 2.2")
+    first, _ = times = core.measure_chain(4)
+    row("core, 4 joints", *_around(pinocchio, times), "us", "")
+    for joints in (6, 7, 14):
+        linear = f"<= {first * joints / 4.0:,.0f} us"  # growth no worse than linear
+        row(f"core, {joints} joints", *_around(pinocchio, core.measure_chain(joints)), "us", linear)
+    for points in (4, 16):
+        times = core.measure_chain(4, points)
+        row(
+            f"core, 4 joints, {points} contact points",
+            *_around("one mass each", times),
+            "us",
+            f"<= {first * points:,.0f} us",
+        )
     row("core, 4 contact points", *_around("1 contact point", core.measure_contact_points()), "us", "< 4")
     row("bag, joint states", *_around("rosbags", bags.measure()), "1/s", ">= 10")
     row("bag -> verdicts", *_around("rosbags decoding alone", assess.measure()), "1/s", "")

@@ -28,7 +28,7 @@ Line = tuple[float, float]
 """alpha [1/kg] and beta of the bound 1/mu(n) >= alpha + beta / m_n."""
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def contact_lines(
     drives: Drives, servo: ServoSettings, stiffness: tuple[float, ...], obstacle_mass: tuple[float, ...]
 ) -> list[tuple[Line, ...]]:

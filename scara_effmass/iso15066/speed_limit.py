@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from scara_effmass.errors import LimitError
@@ -49,7 +50,8 @@ _Bound = tuple[float, float, float, float]
 """v_max [m/s], reduced mass [kg], growth [s/m] and push [N]."""
 
 
-class _Case(NamedTuple):
+@dataclass
+class _Case:  # no tuple, because mypyc reads the attributes of a class faster
     """One limit; `rate` is k / F^2, `lines` bound its reduced mass.
 
     `max_mu` is a bound of it for any robot. `drive_time` is the time [s] for which the pose changes, where drives push

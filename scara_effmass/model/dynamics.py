@@ -144,22 +144,29 @@ class RobotDynamics:
         full, whose change of pose is computed; with `margin` not of both, but of the lumped one where
         `EffectiveMasses.lumped_is_heavy_enough`, else of the full one.
         """
-        pin.computeJointJacobiansTimeVariation(self.robot.model, self._kinematics, q, qd)
-        inverses = [self._inverse(model, data, q) for model, data in self._models.values()]
+        pairs = list(self._models.values())
+        inverses = [self._inverse(model, data, q) for model, data in pairs]
         wanted = [name in changes for name in self._models]
         matrices: list[FloatArray | None] = [None for _ in inverses]
 
         def coriolis(index: int) -> FloatArray:
             matrix = matrices[index]
             if matrix is None:
-                model, data = list(self._models.values())[index]
+                model, data = pairs[index]
                 matrix = matrices[index] = pin.computeCoriolisMatrix(model, data, q, qd)
             return matrix
 
+        # The Coriolis matrix comes with J and dJ/dt.
+        kinematics = self._kinematics
+        if any(wanted):
+            coriolis(wanted.index(True))
+            kinematics = pairs[wanted.index(True)][1]
+        else:
+            pin.computeJointJacobians(self.robot.model, kinematics, q)
         rates = qd.tolist()
         return [
             self._at_contact(
-                rates, frame, rank, inverses, wanted, coriolis, speed_threshold, velocity_tolerance, margin
+                rates, kinematics, frame, rank, inverses, wanted, coriolis, speed_threshold, velocity_tolerance, margin
             )
             for _, frame, rank in self._contacts
         ]
@@ -167,6 +174,7 @@ class RobotDynamics:
     def _at_contact(
         self,
         qd: list[float],
+        kinematics: pin.Data,
         frame: int,
         rank: int,
         inverses: list[FloatArray],
@@ -177,7 +185,7 @@ class RobotDynamics:
         margin: float | None,
     ) -> EffectiveMasses:
         # Few calls of numpy, each of which costs more than the products of a row, and the rows as lists for the rest.
-        jacobian = self._jacobian(frame)
+        jacobian = self._jacobian(frame, kinematics)
         rows: Matrix = jacobian.tolist()
         vx, vy, vz = _times(rows, qd)
         speed = math.sqrt(vx * vx + vy * vy + vz * vz)
@@ -210,7 +218,7 @@ class RobotDynamics:
             wanted = [wanted[0] and takes_lumped, wanted[1] and not takes_lumped]
         changes: list[PoseChange | None] = [None for _ in wanted]
         if moving and any(wanted):
-            jacobian_rate = self._jacobian_rate(frame)
+            jacobian_rate = self._jacobian_rate(frame, kinematics)
             held = _times(jacobian_rate.tolist(), qd)
             for i, response in enumerate(responses):
                 if wanted[i]:
@@ -247,7 +255,7 @@ class RobotDynamics:
         model, data = self._models[name]
         _, frame, rank = self._contacts[contact]
         pin.computeJointJacobiansTimeVariation(self.robot.model, self._kinematics, q, qd)
-        jacobian, jacobian_rate = self._jacobian(frame), self._jacobian_rate(frame)
+        jacobian, jacobian_rate = self._jacobian(frame, self._kinematics), self._jacobian_rate(frame, self._kinematics)
         response = jacobian.T / np.diagonal(self.robot.mass_matrix(model, data, q))[:, None]
         mobility: Matrix = (jacobian @ response).tolist()
         worst_mass = _worst_mass(mobility, rank)
@@ -314,17 +322,17 @@ class RobotDynamics:
     def jacobian(self, q: FloatArray, frame: int) -> FloatArray:
         """Return J_v (3, n): linear velocity of Pinocchio's `frame` in base axes, per joint velocity."""
         pin.computeJointJacobians(self.robot.model, self._kinematics, q)
-        return self._jacobian(frame)
+        return self._jacobian(frame, self._kinematics)
 
-    def _jacobian(self, frame: int) -> FloatArray:
-        """Return J_v (3, n) at the configuration of the latest `computeJointJacobians`."""
-        jacobian: FloatArray = pin.getFrameJacobian(self.robot.model, self._kinematics, frame, _WORLD_AXES)
+    def _jacobian(self, frame: int, data: pin.Data) -> FloatArray:
+        """Return J_v (3, n) at the configuration of the latest `computeJointJacobians` on `data`."""
+        jacobian: FloatArray = pin.getFrameJacobian(self.robot.model, data, frame, _WORLD_AXES)
         linear = jacobian[:3]
         return linear if linear.ndim > 1 else linear[:, None]  # Pinocchio returns a vector for a single joint
 
-    def _jacobian_rate(self, frame: int) -> FloatArray:
-        """Return dJ_v/dt (3, n) of the latest `computeJointJacobiansTimeVariation`."""
-        rate: FloatArray = pin.getFrameJacobianTimeVariation(self.robot.model, self._kinematics, frame, _WORLD_AXES)
+    def _jacobian_rate(self, frame: int, data: pin.Data) -> FloatArray:
+        """Return dJ_v/dt (3, n) of the latest `computeJointJacobiansTimeVariation` on `data`."""
+        rate: FloatArray = pin.getFrameJacobianTimeVariation(self.robot.model, data, frame, _WORLD_AXES)
         linear = rate[:3]
         return linear if linear.ndim > 1 else linear[:, None]
 
