@@ -158,23 +158,26 @@ examples:
         flag("--clock", "publish /clock and wait for nodes that fall behind", default=None),
     ),
     "import": Command(
-        "convert force from CSV and TDMS files and from wrench topics to a bag",
+        "convert force from CSV, TDMS and wrench topics, or joint states from CSV, to a bag",
         """\
 FILE is a CSV file (.csv, .tsv, .txt), a TDMS file, or a bag with a topic of WrenchStamped, Wrench or Float64. BAG is a
 rosbag2 folder, or a file if it ends in .mcap; it holds ForceBlocks for `daq --source bag` and `validate`. The first
-FILE is on the topic force, the next ones are on force/file1, force/file2 and so on.
+FILE is on the topic force, the next ones are on force/file1, force/file2 and so on. With --joints, FILE is a CSV file
+with joint states for `assess`; examples/joint_csv has mapping files for UR's RTDE and for `ros2 topic echo --csv`.
 
 examples:
   scara-effmass import load_cell.csv -o load_cell
   scara-effmass import run.csv --topic "Force (lbf)" --time-column "Time (ms)" --invert -o run.mcap
   scara-effmass import bridge.tdms --topic cell/ai0 --sensitivity 2.31 -o bridge
   scara-effmass import wrist.mcap --topic /ft_sensor/wrench --axis norm -o wrist_force
+  scara-effmass import rtde.csv --joints examples/joint_csv/ur_rtde.yaml -o motion
 """,
         Option("files", "CSV file, TDMS file or bag", "FILE", Path, nargs="+"),
         output("BAG", "bag to write"),
         Option("--topic", "topic, CSV column or TDMS channel of the force (default: the only one)"),
         *IMPORT,
         Option("--frame", "frame of the sensor (default: force_sensor)", dest="frame_id"),
+        Option("--joints", "mapping of CSV columns to joints: import joint states", "FILE", Path),
         FORCE,
         JSON,
     ),

@@ -77,3 +77,24 @@ def test_existing_output_is_replaced_only_with_force(csv: Path, tmp_path: Path, 
     assert cli(*words).returncode == 0
     assert "exists" in refused(*words)
     assert cli(*words, "--force").returncode == 0
+
+
+def test_joint_states_of_a_csv_file_are_assessed(tmp_path: Path, cli: Cli, refused: Refused) -> None:
+    rows = [f"{i / 100},{10 + 20 * i / 100},68,20,0,20,0,1e-9,0" for i in range(200)]
+    log, mapping, bag = tmp_path / "log.csv", tmp_path / "map.yaml", tmp_path / "run.mcap"
+    log.write_text("\n".join(["t,q0,q1,q2,q3,v0,v1,v2,v3", *rows]), encoding="utf-8")
+    units = ("deg", "deg", "mm", "deg")
+    joints = [f"  joint{i + 1}: {{position: q{i}, velocity: v{i}, unit: {unit}}}" for i, unit in enumerate(units)]
+    mapping.write_text("\n".join(["time: t", "joints:", *joints]), encoding="utf-8")
+    words = ("import", log, "--joints", mapping, "-o", bag)
+    assert cli(*words).stdout.splitlines() == [
+        "/joint_states   log.csv: 200 joint states, 1.000 to 2.990 s, with velocities",
+        "time            1.000 s later than in the file, which begins at 0 or before",
+        f"written         {bag}",
+    ]
+    result = json.loads(cli("assess", bag, "-o", tmp_path / "a.csv", "--json").stdout)
+    assert result["cycles_by_verdict"]["UNKNOWN"] < 40
+    assert result["tightest"]["positions"]["joint2"] == pytest.approx(np.radians(68.0))
+    assert json.loads(cli(*words, "--force", "--json").stdout)["joint_states"] == 200
+    assert "exists" in refused(*words)
+    assert "must belong to one file" in refused("import", log, log, *words[2:], "--force")

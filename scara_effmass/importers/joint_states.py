@@ -1,0 +1,133 @@
+"""Joint states from a CSV file, such as a log of UR's RTDE or of `ros2 topic echo --csv`, by a mapping file."""
+
+import csv
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from scara_effmass.bags.writer import BagWriter
+from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.input_files import read_yaml
+from scara_effmass.settings import checked
+from scara_effmass.settings.loading import FrozenSettings
+from scara_effmass.values import JointState
+from scara_effmass.wire.cdr import MAX_SEC, NS
+
+Column = int | str
+"""Name of a column, or its number from 0."""
+SCALES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}
+NS_PER_UNIT = {"s": NS, "ms": 1_000_000, "us": 1000, "ns": 1}
+FIRST_NS = NS
+"""Stamp of the first joint state where the times begin at 0 or before, which is no valid stamp."""
+
+
+class JointColumns(FrozenSettings):
+    """Columns of one joint; `unit` is that of its position, and per second of its velocity."""
+
+    position: Column
+    velocity: Column | None = None
+    unit: Literal["rad", "mrad", "deg", "m", "mm"] = "rad"
+
+
+class JointTable(FrozenSettings):
+    """Content of a mapping file; `time` is one column, or two with seconds and nanoseconds."""
+
+    time: Column | tuple[Column, Column]
+    time_unit: Literal["s", "ms", "us", "ns"] = "s"
+    delimiter: str = Field(",", min_length=1, max_length=1)
+    header: bool = True
+    joints: dict[str, JointColumns] = Field(min_length=1)
+
+
+class ImportedJointStates(NamedTuple):
+    """What a CSV file held; `shift_s` was added to its times."""
+
+    joint_states: int
+    first_stamp_s: float
+    last_stamp_s: float
+    shift_s: float
+    has_velocity: bool
+
+
+def write_joint_state_bag(path: Path, mapping: Path, output: Path, *, overwrite: bool = False) -> ImportedJointStates:
+    """Write the joint states in the CSV file `path` to the topic joint_states of a new bag.
+
+    Raises BagError, SettingsError or OutputError, and leaves no incomplete bag then.
+    """
+    content = read_yaml(mapping, SettingsError)
+    if not isinstance(content, Mapping):
+        raise SettingsError(f"{mapping}: must hold time and joints")
+    table = checked(JointTable, content, str(mapping))
+    has_velocity = all(joint.velocity is not None for joint in table.joints.values())
+    if not has_velocity and any(joint.velocity is not None for joint in table.joints.values()):
+        raise SettingsError(f"{mapping}: joints: velocity must be given for all joints, or for none")
+    count = first_ns = last_ns = shift_ns = 0
+    with BagWriter(output, overwrite=overwrite) as bag:
+        for line, state in _joint_states(path, mapping, table):
+            if not count:
+                shift_ns = FIRST_NS - state.stamp_ns if state.stamp_ns <= 0 else 0
+                first_ns = state.stamp_ns + shift_ns
+            stamp_ns = state.stamp_ns + shift_ns
+            if count and stamp_ns <= last_ns:
+                raise BagError(f"{path}: line {line}: time: must be later than in the row before")
+            bag.write_joint_states("/joint_states", [state._replace(stamp_ns=stamp_ns)])
+            count, last_ns = count + 1, stamp_ns
+        if not count:
+            raise BagError(f"{path}: has no rows of numbers")
+    return ImportedJointStates(count, first_ns / NS, last_ns / NS, shift_ns / NS, has_velocity)
+
+
+def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tuple[int, JointState]]:
+    """Yield line and joint state of each row; blank rows are skipped."""
+    names, joints = tuple(table.joints), tuple(table.joints.values())
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = csv.reader(file, delimiter=table.delimiter, skipinitialspace=True)
+            header = [name.strip() for name in next(rows, [])] if table.header else []
+
+            def index(column: Column, key: str) -> int:
+                if isinstance(column, str) and header.count(column) != 1:
+                    one = f"must be one of {', '.join(header)}" if header else "must be a number without header"
+                    raise SettingsError(f"{mapping}: {key} = {column}: {one}")
+                return header.index(column) if isinstance(column, str) else column
+
+            times = [
+                index(column, "time") for column in (table.time if isinstance(table.time, tuple) else [table.time])
+            ]
+            positions = [index(joint.position, f"joints.{name}.position") for name, joint in table.joints.items()]
+            velocities = [
+                index(joint.velocity, f"joints.{name}.velocity")
+                for name, joint in table.joints.items()
+                if joint.velocity is not None
+            ]
+            scales = np.array([SCALES[joint.unit] for joint in joints])
+            for row in rows:
+                if not any(cell.strip() for cell in row):
+                    continue
+                try:
+                    stamp_ns = _stamp_ns([row[i] for i in times], NS_PER_UNIT[table.time_unit])
+                    position, velocity = (
+                        np.array([float(row[i]) for i in columns]) for columns in (positions, velocities)
+                    )
+                except (ValueError, IndexError, OverflowError):
+                    problem = f"must have numbers in columns {sorted({*times, *positions, *velocities})}"
+                    raise BagError(f"{path}: line {rows.line_num}: {problem} (from 0)") from None
+                yield rows.line_num, JointState(stamp_ns, names, position * scales, velocity * scales[: len(velocity)])
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BagError(f"{path}: cannot be read: {error}") from None
+
+
+def _stamp_ns(cells: list[str], ns_per_unit: int) -> int:
+    """Return the time in one cell, or in two with seconds and nanoseconds. Raises ValueError, OverflowError."""
+    if len(cells) > 1:
+        stamp_ns = int(cells[0]) * NS + int(cells[1])
+    else:
+        # A float has too few digits for a date in nanoseconds.
+        stamp_ns = int(cells[0]) * ns_per_unit if cells[0].isdecimal() else round(float(cells[0]) * ns_per_unit)
+    if abs(stamp_ns) > MAX_SEC * NS:
+        raise OverflowError
+    return stamp_ns

@@ -1,0 +1,87 @@
+"""Joint states from CSV files by a mapping file."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scara_effmass.bags.files import open_bag
+from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.importers.joint_states import ImportedJointStates, write_joint_state_bag
+from scara_effmass.values import JointState
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "joint_csv"
+MAPPING = """
+time: t
+time_unit: ms
+joints:
+  joint1: {position: a, velocity: va, unit: deg}
+  joint2: {position: b, velocity: vb, unit: mrad}
+  joint3: {position: c, velocity: vc, unit: mm}
+"""
+HEADER = "t,a,b,c,va,vb,vc"
+
+
+def states_of(tmp_path: Path, text: str, mapping: str | Path = MAPPING) -> tuple[ImportedJointStates, list[JointState]]:
+    """Return what was imported, and the joint states of the bag."""
+    (tmp_path / "log.csv").write_text(text, encoding="utf-8")
+    if isinstance(mapping, str):
+        (tmp_path / "map.yaml").write_text(mapping, encoding="utf-8")
+        mapping = tmp_path / "map.yaml"
+    imported = write_joint_state_bag(tmp_path / "log.csv", mapping, tmp_path / "out.mcap", overwrite=True)
+    with open_bag(tmp_path / "out.mcap") as bag:
+        blocks = list(bag.joint_state_blocks("/joint_states"))
+        assert all((block.log_time_ns == block.stamp_ns).all() for block in blocks)
+        return imported, [state for block in blocks for state in block.states()]
+
+
+def test_units_become_si_and_times_that_begin_at_zero_are_shifted(tmp_path: Path) -> None:
+    imported, (first, second) = states_of(tmp_path, f"{HEADER}\n0,180,500,20,90,-100,5\n\n4.5,181,501,21,91,-99,6\n")
+    assert imported == ImportedJointStates(2, 1.0, 1.0045, 1.0, has_velocity=True)
+    assert (first.stamp_ns, second.stamp_ns) == (1_000_000_000, 1_004_500_000)
+    assert first.names == ("joint1", "joint2", "joint3")
+    np.testing.assert_allclose(first.position, [np.pi, 0.5, 0.02], rtol=1e-15)
+    np.testing.assert_allclose(second.velocity, [np.radians(91), -0.099, 0.006], rtol=1e-15)
+
+
+def test_log_of_rtde_and_of_topic_echo_by_the_examples(tmp_path: Path) -> None:
+    columns = [f"actual_{kind}_{i}" for kind in ("q", "qd") for i in range(6)]
+    rows = [" ".join(["timestamp", *columns]), " ".join(map(str, [1234.5, *range(12)]))]
+    _, (state,) = states_of(tmp_path, "\n".join(rows), EXAMPLES / "ur_rtde.yaml")
+    assert (state.stamp_ns, state.names[2]) == (1_234_500_000_000, "elbow_joint")
+    assert (state.position.tolist(), state.velocity.tolist()) == ([*range(6)], [*range(6, 12)])
+
+    line = "1767225600,123456789,base,joint1,joint2,joint3,joint4,0.1,0.2,0.3,0.4,1.1,1.2,1.3,1.4,9,9,9,9"
+    _, (state,) = states_of(tmp_path, line, EXAMPLES / "topic_echo.yaml")
+    assert (state.stamp_ns, state.names) == (1_767_225_600_123_456_789, ("joint1", "joint2", "joint3", "joint4"))
+    assert (state.position.tolist(), state.velocity.tolist()) == ([0.1, 0.2, 0.3, 0.4], [1.1, 1.2, 1.3, 1.4])
+
+
+def test_positions_alone_give_no_velocity(tmp_path: Path) -> None:
+    imported, (state,) = states_of(tmp_path, "t,a\n5,1", "time: t\njoints: {joint1: {position: a}}")
+    assert not imported.has_velocity
+    assert (state.position.tolist(), len(state.velocity)) == ([1.0], 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "mapping", "message"),
+    [
+        (f"{HEADER}\n1,x,2,3,4,5,6", MAPPING, "log.csv: line 2: must have numbers in columns"),
+        (f"{HEADER}\n1,2,3", MAPPING, "log.csv: line 2: must have numbers in columns"),
+        (f"{HEADER}\n1,1,2,3,4,5,6\n1,1,2,3,4,5,6", MAPPING, "log.csv: line 3: time: must be later"),
+        (f"{HEADER}\n1e30,1,2,3,4,5,6", MAPPING, "line 2: must have numbers"),
+        (HEADER, MAPPING, "log.csv: has no rows of numbers"),
+        ("", MAPPING, "map.yaml: time = t: must be"),
+        ("t,a,b\n1,2,3", MAPPING, "map.yaml: joints.joint3.position = c: must be one of t, a, b"),
+        (HEADER, MAPPING.replace("velocity: vb, ", ""), "velocity must be given for all joints, or for none"),
+        (HEADER, MAPPING.replace("deg", "degrees"), "map.yaml: joints.joint1.unit = 'degrees'"),
+        (HEADER, "time: t", "map.yaml: joints: "),
+        (HEADER, "- t", "map.yaml: must hold time and joints"),
+    ],
+)
+def test_error_is_one_line_and_leaves_no_bag(tmp_path: Path, text: str, mapping: str, message: str) -> None:
+    with pytest.raises((BagError, SettingsError)) as error:
+        states_of(tmp_path, text, mapping)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+    assert not (tmp_path / "out.mcap").exists()
