@@ -28,7 +28,7 @@ from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettin
 from scara_effmass.settings.loading import flat_fields
 from scara_effmass.wire.topics import JOINT_STATES
 
-UNASKED = {"payload_topic", "joint_map", "joint_names", "joint_limits", "velocity_source", "velocity_window"}
+UNASKED = {"payload_topic", "joint_names", "joint_limits", "velocity_source", "velocity_window"}
 """Options that few cells need."""
 
 
@@ -65,6 +65,7 @@ def _checked(args: argparse.Namespace) -> tuple[MonitorSettings, RobotDynamics]:
     wrong = [f"{result.subject}: {result.text}" for result in results if result.level == "wrong"]
     if wrong or dynamics is None:
         raise SettingsError(wrong[0])
+    Monitor(dynamics, settings)  # raises for a joint_map that names other joints
     return settings, dynamics
 
 
@@ -77,6 +78,10 @@ def _interview(
         is_load = name in {"payload_com", "payload_inertia"}
         if name in UNASKED or getattr(args, name) is not None or (is_load and not args.payload_mass):
             continue
+        if name == "joint_map":
+            if not (problem := args.bag and _misfit(args, settings, dynamics)):
+                continue
+            print_lines([("", problem)])
         links = [frame.name for frame in dynamics.robot.model.frames if frame.type.name == "BODY"]
         choices = {"body_regions": BODY_REGIONS, "contact_points": links or dynamics.contact_points}
         names = choices.get(name, option.keywords.get("choices"))
@@ -85,7 +90,10 @@ def _interview(
         while text := input(f"  ({several}Enter: default) ").strip():
             try:
                 setattr(args, name, _value(option, text))
-                settings, dynamics = _checked(args)
+                checked = _checked(args)
+                if name == "joint_map" and (problem := _misfit(args, *checked)):
+                    raise SettingsError(problem)
+                settings, dynamics = checked
                 break
             except (EffmassError, ValueError, argparse.ArgumentTypeError) as error:
                 setattr(args, name, None)
@@ -99,6 +107,15 @@ def _value(option: Option, text: str) -> Any:  # noqa: ANN401 - as argparse
     words = text.split(",") if repeated else text.split() if nargs else [text]
     values = [(kind or str)(word.strip()) for word in words]
     return values if repeated or nargs else values[0]
+
+
+def _misfit(args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics) -> str:
+    """Return why the recording cannot be assessed, such as other joint names; empty if it can."""
+    try:
+        _recording(args, settings, dynamics)
+    except EffmassError as error:
+        return str(error)
+    return ""
 
 
 def _recording(args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics) -> tuple[str, Summary]:

@@ -11,6 +11,7 @@ import pytest
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
+from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.nodes.daq_node import DaqNode
 from scara_effmass.nodes.monitor_node import MonitorNode
@@ -161,8 +162,37 @@ def test_what_doctor_finds_wrong_is_not_written(words: tuple[str | Path, ...], m
     assert message in refused("init", *words)
 
 
-def test_recording_of_another_robot_is_refused(refused: Refused, motion: Path) -> None:
-    assert "joint" in refused("init", "--bag", motion)
+@pytest.fixture
+def renamed(motion: Path, tmp_path: Path) -> Path:
+    """The motion, with other names of the joints."""
+    with open_bag(motion) as bag, BagWriter(tmp_path / "left") as left:
+        for message in bag.messages():
+            data = message.data.replace(b"_joint", b"_motor")
+            left.write("/joint_states", message.type, message.log_time_ns, data)
+    return tmp_path / "left"
+
+
+def test_recording_with_other_names_needs_a_map(cli: Cli, refused: Refused, renamed: Path, tmp_path: Path) -> None:
+    hint = "; try joint_map shoulder_pan_motor=shoulder_pan_joint,"
+    assert hint in refused("init", "--robot", UR5, "--bag", renamed)
+    assert "joint_map = 'a=b': b: must be" in refused("init", "--robot", UR5, "--joint-map", "a=b")
+    done = cli("init", "--robot", UR5, "--bag", renamed, "--joint-map", "*_motor=*_joint")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert load_settings(MonitorSettings, tmp_path / "cell.yaml", "monitor").joint_map == ("*_motor=*_joint",)
+    assert cli("doctor", "--params", "cell.yaml").returncode == 0
+    result = json.loads(cli("assess", renamed, "-o", "a.csv", "--params", "cell.yaml", "--json").stdout)
+    assert result["cycles_by_verdict"]["UNKNOWN"] == 0
+
+
+def test_a_terminal_is_asked_for_the_map_only_where_names_differ(
+    cli: Cli, renamed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = [str(renamed), "full", "a=b", "*_motor=*_joint", *[""] * 6]
+    monkeypatch.setattr(sys, "stdin", Terminal("\n".join([*answers, ""])))
+    done = cli("init", "--robot", UR5)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "; try joint_map shoulder_pan_motor=" in done.stdout
+    assert load_settings(MonitorSettings, tmp_path / "cell.yaml", "monitor").joint_map == ("*_motor=*_joint",)
 
 
 def test_existing_file_is_kept_without_force(cli: Cli, refused: Refused, tmp_path: Path) -> None:
