@@ -30,6 +30,8 @@ TINY = 1e-9
 """Velocity of joints at rest [rad/s, m/s]: one of exactly zero has to be confirmed first."""
 PLANE_STEPS, PLANE_TOLERANCE_M = 20, 1e-4
 """Newton steps onto a plane, and the distance from it that is close enough."""
+AS_SAMPLED: dict[str, Any] = {"velocity_source": "reported", "velocity_window": 0.0}
+"""Settings of a monitor for single joint states, whose velocities no filter has seen before."""
 MAX_DRAWS = 10
 """Configurations drawn per configuration wanted: those that do not reach the plane do not count."""
 COLOUR_PERCENTILE = 95.0

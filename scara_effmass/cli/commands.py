@@ -478,6 +478,8 @@ examples:
         output("DIR", "folder for figure and counts"),
         TOPIC,
         *ROBOT,
+        *JOINTS,
+        TIME,
         params("monitor_node"),
         FORCE,
         JSON,

@@ -3,7 +3,7 @@
 import argparse
 import json
 
-from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
+from scara_effmass.analysis.assessment import Time, assess_joint_states, joint_state_topic
 from scara_effmass.analysis.coverage import Coverage
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
                 topic = joint_state_topic(bag, args.topic)
                 task = progress.add_task(path.name, total=next(t.count for t in bag.topics if t.name == topic))
                 coverage.begin(f"{bag.path.name}, {bag.start_ns} ns")  # also after it was moved
-                for _, state, decision in assess_joint_states(bag, topic, Monitor(dynamics, settings)):
+                for _, state, decision in assess_joint_states(bag, topic, Monitor(dynamics, settings), Time(args.time)):
                     progress.advance(task)
                     if state is not None and decision is not None:
                         coverage.add(state, decision.contacts)

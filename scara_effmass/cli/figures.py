@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
+from scara_effmass.analysis.workspace_map import AS_SAMPLED
 from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
@@ -33,7 +34,7 @@ def _other_robot(args: argparse.Namespace) -> int:
     """Draw what the paper shows of its robot's masses for the robot of --robot."""
     if args.campaign:
         raise SettingsError(f"--campaign = {args.campaign}: must belong to the paper's robot, so without --robot")
-    settings = monitor_settings(args)
+    settings = monitor_settings(args, **AS_SAMPLED)
     monitor = Monitor(load_dynamics(settings), settings)
     with progress_bar() as progress:
         task = progress.add_task("configurations", total=SAMPLES)

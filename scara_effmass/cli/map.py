@@ -9,7 +9,16 @@ from typing import Any
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
 from scara_effmass.analysis.tables import open_table, provenance
-from scara_effmass.analysis.workspace_map import MASSES, Cells, Plane, draw_map, map_table, sample_workspace, summarize
+from scara_effmass.analysis.workspace_map import (
+    AS_SAMPLED,
+    MASSES,
+    Cells,
+    Plane,
+    draw_map,
+    map_table,
+    sample_workspace,
+    summarize,
+)
 from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
@@ -21,7 +30,7 @@ ALONG_X = (1.0, 0.0, 0.0)
 
 def run(args: argparse.Namespace) -> int:
     """Sample the workspace, write figure, table and summary, and print the summary."""
-    settings = monitor_settings(args)
+    settings = monitor_settings(args, **AS_SAMPLED)
     if settings.payload_topic:
         raise SettingsError(
             f"payload_topic = {settings.payload_topic!r}: must be empty for a map: give --payload-topic ''"

@@ -28,6 +28,16 @@ def test_counts_of_an_earlier_run_are_added(swing_bag: Path, cli: Cli, refused: 
     assert "--force" in refused("coverage", swing_bag, "-o", tmp_path / "swing")
 
 
+def test_names_of_the_joints_can_be_mapped(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+    robot = tmp_path / "other.yaml"
+    text = share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8")
+    robot.write_text(text.replace("name: joint", "name: axis"), encoding="utf-8")
+    words = ("coverage", swing_bag, "-o", tmp_path / "out", "--robot", robot, "--joint-map", "joint*=axis*", "--json")
+    result = json.loads(cli(*words).stdout)
+    assert result["joint_states"] > 900
+    assert result["covered"]["position axis1"] > 0.0
+
+
 def test_other_file_is_refused(refused: Refused, tmp_path: Path) -> None:
     for content in ("{}", "no JSON", "[1]"):
         (tmp_path / "other.json").write_text(content, encoding="utf-8")

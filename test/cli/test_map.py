@@ -38,7 +38,10 @@ def test_map_of_a_plane_of_a_six_axis_arm(cli: Cli, refused: Refused, tmp_path: 
 
 
 def test_parquet_carries_the_provenance(cli: Cli, tmp_path: Path) -> None:
-    done = cli("map", "-o", tmp_path / "map", "--samples", "100", "--table", "parquet")
+    # A filter of the cell's velocities does not concern sampled ones.
+    params = tmp_path / "cell.yaml"
+    params.write_text("monitor: {ros__parameters: {velocity_source: from_positions, velocity_window: 0.05}}")
+    done = cli("map", "-o", tmp_path / "map", "--samples", "100", "--table", "parquet", "--params", params)
     assert "every z, seen along z" in done.stdout
     metadata = parquet.read_schema(tmp_path / "map" / "map.parquet").metadata
     assert metadata[b"scara_effmass_version"].decode() == __version__
