@@ -35,7 +35,9 @@ def test_compiled_modules_decide_as_their_sources(tmp_path: Path) -> None:
     for sources in "01":
         for model, drives, contact in (("auto", "free", "transient"), ("largest", "servo", "quasi_static")):
             table, params = tmp_path / f"{model}{sources}.csv", tmp_path / "params.yaml"
-            settings = f"{{effective_mass_model: {model}, drives: {drives}, contact: {contact}}}"
+            settings = (
+                f"{{effective_mass_model: {model}, drives: {drives}, contact: {contact}, external_force_limit: 60.0}}"
+            )
             params.write_text(f"monitor:\n  ros__parameters: {settings}\n", encoding="utf-8")
             command = ("-m", "scara_effmass", "assess", share("bags", "tour"), "-o", table, "--params", params)
             run(*command, SCARA_EFFMASS_SOURCES=sources)
