@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     result = write_report(validation, settings, dynamics.robot, args.output, overwrite=args.force)
     notes = list(input_lines(settings.monitor, settings.time))
     lines = [*summary_lines(validation), *notes, ("written", args.output / PAGE)]
-    print_result({**result, "input": notes, "output": str(args.output)}, lines, as_json=args.json)
+    print_result({**result, "output": str(args.output)}, lines, as_json=args.json)
     return 0 if validation.result.accepted and not validation.result.exceedances else NOT_ACCEPTED
 
 

@@ -201,9 +201,11 @@ def test_empty_velocity_is_differentiated_on_request(harness: NodeHarness) -> No
         moved = tuple(q + qd * step / S for q, qd in zip(Q, QD, strict=True))
         answer = harness.response_to(joint_state(stamp + step, position=moved, velocity=()))
         assert answer.verdict == ContactState.OK
-        assert answer.speed == pytest.approx(
-            harness.response_to(joint_state(stamp + step + 1, position=moved)).speed, rel=1e-9
-        )
+        assert answer.velocity_delay == pytest.approx(0.5 * step / S)
+        assert harness.set_parameters(velocity_source="reported") == ""
+        stated = harness.response_to(joint_state(stamp + step + 1, position=moved))
+        assert answer.speed == pytest.approx(stated.speed, rel=1e-9)
+        assert stated.velocity_delay == 0.0
     finally:
         assert harness.set_parameters(velocity_source="reported") == ""
 
