@@ -113,7 +113,7 @@ class Coverage(BaseModel):
         points = [name.partition(" ")[2] for name in self.counts if name.startswith("direction ")]
         with mpl.rc_context(STYLE):
             height = 0.32 * len(self.ranges) + 1.4
-            title = f"{self.robot}: coverage of {len(self.recordings)} recordings, {self.joint_states} joint states"
+            title = f"{self.robot}: coverage, recordings: {len(self.recordings)}, joint states: {self.joint_states}"
             figure = new_figure(11.0, height + 3.3 * len(points), title)
             grid = figure.add_gridspec(1 + len(points), 2, height_ratios=[height, *[3.0] * len(points)])
             joints = figure.add_subplot(grid[0, :])
