@@ -11,7 +11,9 @@ class EffmassError(Exception):
     """Base of all errors of this package; the command line prints one line and exits with 2."""
 
     def __str__(self) -> str:
-        return " ".join(super().__str__().splitlines())[:_MAX_LENGTH]
+        text = " ".join(super().__str__().splitlines())
+        half = _MAX_LENGTH // 2
+        return text if len(text) <= _MAX_LENGTH else f"{text[:half]} … {text[-half:]}"  # the rule is at the end
 
 
 class SettingsError(EffmassError, ValueError):

@@ -145,7 +145,7 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("t,f (kN)\n0,1\n", {"unit": "N"}, r"f \(kN\): unit = N: must be empty, the file states kN"),
         ("t,f (N)\n0,1\n1e308,2\n", {}, "line 3: t = 1e308: must be within 2147483647 s of 1970 or of the start"),
         ("t (ns),f (N)\n-1e19,1\n", {}, r"line 2: t \(ns\) = -1e19: must be within"),
-        (f"t (ns),f (N)\n{'9' * 5000},1\n", {}, r"line 2: t \(ns\) = 9+: must"),
+        (f"t (ns),f (N)\n{'9' * 5000},1\n", {}, r"line 2: t \(ns\) = 9+ … 9+: must"),
         ("t (h),f (N)\n0,1\n", {}, r"t \(h\): has the unit h; must be one of s, "),
         ("t,a (N),b (N)\n0,1,2\n", {}, r"topic is empty: must be one of a \(N\), b \(N\)"),
         ("t,a,b\n0,1,2\n", {"unit": "N"}, "topic is empty: must be one of a, b"),

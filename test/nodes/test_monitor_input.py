@@ -222,7 +222,8 @@ def bits(contact: ContactState | ContactAssessment, without: tuple[str, ...] = (
     """Return every field, floats as bytes."""
     if isinstance(contact, ContactState):
         fields: dict[str, Any] = {name: getattr(contact, name) for name in contact.get_fields_and_field_types()}
-        fields["direction"] = (contact.direction.x, contact.direction.y, contact.direction.z)
+        for name in ("direction", "test_direction"):
+            fields[name] = (fields[name].x, fields[name].y, fields[name].z)
         if "header" not in without:
             fields["stamp_ns"] = stamp_ns(contact)
         del fields["header"]

@@ -152,9 +152,9 @@ class TestParameters:
             ("contact_normal", "up", "contact_normal = 'up': must be worst, velocity, or three numbers"),
             ("contact_normal_frame", "nowhere", "contact_normal_frame = 'nowhere': must be one of"),
             ("test_direction_frame", "nowhere", "test_direction_frame = 'nowhere': must be one of"),
-            ("payload_com", [0.0, 0.0], "payload_com.2: Field required"),
+            ("payload_com", [0.0, 0.0], "payload_com.2: must be present"),
             ("payload_com", [0.0, 0.0, math.inf], "payload_com.2 = inf"),
-            ("payload_com", [0.0, 0.0, 120.0], "payload_com.2 = 120.0: Input should be less than or equal to 2"),
+            ("payload_com", [0.0, 0.0, 120.0], "payload_com.2 = 120.0: must be less than or equal to 2"),
             ("payload_inertia", [0.1, 0.1, 0.1, 0.0, 0.0, 0.0], "must be 0 without payload_mass"),
         ],
     )

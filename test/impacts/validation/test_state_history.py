@@ -49,7 +49,8 @@ def test_linear_motion_is_interpolated_exactly(
     t = onset / 1e9
     assert state.speed == pytest.approx(speed + acceleration * t, rel=1e-9)
     lumped = mass + change * t
-    masses = {"lumped": lumped, "full": 2 * mass, "iso": 2.77, "largest": max(lumped, 2 * mass)}
+    auto = lumped if lumped >= 0.9 * 2 * mass else 2 * mass
+    masses = {"lumped": lumped, "full": 2 * mass, "iso": 2.77, "largest": max(lumped, 2 * mass), "auto": auto}
     assert state.masses == pytest.approx(masses, rel=1e-9)
     assert state.direction == pytest.approx((1.0, 0.0, 0.0))
 
@@ -242,7 +243,8 @@ def test_missing_mass_of_one_model_leaves_the_others(make_state: MakeState, miss
     lumped, full = (NAN if model == missing else 1.0 for model in ("lumped", "full"))
     states = [make_state(START + ms * MS, lumped=lumped, full=full, iso=2.77) for ms in (-5, 5)]
     masses = usable(history_of(states).at(START, MS)).masses
-    assert masses == pytest.approx({"lumped": lumped, "full": full, "iso": 2.77, "largest": NAN}, nan_ok=True)
+    expected = {"lumped": lumped, "full": full, "iso": 2.77, "largest": NAN, "auto": 1.0}
+    assert masses == pytest.approx(expected, nan_ok=True)
 
 
 def test_states_out_of_order_are_left_out(make_state: MakeState) -> None:
