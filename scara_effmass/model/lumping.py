@@ -60,6 +60,21 @@ class LumpedLink:
     answer: str = ""
 
 
+class _DrawnLink(NamedTuple):
+    """A link as drawn: its body, proximal axis, and a point and the unit direction of its distal axis (3,).
+
+    `fit` chooses free parameters by the inertia; `within_slab` refuses a negative mass.
+    """
+
+    joint: str
+    body: pin.Inertia
+    axis: FloatArray
+    point: FloatArray
+    distal: FloatArray
+    fit: bool
+    within_slab: bool
+
+
 class LumpedMass(NamedTuple):
     """A point `mass` [kg] at `point` [m] in the frame of `joint` (1-based)."""
 
@@ -179,9 +194,8 @@ def _lumped_link(robot: Robot, joint: int, *, within_slab: bool) -> LumpedLink:
     point, distal = _distal_axis(robot, joint)
     fit = robot.lumping.free_parameters is FreeParameters.FIT_INERTIA and not robot.inertias_reason
     parallel = float(np.linalg.norm(np.cross(axis, distal))) <= PARALLEL
-    link = (_parallel_axes if parallel else _crossed_axes)(
-        name, body, axis, point, distal, fit=fit, within_slab=within_slab
-    )
+    drawn = _DrawnLink(name, body, axis, point, distal, fit, within_slab)
+    link = _parallel_axes(drawn) if parallel else _crossed_axes(drawn)
     com, height = np.array(body.lever), float(body.lever @ axis)
     near, far = height * axis, com - height * axis
     at_com = {
@@ -220,17 +234,9 @@ def _with_masses(link: LumpedLink, kappa2: float, point1: ArrayLike, point2: Arr
     return replace(link, **{"kappa1": 1.0 - kappa2, "kappa2": kappa2, **points, **changes})
 
 
-def _parallel_axes(
-    name: str,
-    body: pin.Inertia,
-    axis: FloatArray,
-    point: FloatArray,
-    distal: FloatArray,
-    *,
-    fit: bool,
-    within_slab: bool,
-) -> LumpedLink:
+def _parallel_axes(drawn: _DrawnLink) -> LumpedLink:
     """Return the masses of a link with parallel axes; with a `problem`, those of the nearest possible CoM."""
+    name, body, axis, point, distal, fit, within_slab = drawn
     height = float(body.lever @ axis)
     across = body.lever - height * axis
     normal = point - (point @ axis) * axis
@@ -262,17 +268,9 @@ def _parallel_axes(
     return LumpedLink(name, float(body.mass), axes, 1.0 - kappa2, kappa2, height1, signed, *points, problem=problem)
 
 
-def _crossed_axes(
-    name: str,
-    body: pin.Inertia,
-    axis: FloatArray,
-    point: FloatArray,
-    distal: FloatArray,
-    *,
-    fit: bool,
-    within_slab: bool,
-) -> LumpedLink:
+def _crossed_axes(drawn: _DrawnLink) -> LumpedLink:
     """Return the masses of a link whose axes intersect or are skew; with a `problem`, those of a nearby CoM."""
+    name, body, axis, point, distal, fit, within_slab = drawn
     across = np.cross(axis, distal)
     across /= np.linalg.norm(across)
     gap = float(point @ across)
