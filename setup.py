@@ -37,9 +37,9 @@ root = Path(__file__).resolve().parent
 manifest = ET.parse(root / "package.xml").getroot()
 scripts = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
 
-# Not for `develop` (colcon build --symlink-install), whose sources are meant to be edited.
+# For cmake/compile.cmake alone, not for colcon, whose builds stay plain Python.
 extensions = []
-if mypycify and {"build", "build_ext"} & set(sys.argv):
+if mypycify and "build_ext" in sys.argv:
     extensions = mypycify([*MYPY, *HOT_PATH], group_name="scara_effmass", debug_level="0")
 
 setup(
