@@ -27,7 +27,8 @@ SETTLE_S = 0.5
 ROUNDS = 3
 DISCOVERY_S = 20.0
 TARGETS = {
-    "monitor": [str(Path(sys.executable).with_name("monitor_node"))],
+    # One contact point: one answer to each joint state, as of the bare node.
+    "monitor": [str(Path(sys.executable).with_name("monitor_node")), "--ros-args", "-p", "contact_points:=['tool']"],
     "bare": [sys.executable, str(Path(__file__).with_name("echo_node.py"))],
 }
 
