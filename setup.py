@@ -23,6 +23,7 @@ except ModuleNotFoundError:
 
 HOT_PATH = (
     "scara_effmass/iso15066/mobility.py",
+    "scara_effmass/iso15066/mobility_matrix.py",
     "scara_effmass/iso15066/pose_change.py",
     "scara_effmass/iso15066/speed_limit.py",
     "scara_effmass/model/dynamics.py",

@@ -104,6 +104,11 @@ class ContactAssessment(NamedTuple):
     test_effective_mass: float = 0.0
     velocity_delay: float = 0.0
 
+    @property
+    def mass_model_text(self) -> str:
+        """The model that decides and why, as "full: no lumped mass"; empty if none decides."""
+        return f"{self.mass_model}: {self.mass_model_reason}" if self.mass_model else ""
+
 
 class Decision(NamedTuple):
     """Output of the monitor for one joint state, or of its watchdog.

@@ -104,7 +104,7 @@ class Summary:
                 pairs = zip(ranges, numbers, strict=True)
                 self._numbers[reason] = [(min(low, number), max(high, number)) for (low, high), number in pairs]
         elif worst.mass_model:
-            self.mass_models[f"{worst.mass_model}: {worst.mass_model_reason}"] += 1
+            self.mass_models[worst.mass_model_text] += 1
         self._pass_time(at_ns)
         self._last = (at_ns, worst.verdict)
 

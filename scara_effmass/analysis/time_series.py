@@ -96,7 +96,7 @@ class TimeSeriesBuilder:
             positions = {} if state is None else dict(zip(state.names, state.position.tolist(), strict=False))
             self._places[len(self._verdicts)] = contact.body_region, positions
         if contact.mass_model:
-            self._mass_models[f"{contact.mass_model}: {contact.mass_model_reason}"] += 1
+            self._mass_models[contact.mass_model_text] += 1
         self._stamps_ns.append(contact.stamp_ns if known else at_ns)
         self._verdicts.append(contact.verdict)
         self._values.extend(

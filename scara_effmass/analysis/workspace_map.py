@@ -223,9 +223,7 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
         "configurations": len(bound),
         "left_out": sample.left_out,
         "unknown": int(sample.unknown.sum()),
-        "mass_models": Counter(
-            f"{item.mass_model}: {item.mass_model_reason}" for item in sample.contacts
-        ).most_common(),
+        "mass_models": Counter(item.mass_model_text for item in sample.contacts if item.mass_model).most_common(),
         "cells": table.num_rows,
         "cell_m": cells.size,
         **{name: _percentiles(table[name].to_numpy()) for name in columns},

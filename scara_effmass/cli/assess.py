@@ -20,7 +20,7 @@ from scara_effmass.analysis.summary import Summary
 from scara_effmass.analysis.tables import open_writer, provenance
 from scara_effmass.analysis.time_series import TimeSeriesBuilder
 from scara_effmass.bags.files import find_bags, open_bag
-from scara_effmass.cli.console import print_result, progress_bar
+from scara_effmass.cli.console import print_result, progress_bar, tracked
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.safety import Monitor
@@ -56,14 +56,12 @@ def run(args: argparse.Namespace) -> int:
                 open_velocities(args.velocity_bag, args.topic, settings) as velocities,
             ):
                 topic = joint_state_topic(bag, args.topic)
-                task = progress.add_task(path.name, total=next(t.count for t in bag.topics if t.name == topic))
                 series = {point: TimeSeriesBuilder() for point in dynamics.contact_points} if report else {}
                 monitor, name = Monitor(dynamics, settings), str(bag.path)
                 summary.new_recording()
                 skew = ClockSkew()
                 assessed = assess_joint_states(bag, topic, monitor, time, velocities)
-                for log_time_ns, state, decision in map(skew.add, assessed):
-                    progress.advance(task)
+                for log_time_ns, state, decision in map(skew.add, tracked(progress, bag, topic, assessed)):
                     counts["joint_states"] += 1
                     if decision is not None:
                         table.add(name, log_time_ns, decision.contacts)

@@ -1,11 +1,14 @@
 """Print results and the status of a live run: lines of subject and text, tables, JSON, and progress."""
 
+from __future__ import annotations
+
 import json
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from itertools import chain
+from typing import TYPE_CHECKING, TypeVar
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
@@ -15,6 +18,11 @@ from rich.table import Table
 from rich.text import Text
 
 from scara_effmass.values import ContactAssessment, Verdict
+
+if TYPE_CHECKING:
+    from scara_effmass.bags.bag import Bag
+
+Item = TypeVar("Item")
 
 PIPE_WIDTH = 160
 """Width of the output without a terminal [columns]."""
@@ -68,6 +76,14 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[obj
 def progress_bar(*columns: ProgressColumn) -> Progress:
     """Return a progress bar on stderr, to be used in a `with`; it is invisible unless stderr is a terminal."""
     return Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
+
+
+def tracked(progress: Progress, bag: Bag, topic: str, items: Iterable[Item]) -> Iterator[Item]:
+    """Yield `items`, one for each message on `topic` of `bag`, and show how many are done."""
+    task = progress.add_task(bag.path.name, total=next(t.count for t in bag.topics if t.name == topic))
+    for item in items:
+        progress.advance(task)
+        yield item
 
 
 ShowStatus = Callable[[tuple[ContactAssessment, ...], float, float], None]

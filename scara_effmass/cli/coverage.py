@@ -8,7 +8,7 @@ from scara_effmass.analysis.coverage import Coverage
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
 from scara_effmass.bags.files import find_bags, open_bag
-from scara_effmass.cli.console import print_result, progress_bar
+from scara_effmass.cli.console import print_result, progress_bar, tracked
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.safety import Monitor
 
@@ -28,10 +28,9 @@ def run(args: argparse.Namespace) -> int:
         for path in (bag for folder in args.bags if folder not in earlier for bag in find_bags(folder)):
             with open_bag(path) as bag:
                 topic = joint_state_topic(bag, args.topic)
-                task = progress.add_task(path.name, total=next(t.count for t in bag.topics if t.name == topic))
                 coverage.begin(f"{bag.path.name}, {bag.start_ns} ns")  # also after it was moved
-                for _, state, decision in assess_joint_states(bag, topic, Monitor(dynamics, settings), Time(args.time)):
-                    progress.advance(task)
+                assessed = assess_joint_states(bag, topic, Monitor(dynamics, settings), Time(args.time))
+                for _, state, decision in tracked(progress, bag, topic, assessed):
                     if state is not None and decision is not None:
                         coverage.add(state, decision.contacts)
     shares = coverage.shares()

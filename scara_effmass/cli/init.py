@@ -16,7 +16,7 @@ from scara_effmass.analysis.assessment import assess_joint_states, joint_state_t
 from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
-from scara_effmass.cli.console import print_lines, progress_bar
+from scara_effmass.cli.console import print_lines, progress_bar, tracked
 from scara_effmass.cli.doctor import cell_results
 from scara_effmass.cli.options import BAG, CELL, ROBOT, Option
 from scara_effmass.cli.settings import monitor_settings
@@ -123,9 +123,8 @@ def _recording(args: argparse.Namespace, settings: MonitorSettings, dynamics: Ro
     summary = Summary(round(settings.timeout * 1e9))
     with open_bag(args.bag) as bag, progress_bar() as progress:
         topic = joint_state_topic(bag, args.topic)
-        task = progress.add_task(bag.path.name, total=next(t.count for t in bag.topics if t.name == topic))
-        for log_time_ns, state, decision in assess_joint_states(bag, topic, Monitor(dynamics, settings)):
-            progress.advance(task)
+        assessed = assess_joint_states(bag, topic, Monitor(dynamics, settings))
+        for log_time_ns, state, decision in tracked(progress, bag, topic, assessed):
             if decision is not None:
                 summary.add(decision.contacts, log_time_ns, state)
     return topic, summary

@@ -40,11 +40,8 @@ def run(args: argparse.Namespace) -> int:
     table_name = f"{NAME}.{args.table}"
     check_output_files(args.output, [*figure_files([NAME]), table_name, SUMMARY], overwrite=args.force)
     dynamics = load_dynamics(settings)
-    monitor, direction, frame = (
-        Monitor(dynamics, settings),
-        settings.fixed_test_direction,
-        settings.test_direction_frame,
-    )
+    monitor = Monitor(dynamics, settings)
+    direction, frame = settings.fixed_test_direction, settings.test_direction_frame
     with progress_bar() as progress:
         task = progress.add_task("configurations", total=args.samples)
         plane, advance = Plane(*args.plane), lambda: progress.advance(task)

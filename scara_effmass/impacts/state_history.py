@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.impacts.clock_offset import WINDOW, Kink, velocity_kink
-from scara_effmass.iso15066.pose_change import mobility_along
+from scara_effmass.iso15066.mobility_matrix import matrix_of, mobility_along
 from scara_effmass.settings import MassModel, ValidatorSettings
 from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vector3, Verdict
 
@@ -213,8 +213,7 @@ def _by_model(lumped: float, full: float, iso: float) -> dict[str, float]:
 
 def _mass_along(mobility: Mobility6, normal: Vector3) -> float:
     """Return 1 / (n^T A n) [kg]; NaN where no joint moves the point along n, or without the model."""
-    a, b, c, d, e, f = mobility
-    inverse = mobility_along([[a, b, c], [b, d, e], [c, e, f]], normal)
+    inverse = mobility_along(matrix_of(mobility), normal)
     return 1.0 / inverse if inverse > 0.0 else math.nan
 
 

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.importers.csv_file import NS_PER_UNIT
 from scara_effmass.input_files import read_yaml
 from scara_effmass.settings import checked
 from scara_effmass.settings.loading import FrozenSettings
@@ -20,7 +21,6 @@ from scara_effmass.wire.cdr import MAX_SEC, NS
 Column = int | str
 """Name of a column, or its number from 0."""
 SCALES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}
-NS_PER_UNIT = {"s": NS, "ms": 1_000_000, "us": 1000, "ns": 1}
 FIRST_NS = NS
 """Stamp of the first joint state where the times begin at 0 or before, which is no valid stamp."""
 

@@ -5,28 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from scara_effmass.iso15066.pose_change import CLAMPED_TOLERANCE, Matrix, PoseChange
+from scara_effmass.iso15066.mobility_matrix import CLAMPED_TOLERANCE, Matrix
+from scara_effmass.iso15066.pose_change import PoseChange
 from scara_effmass.values import Vector3
-
-BOUND_TOLERANCE = 1e-9
-"""Ratio to the trace of the mobility, below which a direction does not count in `is_bounded`: rounding."""
-
-
-def is_bounded(matrix: Matrix, bound: Matrix, factor: float) -> bool:
-    """Return whether factor n^T A n <= n^T B n for every n, of two symmetric (3, 3) matrices; False for NaN.
-
-    By the pivots of B - factor A, `bound` B and `matrix` A, with a tolerance of 1e-9 of the trace of B.
-    """
-    (a, b, c), (_, d, e), (_, _, f) = matrix
-    (p, q, r), (_, s, t), (_, _, u) = bound
-    slack = BOUND_TOLERANCE * (p + s + u)
-    b, c, e = q - factor * b, r - factor * c, t - factor * e
-    first = p - factor * a + slack
-    if not first > 0.0:
-        return False
-    second = s - factor * d + slack - b * b / first
-    e -= b * c / first
-    return second > 0.0 and u - factor * f + slack - c * c / first - e * e / second > 0.0
 
 
 class Mobility(NamedTuple):

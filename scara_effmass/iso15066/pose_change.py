@@ -6,22 +6,11 @@ import math
 from typing import NamedTuple
 
 from scara_effmass.iso15066.contact import TRANSIENT_S
+from scara_effmass.iso15066.mobility_matrix import CLAMPED_TOLERANCE, Matrix, mobility_along
 from scara_effmass.values import Vector3
-
-CLAMPED_TOLERANCE = 1e-11
-"""Ratio to the trace of the mobility that counts as unreachable against a clamped body part."""
-
-Matrix = list[list[float]]
 
 TIME_FACTOR = 1.5
 """Time for which the growth counts, over the time to the peak force; above 1 it covers what is not linear in time."""
-
-
-def mobility_along(matrix: Matrix, direction: Vector3) -> float:
-    """Return n^T A n [1/kg] of a symmetric (3, 3) `matrix` A for the unit vector `direction` n (3,)."""
-    (a, b, c), (_, d, e), (_, _, f) = matrix
-    x, y, z = direction
-    return a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
 
 
 class PoseChange(NamedTuple):

@@ -18,8 +18,8 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.iso15066.mobility import is_bounded
-from scara_effmass.iso15066.pose_change import Matrix, PoseChange, mobility_along
+from scara_effmass.iso15066.mobility_matrix import Matrix, is_bounded, mobility_along
+from scara_effmass.iso15066.pose_change import PoseChange
 from scara_effmass.model.lumping import LumpedModel, lump
 from scara_effmass.model.robot import Robot
 from scara_effmass.settings import MonitorSettings
@@ -75,9 +75,8 @@ class EffectiveMasses(NamedTuple):
 
         Then it holds for the worst direction, and for the reduced mass with any body part along the worst normal.
         """
-        if self.has_massless_direction or not self.lumped_mobility or not self.full_mobility:
-            return False
-        return is_bounded(self.lumped_mobility, self.full_mobility, 1.0 - margin)
+        lumped = [] if self.has_massless_direction else self.lumped_mobility
+        return _is_heavy_enough(lumped, self.full_mobility, margin)
 
 
 class ModelMass(NamedTuple):
@@ -213,8 +212,7 @@ class RobotDynamics:
                     lumped = NAN
                     reason = f"{self.robot.joint_names[joint]} moves the contact point along n, but no lumped mass"
         if margin is not None and len(wanted) > 1:
-            both = lumped_mobility and full_mobility and not has_massless_direction
-            takes_lumped = bool(both) and is_bounded(lumped_mobility, full_mobility, 1.0 - margin)
+            takes_lumped = _is_heavy_enough([] if has_massless_direction else lumped_mobility, full_mobility, margin)
             wanted = [wanted[0] and takes_lumped, wanted[1] and not takes_lumped]
         changes: list[PoseChange | None] = [None for _ in wanted]
         if moving and any(wanted):
@@ -420,6 +418,11 @@ def _is_definite(mobility: Matrix, rank: int) -> bool:
     """Return whether no mass is negative; False for a mobility that is not finite."""
     trace = mobility[0][0] + mobility[1][1] + mobility[2][2]
     return 0.0 < trace < math.inf and smallest_eigenvalue(mobility, rank) > -MAX_NEGATIVE * trace
+
+
+def _is_heavy_enough(lumped: Matrix, full: Matrix, margin: float) -> bool:
+    """Return whether both mobilities exist and, along every normal, lumped mass >= (1 - margin) full mass."""
+    return bool(lumped) and bool(full) and is_bounded(lumped, full, 1.0 - margin)
 
 
 def effective_mass(mobility: Matrix, direction: Vector3) -> float:

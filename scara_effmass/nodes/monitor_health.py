@@ -108,7 +108,7 @@ def _contact_status(contact: ContactAssessment) -> DiagnosticStatus:
         "allowable speed [m/s]": f"{contact.allowable_speed:.4f}",
         "margin [m/s]": f"{contact.margin:.4f}",
         "effective mass [kg]": f"{contact.effective_mass:.4g}",
-        "mass model": f"{contact.mass_model}: {contact.mass_model_reason}" if contact.mass_model else "",
+        "mass model": contact.mass_model_text,
         "body region": contact.body_region,
         "criterion": contact.criterion,
         "input age [s]": f"{contact.input_age:.6f}",

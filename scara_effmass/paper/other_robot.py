@@ -16,6 +16,7 @@ from scara_effmass.analysis.tables import provenance
 from scara_effmass.analysis.workspace_map import Cells, Plane, sample_workspace
 from scara_effmass.errors import RobotError
 from scara_effmass.iso15066 import reduced_mass
+from scara_effmass.iso15066.mobility_matrix import matrix_of
 from scara_effmass.model.dynamics import effective_mass
 from scara_effmass.paper.figure_set import PAGE
 from scara_effmass.paper.scara import OBSTACLES_KG, SHOWN_OBSTACLE_KG, relative_error
@@ -55,7 +56,7 @@ class RobotMasses:
     def _along(self, n: Vector3, model: str) -> FloatArray:
         """Return the mass of `model` along `n` (m,) [kg]; NaN without it."""
         rows: list[Mobility6] = [getattr(contact, f"{model}_mobility") for contact in self.sample.contacts]
-        matrices = ([[a, b, c], [b, d, e], [c, e, f]] if a + d + f > 0.0 else [] for a, b, c, d, e, f in rows)
+        matrices = (matrix_of(row) if row[0] + row[3] + row[5] > 0.0 else [] for row in rows)
         return np.array([effective_mass(matrix, n) for matrix in matrices])
 
     def figures(self) -> Iterator[tuple[int, Figure]]:

@@ -18,7 +18,7 @@ from scara_effmass.iso15066 import (
     peak_force,
     reduced_mass,
 )
-from scara_effmass.iso15066.pose_change import Matrix
+from scara_effmass.iso15066.mobility_matrix import Matrix
 from scara_effmass.model.dynamics import EffectiveMasses, ModelMass, RobotDynamics, effective_mass
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.safety.debounce import VerdictDebouncer, severity
