@@ -109,6 +109,13 @@ class ContactAssessment(NamedTuple):
         """The model that decides and why, as "full: no lumped mass"; empty if none decides."""
         return f"{self.mass_model}: {self.mass_model_reason}" if self.mass_model else ""
 
+    @property
+    def mobility(self) -> Mobility6:
+        """Mobility of the model that decides; that of ISO/TS 15066 is the same in every direction."""
+        if self.mass_model == "iso":
+            return 1.0 / self.iso_mass, 0.0, 0.0, 1.0 / self.iso_mass, 0.0, 1.0 / self.iso_mass
+        return {"lumped": self.lumped_mobility, "full": self.full_mobility}.get(self.mass_model, NO_MOBILITY)
+
 
 class Decision(NamedTuple):
     """Output of the monitor for one joint state, or of its watchdog.

@@ -1,0 +1,98 @@
+"""Geometry of a robot at one pose, in its base frame, for drawings: links, lumped masses, mass ellipsoids, normals."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from scara_effmass.iso15066.mobility_matrix import CLAMPED_TOLERANCE, Matrix
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.values import FloatArray, Vector3
+
+MIN_SEGMENT_M = 1e-6
+"""Length [m] below which a segment is not drawn."""
+
+
+class PoseGeometry(NamedTuple):
+    """Positions [m] in the base frame at one pose.
+
+    `segments` (k, 2, 3) are the links as lines: from joint to joint, to the tip, and to the contact points beside them.
+    `lumped_masses` are masses [kg] with their positions; empty without a lumped model.
+    """
+
+    segments: FloatArray
+    lumped_masses: tuple[tuple[float, Vector3], ...]
+    contact_points: dict[str, Vector3]
+
+
+class MassEllipsoid(NamedTuple):
+    """Principal effective masses (3,) [kg], and their unit directions as the columns of the rotation `axes` (3, 3).
+
+    With semi-axes s sqrt(m_i), the radius along any unit vector n is s sqrt(m_n), m_n the effective mass along n.
+    """
+
+    masses: FloatArray
+    axes: FloatArray
+
+
+def pose_geometry(dynamics: RobotDynamics, q: FloatArray) -> PoseGeometry:
+    """Return links, lumped masses and contact points of the robot at `q` (n,) [rad, m]."""
+    robot = dynamics.robot
+    model = robot.model
+    poses = [pin.SE3.Identity(), *(pin.SE3(pose) for pose in robot.joint_poses(q))]
+    contacts = [model.frames[frame] for frame in robot.contact_frames.values()]
+    points = [poses[frame.parentJoint].act(frame.placement.translation) for frame in contacts]
+    lines = [(poses[-1].translation, poses[-1].act(robot.tip.translation))]
+    lines += [(poses[frame.parentJoint].translation, point) for frame, point in zip(contacts, points, strict=True)]
+    for joint in range(1, model.njoints):
+        parent = poses[model.parents[joint]]
+        start = parent.act(model.jointPlacements[joint].translation)
+        lines += [(parent.translation, start), (start, poses[joint].translation)]  # the latter: how far it slides
+    segments = np.array(lines)
+    lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    lumped = () if dynamics.lumped is None else dynamics.lumped.masses
+    return PoseGeometry(
+        segments[lengths > MIN_SEGMENT_M],
+        tuple((mass, _vector(poses[joint].act(np.array(point)))) for mass, joint, point in lumped),
+        {name: _vector(point) for name, point in zip(robot.contact_frames, points, strict=True)},
+    )
+
+
+def mass_ellipsoid(mobility: Matrix, max_mass: float) -> MassEllipsoid:
+    """Return the ellipsoid of a symmetric (3, 3) `mobility` [1/kg], largest mass first.
+
+    `max_mass` [kg] limits the masses, which are infinite where no joint moves the contact point.
+    """
+    mobilities, axes = np.linalg.eigh(mobility)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))  # right-handed, to be a rotation
+    return MassEllipsoid(1.0 / np.maximum(mobilities, 1.0 / max_mass), axes)
+
+
+def worst_normal(mobility: Matrix, direction: Vector3, obstacle_mass: float) -> Vector3:
+    """Return the unit normal of the surface with the largest reduced mass, along (A + I/m_H)^-1 v.
+
+    `mobility` is A [1/kg], `direction` v the unit velocity, `obstacle_mass` m_H [kg]; 0: clamped. Its reduced mass
+    is `iso15066.mobility.Mobility.worst_reduced_mass`.
+    """
+    matrix = np.array(mobility)
+    alpha = max(1.0 / obstacle_mass if obstacle_mass > 0.0 else 0.0, CLAMPED_TOLERANCE * float(np.trace(matrix)))
+    normal = np.linalg.solve(matrix + alpha * np.eye(3), direction)
+    return _vector(normal / np.linalg.norm(normal))
+
+
+def rotation_to(direction: Vector3) -> FloatArray:
+    """Return a rotation (3, 3) that turns the z axis to the unit vector `direction`."""
+    return np.asarray(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(direction)).matrix())
+
+
+def quaternion(rotation: FloatArray) -> tuple[float, float, float, float]:
+    """Return x, y, z, w of a rotation (3, 3), as ROS and three.js order them."""
+    x, y, z, w = pin.Quaternion(rotation).coeffs().tolist()
+    return x, y, z, w
+
+
+def _vector(point: FloatArray) -> Vector3:
+    x, y, z = point.tolist()
+    return x, y, z
