@@ -8,14 +8,15 @@ from typing import Any
 
 from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.errors import SettingsError
+from scara_effmass.settings.loading import rescaled
 from scara_effmass.sim.campaign import Campaign, CampaignStep, run_campaign
 from scara_effmass.sim.cart import HERTZ, LINEAR, POLYETHYLENE, SpringContact
 from scara_effmass.sim.experiment import CONFIGURATIONS, OBSTACLE_MASSES, build_sim
 from scara_effmass.sim.recordings import SEED
 
-HERTZ_STIFFNESS = 3400.0
-"""Default of --hertz [N/mm^1.5]: about the peak forces of the default linear spring."""
 MM_PER_M = 1e3
+HERTZ_STIFFNESS = 3400.0 * MM_PER_M**HERTZ
+"""Default of --hertz [N/m^1.5]: about the peak forces of the default linear spring."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -44,14 +45,17 @@ def _campaign(args: argparse.Namespace) -> Campaign:
     if len({round(MM_PER_M * mass) for mass in masses}) < len(masses):
         raise SettingsError(f"--mass {' and '.join(map(str, masses))}: must differ by a gram")
     exponent = HERTZ if args.hertz else LINEAR
-    stiffness = HERTZ_STIFFNESS if args.hertz else POLYETHYLENE.stiffness / MM_PER_M
     if args.stiffness is not None:
-        stiffness = args.stiffness
+        value = rescaled(args.stiffness, MM_PER_M**exponent)
+        raise SettingsError(f"--stiffness {args.stiffness:g}: must be --tip-stiffness {value!r} [N/m^{exponent:g}]")
+    stiffness = HERTZ_STIFFNESS if args.hertz else POLYETHYLENE.stiffness
+    if args.tip_stiffness is not None:
+        stiffness = args.tip_stiffness
     return Campaign(
         configurations=tuple(by_name[name] for name in names),
         obstacle_masses=masses,
         repetitions=args.repetitions,
-        contact=SpringContact(stiffness * MM_PER_M**exponent, exponent, args.damping, args.friction),
+        contact=SpringContact(stiffness, exponent, args.damping, args.friction),
         seed=SEED if args.seed is None else args.seed,
     )
 
@@ -81,11 +85,11 @@ def _lines(output: Path, campaign: Campaign, made: int, kept: int) -> Iterator[t
     contact = campaign.contact
     cases = f"{len(campaign.configurations)} configurations, {len(campaign.obstacle_masses)} obstacle masses"
     times = "once" if campaign.repetitions == 1 else f"{campaign.repetitions} times"
-    unit, law = ("N/mm", "linear spring") if contact.exponent == LINEAR else ("N/mm^1.5", "Hertz contact")
-    stiffness = f"{contact.stiffness / MM_PER_M**contact.exponent:g} {unit}"
+    unit, law = ("N/m", "linear spring") if contact.exponent == LINEAR else ("N/m^1.5", "Hertz contact")
     yield "simulated", f"{made + kept} impacts in the simulated cell (MuJoCo); nothing was measured"
     yield "cases", f"{cases}, {times} each"
-    yield "tip", f"{law} {stiffness}, damping {contact.damping:g} N s/m, friction {contact.friction:g}"
+    tip = f"{law} {contact.stiffness:.4g} {unit}"
+    yield "tip", f"{tip}, damping {contact.damping:g} N s/m, friction {contact.friction:g}"
     yield "recorded", str(made)
     if kept:
         yield "kept", f"{kept} existing recordings; --force replaces them"

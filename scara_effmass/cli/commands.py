@@ -1,6 +1,7 @@
 """The commands and their options; the module of a command runs it."""
 
 import math
+from argparse import SUPPRESS
 from pathlib import Path
 
 from scara_effmass.cli.options import (
@@ -138,7 +139,7 @@ parameter obstacle_mass; sim_node and replayed recordings publish it on run_info
 
 examples:
   scara-effmass validator --obstacle-mass 2.39
-  scara-effmass validator --params my_cell.yaml -- -p stiffness:=2000.0
+  scara-effmass validator --params my_cell.yaml -- -p stiffness_n_m:=2e6
 """,
         Option("--obstacle-mass", "mass of the obstacle, m_H [kg]", "KG", NUMBER),
         params("validator_node"),
@@ -251,7 +252,7 @@ Exit status 1: one of several bags could not be assessed; the others were.
 examples:
   scara-effmass assess bags/tour -o tour.parquet --report out/tour
   scara-effmass assess monday.mcap tuesday.mcap -o week.csv --robot my_robot.urdf --model full
-  scara-effmass assess bags/tour -o tour.mcap --region hand_fingers --contact-area 2 --json
+  scara-effmass assess bags/tour -o tour.mcap --region hand_fingers --contact-area-m2 2e-4 --json
   scara-effmass assess bags/tour -o press.parquet --direction 0 0 -1
   scara-effmass assess old.bag -o old.csv --joint-map "left_*=*" --velocity from-positions --velocity-window 0.05
   scara-effmass assess positions.bag --velocity-bag velocities.bag -o joined.csv --time log
@@ -278,12 +279,12 @@ validator of FILE. All recordings form one series. DIR receives report.html, rep
 
 The first line says whether the robot's masses are accepted, not accepted, or not decidable by this series, which then
 states what to measure next. The second line compares the forces with the limits of the body regions. The device that
-was hit has a stiffness k (--stiffness, else fitted) and a mass (--obstacle-mass, or infinite with --fixed); a region
-has those of the standard. As E = mu v²/2 = F²/(2 k) at one speed, F_region = F sqrt(mu_region k_region / (mu k)).
+was hit has a stiffness k (--stiffness-n-m, else fitted) and a mass (--obstacle-mass, or infinite with --fixed); a
+region has those of the standard. As E = mu v²/2 = F²/(2 k) at a speed, F_region = F sqrt(mu_region k_region / (mu k)).
 Exit status 1: not accepted, not decidable, or a force above a limit; the report is written anyway.
 
 examples:
-  scara-effmass validate device.mcap -o out/device --fixed --stiffness 75 --region hand_fingers
+  scara-effmass validate device.mcap -o out/device --fixed --stiffness-n-m 75e3 --region hand_fingers
   scara-effmass validate bags/campaign -o out/validation
   scara-effmass validate monday.mcap -o out/monday --obstacle-mass 2.39 --model full
   scara-effmass validate arm.mcap --force-from load_cell.csv --invert -o out/arm --obstacle-mass 2.39
@@ -314,7 +315,7 @@ examples:
         *IMPORT,
         Option("--obstacle-mass", "mass of the obstacle, or of the measuring device, in all recordings", "KG", NUMBER),
         flag("--fixed", "the obstacle, or measuring device, cannot move", dest="obstacle_fixed", default=None),
-        Option("--stiffness", "of the contact, or of the device (default: fitted to the series)", "N_PER_MM", NUMBER),
+        Option("--stiffness-n-m", "of the contact, or of the device (default: fitted to the series)", "N_M", NUMBER),
         Option(
             "--plate-normal",
             'normal of the plate in the base frame, "X Y Z", if the recording states none (default: the motion)',
@@ -361,7 +362,7 @@ are kept, so an interrupted campaign can be resumed.
 examples:
   scara-effmass campaign -o out/campaign
   scara-effmass campaign -o out/light --configuration 300_200 --mass 0.5 --mass 2.39 --repetitions 1
-  scara-effmass campaign -o out/hertz --hertz --stiffness 3400 --seed 1 --json
+  scara-effmass campaign -o out/hertz --hertz --tip-stiffness 1e8 --seed 1 --json
 """,
         output("DIR", "folder for the bags"),
         Option(
@@ -379,11 +380,12 @@ examples:
         Option("--configuration", f"impact point, as 300_200 for (300, 200) mm; {REPEATED}", "NAME", action="append"),
         Option("--mass", f"mass of the cart; {REPEATED}", "KG", MASS, action="append"),
         Option(
-            "--stiffness",
-            "of the tip [N/mm] (default: 2000), with --hertz [N/mm^1.5] (default: 3400)",
-            "N_PER_MM",
+            "--tip-stiffness",
+            "of the tip [N/m] (default: 2e6), with --hertz [N/m^1.5] (default: 1.075e8)",
+            "K",
             NUMBER,
         ),
+        Option("--stiffness", SUPPRESS, kind=NUMBER),  # former, in N/mm
         Option("--damping", "of the tip (default: 0)", "N_S_PER_M", NUMBER, default=0.0),
         Option("--friction", "between tip and plate (default: 0)", "COEFFICIENT", NUMBER, default=0.0),
         flag("--hertz", "use a Hertz contact, F = k d^1.5, not a linear spring"),

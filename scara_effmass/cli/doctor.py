@@ -158,12 +158,12 @@ def _daq(params: Path | None) -> Iterator[CheckResult]:
 def _limits(settings: MonitorSettings) -> Iterator[CheckResult]:
     try:
         regions = ", ".join(limit.region for limit in limits_for(settings))
-        contact = f"{settings.contact.value}, {settings.contact_area:g} cm², person at {settings.person_speed:g} m/s"
+        area = 1e4 * settings.contact_area_m2  # cm2
+        contact = f"{settings.contact.value}, {area:g} cm², person at {settings.person_speed:g} m/s"
     except LimitError as error:
         yield CheckResult("wrong", "limits", str(error))
     else:
         yield CheckResult("ok", "limits", f"{EDITION}; hash {TABLE_HASH}; {contact}: {regions}")
-        area = settings.contact_area
         if area > 1.0:
             hint = f"{area:g} cm²: allows {area:g} times the pressure force of 1 cm², if the whole area bears"
             yield CheckResult("note", "contact area", hint)

@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
             ],
             "body_regions": [{**asdict(region), "clause_2025": CLAUSE_2025} for region in regions],
             "contact": settings.contact.value,
-            "contact_area_cm2": settings.contact_area,
+            "contact_area_m2": settings.contact_area_m2,
             "allowable_speeds": [_speed(mass, limit, nominal) for mass in args.masses for limit in limits],
         }
         print_json(result)

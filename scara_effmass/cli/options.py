@@ -2,12 +2,12 @@
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from scara_effmass.settings import ContactType, MassModel, VelocitySource
-from scara_effmass.settings.loading import number_rule
+from scara_effmass.settings.loading import FORMER_UNITS, number_rule, rescaled
 
 
 class Option:
@@ -62,6 +62,18 @@ def number(rule: str, is_valid: Callable[[float], bool], kind: type[float] = flo
         raise argparse.ArgumentTypeError(f"{text}: must be {rule}{hint}")
 
     return parse
+
+
+def former_options(option: Option) -> Iterator[Option]:
+    """Yield the hidden option that refuses the former name of `option`, of which it would be an abbreviation."""
+    for name, (new_name, factor) in FORMER_UNITS.items():
+        if option.dest == new_name:
+
+            def refuse(text: str, factor: float = factor) -> float:
+                value = rescaled(NUMBER(text), factor)
+                raise argparse.ArgumentTypeError(f"{text}: must be {option.names[-1]} {value!r}")
+
+            yield Option(f"--{name.replace('_', '-')}", argparse.SUPPRESS, kind=refuse)
 
 
 def plane(text: str) -> tuple[int, float]:
@@ -168,7 +180,7 @@ LIMITS = (
         action="append",
     ),
     Option("--contact", "type of contact (default: transient)", choices=[contact.value for contact in ContactType]),
-    Option("--contact-area", "contact area for the pressure limit [cm2] (default: 1)", "CM2", POSITIVE),
+    Option("--contact-area-m2", "contact area for the pressure limit [m2] (default: 1e-4, 1 cm2)", "M2", POSITIVE),
 )
 PERSON = Option(
     "--person-speed", "speed of the person towards the robot [m/s] (default: 0; walking: 1.6)", "M_S", NOT_NEGATIVE

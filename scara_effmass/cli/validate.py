@@ -49,7 +49,7 @@ def validation_settings(args: argparse.Namespace) -> ValidationSettings:
         return load_settings(kind, args.params, name, SECTIONS) if args.params else kind()
 
     # The limits are those of the measured forces: a clamping monitor could give no prediction.
-    names = ("stiffness", "obstacle_mass", "obstacle_fixed", "plate_normal", "effective_mass_model")
+    names = ("stiffness_n_m", "obstacle_mass", "obstacle_fixed", "plate_normal", "effective_mass_model")
     options = selected(args, *LIMITS) | {name: getattr(args, name) for name in names}
     return ValidationSettings(
         monitor=override(section(MonitorSettings, "monitor"), selected(args, *ROBOT, *JOINTS, *PAYLOAD)),

@@ -28,8 +28,6 @@ from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RefusedI
 
 Key = TypeVar("Key", str, float)
 
-N_M = 1000.0
-"""N/m in one N/mm."""
 WRONG_SIGN_FORCE = 10.0
 """Minimum tensile force [N] that counts as inverted compression; it must also exceed WRONG_SIGN_RATIO x the maximum."""
 WRONG_SIGN_RATIO = 3.0
@@ -119,7 +117,7 @@ class Validator:
         self.criterion_hash = criterion_hash(settings.criterion)
         self._model = settings.effective_mass_model.value
         self._models = (*MODELS, self._model) if self._model not in MODELS else MODELS
-        self._stiffness = settings.stiffness * N_M
+        self._stiffness = settings.stiffness_n_m
         self._matcher = ImpactMatcher(settings)
         self.runs = self._matcher.runs
         self._contact_point = settings.contact_point

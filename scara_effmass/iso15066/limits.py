@@ -14,7 +14,7 @@ from scara_effmass.settings import ContactType, MonitorSettings
 if TYPE_CHECKING:
     from scara_effmass.iso15066.table import BodyPoint, BodyRegion
 
-_N_M_PER_N_MM = 1e3
+_CM2_PER_M2 = _PA_PER_N_CM2 = 1e4
 
 Criterion = Literal["force", "pressure"]
 
@@ -25,7 +25,7 @@ class Limit:
 
     `force_points` and `pressure_points` are the strictest rows of Table A.2 for the region, which set the limit;
     empty if a stricter limit from the settings replaces them. `obstacle_mass_kg` is infinite for a clamped body
-    part. `energy_j` is the standard's value, for information only.
+    part. Pressure and area are in the units of Table A.2. `energy_j` is the standard's value, for information only.
     """
 
     region: str
@@ -53,7 +53,7 @@ class Limit:
     def clause(self) -> str:
         """Source of the limits: rows of Table A.2 or settings."""
         force = _rows(self.force_points) or "own limit (max_force)"
-        pressure = _rows(self.pressure_points) or "own limit (max_pressure)"
+        pressure = _rows(self.pressure_points) or "own limit (max_pressure_pa)"
         return f"force: {force}; pressure: {pressure}"
 
 
@@ -65,7 +65,9 @@ def limits_for(settings: MonitorSettings) -> tuple[Limit, ...]:
     than the standard in every chosen region.
     """
     regions = _chosen_regions(settings.body_regions)
-    limits = tuple(_standard_limit(region, settings.contact, settings.contact_area) for region in regions)
+    limits = tuple(
+        _standard_limit(region, settings.contact, _CM2_PER_M2 * settings.contact_area_m2) for region in regions
+    )
     _check_not_looser(settings, limits)
     return tuple(_tightened(limit, settings) for limit in limits)
 
@@ -124,17 +126,17 @@ def _check_not_looser(settings: MonitorSettings, limits: tuple[Limit, ...]) -> N
             f"for {force.region} ({force.contact.value}, {_rows(force.force_points)}), or 0 for no own limit"
         )
     pressure = max(limits, key=lambda limit: limit.pressure_n_cm2)
-    if settings.max_pressure > pressure.pressure_n_cm2:
+    if settings.max_pressure_pa > _PA_PER_N_CM2 * pressure.pressure_n_cm2:
         raise LimitError(
-            f"max_pressure = {settings.max_pressure:g} N/cm2: must be at most the standard's "
-            f"{pressure.pressure_n_cm2:g} N/cm2 for {pressure.region} "
+            f"max_pressure_pa = {settings.max_pressure_pa:g} Pa: must be at most the standard's "
+            f"{_PA_PER_N_CM2 * pressure.pressure_n_cm2:g} Pa for {pressure.region} "
             f"({pressure.contact.value}, {_rows(pressure.pressure_points)}), or 0 for no own limit"
         )
     stiffness = min(limits, key=lambda limit: limit.stiffness_n_m)
-    if 0.0 < _N_M_PER_N_MM * settings.stiffness < stiffness.stiffness_n_m:
+    if 0.0 < settings.stiffness_n_m < stiffness.stiffness_n_m:
         raise LimitError(
-            f"stiffness = {settings.stiffness:g} N/mm: must be at least the standard's "
-            f"{stiffness.stiffness_n_m / _N_M_PER_N_MM:g} N/mm for {stiffness.region} (Table A.3), or 0 for it"
+            f"stiffness_n_m = {settings.stiffness_n_m:g} N/m: must be at least the standard's "
+            f"{stiffness.stiffness_n_m:g} N/m for {stiffness.region} (Table A.3), or 0 for it"
         )
     mass = min(limits, key=lambda limit: limit.obstacle_mass_kg)
     if 0.0 < settings.obstacle_mass < mass.obstacle_mass_kg:
@@ -145,14 +147,15 @@ def _check_not_looser(settings: MonitorSettings, limits: tuple[Limit, ...]) -> N
 
 
 def _tightened(limit: Limit, settings: MonitorSettings) -> Limit:
-    max_force, max_pressure = settings.max_force or math.inf, settings.max_pressure or math.inf
+    max_force = settings.max_force or math.inf
+    max_pressure = (settings.max_pressure_pa or math.inf) / _PA_PER_N_CM2
     return replace(
         limit,
         force_n=min(limit.force_n, max_force),
         force_points=() if max_force < limit.force_n else limit.force_points,
         pressure_n_cm2=min(limit.pressure_n_cm2, max_pressure),
         pressure_points=() if max_pressure < limit.pressure_n_cm2 else limit.pressure_points,
-        stiffness_n_m=max(limit.stiffness_n_m, _N_M_PER_N_MM * settings.stiffness),
+        stiffness_n_m=max(limit.stiffness_n_m, settings.stiffness_n_m),
         obstacle_mass_kg=max(limit.obstacle_mass_kg, settings.obstacle_mass),
     )
 

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from scara_effmass.errors import EffmassError, SettingsError
-from scara_effmass.settings.loading import Settings, check_types, checked, flat_fields, nearest
+from scara_effmass.settings.loading import Settings, check_types, checked, flat_fields, former_unit, nearest
 
 _ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
@@ -30,7 +30,8 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
         if name in fields:
             values[name] = from_ros(parameter)
         elif not name.startswith(_ROS_PARAMETERS):
-            raise SettingsError(f"{node.get_name()}: no parameter {name!r}: {nearest(name, fields)}")
+            text = f"no parameter {name!r}: {nearest(name, fields)}"
+            raise SettingsError(f"{node.get_name()}: {former_unit(name, parameter.value, settings) or text}")
     check_types(settings, values, node.get_name())
     checked_settings = checked(settings, values, node.get_name())
     for name, field in fields.items():

@@ -25,6 +25,12 @@ NODE_ONLY = frozenset(
 )
 """Parameters of nodes alone: a shared file may hold them, offline commands ignore them."""
 
+FORMER_UNITS = {
+    "contact_area": ("contact_area_m2", 1e-4),
+    "max_pressure": ("max_pressure_pa", 1e4),
+    "stiffness": ("stiffness_n_m", 1e3),
+}
+"""SI name, and its value for 1, of the former parameters in cm2, N/cm2 and N/mm; they are refused, not converted."""
 
 _GROUP = "must hold keys with their values"
 _RULES = {
@@ -64,7 +70,8 @@ def checked(kind: type[Settings], values: Mapping[str, Any], origin: str) -> Set
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "settings"
         if first["type"] == "extra_forbidden":
-            raise SettingsError(f"{origin}: {key}: unknown: {nearest(key, flat_fields(kind))}") from None
+            text = f"{key}: unknown: {nearest(key, flat_fields(kind))}"
+            raise SettingsError(f"{origin}: {former_unit(key, first['input'], kind) or text}") from None
         raise SettingsError(f"{origin}: {key}{broken_rule(first)}") from None
 
 
@@ -132,6 +139,20 @@ def nearest(name: str, names: Iterable[str]) -> str:
     """Return the rule for an unknown `name`: the most similar of `names`, or all of them."""
     names = list(names)
     return f"must be {' or '.join(get_close_matches(name, names, n=1)) or ', '.join(names) or 'absent'}"
+
+
+def rescaled(value: float, factor: float) -> float:
+    """Return `value` * `factor` without the rounding error of a change of units, as it is written in a file."""
+    return float(f"{value * factor:.12g}")
+
+
+def former_unit(name: str, value: object, kind: type[BaseModel]) -> str:
+    """Return the rule for a former `name` of a field of `kind` with the converted `value`; empty for other names."""
+    new_name, factor = FORMER_UNITS.get(name, ("", 1.0))
+    if new_name not in kind.model_fields:
+        return ""
+    converted = f" = {rescaled(value, factor)!r}" if isinstance(value, (int, float)) else ""
+    return f"{name} = {value!r}: must be {new_name}{converted}"
 
 
 def load_settings(kind: type[Settings], path: Path, node: str, other_nodes: Collection[str] = ()) -> Settings:

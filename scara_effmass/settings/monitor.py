@@ -207,14 +207,14 @@ class MonitorSettings(FrozenSettings):
         (), "body regions that the robot can hit; empty: every region with a limit for this contact"
     )
     contact: ContactType = tunable(ContactType.TRANSIENT, "transient (free impact) or quasi_static (clamped)")
-    contact_area: float = tunable(1.0, "contact area for the pressure limit [cm2]", gt=0.0, le=1000.0)
+    contact_area_m2: float = tunable(1e-4, "contact area for the pressure limit [m2]", gt=0.0, le=0.1)
     max_force: float = tunable(0.0, "own force limit, not above the standard's [N]; 0: none", ge=0.0)
-    max_pressure: float = tunable(0.0, "own pressure limit, not above the standard's [N/cm2]; 0: none", ge=0.0)
+    max_pressure_pa: float = tunable(0.0, "own pressure limit, not above the standard's [Pa]; 0: none", ge=0.0, le=1e8)
     obstacle_mass: float = tunable(
         0.0, "mass of the body part, not below the standard's [kg]; 0: the standard's", ge=0.0, le=1000.0
     )
-    stiffness: float = tunable(
-        0.0, "contact stiffness, not below the standard's [N/mm]; 0: the standard's", ge=0.0, le=1e4
+    stiffness_n_m: float = tunable(
+        0.0, "contact stiffness, not below the standard's [N/m]; 0: the standard's", ge=0.0, le=1e7
     )
     timeout: float = tunable(
         0.2, "time without a joint state, or age of its stamp, that makes the verdict UNKNOWN [s]", gt=0.0, le=60.0

@@ -65,17 +65,17 @@ class ValidatorSettings(FrozenSettings):
         "",
         'normal of the plate, "x y z" in the base frame, if the run information states none; empty: along the motion',
     )
-    stiffness: float = fixed(
+    stiffness_n_m: float = fixed(
         0.0,
-        "stiffness of the contact, that is of the measuring device [N/mm]; 0: fitted to the series",
+        "stiffness of the contact, that is of the measuring device [N/m]; 0: fitted to the series",
         ge=0.0,
-        le=1e5,
+        le=1e8,
     )
     body_regions: tuple[str, ...] = fixed(
         (), "body regions with whose limits the forces are compared; empty: every region with a limit for this contact"
     )
     contact: ContactType = fixed(ContactType.TRANSIENT, "transient (free impact) or quasi_static (clamped)")
-    contact_area: float = fixed(1.0, "contact area for the pressure limit [cm2]", gt=0.0, le=1000.0)
+    contact_area_m2: float = fixed(1e-4, "contact area for the pressure limit [m2]", gt=0.0, le=0.1)
     state_tolerance: float = fixed(
         0.05, "maximum time between the onset and the contact states before and after it [s]", gt=0.0, le=1.0
     )
@@ -114,7 +114,9 @@ class ValidatorSettings(FrozenSettings):
     @property
     def limit_settings(self) -> MonitorSettings:
         """Settings of the monitor that hold the limits of these body regions."""
-        return MonitorSettings(body_regions=self.body_regions, contact=self.contact, contact_area=self.contact_area)
+        return MonitorSettings(
+            body_regions=self.body_regions, contact=self.contact, contact_area_m2=self.contact_area_m2
+        )
 
     @property
     def normal(self) -> Vector3 | None:

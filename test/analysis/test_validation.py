@@ -408,7 +408,7 @@ def test_a_given_normal_replaces_an_unstated_one(
 
 def test_forces_above_the_limit_of_a_region_are_counted(campaign: list[Path], dynamics: RobotDynamics) -> None:
     """A device of the chest's stiffness that turns 0.25 m/s into the forces of the campaign's stiff tip."""
-    settings = replace(SETTINGS, validator=ValidatorSettings(stiffness=25.0, body_regions=("chest",)))
+    settings = replace(SETTINGS, validator=ValidatorSettings(stiffness_n_m=25e3, body_regions=("chest",)))
     result = validate(campaign, dynamics, settings).result
     for impact in result.impacts:
         assert (impact.body_region, impact.limit_force) == ("chest", 240.0)  # pressure, 2 x 120 N/cm2 on 1 cm2

@@ -160,7 +160,7 @@ def test_report_without_impacts(
 
 
 def test_a_report_of_one_impact(campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path) -> None:
-    settings = ValidationSettings(validator=ValidatorSettings(stiffness=2000.0))
+    settings = ValidationSettings(validator=ValidatorSettings(stiffness_n_m=2e6))
     files = written(validate(campaign[:1], dynamics, settings), dynamics, tmp_path / "report", settings)
     texts = texts_of(files)
     assert "undefined: fewer than two impacts" in texts

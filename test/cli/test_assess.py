@@ -113,8 +113,8 @@ def test_options_of_the_cell_apply(swing_bag: Path, cli: Cli, tmp_path: Path) ->
     words = (
         *points,
         *load,
-        "--contact-area",
-        "3",
+        "--contact-area-m2",
+        "3e-4",
         "--person-speed",
         "0.4",
         "--contact",
@@ -128,7 +128,7 @@ def test_options_of_the_cell_apply(swing_bag: Path, cli: Cli, tmp_path: Path) ->
         payload_mass=2.0,
         payload_com=(-0.1, 0.0, 0.1),
         payload_inertia=(0.1, 0.1, 0.1, 0.0, 0.0, 0.0),
-        contact_area=3.0,
+        contact_area_m2=3e-4,
         person_speed=0.4,
         effective_mass_model=MassModel.FULL,
     )

@@ -43,7 +43,7 @@ def test_existing_runs_are_kept_or_replaced_with_force(cli: Cli, tmp_path: Path)
 
 
 def test_options_of_the_tip_are_applied(cli: Cli, tmp_path: Path) -> None:
-    tip = ("--stiffness", "500", "--damping", "20", "--friction", "0.2")
+    tip = ("--tip-stiffness", "5e5", "--damping", "20", "--friction", "0.2")
     single = (*SMALL[:-1], "1")
     summary = json.loads(cli("campaign", "-o", tmp_path / "soft", *single, *tip, "--json").stdout)
     assert (summary["stiffness"], summary["exponent"], summary["damping"], summary["friction"]) == (5e5, 1.0, 20.0, 0.2)
@@ -51,7 +51,7 @@ def test_options_of_the_tip_are_applied(cli: Cli, tmp_path: Path) -> None:
     assert info.contact_stiffness == 5e5
     assert {"damping = 20.0", "friction = 0.2"} <= set(info.note.splitlines())
     result = cli("campaign", "-o", tmp_path / "hertz", *single, "--hertz")
-    assert "Hertz contact 3400 N/mm^1.5" in result.stdout
+    assert "Hertz contact 1.075e+08 N/m^1.5" in result.stdout
     info = run_info_of(tmp_path / "hertz" / "300_0_500g_1")
     assert info.contact_exponent == 1.5
     assert info.contact_stiffness == pytest.approx(3400.0 * 1000.0**1.5)
@@ -69,7 +69,9 @@ def test_options_of_the_tip_are_applied(cli: Cli, tmp_path: Path) -> None:
         (("--repetitions", "0"), "must be a whole number from 1"),
         (("--seed", "1.5"), "must be a whole number from 0"),
         (("--friction", "2"), "friction"),
-        (("--stiffness", "1e9"), "stiffness"),
+        (("--tip-stiffness", "1e12"), "stiffness"),
+        (("--stiffness", "500"), "--stiffness 500: must be --tip-stiffness 500000.0 [N/m^1]"),
+        (("--stiffness", "100", "--hertz"), "must be --tip-stiffness 3162277.66017 [N/m^1.5]"),
         (("--damping", "inf"), "damping = inf"),
     ],
 )

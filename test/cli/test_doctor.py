@@ -108,7 +108,7 @@ def _in_grams(row: re.Match[str]) -> str:
 def test_large_contact_area_gives_a_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "contact area" not in texts(run_doctor(capsys)[1], "note")
     params = tmp_path / "cell.yaml"
-    params.write_text("/**:\n  ros__parameters:\n    contact_area: 10.0\n", encoding="utf-8")
+    params.write_text("/**:\n  ros__parameters:\n    contact_area_m2: 1.0e-3\n", encoding="utf-8")
     note = texts(run_doctor(capsys, "--params", str(params))[1], "note")["contact area"]
     assert note == "10 cm²: allows 10 times the pressure force of 1 cm², if the whole area bears"
 
@@ -137,7 +137,7 @@ def test_joints_without_rotor_inertia_are_named(tmp_path: Path, capsys: pytest.C
 
 
 def test_payload_and_limits_of_the_options_are_reported(capsys: pytest.CaptureFixture[str]) -> None:
-    _, result = run_doctor(capsys, "--payload", "2", "--contact-area", "3", "--person-speed", "1.6")
+    _, result = run_doctor(capsys, "--payload", "2", "--contact-area-m2", "3e-4", "--person-speed", "1.6")
     assert texts(result, "ok")["payload"] == "0.25 kg (robot file) + 2 kg (parameter payload_mass)"
     assert "3 cm², person at 1.6 m/s: " in texts(result, "ok")["limits"]
     assert "the payload counts as a point mass" in " ".join(texts(result, "note").values())

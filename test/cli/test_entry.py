@@ -91,9 +91,14 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "region without a limit": (["limits", "--region", "face"], "permits no contact"),
     "decimal comma": (["limits", "--mass", "2,77"], "argument --mass: 2,77: must be a number >= 1e-06 kg: write 2.77"),
     "decimal comma of a stiffness": (
-        ["validate", TOUR, "-o", "out", "--stiffness", "2,77"],
-        "argument --stiffness: 2,77: must be a number: write 2.77",
+        ["validate", TOUR, "-o", "out", "--stiffness-n-m", "2,77"],
+        "argument --stiffness-n-m: 2,77: must be a number: write 2.77",
     ),
+    "stiffness in N/mm": (
+        ["validate", TOUR, "-o", "out", "--stiffness", "75"],
+        "argument --stiffness: 75: must be --stiffness-n-m 75000.0",
+    ),
+    "contact area in cm2": (["limits", "--contact-area", "2"], "--contact-area: 2: must be --contact-area-m2 0.0002"),
     "pi as a mass": (["limits", "--mass", "2*pi"], "must be a number >= 1e-06 kg: write 3.14159265 for pi"),
     "parameters as a robot": (
         ["assess", TOUR, "-o", "a.csv", "--robot", str(share("config", "monitor.yaml"))],
@@ -157,10 +162,10 @@ def test_invalid_input_gives_one_line_and_exit_code_2(name: str, refused: Refuse
 
 def test_invalid_parameter_is_named_with_file_key_and_value(cli_process: Cli, tmp_path: Path) -> None:
     file = tmp_path / "cell.yaml"
-    file.write_text("/**:\n  ros__parameters:\n    contact_area: -1.0\n", encoding="utf-8")
+    file.write_text("/**:\n  ros__parameters:\n    contact_area_m2: -1.0\n", encoding="utf-8")
     done = cli_process("limits", "--params", file)
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith(f"{file}: contact_area = -1.0: ")
+    assert done.stderr.startswith(f"{file}: contact_area_m2 = -1.0: ")
 
 
 def test_options_override_the_parameter_file(cli: Cli, tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ CELL = (
         "0",
         "0",
     ),
-    *("--region", "chest", "--region", "hand_fingers", "--contact-area", "2", "--person-speed", "0.2"),
+    *("--region", "chest", "--region", "hand_fingers", "--contact-area-m2", "2e-4", "--person-speed", "0.2"),
 )
 
 
@@ -86,11 +86,11 @@ def test_file_holds_the_options_and_the_meaning_of_each_parameter(cli: Cli, moti
         payload_com=(-0.01, 0.0, 0.1),
         payload_inertia=(0.01, 0.01, 0.01, 0.0, 0.0, 0.0),
         body_regions=("chest", "hand_fingers"),
-        contact_area=2.0,
+        contact_area_m2=2e-4,
         person_speed=0.2,
     )
     validator = load_settings(ValidatorSettings, file, "validator")
-    assert (validator.body_regions, validator.contact_area) == (("chest", "hand_fingers"), 2.0)
+    assert (validator.body_regions, validator.contact_area_m2) == (("chest", "hand_fingers"), 2e-4)
     assert load_settings(DaqSettings, file, "daq") == DaqSettings()
     text = file.read_text(encoding="utf-8")
     assert "-- -r joint_states:=/arm/joint_states" in text
@@ -102,7 +102,7 @@ def test_file_holds_the_options_and_the_meaning_of_each_parameter(cli: Cli, moti
 def test_every_command_takes_the_file(cli: Cli, motion: Path, tmp_path: Path) -> None:
     assert cli("init", "--robot", UR5, *CELL).returncode == 0
     params = ("--params", "cell.yaml", "--json")
-    assert json.loads(cli("limits", *params).stdout)["contact_area_cm2"] == 2.0
+    assert json.loads(cli("limits", *params).stdout)["contact_area_m2"] == 2e-4
     result = json.loads(cli("assess", motion, "-o", "a.csv", *params).stdout)
     assert result["cycles_by_verdict"]["UNKNOWN"] == 0
     assert '"y"' in (tmp_path / "a.csv").read_text(encoding="utf-8")
@@ -222,7 +222,7 @@ def test_a_terminal_is_asked_for_what_is_missing(
         "payload_inertia": ["0.1 0.1 0.5 0 0 0", ""],
         "body_regions": ["chest,tail", "chest, hand_fingers"],
         "contact": [""],
-        "contact_area": ["0", "2"],
+        "contact_area_m2": ["0", "2e-4"],
     }
     typed = "".join(f"{answer}\n" for given in answers.values() for answer in given)
     monkeypatch.setattr(sys, "stdin", Terminal(typed))
@@ -235,4 +235,4 @@ def test_a_terminal_is_asked_for_what_is_missing(
     assert (settings.payload_mass, settings.payload_com) == (2.5, (0.0, 0.0, 0.1))
     assert settings.payload_inertia == (0.0,) * 6
     assert (settings.body_regions, settings.contact) == (("chest", "hand_fingers"), ContactType.TRANSIENT)
-    assert (settings.contact_area, settings.person_speed) == (2.0, 0.2)
+    assert (settings.contact_area_m2, settings.person_speed) == (2e-4, 0.2)

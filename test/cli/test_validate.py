@@ -71,7 +71,7 @@ def test_no_impacts_gives_no_statistics(cli: Cli, campaign: Path, tmp_path: Path
 
 
 def test_obstacle_mass_and_stiffness_options_apply(cli: Cli, campaign: Path) -> None:
-    done = cli("validate", campaign, "-o", "report", "--obstacle-mass", "2", "--stiffness", "1000", "--json")
+    done = cli("validate", campaign, "-o", "report", "--obstacle-mass", "2", "--stiffness-n-m", "1e6", "--json")
     report = json.loads(done.stdout)
     assert done.returncode == 1
     assert {impact["obstacle_mass"] for impact in report["impacts"]} == {2.0}
@@ -82,7 +82,7 @@ def test_a_force_above_the_limit_of_a_region_exits_with_1(cli: Cli, campaign: Pa
     """A device of 5 N/mm in place of the tip of 2000 N/mm: the same force means much more on a stiffer leg."""
     options = ("--region", "lower_leg", "--json", "--force")
     below = cli("validate", campaign, "-o", "report", *options)
-    above = cli("validate", campaign, "-o", "report", *options, "--stiffness", "5")
+    above = cli("validate", campaign, "-o", "report", *options, "--stiffness-n-m", "5e3")
     report = json.loads(below.stdout)
     assert (below.returncode, report["accepted"], report["exceedances"]) == (0, True, 0)
     assert above.returncode == 1
@@ -101,13 +101,13 @@ def test_plate_normal_and_fixed_obstacle_apply(cli: Cli, campaign: Path) -> None
 def test_payload_and_points_reach_the_monitor_and_the_limits_the_validator(cli: Cli, campaign: Path) -> None:
     points = ("--contact-point", "flange=link4: 0 0 0")
     load = ("--payload", "2", "--payload-com", "0", "0", "0.1", "--payload-inertia", *("0.1",) * 3, *("0",) * 3)
-    done = cli("validate", campaign, "-o", "report", *points, *load, "--contact-area", "3", "--json")
+    done = cli("validate", campaign, "-o", "report", *points, *load, "--contact-area-m2", "3e-4", "--json")
     report = json.loads(done.stdout)
     monitor, validator = report["settings"]["monitor"], report["settings"]["validator"]
     assert (monitor["payload_mass"], monitor["payload_com"]) == (2.0, [0.0, 0.0, 0.1])
     assert monitor["payload_inertia"] == [0.1, 0.1, 0.1, 0.0, 0.0, 0.0]
     assert {impact["contact_point"] for impact in report["impacts"]} == {"flange"}
-    assert (monitor["contact_area"], validator["contact_area"]) == (1.0, 3.0)
+    assert (monitor["contact_area_m2"], validator["contact_area_m2"]) == (1e-4, 3e-4)
 
 
 def test_every_section_of_the_file_counts(cli: Cli, campaign: Path, tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_every_section_of_the_file_counts(cli: Cli, campaign: Path, tmp_path: Pa
     ("text", "wrong"),
     [
         ("camera: {ros__parameters: {}}\n", "holds camera"),
-        ("validator: {ros__parameters: {stiffness: -1.0}}\n", "stiffness = -1.0"),
+        ("validator: {ros__parameters: {stiffness_n_m: -1.0}}\n", "stiffness_n_m = -1.0"),
         ("daq: {ros__parameters: {detection: {threshold: 0}}}\n", "detection.threshold = 0"),
         ("[", "not YAML"),
     ],
@@ -176,7 +176,7 @@ def test_force_beside_a_recording(cli: Cli, campaign: Path, tmp_path: Path) -> N
     assert len(report["impacts"]) == 1
 
 
-@pytest.mark.parametrize(("option", "value"), [("--obstacle-mass", "-1"), ("--stiffness", "nan")])
+@pytest.mark.parametrize(("option", "value"), [("--obstacle-mass", "-1"), ("--stiffness-n-m", "nan")])
 def test_invalid_option_is_refused(refused: Refused, campaign: Path, option: str, value: str) -> None:
     line = refused("validate", campaign, "-o", "report", f"{option}={value}")
     assert f"options: {option.strip('-').replace('-', '_')} = {float(value)}" in line

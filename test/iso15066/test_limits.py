@@ -60,7 +60,7 @@ def test_transient_limits_are_twice_the_quasi_static_limits(name: str) -> None:
 
 
 def test_criterion_changes_with_the_contact_area() -> None:
-    small, large = (limits(body_regions=["chest"], contact_area=area)["chest"] for area in (1.0, 2.0))
+    small, large = (limits(body_regions=["chest"], contact_area_m2=area)["chest"] for area in (1e-4, 2e-4))
     assert (small.criterion, small.permissible_force_n) == ("pressure", 240.0)
     assert (large.criterion, large.permissible_force_n) == ("force", 280.0)
 
@@ -69,16 +69,16 @@ def test_criterion_changes_with_the_contact_area() -> None:
     contact=contacts,
     names=selections,
     max_force=st.floats(0.0, 500.0),
-    max_pressure=st.floats(0.0, 700.0),
-    stiffness=st.floats(0.0, 200.0),
+    max_pressure_pa=st.floats(0.0, 7e6),
+    stiffness_n_m=st.floats(0.0, 2e5),
     obstacle_mass=st.floats(0.0, 100.0),
 )
 def test_settings_tighten_limits_or_raise(contact: ContactType, names: tuple[str, ...], **own: float) -> None:
     standard = limits(contact=contact, body_regions=names)
     loosest = {
         "max_force": max(limit.force_n for limit in standard.values()),
-        "max_pressure": max(limit.pressure_n_cm2 for limit in standard.values()),
-        "stiffness": min(limit.stiffness_n_m for limit in standard.values()) / 1e3,
+        "max_pressure_pa": 1e4 * max(limit.pressure_n_cm2 for limit in standard.values()),
+        "stiffness_n_m": min(limit.stiffness_n_m for limit in standard.values()),
         "obstacle_mass": min(limit.obstacle_mass_kg for limit in standard.values()),
     }
     loosening = {
@@ -93,20 +93,22 @@ def test_settings_tighten_limits_or_raise(contact: ContactType, names: tuple[str
         return
     for name, limit in limits(contact=contact, body_regions=names, **own).items():
         assert limit.force_n == min(standard[name].force_n, own["max_force"] or math.inf)
-        assert limit.pressure_n_cm2 == min(standard[name].pressure_n_cm2, own["max_pressure"] or math.inf)
-        assert limit.stiffness_n_m == max(standard[name].stiffness_n_m, 1e3 * own["stiffness"])
+        assert limit.pressure_n_cm2 == min(standard[name].pressure_n_cm2, (own["max_pressure_pa"] or math.inf) / 1e4)
+        assert limit.stiffness_n_m == max(standard[name].stiffness_n_m, own["stiffness_n_m"])
         assert limit.obstacle_mass_kg == max(standard[name].obstacle_mass_kg, own["obstacle_mass"])
         assert limit.energy_j == standard[name].energy_j
 
 
 def test_own_limit_is_named_as_source() -> None:
-    hand = limits(body_regions=["hand_fingers"], max_force=100.0, max_pressure=50.0)["hand_fingers"]
+    hand = limits(body_regions=["hand_fingers"], max_force=100.0, max_pressure_pa=5e5)["hand_fingers"]
     assert hand.force_points == hand.pressure_points == ()
-    assert hand.clause == "force: own limit (max_force); pressure: own limit (max_pressure)"
+    assert hand.clause == "force: own limit (max_force); pressure: own limit (max_pressure_pa)"
 
 
 def test_settings_equal_to_the_standard_change_nothing() -> None:
-    own = limits(body_regions=["hand_fingers"], max_force=280.0, max_pressure=380.0, stiffness=75.0, obstacle_mass=0.6)
+    own = limits(
+        body_regions=["hand_fingers"], max_force=280.0, max_pressure_pa=3.8e6, stiffness_n_m=75e3, obstacle_mass=0.6
+    )
     assert own == limits(body_regions=["hand_fingers"])
 
 
@@ -114,8 +116,8 @@ def test_settings_equal_to_the_standard_change_nothing() -> None:
     ("settings", "parts"),
     [
         ({"max_force": 441.0}, ["max_force = 441 N", "440 N", "thigh_knee", "row 26, 27"]),
-        ({"max_pressure": 441.0}, ["max_pressure = 441 N/cm2", "440 N/cm2", "thigh_knee", "row 27"]),
-        ({"body_regions": ["neck"], "stiffness": 49.0}, ["stiffness = 49 N/mm", "50 N/mm", "neck"]),
+        ({"max_pressure_pa": 4.41e6}, ["max_pressure_pa = 4.41e+06 Pa", "4.4e+06 Pa", "thigh_knee", "row 27"]),
+        ({"body_regions": ["neck"], "stiffness_n_m": 49e3}, ["stiffness_n_m = 49000 N/m", "50000 N/m", "neck"]),
         ({"obstacle_mass": 0.5}, ["obstacle_mass = 0.5 kg", "0.6 kg", "hand_fingers"]),
         ({"contact": "quasi_static", "obstacle_mass": 75.0}, ["obstacle_mass = 75 kg", "must be 0", "clamped"]),
         ({"body_regions": ["face"]}, ["body_regions = 'face'", "no contact with head and face", "row 3"]),

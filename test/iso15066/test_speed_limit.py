@@ -92,7 +92,7 @@ def test_governing_limits_give_the_speed_of_all_limits(
 def test_pruning_changes_nothing_in_the_standards_table(
     contact: ContactType, area: float, mass: float, uncertainty: float
 ) -> None:
-    limits = speed_limits(contact=contact, contact_area=area, stiffness_uncertainty=uncertainty)
+    limits = speed_limits(contact=contact, contact_area_m2=1e-4 * area, stiffness_uncertainty=uncertainty)
     expected = smallest_speed(limits.limits, mass, uncertainty)
     assert limits.speed_limit(mass).allowable_speed == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
@@ -122,7 +122,7 @@ def test_higher_mass_or_stiffness_never_raises_the_speed(
 
 @given(masses, st.floats(0.01, 100.0), st.floats(0.01, 100.0))
 def test_larger_area_never_lowers_the_speed(mass: float, area: float, other_area: float) -> None:
-    small, large = (speed_limits(contact_area=a).speed_limit(mass) for a in sorted((area, other_area)))
+    small, large = (speed_limits(contact_area_m2=1e-4 * a).speed_limit(mass) for a in sorted((area, other_area)))
     assert small.allowable_speed <= large.allowable_speed * (1 + 1e-12)
 
 
@@ -132,8 +132,8 @@ def test_tighter_settings_never_raise_the_speed(mass: float, region: str, tighte
     (limit,) = standard.limits
     for key, value in (
         ("max_force", limit.force_n / tighter),
-        ("max_pressure", limit.pressure_n_cm2 / tighter),
-        ("stiffness", BODY_REGIONS[region].stiffness_n_m / 1e3 * tighter),
+        ("max_pressure_pa", 1e4 * limit.pressure_n_cm2 / tighter),
+        ("stiffness_n_m", BODY_REGIONS[region].stiffness_n_m * tighter),
         ("obstacle_mass", BODY_REGIONS[region].mass_kg * tighter),
     ):
         own = speed_limits(body_regions=[region], **{key: value})

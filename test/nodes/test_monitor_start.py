@@ -58,7 +58,8 @@ def test_invalid_argument_gives_one_line_and_exit_code_2(
         ("timeout:=61.0", "monitor: timeout = 61.0: must be less than or equal to 60"),
         ("speed_threshold:=0.0", "monitor: speed_threshold = 0.0: must be greater than"),
         ("timeout:='0.1'", "monitor: timeout = '0.1': must be DOUBLE, is STRING: write 0.1"),
-        ("contact_area:=10", "monitor: contact_area = 10: must be DOUBLE, is INTEGER: write 10.0"),
+        ("contact_area_m2:=10", "monitor: contact_area_m2 = 10: must be DOUBLE, is INTEGER: write 10.0"),
+        ("contact_area:=10.0", "monitor: contact_area = 10.0: must be contact_area_m2 = 0.001"),
         (
             "payload_com:=[0,0,1]",
             "monitor: payload_com = (0, 0, 1): must be DOUBLE_ARRAY, is INTEGER_ARRAY: write [0.0,",

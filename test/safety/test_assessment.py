@@ -80,7 +80,7 @@ any_settings = st.builds(
     mass_cap=st.floats(100.0, 1000.0),
     body_regions=st.lists(st.sampled_from(TRANSIENT), unique=True).map(tuple),
     contact=st.sampled_from(ContactType),
-    contact_area=st.floats(0.05, 10.0),
+    contact_area_m2=st.floats(5e-6, 1e-3),
     contact_normal=st.sampled_from(["worst", "velocity", "0 0 1", "0.6 -0.8 0"]),
     drives=st.sampled_from([Drives.FREE, Drives.IMMOVABLE]),
     external_force_limit=st.just(1.0),

@@ -185,8 +185,8 @@ def test_hash_is_of_the_canonical_json() -> None:
 
 
 def test_settings_in_groups_are_checked() -> None:
-    settings = checked(ValidatorSettings, {"criterion.least_count": 12, "stiffness": 200.0}, "params.yaml")
-    assert (settings.criterion.least_count, settings.stiffness) == (12, 200.0)
+    settings = checked(ValidatorSettings, {"criterion.least_count": 12, "stiffness_n_m": 200e3}, "params.yaml")
+    assert (settings.criterion.least_count, settings.stiffness_n_m) == (12, 200e3)
     with pytest.raises(SettingsError, match=r"params.yaml: criterion.least_correlation = 2.0: .* less than or equal"):
         checked(ValidatorSettings, {"criterion.least_correlation": 2.0}, "params.yaml")
 

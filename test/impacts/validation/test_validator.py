@@ -98,7 +98,7 @@ def test_campaign_returns_its_input_parameters(campaign: Cell) -> None:
 
 def test_statistics_of_each_impact(campaign: Cell) -> None:
     """Recomputed from the message's own fields, with a stiffness that is too small."""
-    validated, result = run(campaign, ValidatorSettings(history=60.0, stiffness=180.0))
+    validated, result = run(campaign, ValidatorSettings(history=60.0, stiffness_n_m=180e3))
     n = 0
     for n, impact in enumerate(validated, 1):
         assert impact.stiffness == 180_000.0
@@ -600,7 +600,7 @@ def test_speed_and_masses_are_those_along_the_normal_of_the_plate(
     make_state: MakeState, make_impact: MakeImpact, normal: Vector3, share: float
 ) -> None:
     """Mobility 1 / m along x and 0.5 / m along y; a guide along x, so that an oblique cart yields as m_H / cos^2."""
-    validator = Validator(ValidatorSettings(stiffness=200.0))
+    validator = Validator(ValidatorSettings(stiffness_n_m=200e3))
     validator.runs.begin(RunInfo(obstacle_mass=2.0, plate_normal=normal, guide_direction=(1.0, 0.0, 0.0)), 0)
     for ms in range(0, 70, 10):
         validator.add_state(make_state(START + ms * MS, 0.25, lumped=1.5), 0)
