@@ -9,8 +9,9 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Any
 
+from scara_effmass.errors import DecodeError
 from scara_effmass.values import ContactAssessment, Vector3, Verdict
-from scara_effmass.wire.cdr import LITTLE_ENDIAN, NS, padded, sec_and_nanosec, with_text
+from scara_effmass.wire.cdr import COUNT, FRAME_AT, LITTLE_ENDIAN, NS, ORIGIN, padded, sec_and_nanosec, with_text
 
 if TYPE_CHECKING:
     from scara_effmass_msgs.msg import ContactState
@@ -20,6 +21,8 @@ _DOUBLES = 15
 _FLOAT64 = struct.Struct("<4sd")
 _END = struct.Struct("<d??6xd?7x15d")
 """From input_age to full_mobility."""
+_SPEEDS = struct.Struct("<24xd72xd8xI")
+"""Speed, allowable_speed and the length of body_region, from direction on."""
 _TAIL = struct.Struct("<5d")
 """From test_direction to velocity_delay."""
 
@@ -37,6 +40,26 @@ def contact_from(message: ContactState) -> ContactAssessment:
     }
     fields = (converted[name] if name in converted else getattr(message, name) for name in ContactAssessment._fields)
     return ContactAssessment._make(fields)
+
+
+def glance(data: bytes) -> tuple[str, float, float, int]:
+    """Return contact point, speed and allowable speed [m/s], and verdict number of a little-endian ContactState.
+
+    This takes a tenth of the time of decoding all of it. Raises DecodeError for a message that ends too early.
+    """
+    try:
+        name_at = _aligned(FRAME_AT + 4 + COUNT.unpack_from(data, FRAME_AT)[0])
+        end = name_at + 4 + COUNT.unpack_from(data, name_at)[0]
+        speed, allowable_speed, region_size = _SPEEDS.unpack_from(data, end + (ORIGIN - end) % 8)
+        criterion_at = _aligned(end + (ORIGIN - end) % 8 + _SPEEDS.size + region_size)
+        verdict = data[criterion_at + 4 + COUNT.unpack_from(data, criterion_at)[0]]
+        return data[name_at + 4 : end - 1].decode(), speed, allowable_speed, verdict
+    except (struct.error, IndexError, UnicodeDecodeError):
+        raise DecodeError("ContactState: must be complete") from None
+
+
+def _aligned(at: int) -> int:
+    return at + -at % 4
 
 
 def _vector(message: Any) -> Vector3:  # noqa: ANN401 - geometry_msgs has no types

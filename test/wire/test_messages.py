@@ -14,7 +14,7 @@ from std_msgs.msg import Float64
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.errors import DecodeError
 from scara_effmass.values import ContactAssessment, ForceBlock, Impact, Mobility6, RunInfo, Vector3, Verdict
-from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message
+from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message, glance
 from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message, impact_message
 from scara_effmass.wire.message_types import CONTACT_STATE, FORCE_BLOCK, IMPACT, RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
@@ -215,6 +215,11 @@ def test_contact_states_are_read_by_rclpy_and_rosbags(contacts: list[ContactAsse
     for contact in (contact._replace(contact_point=point) for contact in contacts):
         data = encoder.encode(contact)
         of_ros = deserialize_message(data, msg.ContactState)
+        for copy in (data, bytes(serialize_message(of_ros))):
+            assert repr(glance(copy)) == repr((point, contact.speed, contact.allowable_speed, int(contact.verdict)))
+        for end in (3, 20, 150):
+            with pytest.raises(DecodeError, match="must be complete"):
+                glance(data[:end])
         of_rosbags: Any = known_types().deserialize_cdr(data, CONTACT_STATE)
         for message in (of_ros, of_rosbags):
             assert text(value_in(message, contact)) == text(contact)

@@ -1,0 +1,136 @@
+"""CellClient: the status of a cell over DDS, from real messages and a monitor that is killed."""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
+
+from scara_effmass.nodes.cell_client import CellClient
+from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.safety import unknown_contact
+from scara_effmass.safety.cell_status import CellStatus
+from scara_effmass.values import Verdict
+from scara_effmass.wire import topics
+from scara_effmass.wire.contact_state import ContactStateEncoder
+from test.nodes.conftest import TIMEOUT_S, NodeHarness, joint_state, ros_node
+
+NAMESPACE = ("--ros-args", "-r", "__ns:=/cell")
+DEADLINE_S = 1.0
+
+
+def poll_until(client: CellClient, done: Callable[[CellStatus], object], repeat: Callable[[], object] = bool) -> None:
+    end = time.monotonic() + TIMEOUT_S
+    while not done(client.poll()):
+        assert time.monotonic() < end, client.status.reason
+        repeat()
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def node(own_domain: int) -> Iterator[Node]:  # noqa: ARG001
+    with ros_node("monitor", "/cell") as node:
+        yield node
+
+
+def publisher(node: Node, kind: type, topic: str) -> Any:  # noqa: ANN401
+    qos = topics.verdict_qos(DEADLINE_S / 2) if topic == topics.CONTACT_STATE else topics.INFO_QOS
+    return node.create_publisher(kind, topic, qos_profile(qos))
+
+
+def test_a_verdict_of_one_message_is_not_missed_and_silence_is_unknown(node: Node) -> None:
+    states = publisher(node, ContactState, topics.CONTACT_STATE)
+
+    def send(verdict: Verdict, speed: float, reason: str = "") -> None:
+        contact = unknown_contact("tool", reason, 1, 0.0)
+        contact = contact._replace(verdict=verdict, speed=speed, allowable_speed=0.5)
+        states.publish(ContactStateEncoder("tool", "base_link").encode(contact))
+
+    with CellClient("display", NAMESPACE) as client:
+        poll_until(client, lambda s: s.verdict is Verdict.OK, lambda: send(Verdict.OK, 0.1))
+        assert client.status.timeout_ns == DEADLINE_S * 1e9
+        for verdict, speed, reason in ((Verdict.OK, 0.3, ""), (Verdict.WARN, 0.45, "close"), (Verdict.OK, 0.2, "")):
+            send(verdict, speed, reason)
+        poll_until(client, lambda s: s.episodes[-1].cause == "close" and s.verdict is Verdict.OK)
+        assert max(sample.speed for sample in client.status.speeds) == 0.45
+        client.poll()
+        start_ns = time.monotonic_ns()
+        poll_until(client, lambda s: s.verdict is Verdict.UNKNOWN)
+        assert time.monotonic_ns() - start_ns < 1.5e9
+        assert client.status.reason == "the monitor is silent: no contact state for 1.0 s"
+        send(Verdict.OK, 0.1)
+        poll_until(client, lambda s: s.verdict is Verdict.OK)
+        # What waited while nobody polled is as old as it is.
+        send(Verdict.OK, 0.1)
+        time.sleep(1.1 * DEADLINE_S)
+        assert client.poll().verdict is Verdict.UNKNOWN
+        # A second monitor beside the first.
+        with ros_node("second", "/cell") as other:
+            states, first = publisher(other, ContactState, topics.CONTACT_STATE), states
+
+            def send_both() -> None:
+                nonlocal states, first
+                states, first = first, states
+                send(Verdict.OK, 0.1)
+
+            poll_until(client, lambda s: s.reason.startswith("two monitors"), send_both)
+            poll_until(client, lambda s: s.verdict is Verdict.OK, lambda: send(Verdict.OK, 0.1))
+        node.destroy_publisher(next(p for p in node.publishers if p.topic_name == "/cell/contact_state"))
+        poll_until(client, lambda s: s.reason == "no monitor: contact_state has no publisher")
+
+
+def test_every_topic_of_the_cell_arrives(node: Node) -> None:
+    impact = Impact(peak_force=100.0, duration=0.01, simulated=True)
+    validation = ImpactValidation(predicted_force=110.0, measured_force=100.0, count=1)
+    diagnostics = [
+        DiagnosticStatus(name=f"{name}: input", level=DiagnosticStatus.WARN, values=[KeyValue(key="lost", value="3")])
+        for name in ("/cell/monitor", "/other/monitor")
+    ]
+    messages = {
+        topics.JOINT_STATES: joint_state(7),
+        topics.FORCE: ForceBlock(sample_rate=1000.0, force=[1.0] * 100, simulated=True),
+        topics.IMPACT: impact,
+        topics.IMPACT_VALIDATION: validation,
+        topics.RUN_INFO: RunInfo(simulated=True),
+        topics.DIAGNOSTICS: DiagnosticArray(status=diagnostics),
+    }
+    senders = [(publisher(node, type(message), topic), message) for topic, message in messages.items()]
+
+    def repeat() -> None:
+        for sender, message in senders:
+            sender.publish(message)
+
+    with CellClient("display", NAMESPACE) as client:
+        status = client.status
+        poll_until(
+            client,
+            lambda s: s.impacts and s.validations and s.diagnostics and s.joint_state and len(s.simulated) == 2,
+            repeat,
+        )
+        poll_until(client, lambda s: any(r.validation and len(r.force) for r in s.impacts), repeat)
+        assert (status.joint_state and status.joint_state.stamp_ns, status.force_now) == (7, 1.0)
+        assert list(status.diagnostics) == ["/cell/monitor: input"]
+        assert status.diagnostics["/cell/monitor: input"][1:4] == (1, "", {"lost": "3"})
+
+
+def test_a_killed_monitor_is_unknown_within_its_deadline_and_comes_back(
+    new_harness: Callable[..., NodeHarness], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    harness = new_harness("--ros-args", "-p", "timeout:=0.5")
+    harness.process_may_end = True
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(harness.domain))
+    with CellClient("display") as client:
+        poll_until(client, lambda s: s.verdict is Verdict.OK, lambda: harness.send(joint_state()))
+        assert harness.process is not None
+        os.kill(harness.process.pid, signal.SIGKILL)
+        start_ns = time.monotonic_ns()
+        poll_until(client, lambda s: s.verdict is Verdict.UNKNOWN)
+        assert time.monotonic_ns() - start_ns < 2e9
+        harness.process.communicate()
+        harness.start("--ros-args", "-p", "timeout:=0.5")
+        poll_until(client, lambda s: s.verdict is Verdict.OK, lambda: harness.send(joint_state()))
