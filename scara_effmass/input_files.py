@@ -1,5 +1,6 @@
 """Read text and YAML files of limited size; an error is one line that names the place."""
 
+import hashlib
 import re
 import reprlib
 import stat
@@ -110,3 +111,19 @@ _Loader.yaml_implicit_resolvers = {
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
+
+
+def digest(path: Path, error: type[EffmassError]) -> str:
+    """Return the SHA-256 of a file, or of the lines that `sha256sum *` prints in a folder. Raises `error`."""
+    try:
+        if path.is_dir():
+            files = sorted(file for file in path.rglob("*") if file.is_file())
+            lines = (f"{digest(file, error)}  {file.relative_to(path).as_posix()}\n" for file in files)
+            return hashlib.sha256("".join(lines).encode()).hexdigest()
+        total = hashlib.sha256()
+        with path.open("rb") as file:
+            while part := file.read(2**20):
+                total.update(part)
+    except OSError as problem:
+        raise error(f"{path}: cannot be read: {problem.strerror}") from None
+    return total.hexdigest()

@@ -10,7 +10,7 @@ from types import FrameType
 from typing import NoReturn
 
 from scara_effmass import __version__
-from scara_effmass.cli.commands import ALIASES, COMMANDS, MODULES, ROS_COMMANDS
+from scara_effmass.cli.commands import ALIASES, COMMANDS, GROUPS, MODULES, ROS_COMMANDS
 from scara_effmass.cli.options import Option, former_options
 from scara_effmass.errors import EffmassError
 
@@ -75,22 +75,27 @@ def _parser() -> argparse.ArgumentParser:
         epilog="'scara-effmass COMMAND --help' gives a command's options and examples. Invalid input exits with 2.",
     )
     parser.add_argument("--version", action="version", version=f"scara-effmass {__version__}")
-    parsers = parser.add_subparsers(metavar="COMMAND", dest="command", parser_class=_Parser)
+    groups = {"": parser.add_subparsers(metavar="COMMAND", dest="command", parser_class=_Parser)}
     for name, command in COMMANDS.items():
-        subparser = parsers.add_parser(
-            name,
+        group, _, own_name = name.rpartition(" ")
+        if group not in groups:
+            group_parser = groups[""].add_parser(group, help=GROUPS[group], description=GROUPS[group])
+            groups[group] = group_parser.add_subparsers(metavar="COMMAND", required=True, parser_class=_Parser)
+        subparser = groups[group].add_parser(
+            own_name,
             help=command.summary,
             description=command.summary,
             epilog=command.epilog,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
+        subparser.set_defaults(command=name)
         for item in command.options:
             if isinstance(item, Option):
                 subparser.add_argument(*item.names, **item.keywords)
                 for former in former_options(item):
                     subparser.add_argument(*former.names, **former.keywords)
                 continue
-            group = subparser.add_mutually_exclusive_group(required=True)
+            exclusive = subparser.add_mutually_exclusive_group(required=True)
             for option in item:
-                group.add_argument(*option.names, **option.keywords)
+                exclusive.add_argument(*option.names, **option.keywords)
     return parser

@@ -11,6 +11,7 @@ from scara_effmass.cli.options import (
     COUNT,
     DIRECTION,
     FORCE,
+    FORCE_FILES,
     IMPORT,
     JOINTS,
     JSON,
@@ -47,8 +48,15 @@ class Command:
 
 ROS_COMMANDS = {"monitor", "daq", "validator", "sim", "record"}
 """Commands that take ROS arguments."""
-MODULES = {"import": "import_force"} | dict.fromkeys(("monitor", "daq", "validator", "sim"), "nodes")
+PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "schema"))
+MODULES = (
+    {"import": "import_force"}
+    | dict.fromkeys(("monitor", "daq", "validator", "sim"), "nodes")
+    | dict.fromkeys(PROTOCOL, "protocol")
+)
 """Modules of the commands that have no module of their name."""
+GROUPS = {"protocol": "write, fill in and render a measurement protocol of contact forces"}
+"""Commands of two words, by the first one."""
 ALIASES = {"bench": "sim"}
 """Former names of commands, still accepted."""
 
@@ -293,34 +301,10 @@ examples:
         BAGS,
         output("DIR", "folder for the report"),
         TOPIC,
-        Option(
-            "--force-topic",
-            "topic of force blocks, impacts or wrenches, CSV column or TDMS channel (default: force, or the only one)",
-            "TOPIC",
-        ),
-        Option(
-            "--force-from",
-            "CSV file, TDMS file or bag with the force, one for each BAG (default: the BAG)",
-            "FILE",
-            Path,
-            action="append",
-            default=[],
-        ),
-        Option(
-            "--force-offset",
-            "time to add to the stamps in FILE (default: estimated from the kinks of the velocity)",
-            "S",
-            number("a number", math.isfinite),
-        ),
-        *IMPORT,
+        *FORCE_FILES,
         Option("--obstacle-mass", "mass of the obstacle, or of the measuring device, in all recordings", "KG", NUMBER),
         flag("--fixed", "the obstacle, or measuring device, cannot move", dest="obstacle_fixed", default=None),
         Option("--stiffness-n-m", "of the contact, or of the device (default: fitted to the series)", "N_M", NUMBER),
-        Option(
-            "--plate-normal",
-            'normal of the plate in the base frame, "X Y Z", if the recording states none (default: the motion)',
-            "XYZ",
-        ),
         *ROBOT,
         *PAYLOAD,
         *JOINTS,
@@ -329,6 +313,62 @@ examples:
         params("monitor_node, validator_node and daq_node (its detection)"),
         FORCE,
         JSON,
+    ),
+    "protocol init": Command(
+        "write an empty measurement protocol, or one with proposed test points",
+        """\
+FILE is a commented YAML file with everything that a measurement by ISO/PAS 5672 and RIA TR R15.806 states. --from and
+--map propose test points: for each body region the contacts with the largest predicted force over its limit, in poses
+that differ. A contact of --from has its recorded speed, one of --map the speed at which the force reaches the limit.
+
+examples:
+  scara-effmass protocol init
+  scara-effmass protocol init --from bags/tour --region hand_fingers --region chest --points 2 -o tour.yaml
+  scara-effmass protocol init --map --robot ur5.urdf --contact quasi_static -o ur5.yaml
+""",
+        Option("-o --output", "file to write (default: protocol.yaml)", "FILE", Path, default=Path("protocol.yaml")),
+        Option("--from", "recording to propose test points from", "BAG", Path, dest="recording"),
+        flag("--map", "propose test points from the workspace of the robot"),
+        Option("--points", "test points of each body region (default: 3)", "N", COUNT, default=3),
+        Option("--samples", "configurations of --map along each base axis (default: 2000)", "N", COUNT, default=2000),
+        TOPIC,
+        *CELL,
+        params("monitor_node"),
+        FORCE,
+        JSON,
+    ),
+    "protocol fill": Command(
+        "enter recorded contacts into a measurement protocol, and evaluate it",
+        """\
+The contacts in the recordings replace the repetitions of test ID: time, reached speed, largest force within and beyond
+0.5 s, predicted mass and force, and the hash of the recording. Without BAG, only hashes and evaluations are computed,
+as for a protocol that was filled in by hand. Comments of FILE are written anew. Exit status 1: a verdict is not OK.
+
+examples:
+  scara-effmass protocol fill protocol.yaml
+  scara-effmass protocol fill protocol.yaml --test hand_fingers_1 run1 run2 run3
+  scara-effmass protocol fill protocol.yaml --test chest_1 arm.mcap --force-from device.csv --robot ur5.urdf
+""",
+        Option("protocol", "measurement protocol", "FILE", Path),
+        Option("bags", "recording, or folder of recordings", "BAG", Path, nargs="*"),
+        Option("--test", "test point to which the recordings belong (default: the only one)", "ID"),
+        Option("-o --output", "file to write (default: FILE itself)", "FILE", Path),
+        TOPIC,
+        *FORCE_FILES,
+        *ROBOT,
+        *PAYLOAD,
+        *JOINTS,
+        TIME,
+        params("monitor_node, validator_node and daq_node (its detection)"),
+        flag("--force", "replace existing output, and contacts that were filled in before"),
+        JSON,
+    ),
+    "protocol schema": Command(
+        "print the JSON schema of a measurement protocol, for editors",
+        """\
+examples:
+  scara-effmass protocol schema > protocol.schema.json
+""",
     ),
     "figures": Command(
         "draw the figures of the paper again and compare its numbers",

@@ -138,6 +138,34 @@ IMPORT = (
     ),
     Option("--range", "end of the measuring range; marks saturation (default: 2224)", "N", NUMBER, dest="sensor.range"),
 )
+FORCE_FILES = (
+    Option(
+        "--force-topic",
+        "topic of force blocks, impacts or wrenches, CSV column or TDMS channel (default: force, or the only one)",
+        "TOPIC",
+    ),
+    Option(
+        "--force-from",
+        "CSV file, TDMS file or bag with the force, one for each BAG (default: the BAG)",
+        "FILE",
+        Path,
+        action="append",
+        default=[],
+    ),
+    Option(
+        "--force-offset",
+        "time to add to the stamps in FILE (default: estimated from the kinks of the velocity)",
+        "S",
+        number("a number", math.isfinite),
+    ),
+    *IMPORT,
+    Option(
+        "--plate-normal",
+        'normal of the plate in the base frame, "X Y Z", if the recording states none (default: the motion)',
+        "XYZ",
+    ),
+)
+"""Where the force beside joint states is, and how it was measured."""
 POSITIVE = number("a number > 0", lambda value: value > 0.0)
 PAYLOAD = (
     Option(

@@ -2,6 +2,7 @@
 
 import argparse
 from collections import Counter
+from pathlib import Path
 
 from scara_effmass.analysis.assessment import Time, input_lines
 from scara_effmass.analysis.validation import ValidationSettings, validate
@@ -23,6 +24,19 @@ def run(args: argparse.Namespace) -> int:
     settings = validation_settings(args)
     dynamics = load_dynamics(settings.monitor)
     check_report_folder(args.output, overwrite=args.force)
+    paths = recordings(args)
+    with progress_bar() as progress:
+        task = progress.add_task("recordings", total=len(paths))
+        validation = validate(paths, dynamics, settings, lambda share: progress.advance(task, share))
+    result = write_report(validation, settings, dynamics.robot, args.output, overwrite=args.force)
+    notes = list(input_lines(settings.monitor, settings.time))
+    lines = [*summary_lines(validation), *notes, ("written", args.output / PAGE)]
+    print_result({**result, "output": str(args.output)}, lines, as_json=args.json)
+    return 0 if validation.result.accepted and not validation.result.exceedances else NOT_ACCEPTED
+
+
+def recordings(args: argparse.Namespace) -> list[Path]:
+    """Return the recordings, each with a force of its own. Raises BagError, SettingsError."""
     paths = [path for argument in args.bags for path in find_bags(argument)]
     counts = Counter(path.resolve() for path in paths)
     for path in reversed(paths):
@@ -32,14 +46,7 @@ def run(args: argparse.Namespace) -> int:
         raise SettingsError(
             f"argument --force-from: {len(args.force_from)} files: must be {len(paths)}, as many as BAGs"
         )
-    with progress_bar() as progress:
-        task = progress.add_task("recordings", total=len(paths))
-        validation = validate(paths, dynamics, settings, lambda share: progress.advance(task, share))
-    result = write_report(validation, settings, dynamics.robot, args.output, overwrite=args.force)
-    notes = list(input_lines(settings.monitor, settings.time))
-    lines = [*summary_lines(validation), *notes, ("written", args.output / PAGE)]
-    print_result({**result, "output": str(args.output)}, lines, as_json=args.json)
-    return 0 if validation.result.accepted and not validation.result.exceedances else NOT_ACCEPTED
+    return paths
 
 
 def validation_settings(args: argparse.Namespace) -> ValidationSettings:

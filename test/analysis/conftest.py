@@ -1,5 +1,6 @@
 """A small campaign on the simulated cell, and recordings made wrong from it."""
 
+import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
@@ -9,6 +10,7 @@ import pytest
 from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
+from scara_effmass.iso15066 import TABLE_HASH
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
@@ -20,6 +22,7 @@ from scara_effmass.wire.message_types import FORCE_BLOCK, RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
 
 MASSES = (0.5, 7.35)
+RAW = b"force"
 
 
 class Altered(Protocol):
@@ -75,3 +78,87 @@ def altered(tmp_path: Path) -> Altered:
         return copied
 
     return copy
+
+
+def contact(number: int, peak_n: float = 100.0) -> dict[str, Any]:
+    """Return one contact with the hand, on a device with its stiffness."""
+    return {
+        "time": f"2026-03-04T10:00:0{number}+01:00",
+        "raw_data": "raw.csv",
+        "raw_sha256": hashlib.sha256(RAW).hexdigest(),
+        "reached_speed_m_s": 0.25,
+        "transient_peak_n": peak_n,
+        "force_beyond_0_5_s_n": 20.0,
+        "duration_s": 0.02,
+        "effective_mass_kg": 2.0,
+        "reduced_mass_kg": 2.0,
+        "predicted_force_n": 1.1 * peak_n,
+        "simulated": False,
+    }
+
+
+def content(peak_n: float = 100.0) -> dict[str, Any]:
+    """Return a complete protocol of one test, whose contacts have the same peak."""
+    return {
+        "identity": {
+            "robot_model": "arm",
+            "robot_serial": "7",
+            "firmware": "1.2",
+            "safety_checksum": "A1B2",
+            "operator": "Tester",
+            "test_date": "2026-03-04",
+            "standard": "ISO/TS 15066:2016",
+            "limits_hash": TABLE_HASH,
+        },
+        "instruments": [
+            {
+                "id": "device",
+                "model": "gauge",
+                "serial": "1",
+                "calibration_date": "2025-09-01",
+                "calibration_due": "2026-09-01",
+                "stiffness_n_m": 75e3,
+                "damping": "none",
+                "fixed": True,
+                "sample_rate_hz": 10_000.0,
+                "filter": "none",
+                "force_uncertainty": 0.03,
+                "speed_uncertainty": 0.02,
+            }
+        ],
+        "tests": [
+            {
+                "id": "1",
+                "instrument": "device",
+                "point": {
+                    "contact_point": "tool",
+                    "body_region": "hand_fingers",
+                    "contact": "transient",
+                    "geometry": "flat",
+                    "contact_area_m2": 1e-4,
+                    "radius_mm": 5.0,
+                },
+                "motion": {
+                    "pose": {"joint1": 0.5},
+                    "direction": [1.0, 0.0, 0.0],
+                    "commanded_speed_m_s": 0.25,
+                    "payload_kg": 0.0,
+                    "safety_setting": "none",
+                },
+                "results": {
+                    "repetitions": [contact(number, peak_n) for number in range(3)],
+                    "photos": [],
+                    "deviations": "none",
+                },
+            }
+        ],
+    }
+
+
+def changed(value: Any, change: Any) -> Any:  # noqa: ANN401 - parts of a document
+    """Return `value`, a part of a document, with the parts in `change` replaced."""
+    if isinstance(change, dict):
+        return {**value, **{key: changed(value.get(key), part) for key, part in change.items()}}
+    if isinstance(change, list):
+        return [changed(*pair) for pair in zip(value, change, strict=False)] + value[len(change) :]
+    return change

@@ -1,0 +1,244 @@
+"""Measurement protocol of contact forces, as ISO/PAS 5672 and RIA TR R15.806 tests need one: schema, YAML, gaps.
+
+Any field may be empty while a protocol is being filled in; `missing` names those that are.
+"""
+
+import math
+from collections.abc import Iterator
+from datetime import date
+from pathlib import Path
+from textwrap import wrap
+from typing import Annotated, Any
+
+import yaml
+from pydantic import AfterValidator, AwareDatetime, BaseModel, Field, model_validator
+
+from scara_effmass.errors import SettingsError
+from scara_effmass.input_files import read_yaml
+from scara_effmass.iso15066 import BODY_REGIONS, EDITION, TABLE_HASH, limits_for
+from scara_effmass.settings import ContactType, MonitorSettings, checked
+from scara_effmass.settings.loading import FrozenSettings
+from scara_effmass.values import Vector3
+
+MIN_REPETITIONS = 3
+"""Fewest contacts of a test point."""
+HEADER = """\
+Measurement protocol of contact forces (ISO/PAS 5672, RIA TR R15.806). Replace each null; `scara-effmass protocol fill`
+enters recorded contacts and evaluates. A missing value makes the verdict UNKNOWN.
+For completion in an editor: scara-effmass protocol schema > protocol.schema.json, and as the first line of this file
+yaml-language-server: $schema=protocol.schema.json"""
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Text = Annotated[str, Field(min_length=1)]
+
+
+def stated(description: str) -> Any:  # noqa: ANN401 - as pydantic's Field
+    """Return the field of something that a protocol has to state."""
+    return Field(None, description=description)
+
+
+def optional(description: str) -> Any:  # noqa: ANN401 - as pydantic's Field
+    """Return the field of something that a complete protocol may leave out."""
+    return Field(None, description=description, json_schema_extra={"optional": True})
+
+
+def _known_region(name: str) -> str:
+    limits_for(MonitorSettings(body_regions=(name,)))  # raises LimitError, a ValueError
+    return name
+
+
+def _not_zero(vector: Vector3) -> Vector3:
+    if not any(vector):
+        raise ValueError("must not be all 0")
+    return vector
+
+
+class Identity(FrozenSettings):
+    """What was tested, by whom, when, and by which standard."""
+
+    robot_model: Text | None = stated("maker and model of the robot")
+    robot_serial: Text | None = stated("serial number of the robot")
+    firmware: Text | None = stated("version of the controller's software")
+    safety_checksum: Text | None = stated("checksum of the safety configuration, as the controller shows it")
+    operator: Text | None = stated("who measured")
+    test_date: date | None = stated("date of the measurement, YYYY-MM-DD")
+    standard: Text | None = stated("edition of the standard that states the limits")
+    limits_hash: Text | None = stated("hash of the table of limits; `scara-effmass limits` prints it")
+
+
+class Instrument(FrozenSettings):
+    """Measuring device in one configuration of spring and damping."""
+
+    id: Text = Field(description="name that the test points refer to")
+    model: Text | None = stated("maker and model")
+    serial: Text | None = stated("serial number")
+    calibration_date: date | None = stated("date of the calibration, YYYY-MM-DD")
+    calibration_due: date | None = stated("last day on which the calibration is valid, YYYY-MM-DD")
+    stiffness_n_m: Positive | None = stated("stiffness of its spring [N/m]; 75 N/mm is 75000")
+    damping: Text | None = stated('its damping, as "70 Shore A, 21 mm", "12 N s/m" or "none"')
+    fixed: bool | None = stated("true: fixed to the ground; false: free to move")
+    moving_mass_kg: Positive | None = optional("mass of a free device [kg]; null if it is fixed")
+    sample_rate_hz: Positive | None = stated("sampling rate [Hz]")
+    filter: Text | None = stated('filter of the force, as "CFC1000", "1 kHz low pass" or "none"')
+    force_uncertainty: NotNegative | None = stated("expanded uncertainty (k = 2) of the force; 0.03 is 3 %")
+    speed_uncertainty: NotNegative | None = stated("expanded uncertainty (k = 2) of the speed; 0.02 is 2 %")
+
+
+class TestPoint(FrozenSettings):
+    """Where the robot touches a person."""
+
+    __test__ = False  # not a test of pytest
+
+    contact_point: Text | None = stated("point of the robot that makes contact, as the robot model names it")
+    body_region: Annotated[Text, AfterValidator(_known_region)] | None = stated(
+        f"one of {', '.join(BODY_REGIONS)}; the standard permits no contact with skull_forehead and face"
+    )
+    contact: ContactType | None = stated("transient (free impact) or quasi_static (clamped)")
+    geometry: Text | None = stated('shape of the surface, as "flat, edges r = 5 mm"')
+    contact_area_m2: Positive | None = stated("area of the contact [m2], for the limit of the pressure; 1 cm2 is 1e-4")
+    radius_mm: NotNegative | None = stated("smallest radius of edges and corners [mm]")
+
+
+class Motion(FrozenSettings):
+    """How the robot moves in the test."""
+
+    pose: dict[str, float] | None = stated("joint positions at the contact [rad, m], by joint")
+    direction: Annotated[Vector3, AfterValidator(_not_zero)] | None = stated(
+        "of the motion, in the base frame [x, y, z]"
+    )
+    commanded_speed_m_s: Positive | None = stated("commanded speed of the contact point [m/s]")
+    payload_kg: NotNegative | None = stated("payload [kg]")
+    safety_setting: Text | None = stated("safety function and its setting, as the stop by force at 80 N")
+
+
+class Repetition(FrozenSettings):
+    """One contact."""
+
+    time: AwareDatetime | None = stated("time of the onset, ISO 8601 with zone, as 2026-11-22T14:03:12.5+01:00")
+    raw_data: Text | None = stated("file or folder with the force, relative to this file")
+    raw_sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = stated("SHA-256 of it; fill computes it")
+    reached_speed_m_s: Positive | None = stated("speed of the contact point at the onset [m/s]")
+    transient_peak_n: NotNegative | None = stated("largest force in the first 0.5 s [N]")
+    force_beyond_0_5_s_n: NotNegative | None = stated("largest force after the first 0.5 s [N]; 0: it had ended")
+    duration_s: Positive | None = stated("time above 10 % of the peak [s]")
+    peak_pressure_n_cm2: NotNegative | None = optional(
+        "largest pressure, if it was measured [N/cm2]; otherwise force over area is judged"
+    )
+    effective_mass_kg: Positive | None = stated("predicted effective mass of the robot along the motion [kg]")
+    reduced_mass_kg: Positive | None = stated("predicted reduced mass mu of robot and device [kg]")
+    predicted_force_n: Positive | None = stated("predicted peak force [N]")
+    simulated: bool | None = stated("true: simulated, not measured")
+
+
+class Evaluation(FrozenSettings):
+    """Result of a test point, which fill computes; do not edit."""
+
+    verdict: str = Field(description="OK, WARN: above the limit within the uncertainty, VIOLATION or UNKNOWN")
+    reasons: tuple[str, ...] = Field(description="why")
+    converted: bool | None = stated("the device differs from the body region, to which the force was converted")
+    judged_force_n: float | None = stated("largest transient force on the body region [N]")
+    transient_limit_n: float | None = stated("its limit [N]")
+    held_force_n: float | None = stated("largest force after 0.5 s [N]")
+    quasi_static_limit_n: float | None = stated("its limit [N]")
+    pressure_n_cm2: float | None = stated("largest measured pressure [N/cm2]")
+    pressure_limit_n_cm2: float | None = stated("its limit [N/cm2]")
+    ratio: float | None = stated("largest of the ratios of force or pressure to its limit")
+    uncertainty: float | None = stated("relative expanded uncertainty (k = 2) of the force")
+    residual: float | None = stated("mean of predicted / measured peak force - 1")
+
+
+class Results(FrozenSettings):
+    """What was measured."""
+
+    repetitions: tuple[Repetition, ...] = Field((), description=f"at least {MIN_REPETITIONS} contacts")
+    photos: tuple[Text, ...] | None = stated("files with photos of robot and device; []: none")
+    deviations: Text | None = stated('deviations from the procedure; "none" if there are none')
+    evaluation: Evaluation | None = optional("computed by fill; do not edit")
+
+
+class ContactTest(FrozenSettings):
+    """One test point with its results."""
+
+    id: Text = Field(description="name of the test, unique")
+    instrument: Text | None = stated("id of the instrument")
+    note: Text | None = optional("why this point was chosen")
+    point: TestPoint = TestPoint()
+    motion: Motion = Motion()
+    results: Results = Results()
+
+
+class Protocol(FrozenSettings):
+    """Measurement protocol of contact forces (ISO/PAS 5672, RIA TR R15.806)."""
+
+    identity: Identity = Identity(standard=EDITION, limits_hash=TABLE_HASH)
+    instruments: tuple[Instrument, ...] = Field((Instrument(id="device"),), description="measuring devices")
+    tests: tuple[ContactTest, ...] = Field((ContactTest(id="1", instrument="device"),), description="test points")
+
+    @model_validator(mode="after")
+    def _check_ids(self) -> "Protocol":
+        for items in (self.instruments, self.tests):
+            ids = [item.id for item in items]
+            if len(set(ids)) < len(ids):
+                raise ValueError(f"id must be unique, but there are {', '.join(ids)}")
+        return self
+
+    def test(self, name: str) -> ContactTest:
+        """Return the test `name`. Raises SettingsError."""
+        for test in self.tests:
+            if test.id == name:
+                return test
+        raise SettingsError(f"test = {name}: must be one of {', '.join(test.id for test in self.tests)}")
+
+    def replaced(self, test: ContactTest) -> "Protocol":
+        """Return the protocol with `test` in place of that of the same id."""
+        return self.model_copy(update={"tests": tuple(test if one.id == test.id else one for one in self.tests)})
+
+
+def read_protocol(path: Path) -> Protocol:
+    """Return the protocol in the YAML file at `path`. Raises SettingsError."""
+    content = read_yaml(path, SettingsError)
+    if not isinstance(content, dict):
+        raise SettingsError(f"{path}: must hold {', '.join(Protocol.model_fields)}")
+    return checked(Protocol, content, str(path))
+
+
+def missing(item: BaseModel, path: str = "") -> Iterator[str]:
+    """Yield the dotted path of each field of `item` that is not stated, though a complete protocol states it."""
+    for name, field in type(item).model_fields.items():
+        value, extra = getattr(item, name), field.json_schema_extra
+        if value is None and not (isinstance(extra, dict) and extra.get("optional")):
+            yield f"{path}{name}"
+        elif isinstance(value, BaseModel) and not isinstance(value, Evaluation):
+            yield from missing(value, f"{path}{name}.")
+        elif isinstance(value, tuple):
+            for number, part in enumerate(value, start=1):
+                if isinstance(part, BaseModel):
+                    yield from missing(part, f"{path}{name}.{getattr(part, 'id', number)}.")
+
+
+def protocol_yaml(protocol: Protocol) -> str:
+    """Return the YAML file of `protocol`, with the meaning and unit of each field in a comment above its first one."""
+    return "\n".join([f"# {line}" for line in HEADER.splitlines()] + ["", *_lines(protocol, "", set())]) + "\n"
+
+
+def _lines(item: BaseModel, indent: str, explained: set[str]) -> Iterator[str]:
+    for name, field in type(item).model_fields.items():
+        key, value = f"{type(item).__name__}.{name}", getattr(item, name)
+        if field.description and key not in explained:
+            yield from wrap(field.description, 118, initial_indent=f"{indent}# ", subsequent_indent=f"{indent}# ")
+            explained.add(key)
+        if isinstance(value, BaseModel):
+            yield f"{indent}{name}:"
+            yield from _lines(value, f"{indent}  ", explained)
+        elif isinstance(value, tuple) and any(isinstance(part, BaseModel) for part in value):
+            yield f"{indent}{name}:"
+            for part in value:
+                lines = list(_lines(part, f"{indent}    ", explained))
+                first = next(number for number, line in enumerate(lines) if not line.lstrip().startswith("#"))
+                lines[first] = f"{indent}  - {lines[first].lstrip()}"
+                yield from lines
+        else:
+            plain = item.model_dump(mode="json", include={name})[name]
+            text = yaml.safe_dump([plain], default_flow_style=True, width=math.inf, allow_unicode=True)
+            yield f"{indent}{name}: {text.strip()[1:-1]}"

@@ -1,0 +1,110 @@
+"""Enter recorded contacts into a measurement protocol, and evaluate it."""
+
+import os
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+
+from scara_effmass.analysis.force_traces import ForceTrace, force_traces
+from scara_effmass.analysis.protocol import ContactTest, Instrument, Protocol, Repetition
+from scara_effmass.analysis.protocol_evaluation import evaluate
+from scara_effmass.analysis.validation import ValidatedRecording, Validation
+from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.input_files import digest
+from scara_effmass.iso15066 import TRANSIENT_S
+from scara_effmass.settings import ImportSettings
+from scara_effmass.values import ValidatedImpact
+
+AFTER_S = 10.0
+"""Time after the onset in which force counts [s], unless another contact begins."""
+LOW_SHARE = 0.1
+"""Share of the peak above which the contact lasts."""
+
+
+def repetitions(validation: Validation, settings: ImportSettings, folder: Path) -> tuple[Repetition, ...]:
+    """Return the contacts of `validation`; paths are relative to `folder`. Raises BagError if there is none."""
+    contacts = tuple(item for recording in validation.recordings for item in _repetitions(recording, settings, folder))
+    if not contacts:
+        left_out = {**validation.result.excluded, **validation.result.unpaired}
+        reasons = "; ".join(f"{count}: {reason}" for reason, count in left_out.items())
+        names = ", ".join(str(recording.path) for recording in validation.recordings)
+        raise BagError(f"{names}: no contact{f' ({reasons})' * bool(reasons)}")
+    return contacts
+
+
+def _repetitions(recording: ValidatedRecording, settings: ImportSettings, folder: Path) -> Iterator[Repetition]:
+    path = Path(recording.force_topic) if recording.force_clock else recording.path
+    sha256, name = digest(path, BagError), os.path.relpath(path.resolve(), folder.resolve())
+    for impact, trace in zip(recording.impacts, force_traces(recording, settings, AFTER_S), strict=True):
+        yield _repetition(impact, trace, name, sha256)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def _repetition(impact: ValidatedImpact, trace: ForceTrace, name: str, sha256: str) -> Repetition:
+    """Return one contact; without force blocks only its peak is known."""
+    peak, beyond, duration = impact.measured_force, None, None
+    if trace.time.size and trace.time[-1] > 0.0:
+        is_early = trace.time <= TRANSIENT_S
+        early, late = trace.force[is_early], trace.force[~is_early]
+        low = np.flatnonzero(early < LOW_SHARE * early.max())
+        rise, fall = low[low < early.argmax()], low[low > early.argmax()]
+        if rise.size and fall.size:
+            duration = _rounded(trace.time[fall[0]] - trace.time[rise[-1]])
+        if late.size:
+            # The interpolated peak of an impact may lie between two samples.
+            peak = max(float(early.max()), impact.measured_force if late.max() < early.max() else 0.0)
+            beyond = _rounded(max(float(late.max()), 0.0))
+    return Repetition(
+        time=datetime.fromtimestamp(impact.stamp_ns / 1e9, timezone.utc),
+        raw_data=name,
+        raw_sha256=sha256,
+        reached_speed_m_s=_rounded(impact.speed),
+        transient_peak_n=_rounded(peak),
+        force_beyond_0_5_s_n=beyond,
+        duration_s=duration,
+        effective_mass_kg=_rounded(impact.effective_mass),
+        reduced_mass_kg=_rounded(impact.reduced_mass),
+        predicted_force_n=_rounded(impact.predicted_force),
+        simulated=impact.simulated,
+    )
+
+
+def device_of(protocol: Protocol, test: ContactTest, origin: str) -> Instrument:
+    """Return the device of `test`. Raises SettingsError where a prediction needs what is missing."""
+    device = next((item for item in protocol.instruments if item.id == test.instrument), None)
+    if device is None:
+        raise SettingsError(
+            f"{origin}: tests.{test.id}.instrument = {test.instrument}: must be the id of an instrument"
+        )
+    needed = {
+        f"instruments.{device.id}.stiffness_n_m": device.stiffness_n_m,
+        f"instruments.{device.id}.fixed": device.fixed,
+        f"instruments.{device.id}.moving_mass_kg": device.fixed or device.moving_mass_kg,
+        f"tests.{test.id}.point.body_region": test.point.body_region,
+        f"tests.{test.id}.point.contact": test.point.contact,
+        f"tests.{test.id}.point.contact_area_m2": test.point.contact_area_m2,
+    }
+    for name, value in needed.items():
+        if value is None:
+            raise SettingsError(f"{origin}: {name}: must be stated before contacts are filled in")
+    return device
+
+
+def evaluated(protocol: Protocol, folder: Path) -> Protocol:
+    """Return `protocol` with hashes of all raw data and a new evaluation of every test. Raises SettingsError."""
+    for test in protocol.tests:
+        items = tuple(
+            item.model_copy(update={"raw_sha256": digest(folder / item.raw_data, SettingsError)})
+            if item.raw_data and not item.raw_sha256
+            else item
+            for item in test.results.repetitions
+        )
+        hashed = test.model_copy(update={"results": test.results.model_copy(update={"repetitions": items})})
+        results = hashed.results.model_copy(update={"evaluation": evaluate(protocol, hashed, folder)})
+        protocol = protocol.replaced(hashed.model_copy(update={"results": results}))
+    return protocol

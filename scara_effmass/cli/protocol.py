@@ -1,0 +1,134 @@
+"""`scara-effmass protocol`: write, fill in and render a measurement protocol."""
+
+import argparse
+from contextlib import suppress
+from dataclasses import replace
+
+from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
+from scara_effmass.analysis.output import atomic_file, check_output_path
+from scara_effmass.analysis.protocol import Protocol, Repetition, protocol_yaml, read_protocol
+from scara_effmass.analysis.protocol_evaluation import overall
+from scara_effmass.analysis.protocol_fill import AFTER_S, device_of, evaluated, repetitions
+from scara_effmass.analysis.protocol_plan import Plan
+from scara_effmass.analysis.validation import validate
+from scara_effmass.analysis.workspace_map import AS_SAMPLED, Plane, sample_workspace
+from scara_effmass.bags.files import open_bag
+from scara_effmass.cli.console import print_json, print_result, progress_bar, tracked
+from scara_effmass.cli.settings import load_dynamics, monitor_settings, override
+from scara_effmass.cli.validate import recordings, validation_settings
+from scara_effmass.errors import RobotError, SettingsError
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import ContactType, MonitorSettings
+from scara_effmass.values import Verdict
+
+NOT_OK = 1
+BASE_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run one step."""
+    steps = {"init": _init, "fill": _fill, "schema": _schema}
+    return steps[args.command.rpartition(" ")[2]](args)
+
+
+def _schema(_: argparse.Namespace) -> int:
+    print_json(Protocol.model_json_schema())
+    return 0
+
+
+def _init(args: argparse.Namespace) -> int:
+    check_output_path(args.output, overwrite=args.force)
+    settings = monitor_settings(args)
+    plan = Plan(settings, args.points)
+    dynamics = load_dynamics(settings)
+    if args.recording:
+        _add_recording(plan, args, settings, dynamics)
+    if args.map:
+        _add_workspace(plan, args, monitor_settings(args, **AS_SAMPLED), dynamics)
+    protocol = plan.protocol(dynamics.robot.name)
+    with atomic_file(args.output, overwrite=args.force) as path:
+        path.write_text(protocol_yaml(protocol), encoding="utf-8")
+    lines = [("test", f"{test.id}: {test.note}") for test in protocol.tests if test.note]
+    lines += [("left out", f"{plan.unknown} contacts that are UNKNOWN")] if plan.unknown else []
+    next_step = f"fill in the file, then: scara-effmass protocol fill {args.output} --test ID BAG"
+    result = {"output": str(args.output), **protocol.model_dump(mode="json")}
+    print_result(result, [*lines, ("written", args.output), ("next", next_step)], as_json=args.json)
+    return 0
+
+
+def _add_recording(plan: Plan, args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics) -> None:
+    with open_bag(args.recording) as bag, progress_bar() as progress:
+        topic = joint_state_topic(bag, args.topic)
+        assessed = assess_joint_states(bag, topic, Monitor(dynamics, settings))
+        for _, state, decision in tracked(progress, bag, topic, assessed):
+            if decision is not None and state is not None:
+                pose = dict(zip(state.names, state.position.tolist(), strict=False))
+                for contact in decision.contacts:
+                    plan.add(contact, pose)
+
+
+def _add_workspace(plan: Plan, args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics) -> None:
+    """Add configurations that move along the axes of the base. Raises RobotError if none of them can."""
+    samples = []
+    with progress_bar() as progress:
+        task = progress.add_task("configurations", total=len(BASE_AXES) * args.samples)
+        for axis in BASE_AXES:
+            monitor, advance = Monitor(dynamics, settings), lambda: progress.advance(task)
+            with suppress(RobotError):  # a robot need not move along every axis
+                samples.append(sample_workspace(monitor, axis, "", Plane(), args.samples, advance))
+    if not samples:
+        raise RobotError(f"{dynamics.robot.origin}: must move along an axis of the base")
+    for sample in samples:
+        for q, contact in zip(sample.q.tolist(), sample.contacts, strict=True):
+            plan.add(contact, dict(zip(dynamics.robot.joint_names, q, strict=True)), at_limit=True)
+
+
+def _fill(args: argparse.Namespace) -> int:
+    target, folder = args.output or args.protocol, args.protocol.parent
+    check_output_path(target, overwrite=args.force or target == args.protocol)
+    protocol = read_protocol(args.protocol)
+    if args.bags:
+        protocol = _filled(args, protocol)
+    protocol = evaluated(protocol, folder)
+    with atomic_file(target, overwrite=args.force or target == args.protocol) as path:
+        path.write_text(protocol_yaml(protocol), encoding="utf-8")
+    evaluations = [test.results.evaluation for test in protocol.tests if test.results.evaluation]
+    verdict = overall(evaluations)
+    lines = [("verdict", verdict.name)]
+    for test, evaluation in zip(protocol.tests, evaluations, strict=True):
+        lines += [(evaluation.verdict, f"{test.id}: {reason}") for reason in evaluation.reasons]
+    result = {"output": str(target), "verdict": verdict.name, **protocol.model_dump(mode="json")}
+    print_result(result, [*lines, ("written", target)], as_json=args.json)
+    return 0 if verdict is Verdict.OK else NOT_OK
+
+
+def _filled(args: argparse.Namespace, protocol: Protocol) -> Protocol:
+    """Return `protocol` with the contacts of the recordings in one test. Raises EffmassError."""
+    origin = str(args.protocol)
+    if args.test is None and len(protocol.tests) > 1:
+        raise SettingsError(f"--test: must be one of {', '.join(test.id for test in protocol.tests)}")
+    test = protocol.test(args.test or protocol.tests[0].id)
+    if any(item != Repetition() for item in test.results.repetitions) and not args.force:
+        raise SettingsError(f"{origin}: tests.{test.id}: already filled in; use --force to replace its contacts")
+    device = device_of(protocol, test, origin)
+    args.stiffness_n_m, args.obstacle_fixed = device.stiffness_n_m, device.fixed
+    args.obstacle_mass = device.moving_mass_kg
+    args.body_regions, args.contact = [test.point.body_region], test.point.contact
+    args.contact_area_m2 = test.point.contact_area_m2
+    settings = validation_settings(args)
+    if test.point.contact is ContactType.QUASI_STATIC:  # a held contact is to be one impact
+        validator = override(settings.validator, {"impact_delay": 3.0 * AFTER_S, "history": 6.0 * AFTER_S})
+        detection = override(settings.detection, {"longest": AFTER_S})
+        settings = replace(settings, validator=validator, detection=detection)
+    dynamics = load_dynamics(settings.monitor)
+    if test.point.contact_point in dynamics.contact_points:
+        validator = override(settings.validator, {"contact_point": test.point.contact_point})
+        settings = replace(settings, validator=validator)
+    paths = recordings(args)
+    with progress_bar() as progress:
+        task = progress.add_task("recordings", total=len(paths))
+        validation = validate(paths, dynamics, settings, lambda share: progress.advance(task, share))
+    contacts = repetitions(validation, settings.force, args.protocol.parent)
+    results = test.results.model_copy(update={"repetitions": contacts})
+    return protocol.replaced(test.model_copy(update={"results": results}))

@@ -1,0 +1,307 @@
+"""Measurement protocol: schema, gaps, evaluation, proposed test points, and recorded contacts."""
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel
+
+from scara_effmass.analysis.protocol import Evaluation, Protocol, missing, protocol_yaml, read_protocol
+from scara_effmass.analysis.protocol_evaluation import evaluate, overall
+from scara_effmass.analysis.protocol_fill import evaluated, repetitions
+from scara_effmass.analysis.protocol_plan import Plan
+from scara_effmass.analysis.validation import ValidationSettings, validate
+from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.safety import Monitor
+from scara_effmass.safety.debounce import severity
+from scara_effmass.settings import ImportSettings, MonitorSettings, ValidatorSettings
+from scara_effmass.values import ContactAssessment, ForceBlock, JointState, Verdict
+from test.analysis.conftest import RAW, Altered, changed, content
+
+HAND_LIMIT_N = 280.0
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the raw data."""
+    path = tmp_path_factory.mktemp("protocol")
+    (path / "raw.csv").write_bytes(RAW)
+    return path
+
+
+def result(values: dict[str, Any], folder: Path) -> Evaluation:
+    protocol = Protocol.model_validate(values)
+    return evaluate(protocol, protocol.tests[0], folder)
+
+
+def leaves(item: BaseModel, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Yield the path of each field that may be empty."""
+    for name in type(item).model_fields:
+        value = getattr(item, name)
+        if isinstance(value, BaseModel):
+            yield from leaves(value, (*path, name))
+        elif isinstance(value, tuple) and value and isinstance(value[0], BaseModel):
+            for number, part in enumerate(value):
+                yield from leaves(part, (*path, name, number))
+        elif name != "id":
+            yield (*path, name)
+
+
+PATHS = [path for path in leaves(Protocol.model_validate(content())) if path[-1] not in {"note", "evaluation"}]
+
+
+def without(path: tuple[str | int, ...]) -> dict[str, Any]:
+    values: Any = content()
+    part = values
+    for key in path[:-1]:
+        part = part[key]
+    part.pop(path[-1], None)
+    return dict(values)
+
+
+@pytest.mark.parametrize("path", PATHS, ids=lambda path: ".".join(map(str, path)))
+def test_a_missing_field_is_named_and_makes_the_verdict_unknown(path: tuple[str | int, ...], folder: Path) -> None:
+    evaluation = result(without(path), folder)
+    if path[-1] in {"moving_mass_kg", "peak_pressure_n_cm2"}:
+        assert evaluation.verdict == "OK"
+        return
+    named = [reason for reason in evaluation.reasons if reason.endswith(f".{path[-1]}")]
+    assert (evaluation.verdict, len(named)) == ("UNKNOWN", 1), evaluation.reasons
+
+
+@pytest.mark.parametrize(
+    ("peak_n", "verdict"),
+    [(100.0, "OK"), (0.95 * HAND_LIMIT_N, "OK"), (0.99 * HAND_LIMIT_N, "WARN"), (281.0, "VIOLATION")],
+)
+def test_the_verdict_needs_a_distance_of_the_uncertainty_from_the_limit(
+    peak_n: float, verdict: str, folder: Path
+) -> None:
+    evaluation = result(content(peak_n), folder)
+    assert (evaluation.verdict, evaluation.transient_limit_n) == (verdict, HAND_LIMIT_N)
+    assert evaluation.ratio == pytest.approx(peak_n / HAND_LIMIT_N)
+    assert evaluation.uncertainty == pytest.approx(np.hypot(0.03, 0.02), rel=1e-3)
+    assert evaluation.residual == pytest.approx(0.1)
+    assert evaluation.converted is False
+
+
+def test_the_held_force_has_the_quasi_static_limit(folder: Path) -> None:
+    values = content()
+    values["tests"][0]["results"]["repetitions"][1]["force_beyond_0_5_s_n"] = 141.0
+    evaluation = result(values, folder)
+    assert (evaluation.verdict, evaluation.held_force_n, evaluation.quasi_static_limit_n) == ("VIOLATION", 141.0, 140.0)
+
+
+def test_a_measured_pressure_has_its_own_limit(folder: Path) -> None:
+    values = content()
+    for item in values["tests"][0]["results"]["repetitions"]:
+        item["peak_pressure_n_cm2"] = 381.0
+    evaluation = result(values, folder)
+    assert (evaluation.verdict, evaluation.pressure_n_cm2, evaluation.pressure_limit_n_cm2) == (
+        "VIOLATION",
+        381.0,
+        380.0,
+    )
+
+
+def test_force_on_another_stiffness_is_converted(folder: Path) -> None:
+    values = content(400.0)
+    values["instruments"][0]["stiffness_n_m"] = 300e3
+    evaluation = result(values, folder)
+    # mu 0.4615 kg with the hand, 2 kg with the fixed device, of a quarter of its stiffness.
+    assert evaluation.judged_force_n == pytest.approx(400.0 * np.sqrt(0.25 * (1.0 / (0.5 + 1.0 / 0.6)) / 2.0))
+    assert (evaluation.converted, evaluation.verdict) == (True, "OK")
+
+
+CHANGES: dict[str, dict[str, Any]] = {
+    "another table of limits": {"identity": {"limits_hash": "0"}},
+    "not calibrated on the day of the test": {"instruments": [{"calibration_due": "2026-03-03"}]},
+    "not measured on identity.test_date": {"identity": {"test_date": "2026-03-05"}},
+    "unknown instrument": {"tests": [{"instrument": "gauge"}]},
+    "slower than commanded": {"tests": [{"motion": {"commanded_speed_m_s": 0.3}}]},
+    "clamping needs a fixed device": {
+        "instruments": [{"fixed": False, "moving_mass_kg": 2.0}],
+        "tests": [{"point": {"contact": "quasi_static"}}],
+    },
+    "missing: instruments.device.moving_mass_kg": {"instruments": [{"fixed": False}]},
+    "the same contact twice": {"tests": [{"results": {"repetitions": [{}, {"time": "2026-03-04T09:00:00Z"}]}}]},
+    "simulated": {"tests": [{"results": {"repetitions": [{"simulated": True}]}}]},
+    "raw data not found": {"tests": [{"results": {"repetitions": [{"raw_data": "lost.csv"}]}}]},
+    "raw data changed": {"tests": [{"results": {"repetitions": [{"raw_sha256": 64 * "0"}]}}]},
+}
+
+
+@pytest.mark.parametrize("doubt", CHANGES)
+def test_what_is_doubtful_is_unknown(doubt: str, folder: Path) -> None:
+    evaluation = result(changed(content(), CHANGES[doubt]), folder)
+    assert evaluation.verdict == "UNKNOWN"
+    assert any(reason.startswith(doubt) for reason in evaluation.reasons), evaluation.reasons
+
+
+def test_fewer_than_three_contacts_are_unknown(folder: Path) -> None:
+    values = content()
+    del values["tests"][0]["results"]["repetitions"][2]
+    evaluation = result(values, folder)
+    assert (evaluation.verdict, evaluation.reasons[1]) == ("UNKNOWN", "too few contacts: 2 of 3")
+
+
+@given(st.floats(1.0, 400.0), st.floats(1.0, 1.5), st.floats(0.0, 0.3), st.floats(0.0, 0.3), st.floats(1.0, 400.0))
+def test_more_force_or_uncertainty_never_improves_the_verdict(
+    folder: Path, peak_n: float, factor: float, relative: float, more: float, held_n: float
+) -> None:
+    def rank(peak: float, share: float) -> int:
+        values = changed(content(peak), {"instruments": [{"force_uncertainty": share}]})
+        values["tests"][0]["results"]["repetitions"][0]["force_beyond_0_5_s_n"] = held_n
+        return severity(Verdict[result(values, folder).verdict])
+
+    assert rank(peak_n, relative) <= rank(factor * peak_n, relative)
+    assert rank(peak_n, relative) <= rank(peak_n, relative + more)
+
+
+def test_the_worst_test_point_decides() -> None:
+    def of(*verdicts: str) -> Verdict:
+        return overall([Evaluation(verdict=verdict, reasons=()) for verdict in verdicts])
+
+    assert of() is Verdict.UNKNOWN
+    assert of("OK", "WARN", "OK") is Verdict.WARN
+    assert of("OK", "UNKNOWN", "VIOLATION") is Verdict.UNKNOWN
+
+
+def test_yaml_keeps_every_value_and_explains_every_field(folder: Path) -> None:
+    path = folder / "protocol.yaml"
+    protocol = evaluated(Protocol.model_validate(content()), folder)
+    text = protocol_yaml(protocol)
+    path.write_text(text, encoding="utf-8")
+    assert read_protocol(path) == protocol
+    assert list(missing(protocol)) == []
+    lines = text.splitlines()
+    for field in ("robot_serial", "stiffness_n_m", "contact_area_m2", "direction", "force_beyond_0_5_s_n", "ratio"):
+        number = next(number for number, line in enumerate(lines) if re.match(rf"[ -]*{field}:", line))
+        assert lines[number - 1].lstrip().startswith("# ")
+
+
+def test_an_edited_evaluation_does_not_count(folder: Path) -> None:
+    values = content(281.0)
+    values["tests"][0]["results"]["evaluation"] = {"verdict": "OK", "reasons": []}
+    (test,) = evaluated(Protocol.model_validate(values), folder).tests
+    assert test.results.evaluation
+    assert test.results.evaluation.verdict == "VIOLATION"
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("- 1", "must hold identity, instruments, tests"),
+        ("identity: {serial: 1}", "identity.serial: unknown: must be"),
+        ("tests: [{id: a}, {id: a}]", "id must be unique, but there are a, a"),
+        ("tests: [{id: a, point: {body_region: face}}]", "the standard permits no contact"),
+        ("tests: [{id: a, motion: {commanded_speed_m_s: -1}}]", "commanded_speed_m_s = -1: must be greater than 0"),
+        ("tests: [{id: a, results: {repetitions: [{time: '2026-01-01T00:00:00'}]}}]", "timezone"),
+    ],
+)
+def test_a_wrong_protocol_is_refused(tmp_path: Path, text: str, problem: str) -> None:
+    (tmp_path / "protocol.yaml").write_text(text)
+    with pytest.raises(SettingsError, match=re.escape(problem)) as caught:
+        read_protocol(tmp_path / "protocol.yaml")
+    assert str(caught.value).startswith(str(tmp_path / "protocol.yaml"))
+
+
+def test_schema_describes_every_field() -> None:
+    schema = Protocol.model_json_schema()
+    text = json.dumps(schema)
+    for group in schema["$defs"].values():
+        for name, field in group.get("properties", {}).items():
+            assert "description" in field or "$ref" in json.dumps(field), name
+    assert "m/s" in text
+
+
+def assessment(monitor: Monitor, q2: float, speed: float) -> ContactAssessment:
+    q = np.array([0.0, q2, 0.15, 0.0])
+    monitor.clear_history()
+    decision = monitor.assess(
+        JointState(10**9, monitor.dynamics.robot.joint_names, q, np.array([speed, 1e-9, 1e-9, 1e-9])), 10**9
+    )
+    assert decision
+    return decision.contacts[0]
+
+
+def test_plan_keeps_the_worst_contacts_in_different_poses(dynamics: RobotDynamics) -> None:
+    settings = MonitorSettings(body_regions=("hand_fingers", "chest"))
+    monitor, plan = Monitor(dynamics, settings), Plan(settings, 2)
+    speeds = {0.5: 0.4, 0.55: 0.6, 1.0: 0.9, 1.5: 0.5}
+    for q2, speed in speeds.items():
+        plan.add(assessment(monitor, q2, speed), {"joint2": q2})
+    plan.add(assessment(monitor, 2.0, 3.0)._replace(verdict=Verdict.UNKNOWN), {"joint2": 2.0})
+    protocol = plan.protocol("arm")
+    assert plan.unknown == 1
+    assert [test.id for test in protocol.tests] == ["chest_1", "chest_2", "hand_fingers_1", "hand_fingers_2"]
+    for region in ("chest", "hand_fingers"):
+        poses = [test.motion.pose for test in protocol.tests if test.point.body_region == region]
+        assert poses == [{"joint2": 1.0}, {"joint2": 0.55}]
+    assert [device.id for device in protocol.instruments] == ["25_N_mm", "75_N_mm"]
+    assert "tests.chest_1.results.repetitions.3.transient_peak_n" in set(missing(protocol))
+
+
+def test_plan_of_a_map_commands_the_speed_of_the_limit(dynamics: RobotDynamics) -> None:
+    settings = MonitorSettings(body_regions=("hand_fingers",))
+    plan = Plan(settings, 1)
+    plan.add(assessment(Monitor(dynamics, settings), 1.0, 0.3), {"joint2": 1.0}, at_limit=True)
+    (test,) = plan.protocol("arm").tests
+    assert test.note
+    assert test.note.startswith("predicted: 280 N of 280 N")
+
+
+def measured(block: ForceBlock) -> ForceBlock:
+    return block._replace(simulated=False)
+
+
+@pytest.fixture(scope="session")
+def device_settings() -> ValidationSettings:
+    validator = ValidatorSettings(stiffness_n_m=2e6, body_regions=("chest",))
+    return ValidationSettings(validator=validator)
+
+
+def test_contacts_are_those_of_the_validation(
+    campaign: list[Path], dynamics: RobotDynamics, device_settings: ValidationSettings, altered: Altered
+) -> None:
+    bags = [altered(path, block=measured, info={"simulated": False}) for path in campaign[:2]]
+    validation = validate(bags, dynamics, device_settings)
+    contacts = repetitions(validation, ImportSettings(), bags[0].parent)
+    for impact, item, bag in zip(validation.result.impacts, contacts, bags, strict=True):
+        assert item.time
+        assert item.time.timestamp() == pytest.approx(impact.stamp_ns / 1e9, abs=1e-6)
+        assert item.transient_peak_n == pytest.approx(impact.measured_force, rel=0.01)
+        assert item.predicted_force_n == pytest.approx(impact.predicted_force, rel=1e-5)
+        assert item.raw_data == bag.name
+        assert item.force_beyond_0_5_s_n == pytest.approx(0.0, abs=1.0)
+        assert item.duration_s == pytest.approx(np.pi * np.sqrt(impact.reduced_mass / 2e6), rel=0.2)
+        assert item.simulated is False
+
+
+def test_force_that_is_held_counts_beyond_half_a_second(
+    campaign: list[Path], dynamics: RobotDynamics, device_settings: ValidationSettings, altered: Altered
+) -> None:
+    onset_ns = validate(campaign[:1], dynamics, device_settings).result.impacts[0].stamp_ns
+
+    def held(block: ForceBlock) -> ForceBlock:
+        seconds = (block.stamp_ns - onset_ns) / 1e9 + np.arange(len(block.force)) / block.sample_rate
+        return block._replace(force=np.where(seconds > 0.52, block.force + 50.0, block.force))
+
+    validation = validate([altered(campaign[0], block=held)], dynamics, device_settings)
+    (item,) = repetitions(validation, ImportSettings(), Path())
+    assert item.force_beyond_0_5_s_n == pytest.approx(50.0, abs=1.0)
+    assert item.simulated is True
+
+
+def test_a_recording_without_a_contact_is_refused(
+    campaign: list[Path], dynamics: RobotDynamics, altered: Altered
+) -> None:
+    quiet = altered(campaign[0], block=lambda block: block._replace(force=1e-3 * block.force))
+    with pytest.raises(BagError, match="no contact"):
+        repetitions(validate([quiet], dynamics, ValidationSettings()), ImportSettings(), Path())

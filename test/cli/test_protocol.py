@@ -1,0 +1,97 @@
+"""`protocol`: init, fill, report and schema."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from scara_effmass.analysis.protocol import Protocol, protocol_yaml, read_protocol
+from scara_effmass.sim.campaign import Campaign, run_campaign
+from test.analysis.conftest import RAW, changed, content
+from test.cli.conftest import Cli, Refused
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three simulated contacts with a cart of 2.39 kg."""
+    folder = tmp_path_factory.mktemp("campaign")
+    return [step.path for step in run_campaign(folder, Campaign(obstacle_masses=(2.39,), repetitions=1))]
+
+
+@pytest.fixture
+def protocol(tmp_path: Path) -> Path:
+    """A complete protocol of measured contacts."""
+    (tmp_path / "raw.csv").write_bytes(RAW)
+    path = tmp_path / "protocol.yaml"
+    path.write_text(protocol_yaml(Protocol.model_validate(content())), encoding="utf-8")
+    return path
+
+
+def test_init_writes_an_empty_protocol_once(cli: Cli, refused: Refused, tmp_path: Path) -> None:
+    done = cli("protocol", "init")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(read_protocol(tmp_path / "protocol.yaml").tests[0].results.repetitions) == 3
+    assert "already exists; use --force" in refused("protocol", "init")
+    assert cli("protocol", "init", "--force").returncode == 0
+
+
+def test_init_proposes_points_from_a_bag_and_from_the_workspace(cli: Cli, swing_bag: Path, tmp_path: Path) -> None:
+    regions = ("--region", "hand_fingers", "--region", "chest", "--points", "2", "--force")
+    done = cli("protocol", "init", "--from", swing_bag, *regions)
+    assert done.returncode == 0
+    assert done.stdout.count("predicted: ") == 4
+    proposed = read_protocol(tmp_path / "protocol.yaml")
+    assert {test.motion.pose is not None for test in proposed.tests} == {True}
+    done = cli("protocol", "init", "--map", "--samples", "100", *regions)
+    assert done.stdout.count("240 N of 240 N") == 2
+
+
+def test_fill_enters_simulated_contacts_which_stay_unknown(
+    cli: Cli, refused: Refused, campaign: list[Path], tmp_path: Path
+) -> None:
+    values = changed(content(), {"instruments": [{"stiffness_n_m": 2e6, "fixed": False, "moving_mass_kg": 2.39}]})
+    values["identity"]["test_date"] = "2026-01-01"
+    values["tests"][0]["results"] = {"photos": [], "deviations": "none"}
+    path = tmp_path / "protocol.yaml"
+    path.write_text(protocol_yaml(Protocol.model_validate(values)), encoding="utf-8")
+    done = cli("protocol", "fill", path, *campaign, "--json")
+    filled = json.loads(done.stdout)
+    assert (done.returncode, filled["verdict"]) == (1, "UNKNOWN")
+    (test,) = read_protocol(path).tests
+    assert test.results.evaluation
+    assert test.results.evaluation.reasons[1:] == ("simulated: nothing was measured on a robot",)
+    assert test.results.evaluation.residual == pytest.approx(0.0, abs=0.03)
+    assert "already filled in; use --force" in refused("protocol", "fill", path, *campaign)
+    assert cli("protocol", "fill", path, *campaign, "--force").returncode == 1
+
+
+def test_fill_evaluates_what_was_typed_in(cli: Cli, protocol: Path, tmp_path: Path) -> None:
+    done = cli("protocol", "fill", protocol, "-o", "filled.yaml")
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[0].split() == ["verdict", "OK"]
+    (test,) = read_protocol(tmp_path / "filled.yaml").tests
+    assert test.results.evaluation
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"instruments": [{"stiffness_n_m": None}]}, "instruments.device.stiffness_n_m: must be stated"),
+        ({"tests": [{"instrument": "gauge"}]}, "tests.1.instrument = gauge: must be the id of an instrument"),
+    ],
+)
+def test_fill_names_what_a_prediction_needs(
+    refused: Refused, protocol: Path, campaign: list[Path], change: dict[str, object], problem: str
+) -> None:
+    protocol.write_text(protocol_yaml(Protocol.model_validate(changed(content(), change))), encoding="utf-8")
+    assert problem in refused("protocol", "fill", protocol, campaign[0], "--force")
+    assert "--test" in refused("protocol", "fill", protocol, campaign[0], "--test")
+
+
+def test_schema_is_json_schema(cli: Cli) -> None:
+    done = cli("protocol", "schema")
+    assert json.loads(done.stdout)["properties"].keys() == {"identity", "instruments", "tests"}
+
+
+def test_the_group_needs_a_step(refused: Refused) -> None:
+    assert "COMMAND" in refused("protocol")
