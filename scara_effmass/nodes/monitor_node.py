@@ -13,7 +13,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Inertia
-from rclpy.clock import JumpHandle, JumpThreshold, TimeJump
+from rclpy.clock import ClockChange, JumpHandle, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSSubscriptionMatchedInfo
 from scara_effmass_msgs.msg import ContactState
@@ -135,8 +135,8 @@ class MonitorNode(LifecycleBase):
                 matched=self._on_payload_publishers,
             )
         self.create_owned_trigger("~/reset", self._reset)
-        backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
-        jump = self.get_clock().create_jump_callback(backwards, post_callback=self._on_clock_jump)
+        every_step = JumpThreshold(min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1))
+        jump = self.get_clock().create_jump_callback(every_step, post_callback=self._on_clock_jump)
         self.own(jump, JumpHandle.unregister)
 
     def activate(self) -> None:
@@ -339,9 +339,13 @@ class MonitorNode(LifecycleBase):
                 self._monitor.reset()
         return f"cleared: {cause.verdict.name}: {cause.reason}" if cause else "nothing was latched"
 
-    def _on_clock_jump(self, _: TimeJump) -> None:
+    def _on_clock_jump(self, jump: TimeJump) -> None:
+        """Take each step of /clock; system time gives none."""
         with self._monitor_lock:
             if self._monitor is None:
+                return
+            if jump.delta.nanoseconds > 0 and jump.clock_change == ClockChange.ROS_TIME_NO_CHANGE:
+                self._monitor.take_clock_step(jump.delta.nanoseconds)
                 return
             self._monitor.clear_history()
         self.get_logger().info("the clock went back: the history of joint states is cleared")

@@ -22,6 +22,8 @@ between the velocity and its mean; allowance, the error that a scale error of th
 """
 
 NANOSECONDS = 1_000_000_000
+CLOCK_STEPS = 10
+"""Number of steps of a simulated clock that are remembered."""
 CONFIRMATION_NS = NANOSECONDS // 10
 """Time for which a joint must keep its position before its velocity of exactly zero is accepted."""
 WINDOW_S = 0.7
@@ -76,6 +78,7 @@ class JointStateValidator:
         self._command_tolerances: list[float] = []
         self._command: list[float] = []
         self._command_ns = 0
+        self._clock_steps = [0] * CLOCK_STEPS
         self._names: tuple[str, ...] | None = None
         self._layout: IndexArray | str | OtherDevice | None = None
         self.reset()
@@ -92,13 +95,27 @@ class JointStateValidator:
         ]
         self._max_speeds = [speed * (1.0 + settings.joint_speed_tolerance) for speed in max_speeds]
         self.timeout_ns = round(settings.timeout * NANOSECONDS)
-        self.future_tolerance_ns = round(settings.future_tolerance * NANOSECONDS)
+        self._future_tolerance = settings.future_tolerance
+        self._allow_future()
         self._empty_velocity = "the velocity is empty: set velocity_source to from_positions"
         if settings.velocity_source is VelocitySource.FROM_POSITIONS:
             self._empty_velocity = "the velocity is empty, and one joint state alone cannot be differentiated"
         self._position_tolerances = self._per_joint(settings.position_tolerance)
         self._velocity_tolerance = settings.velocity_tolerance
         self._max_lag = settings.max_velocity_lag
+
+    def take_clock_step(self, step_ns: int) -> None:
+        """Take a step of a simulated clock [ns]: stamps may lead a clock by it that stands still between two steps.
+
+        The second largest of the last CLOCK_STEPS counts, as one alone may be a jump.
+        """
+        self._clock_steps = [*self._clock_steps[1:], step_ns]
+        self._allow_future()
+
+    def _allow_future(self) -> None:
+        self._clock_step_ns = sorted(self._clock_steps)[-2]
+        tolerance_ns = round(self._future_tolerance * NANOSECONDS)
+        self.future_tolerance_ns = tolerance_ns + min(self._clock_step_ns, self.timeout_ns // 2)
 
     def expect_commands(self, tolerance: float) -> None:
         """Require positions within `tolerance` [rad] of the latest command; scaled for prismatic joints."""
@@ -199,7 +216,9 @@ class JointStateValidator:
         if stamp_ns <= 0:
             return "the header stamp is zero"
         if stamp_ns > latest_ns:
-            return f"the header stamp is {(stamp_ns - now_ns) / 1e9:.3f} s in the future"
+            clock_reason = f": /clock moves in steps of {self._clock_step_ns / 1e9:.3f} s, above half of timeout"
+            is_slow = self._clock_step_ns > self.timeout_ns // 2
+            return f"the header stamp is {(stamp_ns - now_ns) / 1e9:.3f} s in the future{clock_reason * is_slow}"
         if now_ns - stamp_ns > self.timeout_ns:
             return f"the joint state is {(now_ns - stamp_ns) / 1e9:.3f} s old"
         if stamp_ns == last_ns:

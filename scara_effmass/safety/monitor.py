@@ -168,6 +168,10 @@ class Monitor:
         for debouncer in self._debouncers.values():
             debouncer.clear()
 
+    def take_clock_step(self, step_ns: int) -> None:
+        """Take the step [ns] by which a simulated clock advanced, for the tolerance of stamps that lead it."""
+        self._validator.take_clock_step(step_ns)
+
     def expect_commands(self, tolerance: float) -> None:
         """Give UNKNOWN unless each position is within `tolerance` [rad] of the latest command, [m / 4] if prismatic."""
         self._validator.expect_commands(tolerance)

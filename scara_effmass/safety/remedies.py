@@ -28,6 +28,7 @@ REMEDIES: dict[str, str] = {
     "velocities for … names": DRIVER,
     "the velocity is empty": VELOCITY,
     "the header stamp is zero": f"{STAMPS}; offline, `--time log` takes the recorder's time",
+    "/clock moves in steps of": "publish /clock more often (`ros2 bag play --clock 100`), or raise `timeout`",
     "s in the future": CLOCKS,
     "the joint state is … s old": CLOCKS,
     "the header stamp is repeated": STAMPS,

@@ -220,7 +220,11 @@ class MonitorSettings(FrozenSettings):
         0.2, "time without a joint state, or age of its stamp, that makes the verdict UNKNOWN [s]", gt=0.0, le=60.0
     )
     future_tolerance: float = tunable(
-        0.02, "maximum time by which a header stamp may lead the node's clock [s]", ge=0.0, le=10.0
+        0.02,
+        "maximum time by which a header stamp may lead the node's clock [s]; with use_sim_time besides the step of "
+        "/clock, of which at most half the timeout counts",
+        ge=0.0,
+        le=10.0,
     )
     release_time: float = tunable(0.2, "time for which a verdict is held after its cause is gone [s]", ge=0.0, le=60.0)
     latch: bool = tunable(default=False, description="hold the first VIOLATION or UNKNOWN until ~/reset")

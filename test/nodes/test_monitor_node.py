@@ -312,6 +312,25 @@ class TestTime:
             repeat=tick,
         )
 
+    def test_clock_of_40_hz_and_joint_states_of_250_hz_give_ok(self, new_harness: Callable[..., NodeHarness]) -> None:
+        """As `ros2 bag play --clock` publishes at its default; the stamps lead the clock by up to 25 ms."""
+        harness = new_harness("--ros-args", "-p", "use_sim_time:=true")
+        harness.subscribe()
+        publisher = harness.node.create_publisher(Clock, "/clock", 10)
+
+        def tick() -> None:
+            message = Clock()
+            message.clock = joint_state().header.stamp
+            publisher.publish(message)
+
+        harness.node.create_timer(1 / 40, tick)
+        harness.node.create_timer(1 / 250, lambda: harness.send(joint_state()))
+        harness.spin_until(lambda: harness.contact_states and harness.contact_states[-1].verdict == ContactState.OK)
+        harness.contact_states.clear()
+        harness.spin_until(lambda: len(harness.contact_states) > 250)
+        verdicts = [contact.verdict for contact in harness.contact_states]
+        assert verdicts.count(ContactState.OK) > 0.9 * len(verdicts), {c.reason for c in harness.contact_states}
+
     def test_without_a_clock_every_stamp_lies_in_the_future(self, new_harness: Callable[..., NodeHarness]) -> None:
         harness = new_harness("--ros-args", "-p", "use_sim_time:=true")
         harness.subscribe()

@@ -61,6 +61,34 @@ class Feed:
         return contact.verdict, contact.reason
 
 
+@pytest.mark.parametrize(
+    ("steps_ms", "lead_ms", "reason"),
+    [
+        ((), 20, ""),
+        ((), 21, "the header stamp is 0.021 s in the future"),
+        ((25,), 21, "the header stamp is 0.021 s in the future"),  # one step alone may be a jump
+        ((10**9, 25, 25), 45, ""),
+        ((10**9, 25, 25), 46, "the header stamp is 0.046 s in the future"),
+        ((100, 100), 120, ""),
+        (
+            (150, 150),
+            121,
+            "the header stamp is 0.121 s in the future: /clock moves in steps of 0.150 s, above half of timeout",
+        ),
+    ],
+)
+def test_stamp_may_lead_a_simulated_clock_by_its_step_up_to_half_the_timeout(
+    scara: RobotDynamics, steps_ms: tuple[int, ...], lead_ms: int, reason: str
+) -> None:
+    monitor = make_monitor(scara)
+    for step_ms in steps_ms:
+        monitor.take_clock_step(step_ms * MS)
+    monitor.apply(monitor.settings)  # forgets no step
+    decision = monitor.assess(state(NOW + lead_ms * MS), NOW)
+    assert decision is not None
+    assert {contact.reason for contact in decision.contacts} == {reason}
+
+
 BAD = {
     "no names": (state(names=(), position=(), velocity=()), "the joint state has no names"),
     "no names, but numbers": (state(names=()), "the joint state has no names"),
