@@ -59,6 +59,15 @@ class Verdict(IntEnum):
     VIOLATION = 3
 
 
+VERDICT_COLORS = {
+    Verdict.OK: "#009E73",
+    Verdict.WARN: "#F0E442",
+    Verdict.VIOLATION: "#D55E00",
+    Verdict.UNKNOWN: "#DDDDDD",
+}
+"""Colours of the palette of Okabe and Ito, for colour-blind people, who also read the word beside them."""
+
+
 class ContactAssessment(NamedTuple):
     """Assessment of one contact point at one joint state: `ContactState.msg`, field by field.
 

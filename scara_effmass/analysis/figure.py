@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from scara_effmass.analysis.recorded_run import RecordedForce
 from scara_effmass.analysis.time_series import Episode, TimeSeries, decimate, intervals
-from scara_effmass.values import FloatArray, Verdict
+from scara_effmass.values import VERDICT_COLORS, FloatArray, Verdict
 
 COLUMNS = 1500
 """Approximate width of the data [pixel]; lines are decimated to it."""
@@ -21,12 +21,10 @@ SUBTITLE_IN = 0.37
 MAX_LINEAR_RATIO = 12.0
 """Maximum ratio of the masses on a linear axis; beyond it the axis is logarithmic."""
 
+_UNKNOWN_STYLE = {"hatch": "////", "edgecolor": "#777777"}
 _VERDICT_STYLES: dict[Verdict, dict[str, Any]] = {
-    # Palette of Okabe and Ito, for colour-blind readers.
-    Verdict.OK: {"facecolor": "#009E73", "linewidth": 0.0},
-    Verdict.WARN: {"facecolor": "#F0E442", "linewidth": 0.0},
-    Verdict.VIOLATION: {"facecolor": "#D55E00", "linewidth": 0.0},
-    Verdict.UNKNOWN: {"facecolor": "#DDDDDD", "hatch": "////", "edgecolor": "#777777", "linewidth": 0.0},
+    verdict: {"facecolor": color, "linewidth": 0.0, **(_UNKNOWN_STYLE if verdict is Verdict.UNKNOWN else {})}
+    for verdict, color in VERDICT_COLORS.items()
 }
 _STYLE: dict[Any, Any] = {
     "font.size": 10.0,

@@ -18,18 +18,17 @@ from rclpy.duration import Duration
 from rclpy.event_handler import QoSSubscriptionMatchedInfo
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 
-from scara_effmass.errors import DecodeError, EffmassError, SettingsError
+from scara_effmass.errors import DecodeError
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
-from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, RCLError, run
 from scara_effmass.nodes.monitor_health import input_status, missing_models, monitor_statuses
+from scara_effmass.nodes.robot_input import use_robot
 from scara_effmass.safety import Cause, Monitor, unknown_decision
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed
@@ -94,15 +93,7 @@ class MonitorNode(LifecycleBase):
         self._no_robot_reason = ""
         self._payload: Payload | str = ""
         self._payload_publishers = 0
-        if self._settings.await_robot_description:
-            if robot := self._settings.robot:
-                raise SettingsError(f"{self.get_name()}: robot = {robot!r}: must be empty with await_robot_description")
-            self._no_robot_reason = "no robot_description yet"
-            self.create_owned_subscription(
-                String, topics.ROBOT_DESCRIPTION, self._on_robot_description, topics.DESCRIPTION_QOS
-            )
-        else:
-            self._use_robot(load_robot(self._settings.robot_path, self._settings))
+        use_robot(self, lambda: self._settings, self._use_robot, self._refuse_robot)
         qos = topics.verdict_qos(self._settings.timeout)
         scalar_qos = qos._replace(lifespan_s=topics.SCALAR_LIFESPAN_S)
         for message_type, topic, topic_qos in (
@@ -320,16 +311,12 @@ class MonitorNode(LifecycleBase):
         )
         return monitor_statuses(self._monitor, self._decision, joint_states)
 
-    def _on_robot_description(self, message: String) -> None:
-        try:
-            self._use_robot(parse_urdf(message.data, "robot_description", self._settings))
-        except EffmassError as error:
-            with self._monitor_lock:
-                self._no_robot_reason = str(error)
-                if self._monitor is not None:
-                    self._monitor.reject(self._no_robot_reason, self.now_ns())  # a cause for `latch`
-                self._drop_monitor()
-            self.get_logger().error(self._no_robot_reason)
+    def _refuse_robot(self, reason: str) -> None:
+        with self._monitor_lock:
+            self._no_robot_reason = reason
+            if self._monitor is not None:
+                self._monitor.reject(reason, self.now_ns())  # a cause for `latch`
+            self._drop_monitor()
 
     def _reset(self) -> str:
         with self._monitor_lock:

@@ -72,6 +72,17 @@ class JointStateAdapter:
             self._reported_names, self._names = reported, self._renamed(reported or self._joint_names)
         return self._names
 
+    def positions(self, state: JointState) -> FloatArray | str:
+        """Return the positions (n,) of the robot's joints in `state` [rad, m], or why they are not clear."""
+        names = self.names_of(state.names)
+        missing = [joint for joint in self._joints if joint not in names]
+        if isinstance(names, str) or missing:
+            return names if isinstance(names, str) else f"joint {missing[0]} is missing"
+        if len(state.position) != len(names):
+            return f"{len(state.position)} positions for {len(names)} names"
+        q = state.position[[names.index(joint) for joint in self._joints]]
+        return q if np.isfinite(q).all() else "a position is not finite"
+
     def adapt(self, state: JointState) -> JointState | str:
         """Return `state` with the robot's names and its velocity, or why its names are not clear.
 

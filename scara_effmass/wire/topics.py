@@ -18,6 +18,7 @@ IMPACT = "impact"
 WRENCH = "wrench"
 IMPACT_VALIDATION = "impact_validation"
 RUN_INFO = "run_info"
+MARKERS = "effective_mass_markers"
 RECORDING_INFO = "/scara_effmass/recording_info"
 """Topic of the JSON text (std_msgs/String) in recordings made before `RunInfo.msg`."""
 READINESS = "/scara_effmass/readiness"
@@ -38,6 +39,7 @@ RECORDED = (
     "/tf_static",
     RUN_INFO,
     RECORDING_INFO,
+    MARKERS,
 )
 """Topics that `record` records by default."""
 

@@ -1,0 +1,179 @@
+"""`visualization_node`: markers of the robot, its effective masses and verdicts, for RViz and Foxglove."""
+
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
+from contextlib import suppress
+from functools import partial
+
+from rclpy.serialization import deserialize_message
+from scara_effmass_msgs.msg import ContactState, RunInfo
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import Marker, MarkerArray
+
+from scara_effmass import values
+from scara_effmass.errors import DecodeError
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.pose_geometry import pose_geometry
+from scara_effmass.model.robot import Robot
+from scara_effmass.nodes import parameters
+from scara_effmass.nodes.lifecycle import LifecycleBase, run
+from scara_effmass.nodes.markers import contact_markers, deletion, robot_markers, stamped
+from scara_effmass.nodes.robot_input import use_robot
+from scara_effmass.safety import unknown_contact
+from scara_effmass.safety.cell_status import CellStatus
+from scara_effmass.safety.joint_state_adapter import JointStateAdapter
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings.loading import fixed, tunable
+from scara_effmass.values import ContactAssessment, Vector3, Verdict
+from scara_effmass.wire import topics
+from scara_effmass.wire.cdr import NS
+from scara_effmass.wire.contact_state import contact_from, glance
+from scara_effmass.wire.joint_state import JointStateDecoder
+from scara_effmass.wire.run_info import decode_run_info
+
+Received = deque[tuple[int, bytes]]
+"""Serialized messages with the monotonic time of their arrival [ns]."""
+
+_NO_ROBOT_FRAME = "base_link"
+_LIFETIME_PERIODS = 5
+_JOINT_STATES = 8
+"""Joint states kept, for those of other devices on the topic."""
+_CONTACT_STATES = 256
+
+
+class NodeSettings(MonitorSettings):
+    """Settings of the monitor, of which those of the robot and `timeout` count, and of the node."""
+
+    autostart: bool = fixed(default=True, description="configure and activate at start")
+    rate: float = fixed(20.0, "number of marker arrays per second [Hz]", ge=0.5, le=100.0)
+    ellipsoid_scale: float = tunable(
+        0.05, "semi-axis of the mass ellipsoid at 1 kg; it grows with the root of the mass [m]", ge=0.0, le=1.0
+    )
+    arrow_scale: float = tunable(
+        0.25, "length of the arrows of velocity and allowable speed at 1 m/s [m]", ge=0.0, le=10.0
+    )
+
+
+class VisualizationNode(LifecycleBase):
+    """Subscribes to `joint_states` and `contact_state`, best effort; publishes `effective_mass_markers`."""
+
+    def __init__(self) -> None:
+        """Declare the parameters. Raises SettingsError for an invalid one."""
+        super().__init__("visualization")
+        self._settings = parameters.declare(self, NodeSettings)
+        self.autostart = self._settings.autostart
+        self._dynamics: RobotDynamics | None = None
+        parameters.on_parameters_changed(self, lambda: self._settings, self._apply, self._loaded)
+
+    def configure(self) -> None:
+        """Load the robot and create the endpoints. Raises EffmassError."""
+        self._simulated = False
+        self._joint_states: Received = deque(maxlen=_JOINT_STATES)
+        self._contact_states: Received = deque(maxlen=_CONTACT_STATES)
+        self._decoder = JointStateDecoder()
+        self._status = CellStatus(time.monotonic_ns())
+        self._shown: set[tuple[str, int]] = set()
+        self._refuse_robot("")
+        use_robot(self, lambda: self._settings, self._use_robot, self._refuse_robot)
+        self._markers = self.create_owned_publisher(MarkerArray, topics.MARKERS, topics.Qos(10))
+        best_effort = topics.STREAM_QOS._replace(reliable=False)  # the monitor waits for no acknowledgement
+        for kind, topic, received in (
+            (JointState, topics.JOINT_STATES, self._joint_states),
+            (ContactState, topics.CONTACT_STATE, self._contact_states),
+        ):
+            self.create_owned_subscription(kind, topic, partial(_keep, received), best_effort, raw=True)
+        self.create_owned_subscription(RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS, raw=True)
+        self.create_steady_timer(1.0 / self._settings.rate, self._publish)
+
+    def _use_robot(self, robot: Robot) -> None:
+        self._adapter = JointStateAdapter(robot.joint_names, self._settings)
+        self._dynamics = RobotDynamics(robot)
+
+    def _refuse_robot(self, reason: str) -> None:
+        self._dynamics, self._no_robot_reason = None, reason
+
+    def _loaded(self, settings: NodeSettings) -> RobotDynamics | None:
+        """Return the robot with the load of `settings`. Raises RobotError for an impossible one."""
+        return None if self._dynamics is None else self._dynamics.with_payload(settings)
+
+    def _apply(self, settings: NodeSettings, _: AbstractSet[str]) -> None:
+        self._settings, self._dynamics = settings, self._loaded(settings)
+
+    def _on_run_info(self, data: bytes) -> None:
+        with suppress(DecodeError):  # the validator reports it
+            self._simulated = decode_run_info(data).simulated
+
+    def _publish(self) -> None:
+        if not self.active:
+            return
+        markers = list(self._current())
+        shown = {(marker.ns, marker.id) for marker in markers}
+        self._markers.publish(MarkerArray(markers=[*(deletion(*gone) for gone in self._shown - shown), *markers]))
+        self._shown = shown
+
+    def _current(self) -> Iterator[Marker]:
+        """Yield the markers of the latest states."""
+        settings, dynamics = self._settings, self._dynamics
+        stamp = partial(
+            stamped,
+            frame=dynamics.robot.base_frame if dynamics is not None else _NO_ROBOT_FRAME,
+            lifetime_ns=round(_LIFETIME_PERIODS / settings.rate * NS),
+        )
+        contacts = self._contacts()
+        pose = self._pose() if dynamics is not None else self._no_robot_reason
+        places: dict[str, Vector3] = {}
+        if dynamics is None or isinstance(pose, str):
+            contacts.append(unknown_contact("", str(pose), 0, 0.0))
+        else:
+            geometry = pose_geometry(dynamics, pose.position)
+            places = geometry.contact_points
+            for marker in robot_markers(geometry):
+                yield stamp(marker, stamp_ns=pose.stamp_ns)
+        scales = {"ellipsoid_scale": settings.ellipsoid_scale, "arrow_scale": settings.arrow_scale}
+        for marker in contact_markers(contacts, places, simulated=self._simulated, **scales):
+            yield stamp(marker, stamp_ns=contacts[marker.id].stamp_ns)
+
+    def _pose(self) -> values.JointState | str:
+        """Return the latest joint state with the positions in the robot's order, or why there is none."""
+        reason = "no joint state"
+        oldest_ns = time.monotonic_ns() - self._status.timeout_ns
+        for at_ns, data in reversed(self._joint_states):
+            try:
+                state = self._decoder.decode(data)
+            except DecodeError as error:
+                reason = str(error)
+                continue
+            q = self._adapter.positions(state) if at_ns >= oldest_ns else reason
+            if not isinstance(q, str):
+                return state._replace(position=q)
+            reason = q
+        return reason
+
+    def _contacts(self) -> list[ContactAssessment]:
+        """Return the latest state of each contact point, all UNKNOWN without messages of the monitor."""
+        status = self._status
+        taken: set[str] = set()
+        for at_ns, data in reversed(self._contact_states):
+            with suppress(DecodeError, ValueError):  # no news, as silence
+                if (point := glance(data)[0]) not in taken:
+                    taken.add(point)
+                    status.take_contact(contact_from(deserialize_message(data, ContactState)), at_ns)
+        self._contact_states.clear()
+        deadline_s = topics.verdict_qos(self._settings.timeout).deadline_s
+        status.take_publisher(round(deadline_s * NS), exists=bool(self.count_publishers(topics.CONTACT_STATE)))
+        status.update(time.monotonic_ns())
+        cause = status.contacts.get(status.contact_point)
+        if status.verdict is Verdict.UNKNOWN and (cause is None or cause.reason != status.reason):
+            return [unknown_contact(name, status.reason, 0, 0.0) for name in status.contacts or ("",)]
+        return list(status.contacts.values())
+
+
+def _keep(received: Received, data: bytes) -> None:
+    received.append((time.monotonic_ns(), data))
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node with ROS arguments `args`, or those of the process."""
+    return run("visualization", VisualizationNode, args)
