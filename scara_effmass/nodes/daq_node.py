@@ -1,5 +1,6 @@
 """`daq_node`: publish force blocks and impacts. A thread of its own reads the source."""
 
+import threading
 import time
 import traceback
 from collections.abc import Sequence
@@ -32,6 +33,10 @@ _POLL_S = 0.01
 _ACK_TIMEOUT_S = 5.0
 """Fast DDS requests acknowledgements every 3 s."""
 _NS = 1_000_000_000
+_IMPACT_INTERVAL_S = 0.05
+"""Time between two impacts: a burst of rebounds would push their primary impact out of a queue of 10."""
+_IMPACTS_PER_INTERVAL = 40
+"""Waiting impacts for each further impact per interval, so that a long rattle is soon published."""
 
 
 class NodeSettings(DaqSettings):
@@ -60,6 +65,7 @@ class DaqNode(LifecycleBase):
         self._acquisition: Acquisition | None = None
         self._state: AcquisitionState | None = None
         self._drain_is_due = False
+        self._is_over = False
 
     def configure(self) -> None:
         """Create the source and the endpoints. Raises EffmassError."""
@@ -75,6 +81,7 @@ class DaqNode(LifecycleBase):
         ]
         self.own(self._outputs, list.clear)
         self._diagnostics = Diagnostics(self, self._statuses)
+        self.create_steady_timer(_IMPACT_INTERVAL_S, self._publish_waiting)
         self.create_owned_trigger("~/reset", self._reset)
 
     def activate(self) -> None:
@@ -107,6 +114,23 @@ class DaqNode(LifecycleBase):
         if self._acquisition is not None:
             self._acquisition.stop()
             self._acquisition = None
+        self.publish_last("")
+
+    def publish_last(self, reason: str) -> None:  # noqa: ARG002 - impacts have none
+        """Publish the impacts that wait."""
+        if self.context.ok():
+            for output in self._outputs:
+                output.publish_waiting(at_once=True)
+
+    def _publish_waiting(self) -> None:
+        if not self.active:
+            return
+        for output in self._outputs:
+            output.publish_waiting()
+        if self._is_over and not any(output.waiting for output in self._outputs):
+            for output in self._outputs:
+                output.wait_delivered()
+            rclpy.try_shutdown()
 
     def _wake(self) -> None:
         """Schedule `_drain` in the executor; called in the acquisition thread."""
@@ -156,10 +180,7 @@ class DaqNode(LifecycleBase):
         self.get_logger().info(f"{self._source.description}: ended")
         if losses:
             self.get_logger().warning(losses)
-        if self._settings.stop_at_end:
-            for output in self._outputs:
-                output.wait_delivered()
-            rclpy.try_shutdown()
+        self._is_over = self._settings.stop_at_end
 
     def _statuses(self) -> list[DiagnosticStatus]:
         if self._acquisition is None:
@@ -179,6 +200,9 @@ class _Output:
 
     def __init__(self, node: LifecycleBase, suffix: str, settings: DaqSettings) -> None:
         self._settings = settings
+        self._lock = threading.Lock()  # a signal has a thread of its own
+        self.waiting: list[values.Impact] = []
+        """Impacts to publish, primary ones first."""
         self._force, self._impact, self._wrench = (
             node.create_owned_publisher(message_type, f"{topic}{suffix}", qos)
             for message_type, topic, qos in (
@@ -213,10 +237,21 @@ class _Output:
             publisher.wait_for_all_acked(Duration(seconds=_ACK_TIMEOUT_S))
 
     def publish_impacts(self, impacts: Sequence[values.Impact]) -> None:
-        """Publish and count detected impacts."""
+        """Count detected impacts and publish the first one; the others wait for `publish_waiting`."""
         self.impacts += len(impacts)
-        for impact in impacts:
-            self._impact.publish(impact_message(impact))
+        with self._lock:
+            is_idle = not self.waiting
+            self.waiting = sorted([*self.waiting, *impacts], key=lambda impact: impact.rebound > 0)
+        if is_idle:
+            self.publish_waiting()
+
+    def publish_waiting(self, *, at_once: bool = False) -> None:
+        """Publish the next of the waiting impacts, or all of them."""
+        with self._lock:
+            count = len(self.waiting) if at_once else 1 + len(self.waiting) // _IMPACTS_PER_INTERVAL
+            due, self.waiting = self.waiting[:count], self.waiting[count:]
+            for impact in due:
+                self._impact.publish(impact_message(impact))
 
     def _publish_wrenches(self, block: values.ForceBlock) -> None:
         """Publish the largest sample of each interval, because an impact is shorter than an interval."""
