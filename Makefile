@@ -58,6 +58,10 @@ bench: setup  ## measure the speed of core, nodes, bag reader, assess and record
 bags: setup  ## generate the shipped recordings again
 	$(BIN)/python -m scara_effmass.sim -o bags --force
 
+docs: setup .venv-tools/.requirements  ## build the documentation as a site in build/site; a warning is an error
+	SCARA_EFFMASS_SOURCES=1 $(BIN)/python scripts/docs_reference.py
+	.venv-tools/bin/sphinx-build --quiet --fail-on-warning --keep-going --conf-dir docs . build/site
+
 colcon: .venv-colcon/.requirements  ## build the tree as a ROS workspace and check the installation
 	scripts/check_colcon.sh .venv-colcon build/colcon
 
@@ -66,13 +70,14 @@ lock: setup  ## update the locked requirements
 	scripts/lock_requirements.sh $(BIN)/python
 
 clean:  ## remove all generated files
-	rm -rf .venv .venv-colcon build out .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-colcon .venv-tools build out .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup demo test check lint coverage mutants bench bags colcon lock clean
+.PHONY: help setup demo test check lint coverage mutants bench bags docs colcon lock clean
 
 # The stamps are written last, so that an interrupted set-up starts over.
 .venv/.requirements: requirements.lock
 .venv-colcon/.requirements: requirements-colcon.lock
+.venv-tools/.requirements: requirements-tools.lock
 %/.requirements:
 	@python=$$(scripts/check_machine.sh . $(PYTHON)) && \
 	rm -rf $* && \

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Write the two locked requirement files, with hashes, for all supported Pythons; usage: lock_requirements.sh PYTHON
+# Write the three locked requirement files, with hashes, for all supported Pythons; usage: lock_requirements.sh PYTHON
 set -eu
 python=$1
 cd "$(dirname "$0")/.."
@@ -15,7 +15,9 @@ with open("pyproject.toml", "rb") as file:
 PYTHON
 lock() {
     "$python" -m uv pip compile --quiet --universal --upgrade --generate-hashes --no-annotate \
-        --python-version 3.10 --custom-compile-command "make lock" pyproject.toml "$build" --group build "$@"
+        --python-version 3.10 --custom-compile-command "make lock" "$@"
 }
-lock --extra dev --output-file requirements.lock
-lock --group colcon --constraint requirements.lock --output-file requirements-colcon.lock
+lock pyproject.toml "$build" --group build --extra dev --output-file requirements.lock
+lock pyproject.toml "$build" --group build --group colcon --constraint requirements.lock \
+    --output-file requirements-colcon.lock
+lock --group tools --output-file requirements-tools.lock

@@ -1,10 +1,10 @@
 """ROS parameters declared from a settings model, which states names, types, ranges and descriptions."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import asdict
 from enum import Enum
-from typing import Any, get_origin
+from typing import Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
@@ -99,11 +99,24 @@ def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
         descriptor.additional_constraints = "one of " + ", ".join(member.value for member in annotation)
     elif annotation is float:
         # ROS cannot express an open end; the settings model refuses it.
-        bounds = {key: float(value) for limit in field.metadata for key, value in asdict(limit).items()}
+        bounds = _bounds(field.metadata)
         low, high = bounds.get("ge", bounds.get("gt", 0.0)), bounds.get("le", 1e6)
         descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
         descriptor.additional_constraints = f"above {low:g}" if "gt" in bounds else ""
+    elif annotation is int:
+        descriptor.additional_constraints = _from_to(_bounds(field.metadata))
+    elif descriptor.type == Parameter.Type.DOUBLE_ARRAY.value:
+        bounds = _bounds(get_args(annotation)[0].__metadata__[0].metadata)
+        descriptor.additional_constraints = f"list of {len(field.default)} numbers {_from_to(bounds)}"
     elif get_origin(annotation) is tuple:
-        is_vector = descriptor.type == Parameter.Type.DOUBLE_ARRAY.value
-        descriptor.additional_constraints = f"list of {len(field.default)} numbers" if is_vector else "list of names"
+        descriptor.additional_constraints = "list of names"
     return descriptor
+
+
+def _bounds(limits: Sequence[Any]) -> dict[str, float]:
+    """Return the limits of a number by kind: ge, gt, le."""
+    return {key: float(value) for limit in limits for key, value in asdict(limit).items()}
+
+
+def _from_to(bounds: Mapping[str, float]) -> str:
+    return f"from {bounds['ge']:g}" + (f" to {bounds['le']:g}" if "le" in bounds else "")

@@ -33,7 +33,11 @@ from test.nodes.conftest import NodeHarness, joint_state, stamp_ns
 MS = 1_000_000
 S = 1_000_000_000
 FAST = (8.0, 0.1, 0.1, 0.1)
-VECTORS = {"payload_com": 3, "payload_inertia": 6, "test_direction": 3}
+VECTORS = {
+    "payload_com": "list of 3 numbers from -2 to 2",
+    "payload_inertia": "list of 6 numbers from -10000 to 10000",
+    "test_direction": "list of 3 numbers from -1e+06 to 1e+06",
+}
 FREE_TEXT = {"robot", "payload_topic", "contact_normal", "contact_normal_frame", "test_direction_frame"}
 READ_ONLY_NAMES = {name for name, field in flat_fields(MonitorSettings).items() if field.json_schema_extra == READ_ONLY}
 
@@ -114,7 +118,7 @@ class TestParameters:
                 assert 0.0 <= bounds.from_value < bounds.to_value
             elif descriptor.name in VECTORS:
                 assert descriptor.type == ParameterType.PARAMETER_DOUBLE_ARRAY
-                assert descriptor.additional_constraints == f"list of {VECTORS[descriptor.name]} numbers"
+                assert descriptor.additional_constraints == VECTORS[descriptor.name]
             elif descriptor.type != ParameterType.PARAMETER_BOOL and descriptor.name not in FREE_TEXT:
                 assert descriptor.additional_constraints
 
