@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from scara_effmass_msgs.msg import ContactState
 
 from scara_effmass.errors import DecodeError, EffmassError
@@ -109,8 +110,10 @@ class Lockstep:
             raise EffmassError(f"{self.topic}: {MAX_UNANSWERED_IN_A_ROW} joint states in a row without an answer")
 
     def _on_contact_state(self, data: bytes) -> None:
-        if self._awaited_stamp_ns is None or header_stamp_ns(data) == self._awaited_stamp_ns:
-            self._is_answered = True
+        if self._is_answered or self._awaited_stamp_ns not in (None, header_stamp_ns(data)):
+            return
+        # The watchdog's messages carry the clock, which shows the stamp of the first joint state before it is sent.
+        self._is_answered = not deserialize_message(data, ContactState).watchdog
 
     def _on_matched(self, info: QoSSubscriptionMatchedInfo) -> None:
         self.publishers = info.current_count

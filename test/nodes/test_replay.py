@@ -182,7 +182,7 @@ class Receiver:
 
     def _publish_watchdog_state(self, _: object) -> None:
         if self._answers is not None:
-            self._answers.publish(ContactState(reason="no joint state yet"))
+            self._answers.publish(ContactState(reason="no joint state yet", watchdog=True))
 
     def _on_message(self, topic: str, data: bytes) -> None:
         with self._changed:
@@ -197,15 +197,17 @@ class Receiver:
             self._node.destroy_publisher(answers)
             self._answers = None
             return
-        time.sleep(self._answer_delay_s)  # a slow monitor
         joint_state = self._decoder.decode(data)
-        if joint_state.names == self._other_device:
-            self.declined += 1
-            return
-        message = ContactState()
+        message = ContactState(watchdog=True)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(joint_state.stamp_ns, 1_000_000_000)
         while not answers.get_subscription_count() and not self._stop.done():
             threading.Event().wait(0.001)  # the replay has matched this publisher, but not vice versa
+        answers.publish(message)  # the watchdog speaks at the same time: no answer
+        time.sleep(self._answer_delay_s)  # a slow monitor
+        if joint_state.names == self._other_device:
+            self.declined += 1
+            return
+        message.watchdog = False
         answers.publish(message)
 
 
