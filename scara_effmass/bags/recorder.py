@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import final
+from typing import Protocol, final
 
 from rosbags.typesys.store import Typestore
 from typing_extensions import Self
@@ -25,6 +25,19 @@ POLL_S = 0.05
 """Maximum time of a message in the queue."""
 WAKE_BYTES = 1 << 20
 """Queue size that wakes the writing thread at once."""
+
+
+class MessageSink(Protocol):
+    """Takes serialized messages of live topics; the methods are those of `BagRecorder`."""
+
+    def add_topic(self, name: str, message_type: str, *, offered_qos: str = "", types: Typestore | None = None) -> int:
+        """Add a topic and return its index. Raises BagError."""
+
+    def write(self, topic: int, log_time_ns: int, data: bytes) -> object:
+        """Take a message (CDR bytes) of the topic with this index."""
+
+    def count_lost_by_middleware(self, topic: int, count: int) -> None:
+        """Count messages that the middleware reports as lost."""
 
 
 @final

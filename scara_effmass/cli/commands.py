@@ -46,7 +46,7 @@ class Command:
         self.options = options
 
 
-ROS_COMMANDS = {"monitor", "daq", "validator", "sim", "record"}
+ROS_COMMANDS = {"monitor", "daq", "validator", "sim", "record", "foxglove"}
 """Commands that take ROS arguments."""
 PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "schema"))
 MODULES = (
@@ -248,6 +248,20 @@ examples:
         flag("--no-compression", "do not compress (default: zstd)"),
         FORCE,
         JSON,
+    ),
+    "foxglove": Command(
+        "serve live topics to Foxglove over a WebSocket, without foxglove_bridge",
+        """\
+Needs the extra foxglove: pip install 'scara_effmass[foxglove]'. In Foxglove, open ws://localhost:8765 and import
+config/foxglove_layout.json. Clients only read. There is no password: leave the host as it is, or use a tunnel.
+
+examples:
+  scara-effmass foxglove
+  scara-effmass foxglove contact_state effective_mass_markers --port 9000 -- -r __ns:=/cell
+""",
+        Option("topics", "topics to serve (default: those that record records)", "TOPIC", nargs="*"),
+        Option("--host", "address to listen on (default: 127.0.0.1)", "ADDRESS", default="127.0.0.1"),
+        Option("--port", "port to listen on; 0: any free one (default: 8765)", "PORT", int, default=8765),
     ),
     "assess": Command(
         "assess every joint state of bags offline; write a table or a bag",

@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from scara_effmass.bags.definitions import published_types
-from scara_effmass.bags.recorder import BagRecorder
+from scara_effmass.bags.recorder import MessageSink
 from scara_effmass.bags.rosbag2 import qos_yaml
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.nodes.qos import qos_profile
@@ -33,12 +33,12 @@ def resolve_topic(node: Node, topic: str) -> str:
 
 @final
 class TopicRecorder:
-    """Subscribes to topics and passes their messages to a `BagRecorder`."""
+    """Subscribes to topics and passes their messages to a `BagRecorder` or another sink."""
 
     def __init__(
         self,
         node: Node,
-        recorder: BagRecorder,
+        recorder: MessageSink,
         topics: Collection[str],
         warn: Callable[[str], None],
         parents: Collection[str] = (),

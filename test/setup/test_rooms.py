@@ -34,6 +34,7 @@ IMPORTERS = {
     "pinocchio": {"model"},
     "mcap": {"bags"},
     "rosbags": {"bags"},
+    "foxglove": {"nodes"},
     "nidaqmx": {"daq"},
     "nptdms": {"importers"},
     "mujoco": {"sim"},

@@ -1,0 +1,72 @@
+"""Serve live topics to Foxglove over a WebSocket, by Foxglove's SDK, in place of foxglove_bridge."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import foxglove
+from foxglove import Channel, Schema
+
+from scara_effmass.bags.definitions import definition_of, known_types
+from scara_effmass.errors import SettingsError
+from scara_effmass.nodes import parameters
+from scara_effmass.nodes.client import ClientNode
+from scara_effmass.nodes.topic_recorder import TopicRecorder, resolve_topic
+from scara_effmass.settings.loading import FrozenSettings
+from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED
+
+_PERIOD_S = 0.1
+"""Period of topic discovery and of the check for a stop signal."""
+
+
+class ChannelSink:
+    """Offers every topic as a channel with its ROS 2 definition; messages pass unchanged."""
+
+    def __init__(self) -> None:
+        self._channels: list[Channel] = []
+
+    def add_topic(self, name: str, message_type: str, *, offered_qos: str = "", types: Any = None) -> int:  # noqa: ANN401, ARG002
+        """Offer a topic and return its index. Raises BagError for an unknown type."""
+        definition, _ = definition_of(types or known_types(), message_type, name)
+        schema = Schema(name=message_type, encoding="ros2msg", data=definition.encode())
+        self._channels.append(Channel(name, schema=schema, message_encoding="cdr"))
+        return len(self._channels) - 1
+
+    def write(self, topic: int, log_time_ns: int, data: bytes) -> None:
+        """Send a message to the clients that have subscribed."""
+        self._channels[topic].log(data, log_time=log_time_ns)
+
+    def count_lost_by_middleware(self, topic: int, count: int) -> None:
+        """No-op: a viewer shows the latest messages."""
+
+
+def serve(
+    topics: Sequence[str],
+    host: str,
+    port: int,
+    ros_arguments: Sequence[str] = (),
+    *,
+    ready: Callable[[int], None] = lambda _: None,
+    warn: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Serve `topics` (none: those of the suite) until SIGINT or SIGTERM; call `ready` with the port.
+
+    Raises SettingsError for invalid arguments, and where the server cannot listen.
+    """
+    known_types()  # slow on the first call: before messages arrive
+    with ClientNode("foxglove_server", arguments=ros_arguments) as client:
+        node = client.node
+        parameters.declare(node, FrozenSettings)  # only the parameters of every node
+        names = [resolve_topic(node, topic) for topic in topics or RECORDED]
+        parents = [] if topics else [resolve_topic(node, topic) for topic in FORCE_OUTPUTS]
+        try:
+            server = foxglove.start_server(name="scara_effmass", host=host, port=port)
+        except (RuntimeError, OSError, OverflowError) as error:
+            raise SettingsError(f"foxglove: {host}:{port}: cannot listen: {error}") from None
+        try:
+            ready(server.port)
+            subscriptions = TopicRecorder(node, ChannelSink(), names, warn, parents)
+            while not client.signals and client.context.ok():
+                subscriptions.discover()
+                client.spin_for(_PERIOD_S)
+        finally:
+            server.stop()
