@@ -16,6 +16,7 @@ from scara_effmass.cli.options import (
     JOINTS,
     JSON,
     LIMITS,
+    LOGGING,
     MASS,
     NOT_NEGATIVE,
     NUMBER,
@@ -110,6 +111,7 @@ examples:
 """,
         *CELL,
         params("monitor_node"),
+        *LOGGING,
     ),
     "daq": Command(
         "run the force node: an NI-9230, a recording, or simulated force",
@@ -138,6 +140,7 @@ examples:
             dest="sensor.sensitivity",
         ),
         params("daq_node"),
+        *LOGGING,
     ),
     "validator": Command(
         "run the node that compares impacts with their predictions",
@@ -151,6 +154,7 @@ examples:
 """,
         Option("--obstacle-mass", "mass of the obstacle, m_H [kg]", "KG", NUMBER),
         params("validator_node"),
+        *LOGGING,
     ),
     "sim": Command(
         "run the robot of the simulated cell",
@@ -165,6 +169,7 @@ examples:
         Option("--start", "ROS time of the start [s] (default: now)", "S", NUMBER),
         Option("--seed", "random seed of the noise (default: 0)", kind=int),
         flag("--clock", "publish /clock and wait for nodes that fall behind", default=None),
+        *LOGGING,
     ),
     "import": Command(
         "convert force from CSV, TDMS and wrench topics, or joint states from CSV, to a bag",

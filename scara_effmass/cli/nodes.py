@@ -19,11 +19,15 @@ if TYPE_CHECKING:
 def run(args: argparse.Namespace) -> int:
     """Run the node of `args.command` until it is stopped."""
     options = vars(args).copy()
+    quiet, verbose = options.pop("quiet"), options.pop("verbose")
     name, ros_arguments, params = options.pop("command"), options.pop("ros_arguments"), options.pop("params", None)
     node = import_module(f"scara_effmass.nodes.{name}_node")
     if params:
         load_settings(node.NodeSettings, params, name)  # one error line; ROS would print ten
-    arguments = node_arguments(params, options, ros_arguments)
+    if verbose:
+        options["status_period"] = 1.0
+    level = ["--ros-args", "--log-level", "warn", "--"] if quiet else []
+    arguments = [*level, *node_arguments(params, options, ros_arguments)]
     code: int = node.main(arguments, write_report) if name == "validator" else node.main(arguments)
     return code
 

@@ -90,6 +90,10 @@ def words(text: str) -> list[str]:
 
 
 FORCE = flag("--force", "replace existing output")
+LOGGING = (
+    flag("-q --quiet", "log warnings and errors only"),
+    flag("-v --verbose", "log a status line every second (default: every 10 s, parameter status_period)"),
+)
 JSON = flag("--json", "print the result as JSON")
 BAGS = Option("bags", "recording, or folder of recordings", "BAG", Path, nargs="+")
 BAG = Option("--bag", "recording to assess, which shows whether the settings fit it", "BAG", Path)

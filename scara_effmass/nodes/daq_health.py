@@ -9,6 +9,7 @@ from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.conditioning import ForceChannel, SignalConditioner
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes.diagnostics import status
+from scara_effmass.values import Impact
 
 _LEVELS = {
     AcquisitionState.RUNNING: DiagnosticStatus.OK,
@@ -16,6 +17,14 @@ _LEVELS = {
     AcquisitionState.WAITING: DiagnosticStatus.ERROR,
     AcquisitionState.FAILED: DiagnosticStatus.ERROR,
 }
+
+
+def impact_text(impact: Impact) -> str:
+    """Return one line on an impact: peak, duration, impulse, and what is wrong with it."""
+    flags = {"clipped": impact.clipped, "incomplete": impact.incomplete}
+    wrong = "".join(f", {name}" for name, is_set in flags.items() if is_set)
+    size = f"peak {impact.peak_force:.1f} N, {1e3 * impact.duration:.2f} ms, {impact.impulse:.3g} N s{wrong}"
+    return f"{'simulated ' * impact.simulated}impact on {impact.frame_id}: {size}"
 
 
 def daq_statuses(

@@ -21,7 +21,7 @@ from scara_effmass.daq.source import ForceSource, make_source
 from scara_effmass.errors import DaqError, EffmassError, SettingsError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.daq_health import daq_statuses
+from scara_effmass.nodes.daq_health import daq_statuses, impact_text
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.settings import DaqSettings, FilterKind
@@ -39,10 +39,9 @@ _IMPACTS_PER_INTERVAL = 40
 """Waiting impacts for each further impact per interval, so that a long rattle is soon published."""
 
 
-class NodeSettings(DaqSettings):
+class NodeSettings(DaqSettings, parameters.NodeParameters):
     """Settings of the measurement and of the node."""
 
-    autostart: bool = fixed(default=True, description="configure and activate at start")
     stop_at_end: bool = fixed(
         default=False, description="end the process when a recording or a finite acquisition is over"
     )
@@ -80,7 +79,7 @@ class DaqNode(LifecycleBase):
             _Output(self, f"/{name}" if number else "", settings) for number, name in enumerate(self._source.channels)
         ]
         self.own(self._outputs, list.clear)
-        self._diagnostics = Diagnostics(self, self._statuses)
+        self._diagnostics = Diagnostics(self, self._statuses, settings.status_period)
         self.create_steady_timer(_IMPACT_INTERVAL_S, self._publish_waiting)
         self.create_owned_trigger("~/reset", self._reset)
 
@@ -161,9 +160,11 @@ class DaqNode(LifecycleBase):
                 output.publish(blocks)
             for output, blocks in channels:
                 for block in blocks:
-                    output.publish_impacts(output.detector.feed(block))
+                    self._publish_impacts(output, output.detector.feed(block))
         state = acquisition.state
         if state is not self._state:
+            if AcquisitionState.WAITING in {state, self._state}:
+                self._log_interruption()
             self._state = state
             self._diagnostics.report()
         if acquisition.failure is not None:
@@ -173,7 +174,7 @@ class DaqNode(LifecycleBase):
 
     def _on_end(self, losses: str) -> None:
         for output in self._outputs:
-            output.publish_impacts(output.detector.finish())
+            self._publish_impacts(output, output.detector.finish())
         self._diagnostics.report()
         if not any(channel.samples for channel in self._signal.channels):
             raise DaqError(f"{self._source.description}: has no usable sample; must have finite numbers")
@@ -181,6 +182,21 @@ class DaqNode(LifecycleBase):
         if losses:
             self.get_logger().warning(losses)
         self._is_over = self._settings.stop_at_end
+
+    def _publish_impacts(self, output: "_Output", impacts: Sequence[values.Impact]) -> None:
+        output.publish_impacts(impacts)
+        for impact in impacts:
+            if not impact.rebound:
+                self._diagnostics.log.event(impact_text(impact))
+
+    def _log_interruption(self) -> None:
+        """Log that the samples have stopped, or come again."""
+        if self._acquisition is not None:
+            statistics = self._acquisition.statistics()
+            lost = statistics.samples_lost + statistics.samples_dropped
+            text = f"{statistics.state.value}, {statistics.reconnects} reconnects, {lost} samples lost"
+            reason = f": {statistics.reason}" * bool(statistics.reason)
+            self._diagnostics.log.event(f"{self._source.description}: {text}{reason}", DiagnosticStatus.WARN)
 
     def _statuses(self) -> list[DiagnosticStatus]:
         if self._acquisition is None:

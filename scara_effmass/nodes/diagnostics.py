@@ -3,23 +3,35 @@
 from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
 
 from scara_effmass.nodes.lifecycle import LifecycleBase
+from scara_effmass.nodes.terminal import NodeLog
 from scara_effmass.wire.topics import DIAGNOSTICS
 
 _PERIOD_S = 1.0
 
 
 class Diagnostics:
-    """Publishes the statuses of a node every second and on request."""
+    """Publishes the statuses of a node every second and on request, and logs their changes.
 
-    def __init__(self, node: LifecycleBase, statuses: Callable[[], list[DiagnosticStatus]]) -> None:
+    `log` takes the events of the node.
+    """
+
+    def __init__(
+        self, node: LifecycleBase, statuses: Callable[[], list[DiagnosticStatus]], status_period_s: float
+    ) -> None:
         """Publish what `statuses` returns, unless it is empty, while `node` is configured.
 
-        The name of each status is preceded by that of the node with its namespace, so that it is unique.
+        The name of each status is preceded by that of the node with its namespace, so that it is unique. While the node
+        is active, a line each `status_period_s` [s] sums them up; 0: none.
         """
         self._node = node
         self._statuses = statuses
+        self._latest: list[DiagnosticStatus] = []
+        self.log = NodeLog(node)
+        if status_period_s:
+            node.create_steady_timer(status_period_s, self._log_status)
         self._publisher = node.own(
             node.create_lifecycle_publisher(DiagnosticArray, DIAGNOSTICS, 10), node.destroy_lifecycle_publisher
         )
@@ -30,9 +42,28 @@ class Diagnostics:
         if statuses := self._statuses():
             for entry in statuses:
                 entry.name = f"{self._node.get_fully_qualified_name()}: {entry.name}"
+            self._latest = statuses
+            if self._node.active:
+                self.log.update(statuses)
             array = DiagnosticArray(status=statuses)
             array.header.stamp = self._node.get_clock().now().to_msg()
             self._publisher.publish(array)
+
+    def _log_status(self) -> None:
+        if self._node.active and self._latest:
+            self.log.status_line(self._latest)
+
+
+def no_publisher(node: Node, topic: str, type_name: str) -> str:
+    """Return that `topic` has no publisher, and a remapping to a topic of its type that has one; else nothing."""
+    name = node.resolve_topic_name(topic)
+    if node.count_publishers(name):
+        return ""
+    others = (other for other, types in node.get_topic_names_and_types() if type_name in types)
+    heard = next(
+        (f"; {other} has one: remap with -r {topic}:={other}" for other in others if node.count_publishers(other)), ""
+    )
+    return f"no publisher of {name}{heard}"
 
 
 def status(

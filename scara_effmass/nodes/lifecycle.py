@@ -154,10 +154,21 @@ class LifecycleBase(LifecycleNode):
         raw: bool = False,
         matched: Callable[[QoSSubscriptionMatchedInfo], None] | None = None,
     ) -> Subscription:
-        """Return a subscription whose QoS parameters may override and whose losses are counted in `lost`."""
+        """Return a subscription whose QoS parameters may override and whose losses are counted in `lost`.
+
+        The loss and the return of its last publisher are logged, except of a latched topic, which outlives its sender.
+        """
 
         def on_lost(info: QoSMessageLostInfo) -> None:
             self.lost[topic] = info.total_count
+
+        def on_matched(info: QoSSubscriptionMatchedInfo) -> None:
+            if not info.current_count and not qos.latched:
+                self.get_logger().warning(f"lost the publisher of {subscription.topic_name}")
+            elif info.current_count == info.current_count_change and info.total_count > info.current_count:
+                self.get_logger().info(f"reconnected: {subscription.topic_name} has a publisher again")
+            if matched is not None:
+                matched(info)
 
         subscription = self.create_subscription(
             message_type,
@@ -168,7 +179,7 @@ class LifecycleBase(LifecycleNode):
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=partial(self._on_incompatible, f"a publisher of {topic}"),
                 message_lost=on_lost,
-                matched=matched,
+                matched=on_matched,
             ),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )

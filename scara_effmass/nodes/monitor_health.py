@@ -1,6 +1,6 @@
 """Diagnostics of the monitor: its input, its model and each contact point."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -8,7 +8,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.diagnostics import status
+from scara_effmass.nodes.terminal import CHANGES, REMEDY
 from scara_effmass.safety import Monitor
+from scara_effmass.safety.debounce import severity
+from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MassModel
 from scara_effmass.values import ContactAssessment, Decision, Verdict
 
@@ -27,15 +30,27 @@ def missing_models(dynamics: RobotDynamics) -> list[str]:
     return [f"no {name}: {reason}" for name, reason in reasons.items() if reason]
 
 
+def worst_contacts(decision: Decision, changes: Iterable[Decision]) -> tuple[ContactAssessment, ...]:
+    """Return for each contact point the worst of its assessments in `decision`, the latest one, and in `changes`."""
+    worst = {contact.contact_point: contact for contact in decision.contacts}
+    for contact in (contact for change in changes for contact in change.contacts):
+        latest = worst.get(contact.contact_point)
+        if latest and severity(contact.verdict) > severity(latest.verdict):
+            worst[contact.contact_point] = contact
+    return tuple(worst.values())
+
+
 def monitor_statuses(
-    monitor: Monitor | None, decision: Decision | None, joint_states: DiagnosticStatus
+    monitor: Monitor | None,
+    contacts: Iterable[ContactAssessment],
+    changes: Mapping[str, int],
+    joint_states: DiagnosticStatus,
 ) -> list[DiagnosticStatus]:
-    """Return the statuses of one report; `joint_states` is that of the input."""
+    """Return the statuses of one report, with the `changes` of the verdict by contact point and that of the input."""
     statuses = [joint_states]
     if monitor is not None:
         statuses.append(_model_status(monitor))
-    if decision is not None:
-        statuses += [_contact_status(contact) for contact in decision.contacts]
+    statuses += [_contact_status(contact, changes.get(contact.contact_point, 0)) for contact in contacts]
     for entry in statuses:
         entry.hardware_id = (monitor.dynamics.robot.name if monitor else "") or _NO_ROBOT
     return statuses
@@ -45,6 +60,7 @@ def input_status(
     monitor: Monitor | None,
     *,
     publishers: int,
+    unheard: str,
     received: int,
     lost: int,
     incompatible_qos: Collection[str],
@@ -52,14 +68,13 @@ def input_status(
 ) -> DiagnosticStatus:
     """Return the status of the joint states.
 
-    `processing_ns` are the times from the start of a callback until all its outputs were published.
+    `unheard` says that there is no publisher. `processing_ns` are the times from the start of a callback until all its
+    outputs were published.
     """
     processing_us = np.array(processing_ns or [0]) / 1e3
     incompatible = "; ".join(sorted(incompatible_qos))
-    problem = incompatible
-    if publishers == 0:
-        problem = "no publisher of joint states"
-    elif publishers > 1:
+    problem = incompatible or unheard
+    if publishers > 1:
         problem = f"{publishers} publishers of joint states: only one may send the robot's joints"
     elif lost:
         problem = f"{lost} joint states lost"
@@ -101,7 +116,15 @@ def _model_status(monitor: Monitor) -> DiagnosticStatus:
     return status("model", "lumped and full model", values, problem=problem)
 
 
-def _contact_status(contact: ContactAssessment) -> DiagnosticStatus:
+def contact_text(contact: ContactAssessment) -> str:
+    """Return the assessment in one line: verdict, speed of allowable speed, body region, reason, remedy if UNKNOWN."""
+    is_unknown = contact.verdict is Verdict.UNKNOWN
+    numbers = "" if is_unknown else f", {contact.speed:.3f} of {contact.allowable_speed:.3f} m/s, {contact.body_region}"
+    advice = f"{REMEDY}{remedy(contact.reason)}" * is_unknown
+    return f"{contact.verdict.name}{numbers}{': ' * bool(contact.reason)}{contact.reason}{advice}"
+
+
+def _contact_status(contact: ContactAssessment, changes: int) -> DiagnosticStatus:
     values = {
         "verdict": contact.verdict.name,
         "speed [m/s]": f"{contact.speed:.4f}",
@@ -112,6 +135,7 @@ def _contact_status(contact: ContactAssessment) -> DiagnosticStatus:
         "body region": contact.body_region,
         "criterion": contact.criterion,
         "input age [s]": f"{contact.input_age:.6f}",
+        CHANGES: changes,
     }
-    message = contact.reason or contact.verdict.name
-    return status(f"contact {contact.contact_point}", message, values, level=_LEVELS[contact.verdict])
+    name = f"contact {contact.contact_point}".rstrip()
+    return status(name, contact_text(contact), values, level=_LEVELS[contact.verdict])

@@ -5,6 +5,7 @@ The watchdog has a thread of its own, so it also publishes while a callback take
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
@@ -25,9 +26,9 @@ from scara_effmass.iso15066 import limits_for
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.diagnostics import Diagnostics
+from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher
 from scara_effmass.nodes.lifecycle import LifecycleBase, RCLError, run
-from scara_effmass.nodes.monitor_health import input_status, missing_models, monitor_statuses
+from scara_effmass.nodes.monitor_health import input_status, missing_models, monitor_statuses, worst_contacts
 from scara_effmass.nodes.robot_input import use_robot
 from scara_effmass.safety import Cause, Monitor, unknown_decision
 from scara_effmass.settings import MonitorSettings
@@ -45,10 +46,9 @@ _ACK_TIMEOUT = Duration(seconds=0.5)
 _MIN_REPORT_INTERVAL_NS = 100_000_000
 
 
-class NodeSettings(MonitorSettings):
+class NodeSettings(MonitorSettings, parameters.NodeParameters):
     """Settings of the monitor and of its node."""
 
-    autostart: bool = fixed(default=True, description="configure and activate at start")
     command_tolerance: float = fixed(
         0.0,
         "maximum distance of a joint from its command on joint_commands [rad; a quarter of it in m for a prismatic "
@@ -88,7 +88,10 @@ class MonitorNode(LifecycleBase):
         self._received = 0
         self._processing_ns: list[int] = []
         self._decision: Decision | None = None
-        self._reported_verdicts: list[Verdict] = []
+        self._verdicts: list[Verdict] = []
+        self._changes: list[Decision] = []
+        """Decisions since the last report that changed a verdict."""
+        self._change_counts: Counter[str] = Counter()
         self._reported_ns = 0
         self._no_robot_reason = ""
         self._payload: Payload | str = ""
@@ -102,7 +105,7 @@ class MonitorNode(LifecycleBase):
             (Float64, topics.SPEED_SCALING, scalar_qos),
         ):
             self._outputs[topic] = self.create_owned_publisher(message_type, topic, topic_qos)
-        self._diagnostics = Diagnostics(self, self._statuses)
+        self._diagnostics = Diagnostics(self, self._statuses, self._settings.status_period)
         self._joint_states = self.create_owned_subscription(
             JointState,
             topics.JOINT_STATES,
@@ -182,7 +185,8 @@ class MonitorNode(LifecycleBase):
         self.get_logger().info(f"monitoring {robot.name} ({robot.origin}) at {', '.join(dynamics.contact_points)}")
         self.get_logger().info(f"payload: {monitor.payload_text}")
         for line in (*robot.notes, *missing_models(dynamics)):
-            self.get_logger().info(line)
+            if line != robot.rotors.warning:  # which the status of the model has
+                self.get_logger().info(line)
 
     def _on_joint_state(self, data: bytes, info: dict[str, int | None]) -> None:
         if not self.active:
@@ -286,6 +290,14 @@ class MonitorNode(LifecycleBase):
             contact_state.publish(self._encoders.get(contact.contact_point, _NO_ROBOT).encode(contact))
         self._outputs[topics.ALLOWABLE_SPEED].publish(float64_message(decision.allowable_speed))
         self._outputs[topics.SPEED_SCALING].publish(float64_message(decision.speed_scaling))
+        verdicts = [contact.verdict for contact in decision.contacts]
+        if verdicts != self._verdicts:
+            before = {c.contact_point: c.verdict for c in self._decision.contacts} if self._decision else {}
+            self._change_counts.update(
+                c.contact_point for c in decision.contacts if c.verdict is not before.get(c.contact_point)
+            )
+            self._verdicts = verdicts
+            self._changes.append(decision)
         self._decision = decision
 
     def _publish(self, decision: Decision) -> None:
@@ -293,23 +305,25 @@ class MonitorNode(LifecycleBase):
             if not self._publishing:
                 return
             self._send(decision)
-        verdicts = [contact.verdict for contact in decision.contacts]
-        if verdicts != self._reported_verdicts and time.monotonic_ns() - self._reported_ns > _MIN_REPORT_INTERVAL_NS:
-            self._reported_verdicts = verdicts
+        if self._changes and time.monotonic_ns() - self._reported_ns > _MIN_REPORT_INTERVAL_NS:
             self._diagnostics.report()
 
     def _statuses(self) -> list[DiagnosticStatus]:
         self._reported_ns = time.monotonic_ns()
+        with self._output_lock:
+            changes, self._changes = self._changes, []
         processing_ns, self._processing_ns = self._processing_ns, []
         joint_states = input_status(
             self._monitor,
             publishers=self.count_publishers(self._joint_states.topic_name),
+            unheard=no_publisher(self, topics.JOINT_STATES, "sensor_msgs/msg/JointState"),
             received=self._received,
             lost=self.lost.get(topics.JOINT_STATES, 0),
             incompatible_qos=self.incompatible_qos,
             processing_ns=processing_ns,
         )
-        return monitor_statuses(self._monitor, self._decision, joint_states)
+        contacts = worst_contacts(self._decision, changes) if self._decision else ()
+        return monitor_statuses(self._monitor, contacts, self._change_counts, joint_states)
 
     def _refuse_robot(self, reason: str) -> None:
         with self._monitor_lock:

@@ -12,9 +12,25 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from scara_effmass.errors import EffmassError, SettingsError
-from scara_effmass.settings.loading import Settings, check_types, checked, flat_fields, former_unit, nearest
+from scara_effmass.settings.loading import (
+    FrozenSettings,
+    Settings,
+    check_types,
+    checked,
+    fixed,
+    flat_fields,
+    former_unit,
+    nearest,
+)
 
 _ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+
+class NodeParameters(FrozenSettings):
+    """Parameters of every node."""
+
+    autostart: bool = fixed(default=True, description="configure and activate at start")
+    status_period: float = fixed(10.0, "period of the status line in the log [s]; 0: none", ge=0.0, le=86400.0)
 
 
 def declare(node: Node, settings: type[Settings]) -> Settings:

@@ -15,7 +15,7 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.lockstep import header_stamp_ns
 from scara_effmass.nodes.qos import qos_profile
-from scara_effmass.settings.loading import FrozenSettings, fixed
+from scara_effmass.settings.loading import fixed
 from scara_effmass.sim.experiment import ImpactSetup
 from scara_effmass.sim.live import LiveSim
 from scara_effmass.wire import topics
@@ -33,10 +33,9 @@ _HOLD_PERIOD_NS = 50 * _MS
 _NEVER_NS = 2**62
 
 
-class NodeSettings(FrozenSettings):
+class NodeSettings(parameters.NodeParameters):
     """Parameters of `sim_node`; `start` and `seed` must equal those of the force node."""
 
-    autostart: bool = fixed(default=True, description="configure and activate at start")
     start: float = fixed(
         0.0, "ROS time at which the cell begins, the same as sim.start of daq_node [s]; 0: now", ge=0.0, le=1e10
     )
@@ -70,6 +69,8 @@ class SimNode(LifecycleBase):
         self._info = self.create_owned_publisher(RunInfo, topics.RUN_INFO, topics.INFO_QOS)
         self._sim_clock = SimClock(self) if self._settings.clock else None
         self.create_steady_timer(_PERIOD_S, self._publish_due)
+        if self._settings.status_period:
+            self.create_steady_timer(self._settings.status_period, self._log_status)
 
     def activate(self) -> None:
         """Move the robot to its start."""
@@ -77,6 +78,7 @@ class SimNode(LifecycleBase):
         self._sim = LiveSim(start_ns, seed=self._settings.seed)
         self._states.clear()
         self._carts.clear()
+        self._start_ns = self._time_ns = start_ns
         if self._sim_clock is not None:
             self._sim_clock.begin(start_ns)
 
@@ -95,9 +97,19 @@ class SimNode(LifecycleBase):
         self._carts += output.carts
         while self._carts and self._carts[0].start_ns <= now_ns:
             note = f"simulated (MuJoCo): the robot hits a cart\ngenerator = sim_node, seed = {self._settings.seed}"
-            self._info.publish(run_info_message(self._carts.popleft().run_info(note)))
+            info = self._carts.popleft().run_info(note)
+            self._info.publish(run_info_message(info))
+            self.get_logger().info(f"simulated cart of {info.obstacle_mass:.3g} kg in place: {info.configuration}")
         while self._states and self._states[0].stamp_ns <= now_ns:
             self._joint_states.publish(joint_state_message(self._states.popleft()))
+        self._time_ns = now_ns
+
+    def _log_status(self) -> None:
+        if self.active:
+            count, needed = self._joint_states.get_subscription_count(), self._settings.listeners * self._settings.clock
+            waits = f": waits for {needed}" * (count < needed)
+            simulated_s = (self._time_ns - self._start_ns) / _NS
+            self.get_logger().info(f"simulated {simulated_s:.1f} s, {count} subscribers of joint_states{waits}")
 
 
 class SimClock:

@@ -7,6 +7,18 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.diagnostics import status
+from scara_effmass.values import ValidatedImpact
+
+
+def impact_text(impact: ValidatedImpact) -> str:
+    """Return one line on an impact: its peak, the predicted one, and the limit of the body region."""
+    simulated = "simulated impact" if impact.simulated else "impact"
+    force = (
+        f"peak {impact.measured_force:.1f} N, predicted {impact.predicted_force:.1f} N ({impact.relative_error:+.1%})"
+    )
+    side = "ABOVE" if impact.exceeds_limit else "below"
+    region = f"{impact.region_force:.1f} N on {impact.body_region}, {side} its limit of {impact.limit_force:.1f} N"
+    return f"{simulated}: {force}; {region}; {impact.count} in the series"
 
 
 def series_status(
@@ -17,15 +29,17 @@ def series_status(
     *,
     contact_states: int,
     robot: str,
+    unheard: str = "",
 ) -> DiagnosticStatus:
     """Return the status of the series.
 
     `contact_states` came since the last report, without those of the watchdog. `undecodable` counts messages by error,
     `lost` those that the middleware lost by topic; `incompatible_qos` has a line per endpoint that cannot be connected.
+    `unheard` says that an input has no publisher.
     """
     result = validator.result()
     selected, fit = next((model.overall, model.fit) for model in result.models if model.model == result.model)
-    problem = result.clock or result.force_sign or "; ".join((*sorted(incompatible_qos), *undecodable))
+    problem = result.clock or result.force_sign or "; ".join((*sorted(incompatible_qos), *undecodable)) or unheard
     unpaired = sum(result.unpaired.values())
     if not problem and unpaired:
         problem = f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}"

@@ -15,9 +15,9 @@ from scara_effmass.errors import DecodeError, EffmassError, SettingsError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.diagnostics import Diagnostics
+from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
-from scara_effmass.nodes.validator_health import series_status
+from scara_effmass.nodes.validator_health import impact_text, series_status
 from scara_effmass.settings import DetectionSettings, ValidatorSettings
 from scara_effmass.settings.loading import fixed
 from scara_effmass.values import ValidatedImpact
@@ -40,10 +40,9 @@ _COMMON_FIELDS = (
 """Fields that `ImpactValidation` and `ValidatedImpact` share."""
 
 
-class NodeSettings(ValidatorSettings):
+class NodeSettings(ValidatorSettings, parameters.NodeParameters):
     """Settings of the validation and of the node."""
 
-    autostart: bool = fixed(default=True, description="configure and activate at start")
     find_impacts: bool = fixed(
         default=False,
         description="detect impacts in the topic force, for a sender that does not publish the topic impact",
@@ -75,7 +74,7 @@ class ValidatorNode(LifecycleBase):
         self._validator = Validator(settings)
         self._detector = Detector(settings.detection)
         self._publisher = self.create_owned_publisher(ImpactValidation, topics.IMPACT_VALIDATION, topics.STREAM_QOS)
-        Diagnostics(self, self._statuses)
+        self._log = Diagnostics(self, self._statuses, settings.status_period).log
         inputs: list[tuple[type, str, Callable[..., None], topics.Qos]] = [
             (ContactState, topics.CONTACT_STATE, self._on_contact_state, topics.VALIDATOR_INPUT_QOS),
             (ForceBlock, topics.FORCE, self._on_force, topics.VALIDATOR_INPUT_QOS),
@@ -147,15 +146,22 @@ class ValidatorNode(LifecycleBase):
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(impact.stamp_ns, _NS)
             message.header.frame_id = impact.frame_id
             self._publisher.publish(message)
+            self._log.event(
+                impact_text(impact), DiagnosticStatus.ERROR if impact.exceeds_limit else DiagnosticStatus.OK
+            )
 
     def _statuses(self) -> list[DiagnosticStatus]:
         contact_states, self._contact_states = self._contact_states, 0
+        force = (topics.FORCE, "ForceBlock") if self._settings.find_impacts else (topics.IMPACT, "Impact")
+        inputs = ((topics.CONTACT_STATE, "ContactState"), force)
+        unheard = (no_publisher(self, topic, f"scara_effmass_msgs/msg/{kind}") for topic, kind in inputs)
         return [
             series_status(
                 self._validator,
                 self._undecodable,
                 self.lost,
                 self.incompatible_qos,
+                unheard=next(filter(None, unheard), ""),
                 contact_states=contact_states,
                 robot=Path(self._settings.robot or "omron_i4_550l").stem,
             )

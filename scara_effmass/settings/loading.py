@@ -21,7 +21,8 @@ READ_ONLY: dict[str, Any] = {"read_only": True}
 """Marks a setting that cannot change on a running node, such as hardware and robot."""
 
 NODE_ONLY = frozenset(
-    {"robot", "autostart", "command_tolerance", "use_sim_time", "stop_at_end", "find_impacts", "report_folder"}
+    {"robot", "autostart", "status_period", "command_tolerance", "use_sim_time", "stop_at_end", "find_impacts"}
+    | {"report_folder"}
 )
 """Parameters of nodes alone: a shared file may hold them, offline commands ignore them."""
 

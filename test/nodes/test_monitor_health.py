@@ -14,12 +14,12 @@ from scara_effmass.share import share
 
 def model_status(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[str, str]]:
     monitor = Monitor(RobotDynamics(load_robot(settings=settings)), settings)
-    _, status = monitor_statuses(monitor, None, DiagnosticStatus())
+    _, status = monitor_statuses(monitor, (), {}, DiagnosticStatus())
     return status, {pair.key: pair.value for pair in status.values}
 
 
 def test_unknown_is_an_error_and_without_a_robot_there_is_a_hardware_id() -> None:
-    statuses = monitor_statuses(None, unknown_decision("no robot_description yet"), DiagnosticStatus())
+    statuses = monitor_statuses(None, unknown_decision("no robot_description yet").contacts, {}, DiagnosticStatus())
     assert statuses[-1].level == DiagnosticStatus.ERROR
     assert {status.hardware_id for status in statuses} == {"no robot"}
 

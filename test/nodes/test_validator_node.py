@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from scara_effmass_msgs.msg import ContactState, Impact, ImpactValidation, RunInfo
 from std_msgs.msg import String
@@ -118,6 +119,8 @@ def plain(value: Any) -> Any:  # noqa: ANN401 - any field
 
 def test_what_it_publishes_is_what_the_core_gives_offline(node: ValidatorHarness) -> None:
     masses = (0.5, 2.39, 3.72, 7.35)
+    logs: list[Log] = []
+    node.harness.node.create_subscription(Log, "/rosout", logs.append, LATCHED)
     node.run(*masses)
     node.harness.spin_until(lambda: len(node.received) == 4)
     validator = Validator(ValidatorSettings.model_validate({"criterion": {"least_count": 2}}))
@@ -134,6 +137,9 @@ def test_what_it_publishes_is_what_the_core_gives_offline(node: ValidatorHarness
         assert {name: plain(getattr(message, name)) for name in names} == {
             name: plain(getattr(validated, name)) for name in names
         }
+        line = f"simulated impact: peak {validated.measured_force:.1f} N, predicted {validated.predicted_force:.1f} N"
+        limit = f" N on {validated.body_region}, {'ABOVE' if validated.exceeds_limit else 'below'} its limit of "
+        node.harness.spin_until(lambda: any(line in log.msg and limit in log.msg for log in logs))  # noqa: B023
 
 
 def test_without_a_mass_an_impact_is_counted_and_not_predicted(node: ValidatorHarness) -> None:
