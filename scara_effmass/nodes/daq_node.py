@@ -39,7 +39,7 @@ _IMPACTS_PER_INTERVAL = 40
 """Waiting impacts for each further impact per interval, so that a long rattle is soon published."""
 
 
-class NodeSettings(DaqSettings, parameters.NodeParameters):
+class NodeSettings(parameters.NodeParameters, DaqSettings):
     """Settings of the measurement and of the node."""
 
     stop_at_end: bool = fixed(

@@ -46,7 +46,7 @@ _ACK_TIMEOUT = Duration(seconds=0.5)
 _MIN_REPORT_INTERVAL_NS = 100_000_000
 
 
-class NodeSettings(MonitorSettings, parameters.NodeParameters):
+class NodeSettings(parameters.NodeParameters, MonitorSettings):
     """Settings of the monitor and of its node."""
 
     command_tolerance: float = fixed(

@@ -40,7 +40,7 @@ _COMMON_FIELDS = (
 """Fields that `ImpactValidation` and `ValidatedImpact` share."""
 
 
-class NodeSettings(ValidatorSettings, parameters.NodeParameters):
+class NodeSettings(parameters.NodeParameters, ValidatorSettings):
     """Settings of the validation and of the node."""
 
     find_impacts: bool = fixed(
