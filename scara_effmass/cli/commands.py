@@ -21,6 +21,7 @@ from scara_effmass.cli.options import (
     NOT_NEGATIVE,
     NUMBER,
     PAYLOAD,
+    PORT,
     POSITIVE,
     REPEATED,
     ROBOT,
@@ -47,7 +48,7 @@ class Command:
         self.options = options
 
 
-ROS_COMMANDS = {"monitor", "daq", "validator", "sim", "record", "foxglove"}
+ROS_COMMANDS = {"monitor", "daq", "validator", "sim", "record", "foxglove", "dashboard"}
 """Commands that take ROS arguments."""
 PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "schema"))
 MODULES = (
@@ -170,6 +171,28 @@ examples:
         Option("--seed", "random seed of the noise (default: 0)", kind=int),
         flag("--clock", "publish /clock and wait for nodes that fall behind", default=None),
         *LOGGING,
+    ),
+    "dashboard": Command(
+        "show the cell of a monitor on a web page",
+        """\
+The page shows the verdict, the robot in 3-D, speeds, masses, impacts, validation, diagnostics and a log of episodes. It
+shows UNKNOWN when the monitor is silent or the page has lost this server. It loads nothing from elsewhere. Other
+machines reach it with --host and need the token, which travels unencrypted: use it in the network of the cell only.
+State the robot and its parameters as for the monitor; ROS arguments follow -- and state the namespace. NiceGUI is
+required: pip install 'scara_effmass[dashboard]'.
+
+examples:
+  scara-effmass dashboard --open
+  scara-effmass dashboard --robot my_robot.urdf --host 0.0.0.0 --port 8321 -- -r __ns:=/cell
+""",
+        Option("--host", "address to listen on (default: 127.0.0.1, this machine)", default="127.0.0.1"),
+        Option("--port", "TCP port; 0: a free one (default: 8321)", "PORT", PORT, default=8321),
+        Option("--token", "token that the page requires (default: generated unless --host is this machine)"),
+        flag("--open", "open the page in a browser if there is a display"),
+        ROBOT[0],
+        *JOINTS,
+        PAYLOAD[0],
+        params("monitor_node"),
     ),
     "import": Command(
         "convert force from CSV, TDMS and wrench topics, or joint states from CSV, to a bag",

@@ -41,10 +41,11 @@ INTRODUCTION = (
 def run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings) -> int:
     """Run the simulated cell; return 0 when the series of impacts is accepted, else 1. Raises EffmassError."""
     check_report_folder(args.out, overwrite=args.force)
+    dashboard, address = processes.dashboard_command(args)
     if not args.json:
-        print_lines(INTRODUCTION)
+        print_lines((*INTRODUCTION, ("dashboard", address)))
     with processes.removed_on_failure(args.out / processes.RECORDING):
-        live, recorded = _run_live(args, dynamics, settings)
+        live, recorded = _run_live(args, dynamics, settings, dashboard)
         validation_settings = ValidationSettings(
             monitor=settings.model_copy(update={"timeout": RECORDER_DELAY_S}),
             validator=ValidatorSettings(clock_tolerance=RECORDER_DELAY_S),
@@ -64,7 +65,7 @@ def run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
 
 
 def _run_live(
-    args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings
+    args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings, dashboard: list[str]
 ) -> tuple[set[int], dict[str, Any]]:
     """Start all nodes and receive until the last impact.
 
@@ -102,6 +103,8 @@ def _run_live(
     processes.isolate_ros_domain()
     with ExitStack() as stack:
         children = [stack.enter_context(processes.ChildProcess(command)) for command in commands]
+        if dashboard:  # not one of the children, whose end would end the demo
+            stack.enter_context(processes.ChildProcess(dashboard))
         client = stack.enter_context(MonitorClient(dynamics.contact_points, on_cycle, on_validation))
         show_status = stack.enter_context(live_status(console, visible=not args.json))
         is_ready = processes.spin_until(

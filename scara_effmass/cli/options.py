@@ -231,5 +231,6 @@ DIRECTION = (
 CELL = (*ROBOT, *JOINTS, *PAYLOAD, *LIMITS, PERSON)
 """Robot, what it carries, and what it can hit: the options of every command that assesses, all of them settings."""
 COUNT = number("a whole number from 1", lambda count: count >= 1, int)
+PORT = number("a whole number from 0 to 65535", lambda port: 0 <= port <= 65535, int)
 MASS = number("a number from 0.001 to 1000", lambda mass: 1e-3 <= mass <= 1e3)
 REPEATED = "may be repeated (default: the paper's experiment)"

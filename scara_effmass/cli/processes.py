@@ -14,6 +14,7 @@ from pathlib import Path
 
 from typing_extensions import Self
 
+from scara_effmass.cli import dashboard
 from scara_effmass.cli.nodes import node_arguments
 from scara_effmass.cli.options import CELL
 from scara_effmass.cli.settings import selected
@@ -119,6 +120,18 @@ def monitor_command(args: argparse.Namespace, settings: MonitorSettings) -> list
 def record_command(args: argparse.Namespace) -> list[str]:
     """Return the command that records the topics of the suite."""
     return ["record", "-o", str(args.out / RECORDING), "--json", *(["--force"] if args.force else []), *SIM_TIME]
+
+
+def dashboard_command(args: argparse.Namespace) -> tuple[list[str], str]:
+    """Return the command of the dashboard, empty if it cannot run or nobody would see it, and what to print."""
+    if not dashboard.is_installed():
+        return [], dashboard.MISSING
+    if not (dashboard.has_display() or sys.stdout.isatty()):
+        return [], "not started: there is no display and no terminal"
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    params = ["--params", str(args.params)] if args.params else []
+    return ["dashboard", "--open", "--port", str(port), *params], f"http://127.0.0.1:{port}/ until the demo ends"
 
 
 def isolate_ros_domain() -> None:

@@ -24,7 +24,7 @@ MAX_EPISODES = 1000
 MAX_IMPACTS = 20
 MAX_VALIDATIONS = 500
 FORCE_BUFFER_NS = 5_000_000_000
-TRACE_BEFORE_NS, TRACE_AFTER_NS = 5_000_000, 15_000_000
+TRACE_BEFORE_NS, TRACE_AFTER_NS = 2_000_000, 6_000_000
 """Force shown before the onset and after the end of an impact."""
 _LOST_FORCE_NS = 2_000_000_000
 """Time to wait for the force of an impact."""

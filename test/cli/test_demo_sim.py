@@ -1,14 +1,36 @@
 """`demo`: all nodes live on the simulated cell, and the report of their impacts."""
 
 import json
+from argparse import Namespace
 from pathlib import Path
 
 import pytest
 
+from scara_effmass.cli.processes import dashboard_command
 from test.cli.conftest import Cli
 
 
-def test_every_live_impact_is_in_the_recording(cli_process: Cli, tmp_path: Path) -> None:
+def test_dashboard_starts_where_somebody_sees_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    args = Namespace(params=None)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert dashboard_command(args) == ([], "not started: there is no display and no terminal")
+    monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
+    command, text = dashboard_command(args)
+    assert (command[:3], text) == (
+        ["dashboard", "--open", "--port"],
+        f"http://127.0.0.1:{command[3]}/ until the demo ends",
+    )
+    monkeypatch.setattr("scara_effmass.cli.dashboard.find_spec", lambda _: None)
+    assert dashboard_command(args) == ([], "install NiceGUI: pip install 'scara_effmass[dashboard]'")
+
+
+def test_every_live_impact_is_in_the_recording(cli_process: Cli, tmp_path: Path, domain: dict[str, str]) -> None:
+    """With a dashboard in a browser, which is a program that notes the address."""
+    browser = tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\necho "$1" > {tmp_path}/opened\n', encoding="utf-8")
+    browser.chmod(0o755)
+    domain |= {"DISPLAY": ":99", "BROWSER": str(browser)}
     done = cli_process("demo", "--duration", "6", "--out", tmp_path / "out", "--json")
     assert done.stderr == ""
     result = json.loads(done.stdout)
@@ -23,4 +45,5 @@ def test_every_live_impact_is_in_the_recording(cli_process: Cli, tmp_path: Path)
     assert impact["speed"] == pytest.approx(0.25, abs=0.002)
     assert impact["measured_force"] == pytest.approx(202.6, rel=0.01)
     files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert (tmp_path / "opened").read_text(encoding="utf-8").startswith("http://127.0.0.1:")
     assert {"recording", "report.html", "report.json"} <= files

@@ -20,6 +20,7 @@ FLOORS = (
     {"daq"},
     {"analysis"},
     {"nodes", "paper"},
+    {"dashboard"},
     {"cli"},
     {"__init__", "__main__"},
 )
@@ -39,6 +40,7 @@ IMPORTERS = {
     "nptdms": {"importers"},
     "mujoco": {"sim"},
     "jinja2": {"analysis"},
+    "nicegui": {"dashboard"},
     "matplotlib": {"analysis", "paper"},
     "pyarrow": {"analysis", "bags"},
     "scipy": {"daq", "analysis", "impacts", "iso15066", "paper", "sim"},

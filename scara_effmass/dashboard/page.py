@@ -1,0 +1,336 @@
+"""The page of a cell: verdict, robot, speeds, masses, impacts, validation, diagnostics and episodes."""
+
+import csv
+import io
+import math
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import datetime, timezone
+from html import escape
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from nicegui import ui
+
+from scara_effmass.dashboard.scene import RobotScene
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.nodes.cell_client import CellClient
+from scara_effmass.safety.cell_status import CellStatus
+from scara_effmass.safety.remedies import remedy
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import ContactAssessment, Verdict
+
+ADVISORY = "Advisory software, not a certified safety function."
+FAST_S, SLOW_S = 0.2, 1.0
+_SHAPES = {
+    Verdict.OK: '<circle cx="50" cy="50" r="42"/><path d="M29 52l15 15 28-32"/>',
+    Verdict.WARN: '<path d="M50 10L94 88H6z"/><path d="M50 38v24M50 74v2"/>',
+    Verdict.VIOLATION: '<path d="M32 6h36l26 26v36L68 94H32L6 68V32z"/><path d="M33 33l34 34M67 33L33 67"/>',
+    Verdict.UNKNOWN: '<path d="M50 4l46 46-46 46L4 50z"/><path d="M38 40c0-18 25-17 25-1 0 11-13 11-13 22M50 73v2"/>',
+}
+_ALL_OK = "Every contact point is slower than its allowable speed."
+_LEVELS = ("OK", "WARN", "ERROR", "STALE")
+_DIAGNOSTICS_AGE_NS = 5_000_000_000
+_SPEED_COLOR, _LIMIT_COLOR, _GRID = "#17202a", "#c2410c", {"left": 50, "right": 16, "top": 34, "bottom": 42}
+
+
+class Page:
+    """One browser's view of the cell."""
+
+    def __init__(self, client: CellClient, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
+        self._client = client
+        self._beats = 0
+        folder = Path(__file__).parent
+        ui.add_css(folder / "page.css")
+        ui.add_head_html(f"<script>{(folder / 'page.js').read_text(encoding='utf-8')}</script>")
+        with ui.element("header").classes("top"):
+            _html(f"<h1>Cell {escape(client.node.get_namespace())} · {escape(dynamics.robot.name)}</h1>")
+            self._simulated = ui.label().classes("simulated").props("role=note")
+            ui.element("span").classes("spring")
+            ui.label(ADVISORY)
+        with ui.element("div").classes("page"):
+            self._make_verdict()
+            with _card("Robot"):
+                self._scene = RobotScene(dynamics, settings)
+                _html(
+                    "Arrows: velocity (black), worst contact normal (magenta). Ellipsoid: root of the effective mass.",
+                    "note",
+                )
+                self._scene_note = ui.label().classes("note")
+            with _card("Speed and allowable speed, last 60 s", "speeds"):
+                lines = [
+                    _line("allowable", _LIMIT_COLOR, type="dashed", step="end"),
+                    _line("speed", _SPEED_COLOR, areaStyle={"opacity": 0.08}),
+                ]
+                self._speeds = _chart("speed and allowable speed", "s before now", "m/s", lines, x_min=-60, x_max=0)
+            with _card("Contact points"):
+                self._contacts = _html("", "scroll")
+            with _card("Last impacts", "wide"):
+                lines = [
+                    _line("force", _SPEED_COLOR),
+                    _line("predicted peak", _LIMIT_COLOR, type="dashed"),
+                    _line("impact before", "#9aa5b1"),
+                ]
+                self._force = _chart("force of the last impact", "ms after the onset", "N", lines)
+                self._impacts = _html("", "scroll")
+            with _card("Predicted and measured peak force", "wide"):
+                points = [
+                    {
+                        "name": "predicted too low",
+                        "type": "scatter",
+                        "symbol": "triangle",
+                        "symbolSize": 11,
+                        "color": "#a61b1b",
+                    },
+                    {"name": "on the safe side", "type": "scatter", "symbolSize": 9, "color": "#0b6b4b"},
+                    _line("equal", "#9aa5b1"),
+                ]
+                self._scatter = _chart("predicted and measured peak forces", "predicted [N]", "measured [N]", points)
+                self._series = ui.label().classes("note")
+            with _card("Diagnostics", "wide log"):
+                self._diagnostics = _html("", "scroll")
+            with _card("Episodes", "wide log"):
+                self._episodes = _html("", "scroll")
+                _html('<a href="/episodes.csv" download>Download all episodes (CSV)</a>')
+        self._beat = ui.label().props("id=beat aria-hidden=true")
+        ui.timer(FAST_S, self._refresh)
+        ui.timer(SLOW_S, self._refresh_slowly)
+
+    def _make_verdict(self) -> None:
+        with ui.element("section").classes("verdict live") as self._panel:
+            self._panel.props('aria-label="Verdict"')
+            self._icon = _html("")
+            with ui.element("div"):
+                self._word = ui.label().classes("word").props("role=status aria-live=assertive")
+                self._reason = ui.label().classes("reason")
+                self._remedy = ui.label().classes("remedy")
+            self._now = _html("", "now")
+        # Shown by page.js while the server says nothing.
+        with ui.element("section").classes("verdict gone UNKNOWN").props('aria-label="Verdict without connection"'):
+            _html(_icon(Verdict.UNKNOWN))
+            with ui.element("div"):
+                ui.label("UNKNOWN").classes("word").props("role=status")
+                ui.label("This page has no connection to the dashboard server.").classes("reason")
+
+    def _refresh(self) -> None:
+        """Show verdict, speeds and pose."""
+        now_ns = time.monotonic_ns()
+        status = self._client.status
+        status.update(now_ns)  # silence counts even if polling has failed
+        verdict = status.verdict
+        if self._word.text != verdict.name:
+            self._panel.classes(remove=" ".join(Verdict.__members__), add=verdict.name)
+            self._icon.content = _icon(verdict)
+            self._word.text = verdict.name
+        reason = f"{status.contact_point}: {status.reason}".strip(": ") if status.reason else _ALL_OK
+        self._reason.text = reason
+        advice = remedy(status.reason)
+        self._remedy.text = f"Remedy: {advice}.".replace("`", "") if advice else ""
+        self._now.content = _now(status)
+        self._simulated.text = f"SIMULATED {' AND '.join(status.simulated).upper()}" if status.simulated else ""
+        self._scene.update(status, now_ns)
+        self._scene_note.text = self._scene.note
+        self._beats += 1
+        self._beat.text = str(self._beats)
+
+    def _refresh_slowly(self) -> None:
+        """Show charts and tables."""
+        now_ns, status = time.monotonic_ns(), self._client.status
+        _show(self._speeds, *_speed_lines(status, now_ns))
+        self._contacts.content = _table(*_contact_rows(status))
+        records = list(status.impacts)
+        traces: list[list[list[float]]] = [[], [], []]
+        for record, index in zip(reversed(records), (0, 2), strict=False):
+            pairs = zip(record.time_s.tolist(), record.force.tolist(), strict=True)
+            traces[index] = [[round(1e3 * t, 2), round(f, 1)] for t, f in pairs]
+        if records and records[-1].validation and traces[0]:
+            predicted = round(records[-1].validation.predicted_force, 1)
+            traces[1] = [[traces[0][0][0], predicted], [traces[0][-1][0], predicted]]
+        _show(self._force, *traces)
+        rows = [
+            [
+                self._clock(record.at_ns) + " (simulated)" * record.impact.simulated,
+                f"{record.impact.peak_force:.1f} N" + " at least" * (record.impact.clipped or record.impact.incomplete),
+                f"{record.validation.predicted_force:.1f} N" if record.validation else "none yet",
+                f"{record.validation.relative_error:+.1%}" if record.validation else "",
+            ]
+            for record in islice(reversed(records), 4)
+        ]
+        self._impacts.content = _table(["impact", "peak", "predicted", "error"], rows, "no impact yet")
+        low, safe = (
+            [[v.predicted_force, v.measured_force] for v in status.validations if v.conservative is c]
+            for c in (False, True)
+        )
+        end = max((force for point in low + safe for force in point), default=0.0)
+        _show(self._scatter, low, safe, [[0.0, 0.0], [end, end]] if end else [])
+        self._series.text = _series_text(status)
+        self._diagnostics.content = _table(
+            ["node", "status", "message"], list(_diagnostic_rows(status, now_ns)), "none yet"
+        )
+        episodes = [
+            [
+                self._clock(episode.start_ns),
+                episode.verdict.name,
+                f"{((episode.end_ns or now_ns) - episode.start_ns) / 1e9:.1f} s"
+                + ", lasting" * (episode.end_ns is None),
+                f"{episode.contact_point}: {episode.cause}".strip(": "),
+            ]
+            for episode in islice(reversed(status.episodes), 6)
+        ]
+        self._episodes.content = _table(["start", "verdict", "duration", "cause"], episodes, "none yet")
+
+    def _clock(self, at_ns: int) -> str:
+        return datetime.fromtimestamp(self._client.wall_ns(at_ns) / 1e9).astimezone().strftime("%H:%M:%S")
+
+
+def csv_of(client: CellClient) -> str:
+    """Return the episodes of a cell as CSV, times in UTC; an episode that lasts has no end."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(["verdict", "start", "end", "duration_s", "contact_point", "cause", "simulated"])
+    for episode in client.status.episodes:
+        start, end = (
+            ""
+            if at_ns is None
+            else datetime.fromtimestamp(client.wall_ns(at_ns) / 1e9, timezone.utc).isoformat(timespec="milliseconds")
+            for at_ns in (episode.start_ns, episode.end_ns)
+        )
+        duration = "" if episode.end_ns is None else f"{(episode.end_ns - episode.start_ns) / 1e9:.3f}"
+        simulated = " and ".join(client.status.simulated)
+        # A leading apostrophe keeps a spreadsheet from computing a text of a message.
+        cause = f"'{episode.cause}" if episode.cause.startswith(("=", "+", "-", "@")) else episode.cause
+        writer.writerow([episode.verdict.name, start, end, duration, episode.contact_point, cause, simulated])
+    return text.getvalue()
+
+
+def _now(status: CellStatus) -> str:
+    """Return speed and allowable speed of the tightest contact point, and the speed scaling."""
+    if status.verdict is Verdict.UNKNOWN or not status.speeds:
+        return "<b>0 m/s</b><br>allowed, as nothing is known"
+    contact = min(status.contacts.values(), key=lambda contact: contact.allowable_speed - contact.speed)
+    share = min(contact.speed / contact.allowable_speed, 1.0) if contact.allowable_speed > 0.0 else 1.0
+    return (
+        f"<b>{contact.speed:.2f}</b> of <b>{contact.allowable_speed:.2f} m/s</b> allowed"
+        f'<div class="bar" aria-hidden="true"><i style="width:{share:.0%}"></i></div>'
+        f"{escape(contact.contact_point)} · {escape(contact.body_region.replace('_', ' '))} · "
+        f"speed scaling {status.speed_scaling:.2f}"
+    )
+
+
+def _speed_lines(status: CellStatus, now_ns: int) -> tuple[list[list[float | None]], list[list[float | None]]]:
+    """Return allowable speeds and speeds over the last minute; a gap in time is a gap in the line."""
+    lines: tuple[list[list[float | None]], list[list[float | None]]] = ([], [])
+    last_ns = 0
+    for sample in status.speeds:
+        for line, speed in zip(lines, (sample.allowable_speed, sample.speed), strict=True):
+            if line and sample.at_ns - last_ns > status.timeout_ns:
+                line.append([round((last_ns - now_ns) / 1e9, 2), None])
+            line.append([round((sample.at_ns - now_ns) / 1e9, 2), round(speed, 3)])
+        last_ns = sample.at_ns
+    return lines
+
+
+def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
+    """Return a table with a column for each contact point."""
+    contacts = list(status.contacts.values()) if status.verdict is not Verdict.UNKNOWN else []
+
+    def row(title: str, values: Iterable[str]) -> list[str]:
+        return [title, *values]
+
+    def mass(value: float) -> str:
+        return "none" if math.isnan(value) else f"{value:.2f} kg"
+
+    def decides(contact: ContactAssessment) -> str:
+        return f"{contact.mass_model}, {mass(contact.effective_mass)}"
+
+    rows = [
+        row("verdict", (contact.verdict.name for contact in contacts)),
+        row("speed", (f"{contact.speed:.3f} m/s" for contact in contacts)),
+        row("allowable speed", (f"{contact.allowable_speed:.3f} m/s" for contact in contacts)),
+        row("effective mass, lumped", (mass(contact.lumped_mass) for contact in contacts)),
+        row("effective mass, full", (mass(contact.full_mass) for contact in contacts)),
+        row("effective mass, ISO", (mass(contact.iso_mass) for contact in contacts)),
+        row("deciding mass", map(decides, contacts)),
+        row("upper bound of force", (f"{contact.force_bound:.0f} N" for contact in contacts)),
+        row("limit", (f"{contact.body_region.replace('_', ' ')}, {contact.criterion}" for contact in contacts)),
+    ]
+    headings = ["along the velocity", *(contact.contact_point for contact in contacts)]
+    return headings, rows if contacts else [], "no valid contact state"
+
+
+def _series_text(status: CellStatus) -> str:
+    if not status.validations:
+        return "no impact validated yet"
+    last = status.validations[-1]
+    outcome = "accepted" if last.accepted else "not accepted" if last.decidable else "not decidable"
+    text = f"{last.count} impacts, correlation {last.correlation:.3f}: {outcome}"
+    return f"{text}: {last.reason}" if last.reason else text
+
+
+def _diagnostic_rows(status: CellStatus, now_ns: int) -> Iterator[list[str]]:
+    for entry in sorted(status.diagnostics.values(), key=lambda entry: entry.name):
+        node, _, name = entry.name.rpartition("/")[2].partition(": ")
+        is_stale = now_ns - entry.at_ns > _DIAGNOSTICS_AGE_NS
+        message = f"silent for {(now_ns - entry.at_ns) / 1e9:.0f} s" if is_stale else entry.message
+        yield [f"{node} {name}", "STALE" if is_stale else _LEVELS[min(entry.level, 3)], message]
+
+
+def _icon(verdict: Verdict) -> str:
+    style = 'fill="none" stroke="currentColor" stroke-width="8" stroke-linecap="round" stroke-linejoin="round"'
+    return f'<svg viewBox="0 0 100 100" aria-hidden="true" {style}>{_SHAPES[verdict]}</svg>'
+
+
+def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], empty: str = "") -> str:
+    """Return an HTML table; the first column of a row is its heading."""
+    if not rows:
+        return f'<p class="note">{escape(empty)}</p>'
+    head = "".join(f'<th scope="col">{escape(heading)}</th>' for heading in headings)
+    body = "".join(
+        f'<tr><th scope="row">{escape(row[0])}</th>{"".join(f"<td>{escape(cell)}</td>" for cell in row[1:])}</tr>'
+        for row in rows
+    )
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _html(content: str, classes: str = "") -> ui.html:
+    """Return an element with `content`, whose texts of messages are escaped."""
+    return ui.html(content, sanitize=False).classes(classes)
+
+
+@contextmanager
+def _card(title: str, classes: str = "") -> Iterator[None]:
+    with ui.element("section").classes(f"card {classes}").props(f'aria-label="{title}"'):
+        _html(f"<h2>{escape(title)}</h2>")
+        yield
+
+
+def _line(name: str, color: str, type: str = "solid", **options: Any) -> dict[str, Any]:  # noqa: A002, ANN401 - of ECharts
+    style = {"color": color, "width": 2, "type": type}
+    return {"name": name, "type": "line", "color": color, "lineStyle": style, "showSymbol": False, **options}
+
+
+def _chart(
+    label: str,
+    x_name: str,
+    y_name: str,
+    series: list[dict[str, Any]],
+    x_min: int | None = None,
+    x_max: int | None = None,
+) -> ui.echart:
+    axis = {"nameLocation": "middle", "nameTextStyle": {"color": _SPEED_COLOR}, "axisLabel": {"color": _SPEED_COLOR}}
+    options = {
+        "animation": False,
+        "grid": _GRID,
+        "legend": {"top": 0, "left": 0},
+        "xAxis": {"type": "value", "name": x_name, "nameGap": 24, "min": x_min, "max": x_max, "scale": True, **axis},
+        "yAxis": {"type": "value", "name": y_name, "nameGap": 36, "min": 0, **axis},
+        "series": [{"data": [], **line} for line in series],
+    }
+    return ui.echart(options, renderer="svg").props(f'role=img aria-label="{label}"')
+
+
+def _show(chart: ui.echart, *data: object) -> None:
+    for series, values in zip(chart.options["series"], data, strict=True):
+        series["data"] = values

@@ -1,0 +1,119 @@
+"""The robot in 3-D: links, contact points, velocity, worst normal and mass ellipsoid of the point that decides."""
+
+import numpy as np
+from nicegui import ui
+from nicegui.elements.scene.scene_object3d import Object3D
+
+from scara_effmass.iso15066.mobility_matrix import matrix_of
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.pose_geometry import mass_ellipsoid, pose_geometry, rotation_to, worst_normal
+from scara_effmass.safety.cell_status import CellStatus
+from scara_effmass.safety.joint_state_adapter import JointStateAdapter
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Verdict
+
+LINK_COLOR, JOINT_COLOR, VELOCITY_COLOR, NORMAL_COLOR, ELLIPSOID_COLOR = (
+    "#8a96a3",
+    "#4a5561",
+    "#17202a",
+    "#b0006d",
+    "#3a86c8",
+)
+MAX_MASS = 20.0
+"""Largest mass that the ellipsoid shows [kg]: in a direction that no joint moves, the mass is infinite."""
+_DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Turns y, the axis of a cylinder in three.js, to z."""
+
+
+class RobotScene:
+    """Scene of one robot; sizes follow its reach."""
+
+    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
+        self._dynamics = dynamics
+        self._adapter = JointStateAdapter(dynamics.robot.joint_names, settings)
+        self._size = size = max(dynamics.robot.reach, 0.1)
+        self._pool: dict[str, list[Object3D]] = {}
+        self._used: dict[str, int] = {}
+        label = 'role=img aria-label="robot in 3-D with velocity, worst normal and mass ellipsoid"'
+        camera = ui.scene.perspective_camera(fov=40)
+        self._scene = ui.scene(
+            grid=(max(round(4 * size), 1), 20), camera=camera, background_color="#f1f3f5", fps=15
+        ).props(label)
+        self._scene.move_camera(1.4 * size, -1.3 * size, 1.3 * size, 0.3 * size, 0.0, 0.0, duration=0)
+        with self._scene as scene:  # the base
+            scene.cylinder(0.1 * size, 0.1 * size, 0.02 * size).rotate_R(_DOWN.tolist()).material(JOINT_COLOR)
+        self.note = ""
+
+    def update(self, status: CellStatus, now_ns: int) -> None:
+        """Draw the latest pose; `note` states why there is none, or what else there is to say."""
+        self._used = {}
+        state = status.joint_state
+        q = "no joint state yet" if state is None else self._adapter.positions(state)
+        age_ns = now_ns - status.joint_state_at_ns
+        if isinstance(q, str):
+            self.note = q
+        else:
+            self.note = f"as of {age_ns / 1e9:.0f} s ago: no joint state since" if age_ns > 1_000_000_000 else ""
+            self._draw(status, q, is_current=age_ns <= 1_000_000_000)
+        for kind, objects in self._pool.items():
+            for unused in objects[self._used.get(kind, 0) :]:
+                unused.visible(value=False)
+
+    def _draw(self, status: CellStatus, q: FloatArray, *, is_current: bool) -> None:
+        geometry = pose_geometry(self._dynamics, q)
+        thin = 0.02 * self._size
+        for start, end in geometry.segments:
+            self._line("link", start, end, thin, LINK_COLOR)
+            for point in (start, end):
+                self._object("joint", JOINT_COLOR).move(*point.tolist()).scale(1.3 * thin)
+        for name, point in geometry.contact_points.items():
+            self._object("contact", VELOCITY_COLOR).move(*point).scale(1.6 * thin)
+            contact = status.contacts.get(name)
+            if contact is None:
+                self.note = f"the monitor has no contact point {name}: give the dashboard its robot and parameters"
+                continue
+            if not is_current or status.verdict is Verdict.UNKNOWN or contact.verdict is Verdict.UNKNOWN:
+                continue
+            at = np.array(point)
+            direction = np.array(contact.direction)
+            if contact.direction != ZERO_VECTOR:
+                self._arrow("velocity", at, at + contact.speed * self._size * direction, VELOCITY_COLOR)
+            if contact.mobility == NO_MOBILITY:
+                continue
+            mobility = matrix_of(contact.mobility)
+            masses, axes = mass_ellipsoid(mobility, MAX_MASS)
+            ellipsoid = self._object("ellipsoid", ELLIPSOID_COLOR, 0.3).move(*point).rotate_R(axes.tolist())
+            ellipsoid.scale(*(0.06 * self._size * np.sqrt(masses)).tolist())
+            if contact.direction != ZERO_VECTOR:
+                normal = np.array(worst_normal(mobility, contact.direction, contact.obstacle_mass))
+                self._arrow("normal", at, at + 0.25 * self._size * normal, NORMAL_COLOR)
+
+    def _arrow(self, kind: str, start: FloatArray, end: FloatArray, color: str) -> None:
+        """Draw a line whose end is a cone."""
+        thin = 0.01 * self._size
+        self._line(kind, start, end, thin, color)
+        along = end - start
+        length = float(np.linalg.norm(along))
+        if length > thin:
+            self._line(f"{kind} tip", end, end + along / length * 6.0 * thin, 2.5 * thin, color)
+
+    def _line(self, kind: str, start: FloatArray, end: FloatArray, radius: float, color: str) -> None:
+        length = float(np.linalg.norm(end - start))
+        if length > 1e-6:
+            x, y, z = ((end - start) / length).tolist()
+            rotation = rotation_to((x, y, z)) @ _DOWN
+            shape = self._object(kind, color).move(*(0.5 * (start + end)).tolist())
+            shape.rotate_R(rotation.tolist()).scale(radius, length, radius)
+
+    def _object(self, kind: str, color: str, opacity: float = 1.0) -> Object3D:
+        """Return the next object of a kind, visible, and made if there are too few."""
+        objects, index = self._pool.setdefault(kind, []), self._used.get(kind, 0)
+        self._used[kind] = index + 1
+        if index == len(objects):
+            with self._scene as scene:
+                if kind in {"joint", "contact", "ellipsoid"}:
+                    made: Object3D = scene.sphere(1.0)
+                else:
+                    made = scene.cylinder(0.0 if kind.endswith("tip") else 1.0, 1.0, 1.0, 16)
+            objects.append(made.material(color, opacity))
+        return objects[index].visible()
