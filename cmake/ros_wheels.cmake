@@ -24,3 +24,9 @@ function(drop_missing_include_directories)
   endforeach()
 endfunction()
 cmake_language(DEFER CALL drop_missing_include_directories)
+
+# control_msgs has no wheel. Only for pip: a workspace takes it from its ROS, as package.xml says.
+if(SKBUILD_PLATLIB_DIR AND PROJECT_NAME STREQUAL "scara_effmass_msgs")
+  set(CMAKE_PROJECT_INCLUDE "${CMAKE_CURRENT_LIST_FILE}")  # for control_msgs, too
+  add_subdirectory("${CMAKE_CURRENT_LIST_DIR}/control_msgs" control_msgs)
+endif()

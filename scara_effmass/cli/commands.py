@@ -48,14 +48,11 @@ class Command:
         self.options = options
 
 
-ROS_COMMANDS = {"monitor", "daq", "validator", "sim", "record", "foxglove", "dashboard"}
+NODES = ("monitor", "daq", "validator", "speed_scaling", "sim")
+ROS_COMMANDS = {*NODES, "record", "foxglove", "dashboard"}
 """Commands that take ROS arguments."""
 PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "schema"))
-MODULES = (
-    {"import": "import_force"}
-    | dict.fromkeys(("monitor", "daq", "validator", "sim"), "nodes")
-    | dict.fromkeys(PROTOCOL, "protocol")
-)
+MODULES = {"import": "import_force"} | dict.fromkeys(NODES, "nodes") | dict.fromkeys(PROTOCOL, "protocol")
 """Modules of the commands that have no module of their name."""
 GROUPS = {"protocol": "write, fill in and render a measurement protocol of contact forces"}
 """Commands of two words, by the first one."""
@@ -155,6 +152,21 @@ examples:
 """,
         Option("--obstacle-mass", "mass of the obstacle, m_H [kg]", "KG", NUMBER),
         params("validator_node"),
+        *LOGGING,
+    ),
+    "speed_scaling": Command(
+        "run the node that slows a trajectory controller down to the allowable speed",
+        """\
+The node publishes a factor from 0 to 1 on joint_trajectory_controller/speed_scaling_input (control_msgs/
+SpeedScalingFactor): 0 without a valid verdict, down at once, up slowly. The joint trajectory controller has no time-out
+and scales in position mode only: see docs/consuming.md. ROS arguments follow -- or --ros-args.
+
+examples:
+  scara-effmass speed_scaling
+  scara-effmass speed_scaling -- -r joint_trajectory_controller/speed_scaling_input:=/arm/speed_scaling_input
+  scara-effmass speed_scaling --params my_cell.yaml -- -p latency:=0.02
+""",
+        params("speed_scaling_node"),
         *LOGGING,
     ),
     "sim": Command(

@@ -1,4 +1,4 @@
-"""`scara-effmass monitor`, `daq`, `validator` and `sim`: run one node."""
+"""`scara-effmass monitor`, `daq`, `validator`, `speed_scaling` and `sim`: run one node."""
 
 from __future__ import annotations
 

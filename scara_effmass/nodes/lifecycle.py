@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import rclpy
 from lifecycle_msgs.srv import ChangeState
@@ -153,10 +153,12 @@ class LifecycleBase(LifecycleNode):
         *,
         raw: bool = False,
         matched: Callable[[QoSSubscriptionMatchedInfo], None] | None = None,
+        **events: Any,  # noqa: ANN401 - those of rclpy
     ) -> Subscription:
         """Return a subscription whose QoS parameters may override and whose losses are counted in `lost`.
 
         The loss and the return of its last publisher are logged, except of a latched topic, which outlives its sender.
+        `events` are further callbacks of rclpy's SubscriptionEventCallbacks.
         """
 
         def on_lost(info: QoSMessageLostInfo) -> None:
@@ -180,6 +182,7 @@ class LifecycleBase(LifecycleNode):
                 incompatible_qos=partial(self._on_incompatible, f"a publisher of {topic}"),
                 message_lost=on_lost,
                 matched=on_matched,
+                **events,
             ),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )

@@ -1,0 +1,145 @@
+"""`speed_scaling_node`: slow a trajectory controller down to the allowable speed, and stop it without a valid verdict.
+
+A process of its own, so that it outlives the monitor and then sends 0.
+"""
+
+import threading
+import time
+from collections.abc import Sequence
+from enum import Enum
+
+from control_msgs.msg import SpeedScalingFactor
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSLivelinessChangedInfo
+from scara_effmass_msgs.msg import ContactState
+from std_msgs.msg import Float64
+
+from scara_effmass.nodes.diagnostics import Diagnostics, status
+from scara_effmass.nodes.lifecycle import LifecycleBase, run
+from scara_effmass.nodes.parameters import NodeParameters, declare
+from scara_effmass.safety.speed_scaling import SpeedScaler
+from scara_effmass.settings.loading import fixed
+from scara_effmass.wire import topics
+from scara_effmass.wire.contact_state import contact_from
+
+_ACK_TIMEOUT = Duration(seconds=0.5)
+
+
+class Output(str, Enum):
+    """Message that the controller expects."""
+
+    FACTOR = "factor"
+    """control_msgs/SpeedScalingFactor, 0 to 1: the joint trajectory controller."""
+    PERCENT = "percent"
+    """std_msgs/Float64, 0 to 100, the unit of UR's speed_scaling_state_broadcaster."""
+
+
+_MESSAGES = {Output.FACTOR: (SpeedScalingFactor, "factor", 1.0), Output.PERCENT: (Float64, "data", 100.0)}
+"""Type, field and unit of the messages."""
+
+
+class NodeSettings(NodeParameters):
+    """Parameters of `speed_scaling_node`."""
+
+    timeout: float = fixed(
+        0.2, "`timeout` of the monitor; states older than it, and silence of twice as long, give 0 [s]", gt=0.0, le=60.0
+    )
+    latency: float = fixed(
+        0.03, "longest time from sending a factor to its effect on the joint states [s]", ge=0.0, le=10.0
+    )
+    speed_ratio: float = fixed(0.95, "share of the allowable speed to use", gt=0.0, le=1.0)
+    rise_rate: float = fixed(1.0, "largest increase of the factor [1/s]; it falls at once", gt=0.0, le=100.0)
+    rate: float = fixed(50.0, "heartbeat: messages per second, besides those that lower the factor", ge=1.0, le=1000.0)
+    output: Output = fixed(Output.FACTOR, "factor (control_msgs/SpeedScalingFactor) or percent (std_msgs/Float64)")
+
+
+class SpeedScalingNode(LifecycleBase):
+    """Subscribes to `contact_state`; publishes `joint_trajectory_controller/speed_scaling_input`, `/diagnostics`."""
+
+    def __init__(self) -> None:
+        """Declare the parameters. Raises SettingsError for an invalid one."""
+        super().__init__("speed_scaling")
+        self._settings = declare(self, NodeSettings)
+        self.autostart = self._settings.autostart
+        self._lock = threading.Lock()
+        """Held while the factor is changed and published."""
+        self._publishing = False
+
+    def configure(self) -> None:
+        """Create the endpoints."""
+        settings = self._settings
+        self._factor, self._reason = 0.0, ""
+        self._type, self._field, self._unit = _MESSAGES[settings.output]
+        qos = topics.Qos(1, latched=True, deadline_s=2.0 / settings.rate)
+        self._publisher = self.create_owned_publisher(self._type, topics.SPEED_SCALING_INPUT, qos)
+        self.create_owned_subscription(
+            ContactState,
+            topics.CONTACT_STATE,
+            self._on_contact_state,
+            topics.verdict_qos(settings.timeout),
+            deadline=lambda _: self._stop("deadline of contact_state missed"),
+            liveliness=self._on_liveliness,
+        )
+        self._diagnostics = Diagnostics(self, self._statuses, settings.status_period)
+        self.create_steady_timer(1.0 / settings.rate, self._publish)
+
+    def activate(self) -> None:
+        """Start at 0."""
+        settings = self._settings
+        self._scaler = SpeedScaler(round(settings.timeout * 1e9), time.monotonic_ns())
+        self._scaler.latency_ns = round(settings.latency * 1e9)
+        self._scaler.rise_rate, self._scaler.speed_ratio = settings.rise_rate, settings.speed_ratio
+        self._publishing = True
+
+    def deactivate(self) -> None:
+        """Publish a last 0."""
+        self.publish_last("the node was deactivated")
+
+    def publish_last(self, reason: str) -> None:
+        """Publish 0, wait until subscribers have it, and publish nothing after it."""
+        with self._lock:
+            if not self._publishing or not self.context.ok():
+                return
+            self._scaler.stop(reason)
+            self._send()
+            self._publishing = False
+        self._publisher.wait_for_all_acked(_ACK_TIMEOUT)
+
+    def _on_contact_state(self, message: ContactState) -> None:
+        contact = contact_from(message)
+        with self._lock:
+            if self._publishing and self._scaler.take(contact, time.monotonic_ns(), self.now_ns() - contact.stamp_ns):
+                self._send()
+
+    def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
+        if event.alive_count == 0:
+            self._stop("liveliness of the monitor lost")
+
+    def _stop(self, reason: str) -> None:
+        with self._lock:
+            if self._publishing:
+                self._scaler.stop(reason)
+                self._send()
+
+    def _publish(self) -> None:
+        with self._lock:
+            if self._publishing:
+                self._send()
+
+    def _send(self) -> None:
+        self._factor = self._scaler.factor(time.monotonic_ns())
+        self._publisher.publish(self._type(**{self._field: self._unit * self._factor}))
+        if (reason := self._scaler.reason) != self._reason:
+            self._reason = reason
+            self.get_logger().info(f"stopped: {reason}" if reason else "released")
+
+    def _statuses(self) -> list[DiagnosticStatus]:
+        problem = f"stopped: {self._reason}" if self._reason else "; ".join(sorted(self.incompatible_qos))
+        values = {"factor": self._factor, "controllers": self._publisher.get_subscription_count()}
+        return [status("speed scaling", "scaling", values, problem=problem)]
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node with ROS arguments `args`, or those of the process."""
+    return run("speed_scaling", SpeedScalingNode, args)

@@ -1,0 +1,32 @@
+"""A joint trajectory with scaled time, followed exactly, as by the joint trajectory controller in position mode."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from scara_effmass.values import FloatArray, JointState
+
+
+class ScaledTrajectory:
+    """A simulated controller that obeys: each cycle advances the time of the trajectory by factor x period."""
+
+    def __init__(self, names: Sequence[str], times: FloatArray, q: FloatArray, qd: FloatArray) -> None:
+        """Follow positions `q` and velocities `qd` (m, n) at the increasing `times` (m,) [s], from the first one on."""
+        self._names = tuple(names)
+        self._position = CubicHermiteSpline(times, q, qd)
+        self._velocity = self._position.derivative()
+        self._end = float(times[-1])
+        self.time = float(times[0])
+        """Time in the trajectory [s]."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether the end of the trajectory is reached."""
+        return self.time >= self._end
+
+    def advance(self, factor: float, period: float, stamp_ns: int) -> JointState:
+        """Advance by `period` [s] at `factor` times the programmed speed; return the joint state at the end of it."""
+        self.time = min(self.time + factor * period, self._end)
+        velocity = np.zeros(len(self._names)) if self.ended else factor * self._velocity(self.time)
+        return JointState(stamp_ns, self._names, self._position(self.time), velocity)

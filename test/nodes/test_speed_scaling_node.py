@@ -1,0 +1,149 @@
+"""`speed_scaling_node` beside a live monitor: what the joint trajectory controller receives."""
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from control_msgs.msg import SpeedScalingFactor
+from lifecycle_msgs.msg import Transition
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from scara_effmass_msgs.msg import ContactState
+from std_msgs.msg import Float64
+
+from scara_effmass.sim.motion import sample_moves
+from scara_effmass.sim.recordings import tour_moves
+from scara_effmass.sim.scaled_trajectory import ScaledTrajectory
+from scara_effmass.wire.joint_state import joint_state_message
+from scara_effmass.wire.topics import SPEED_SCALING_INPUT
+from test.nodes.conftest import DEEP_QOS, JOINTS, TIMEOUT_S, NodeHarness, joint_state, stamp_ns
+
+NODE = Path(sys.executable).with_name("speed_scaling_node")
+CONTROLLER_QOS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""That of the joint trajectory controller: a volatile publisher does not match."""
+Start = Callable[..., tuple[NodeHarness, NodeHarness, list[float]]]
+
+
+@pytest.fixture
+def cell(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> Iterator[Start]:
+    """Return a function that starts a monitor and the node, and gives both with the factors that a controller gets."""
+
+    def start(*arguments: str, kind: Any = SpeedScalingFactor) -> tuple[NodeHarness, NodeHarness, list[float]]:  # noqa: ANN401
+        monitor = new_harness(
+            "--ros-args", "-p", "release_time:=0.0", "-p", "timeout:=1.0", "-p", "contact_points:=[tool]"
+        )
+        node = stack.enter_context(closing(NodeHarness(monitor.domain, tmp_path, "speed_scaling")))
+        node.start("--ros-args", "-p", "timeout:=1.0", *arguments, command=(str(NODE),))
+        factors: list[float] = []
+        field = "factor" if kind is SpeedScalingFactor else "data"
+        node.node.create_subscription(
+            kind, SPEED_SCALING_INPUT, lambda message: factors.append(getattr(message, field)), CONTROLLER_QOS
+        )
+        return monitor, node, factors
+
+    with ExitStack() as stack:
+        yield start
+
+
+def rises_to_1(monitor: NodeHarness, node: NodeHarness, factors: list[float], full: float = 1.0) -> None:
+    node.spin_until(lambda: factors and factors[-1] == full, repeat=lambda: monitor.send(joint_state()))
+
+
+LATENCY_S = 0.03
+"""From a factor to its effect on the joint states, cycles of 10 ms."""
+FAST = ("-p", "rise_rate:=20.0")
+
+
+@pytest.mark.parametrize("fault", ["SIGKILL", "SIGSTOP", "SIGTERM", "no input"])
+def test_factor_is_0_without_a_monitor_rises_and_falls_with_it(cell: Start, fault: str) -> None:
+    monitor, node, factors = cell(*FAST)
+    node.spin_until(lambda: factors)
+    assert set(factors) == {0.0}
+    rises_to_1(monitor, node, factors)
+    assert np.diff(factors).max() <= 0.5
+    assert monitor.process is not None
+    if fault.startswith("SIG"):
+        monitor.process_may_end = True
+        os.kill(monitor.process.pid, getattr(signal, fault))
+    try:
+        node.spin_until(lambda: factors[-1] == 0.0)
+    finally:
+        if fault == "SIGSTOP":
+            os.kill(monitor.process.pid, signal.SIGKILL)
+    assert factors[factors.index(1.0) :].count(0.0) >= 1
+    # The node outlives the monitor, and its heartbeat goes on.
+    received = len(factors)
+    node.spin_until(lambda: len(factors) > received + 10)
+    assert set(factors[received:]) == {0.0}
+
+
+def test_last_message_is_0_and_late_controllers_receive_it(cell: Start) -> None:
+    monitor, node, factors = cell(*FAST, "-p", "rate:=1.0")
+    rises_to_1(monitor, node, factors)
+    late: list[SpeedScalingFactor] = []
+    node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, late.append, CONTROLLER_QOS)
+    node.spin_until(lambda: late, repeat=lambda: monitor.send(joint_state()))
+    assert node.process is not None
+    node.process_may_end = True
+    node.process.terminate()
+    node.spin_until(lambda: factors[-1] == late[-1].factor == 0.0, repeat=lambda: monitor.send(joint_state()))
+    assert node.process.wait(TIMEOUT_S) == 0
+
+
+def test_deactivated_node_leaves_0(cell: Start) -> None:
+    monitor, node, factors = cell(*FAST)
+    rises_to_1(monitor, node, factors)
+    assert node.change_state(Transition.TRANSITION_DEACTIVATE)
+    node.spin_until(lambda: factors[-1] == 0.0)
+    assert node.change_state(Transition.TRANSITION_ACTIVATE)
+    rises_to_1(monitor, node, factors)
+
+
+def test_percent_is_a_float64(cell: Start) -> None:
+    monitor, node, percents = cell(*FAST, "-p", "output:=percent", kind=Float64)
+    rises_to_1(monitor, node, percents, 100.0)
+
+
+def test_simulated_controller_obeys_over_dds(cell: Start) -> None:
+    """Follow the fastest part of the tour in real time; motion and controller are simulated."""
+    monitor, node, factors = cell("-p", "rise_rate:=2.0", "-p", f"latency:={LATENCY_S}", "-p", "rate:=100.0")
+    q, qd = sample_moves(tour_moves(), 100)
+    trajectory = ScaledTrajectory(JOINTS, np.arange(300) / 100, q[1950:2250], qd[1950:2250])
+    monitor.node.create_subscription(ContactState, "contact_state", monitor.on_contact_state, DEEP_QOS)
+    in_force: dict[int, float] = {}
+    last_ns = time.time_ns()
+
+    def cycle() -> bool:
+        """Advance by the time that has passed, at the last received factor."""
+        nonlocal last_ns
+        node.spin_until(lambda: time.time_ns() > last_ns + 8_000_000)
+        now_ns = time.time_ns()
+        factor = factors[-1] if factors else 0.0
+        monitor.send(joint_state_message(trajectory.advance(factor, (now_ns - last_ns) / 1e9, now_ns)))
+        in_force[now_ns], last_ns = factor, now_ns
+        return trajectory.ended
+
+    monitor.spin_until(cycle)
+    monitor.spin_until(lambda: stamp_ns(monitor.contact_states[-1]) == last_ns)
+    states = [state for state in monitor.contact_states if stamp_ns(state) in in_force and state.verdict]
+    stamps = np.array([stamp_ns(state) for state in states]) / 1e9
+    speed = np.array([state.speed for state in states])
+    allowable_speed = np.array([state.allowable_speed for state in states])
+    factor = np.array([in_force[stamp_ns(state)] for state in states])
+    moving = speed > 0.01
+    stamps, speed, allowable_speed, factor = (values[moving] for values in (stamps, speed, allowable_speed, factor))
+    programmed = speed / factor
+    uncontrolled_excess = (programmed - allowable_speed).max()
+    assert uncontrolled_excess > 0.3
+    assert (speed - allowable_speed).max() < 0.5 * uncontrolled_excess
+    allowed = allowable_speed / programmed
+    lag_s = 3.0 * LATENCY_S + np.diff(stamps).max()
+    for k in np.flatnonzero(speed > allowable_speed):
+        recent = (stamps <= stamps[k]) & (stamps > stamps[k] - lag_s)
+        assert factor[k] <= allowed[recent].max() * (1.0 + 1e-6)
