@@ -48,7 +48,7 @@ class Command:
         self.options = options
 
 
-NODES = ("monitor", "daq", "validator", "speed_scaling", "sim")
+NODES = ("monitor", "daq", "validator", "speed_scaling", "sim", "visualization")
 ROS_COMMANDS = {*NODES, "record", "foxglove", "dashboard"}
 """Commands that take ROS arguments."""
 PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "schema"))
@@ -205,6 +205,20 @@ examples:
         *JOINTS,
         PAYLOAD[0],
         params("monitor_node"),
+    ),
+    "visualization": Command(
+        "run the node that draws robot, masses and verdicts for RViz and Foxglove",
+        """\
+Publishes effective_mass_markers (visualization_msgs/MarkerArray) in the base frame. Give it the robot and the contact
+points of the monitor.
+
+examples:
+  scara-effmass visualization
+  scara-effmass visualization --robot my_robot.urdf -- -p rate:=10.0
+""",
+        *CELL,
+        params("visualization_node"),
+        *LOGGING,
     ),
     "import": Command(
         "convert force from CSV, TDMS and wrench topics, or joint states from CSV, to a bag",

@@ -29,7 +29,7 @@ from scara_effmass.nodes.replay_topics import JOINT_STATES
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import ContactAssessment
-from scara_effmass.wire.message_types import FORCE_BLOCK
+from scara_effmass.wire.message_types import FORCE_BLOCK, RUN_INFO
 
 ANSWER_TIMEOUT_S = 10.0
 """Maximum wait for the last messages of the monitor after the end of the replay."""
@@ -37,11 +37,14 @@ FORCE_END_TIMEOUT_S = 3.0
 
 
 class ReplayedBag(NamedTuple):
-    """The recording to replay; `payload_topics`, `force_topic` and `description` are empty where it has none."""
+    """The recording to replay; `more_topics` (payload, run information) pass unchanged.
+
+    `more_topics`, `force_topic` and `description` are empty where it has none.
+    """
 
     path: Path
     topic: str
-    payload_topics: list[str]
+    more_topics: list[str]
     force_topic: str
     duration_s: float
     description: str
@@ -105,7 +108,10 @@ def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
         bag = ReplayedBag(
             path=opened.path,
             topic=joint_state_topic(opened, args.topic),
-            payload_topics=payload_topics(opened, settings.payload_topic),
+            more_topics=[
+                *payload_topics(opened, settings.payload_topic),
+                *(topic.name for topic in opened.topics if topic.type == RUN_INFO),
+            ],
             force_topic=next((topic.name for topic in opened.topics if topic.type == FORCE_BLOCK), ""),
             duration_s=min(opened.duration_ns / 1e9, args.duration),
             description=generated_description(opened),
@@ -160,9 +166,9 @@ def _run_live(
     force_command = ["daq", "--source", "bag", "--path", str(bag.path), "--topic", bag.force_topic]
     force_command += [*processes.SIM_TIME, "-p", "stop_at_end:=true"]
     replay_command = ["replay", str(bag.path), "--topic", bag.topic, "--rate", str(args.rate)]
-    replay_command += ["--topics", bag.topic, *bag.payload_topics]
+    replay_command += ["--topics", bag.topic, *bag.more_topics]
     replay_command += ["--duration", str(args.duration), "--wait", str(processes.START_TIMEOUT_S), "--json"]
-    replay_command += ["--subscribers", "2"]  # monitor and recorder
+    replay_command += ["--subscribers", "3"]  # monitor, visualization and recorder
     first_ns: int | None = None
 
     def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
@@ -175,7 +181,8 @@ def _run_live(
 
     processes.isolate_ros_domain()
     with ExitStack() as stack:
-        nodes = [stack.enter_context(processes.ChildProcess(processes.monitor_command(args, settings)))]
+        commands = (processes.monitor_command(args, settings), processes.visualization_command(settings))
+        nodes = [stack.enter_context(processes.ChildProcess(command)) for command in commands]
         force = stack.enter_context(processes.ChildProcess(force_command)) if bag.force_topic else None
         recorder = stack.enter_context(processes.ChildProcess(processes.record_command(args)))
         nodes.append(recorder)

@@ -28,7 +28,10 @@ RECORDER_DELAY_S = 5.0
 """Largest delay of recorded log times: simulated time waits for monitor and force node, not for the recorder."""
 VALIDATION_DELAY_S = 3.0
 """Time from an impact to its validation, which follows once the rebounds are over."""
-ENDPOINTS = (("contact_state", 1, 2), ("force", 1, 1), ("impact", 1, 1), ("impact_validation", 1, 1))
+ENDPOINTS = (
+    *(("contact_state", 1, 3), ("force", 1, 1), ("impact", 1, 1), ("impact_validation", 1, 1)),
+    *(("joint_states", 0, 2), ("effective_mass_markers", 1, 0)),
+)
 """Topic, publishers and subscribers (this process included) that must exist before the simulation starts."""
 INTRODUCTION = (
     ("simulated", "robot, carts and force: the simulated cell (MuJoCo), no real robot, nothing is measured"),
@@ -79,8 +82,9 @@ def _run_live(
         ["daq", "--source", "sim", *processes.SIM_TIME, *cell],
         ["validator", *processes.SIM_TIME],
         processes.monitor_command(args, settings),
+        processes.visualization_command(settings),
     )
-    sim_command = ["sim", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=2"]
+    sim_command = ["sim", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=3"]
     stamps_ns: set[int] = set()
     console = printer()
 

@@ -1,4 +1,4 @@
-"""`scara-effmass monitor`, `daq`, `validator`, `speed_scaling` and `sim`: run one node."""
+"""`scara-effmass monitor`, `daq`, `validator`, `speed_scaling`, `sim` and `visualization`: run one node."""
 
 from __future__ import annotations
 

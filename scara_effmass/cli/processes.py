@@ -117,6 +117,12 @@ def monitor_command(args: argparse.Namespace, settings: MonitorSettings) -> list
     return ["monitor", *params, *node_arguments(None, selected(args, *CELL) | chosen, SIM_TIME)]
 
 
+def visualization_command(settings: MonitorSettings) -> list[str]:
+    """Return the command that draws the robot of `settings`, so that the recording can be seen in 3-D."""
+    names = {key: list(getattr(settings, key)) or None for key in ("contact_points", "joint_map", "joint_names")}
+    return ["visualization", *node_arguments(None, {"robot": str(settings.robot_path), **names}, SIM_TIME)]
+
+
 def record_command(args: argparse.Namespace) -> list[str]:
     """Return the command that records the topics of the suite."""
     return ["record", "-o", str(args.out / RECORDING), "--json", *(["--force"] if args.force else []), *SIM_TIME]

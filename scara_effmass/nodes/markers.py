@@ -27,7 +27,7 @@ MAX_MASS = 10.0
 """Largest mass [kg] of an axis of the ellipsoid: where no joint moves the contact point, the mass is infinite."""
 NORMAL_LENGTH_M = 0.15
 TEXT_HEIGHT_M = 0.04
-TEXT_LIFT_M = 0.12
+TEXT_LIFT_M = 0.2
 
 
 def robot_markers(geometry: PoseGeometry) -> Iterator[Marker]:
@@ -57,7 +57,7 @@ def contact_markers(
         color = VERDICT_COLORS[contact.verdict]
         x, y, z = places.get(contact.contact_point, (0.0, 0.0, index * TEXT_LIFT_M))
         at = np.array([x, y, z])
-        text = (x, y, z + TEXT_LIFT_M)
+        text = (x, y, z + (TEXT_LIFT_M if z > -TEXT_LIFT_M else -TEXT_LIFT_M))  # away from the base
         words = _words(contact, simulated=simulated)
         yield _marker(Marker.TEXT_VIEW_FACING, "verdict", index, color, (0.0, 0.0, TEXT_HEIGHT_M), text, text=words)
         if contact.verdict is Verdict.UNKNOWN or contact.contact_point not in places:

@@ -43,10 +43,9 @@ _JOINT_STATES = 8
 _CONTACT_STATES = 256
 
 
-class NodeSettings(MonitorSettings):
+class NodeSettings(parameters.NodeParameters, MonitorSettings):
     """Settings of the monitor, of which those of the robot and `timeout` count, and of the node."""
 
-    autostart: bool = fixed(default=True, description="configure and activate at start")
     rate: float = fixed(20.0, "number of marker arrays per second [Hz]", ge=0.5, le=100.0)
     ellipsoid_scale: float = tunable(
         0.05, "semi-axis of the mass ellipsoid at 1 kg; it grows with the root of the mass [m]", ge=0.0, le=1.0
@@ -86,6 +85,8 @@ class VisualizationNode(LifecycleBase):
             self.create_owned_subscription(kind, topic, partial(_keep, received), best_effort, raw=True)
         self.create_owned_subscription(RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS, raw=True)
         self.create_steady_timer(1.0 / self._settings.rate, self._publish)
+        if self._settings.status_period:
+            self.create_steady_timer(self._settings.status_period, self._log_status)
 
     def _use_robot(self, robot: Robot) -> None:
         self._adapter = JointStateAdapter(robot.joint_names, self._settings)
@@ -112,6 +113,11 @@ class VisualizationNode(LifecycleBase):
         shown = {(marker.ns, marker.id) for marker in markers}
         self._markers.publish(MarkerArray(markers=[*(deletion(*gone) for gone in self._shown - shown), *markers]))
         self._shown = shown
+
+    def _log_status(self) -> None:
+        if self.active:
+            viewers = self._markers.get_subscription_count()
+            self.get_logger().info(f"{self._status.verdict.name}: {len(self._shown)} markers for {viewers} viewers")
 
     def _current(self) -> Iterator[Marker]:
         """Yield the markers of the latest states."""

@@ -168,7 +168,7 @@ def test_interrupted_demo_ends_its_child_processes(start: Start, tmp_path: Path)
     line = next(line for line in process.stdout if " scaling " in line)
     assert "tool: " in line
     child_pids = children_of(process.pid)
-    assert len(child_pids) == 4  # monitor, force, recorder, replay
+    assert len(child_pids) == 5  # monitor, visualization, force, recorder, replay
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate()
     assert (process.returncode, errors) == (130, "")
