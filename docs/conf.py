@@ -34,7 +34,8 @@ def setup(app: Sphinx) -> None:
 
 def _formula(translator: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
     display = "inline" if isinstance(node, nodes.math) else "block"
-    translator.body.append(latex2mathml.converter.convert(node.astext(), display=display))
+    formula = latex2mathml.converter.convert(node.astext(), display=display)
+    translator.body.append(formula if display == "inline" else f'<div style="overflow-x: auto">{formula}</div>')
     raise nodes.SkipNode
 
 

@@ -28,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0, 1 (negative result), 2 (invalid input), 130 (interrupted)."""
     arguments, ros_arguments = _split(sys.argv[1:] if argv is None else list(argv))
     arguments[:1] = [ALIASES.get(name, name) for name in arguments[:1]]
-    parser = _parser()
+    parser = make_parser()
     parsed = parser.parse_args(arguments, argparse.Namespace(ros_arguments=ros_arguments))
     name = parsed.command
     if name is None:
@@ -68,7 +68,8 @@ def _split(argv: list[str]) -> tuple[list[str], list[str]]:
     return list(argv[:start]), ros_arguments
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
     parser = _Parser(
         prog="scara-effmass",
         description="Assess a robot's effective mass by ISO/TS 15066, measure impacts, and validate the predictions.",

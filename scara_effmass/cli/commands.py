@@ -414,8 +414,8 @@ as for a protocol that was filled in by hand. Comments of FILE are written anew.
 
 examples:
   scara-effmass protocol fill protocol.yaml
-  scara-effmass protocol fill protocol.yaml --test hand_fingers_1 run1 run2 run3
-  scara-effmass protocol fill protocol.yaml --test chest_1 arm.mcap --force-from device.csv --robot ur5.urdf
+  scara-effmass protocol fill protocol.yaml run1 run2 run3 --test hand_fingers_1
+  scara-effmass protocol fill protocol.yaml arm.mcap --test chest_1 --force-from device.csv --robot ur5.urdf
 """,
         Option("protocol", "measurement protocol", "FILE", Path),
         Option("bags", "recording, or folder of recordings", "BAG", Path, nargs="*"),
