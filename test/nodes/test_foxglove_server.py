@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import pytest
 from rclpy.serialization import deserialize_message
 from scara_effmass_msgs.msg import ContactState
 from websockets.sync.client import ClientConnection, connect
@@ -16,8 +15,6 @@ from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
 from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from
 from test.nodes.conftest import DEEP_QOS, TIMEOUT_S, NodeHarness
-
-pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
 
 COMMAND = (sys.executable, "-m", "scara_effmass", "foxglove")
 MESSAGE_DATA = 1
