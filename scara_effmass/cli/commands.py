@@ -49,7 +49,7 @@ class Command:
 
 
 NODES = ("monitor", "daq", "validator", "speed_scaling", "sim", "visualization")
-ROS_COMMANDS = {*NODES, "record", "foxglove", "dashboard"}
+ROS_COMMANDS = {*NODES, "record", "foxglove", "dashboard", "watch"}
 """Commands that take ROS arguments."""
 PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "schema"))
 MODULES = {"import": "import_force"} | dict.fromkeys(NODES, "nodes") | dict.fromkeys(PROTOCOL, "protocol")
@@ -219,6 +219,18 @@ examples:
         *CELL,
         params("visualization_node"),
         *LOGGING,
+    ),
+    "watch": Command(
+        "show verdict and speeds of a live cell, full screen",
+        """\
+The verdict in large letters, speed and allowable speed, reason and remedy, and all contact points. The verdict is
+UNKNOWN as soon as the monitor is silent for longer than it promises. A clock at the top shows that the display is
+alive. ROS arguments follow -- or --ros-args. Ctrl-C ends it.
+
+examples:
+  scara-effmass watch
+  scara-effmass watch -- -r __ns:=/cell_2
+""",
     ),
     "import": Command(
         "convert force from CSV, TDMS and wrench topics, or joint states from CSV, to a bag",

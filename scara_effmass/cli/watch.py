@@ -1,0 +1,146 @@
+"""`scara-effmass watch`: verdict and speeds of a cell, full screen, readable from three metres."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from rich.align import Align
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from scara_effmass.errors import SettingsError
+from scara_effmass.safety.debounce import severity
+from scara_effmass.safety.remedies import remedy
+from scara_effmass.values import ContactAssessment, Verdict
+
+if TYPE_CHECKING:
+    from scara_effmass.safety.cell_status import CellStatus
+
+PERIOD_S = 0.1
+_CHARACTERS = "OKWARNVILTU0123456789.-"
+_FONT = (
+    ".##. #..# #...# .##. ###. #..# #...# # #.. ### #..# ### .#. ### ### #.# ### ### ### ### ### . ...",
+    "#..# #.#. #...# #..# #..# ##.# #...# # #.. .#. #..# #.# ##. ..# ..# #.# #.. #.. ..# #.# #.# . ...",
+    "#..# ##.. #.#.# #### ###. #.## #...# # #.. .#. #..# #.# .#. ### ### ### ### ### ..# ### ### . ###",
+    "#..# #.#. #.#.# #..# #.#. #..# .#.#. # #.. .#. #..# #.# .#. #.. ..# ..# ..# #.# ..# #.# ..# . ...",
+    ".##. #..# .#.#. #..# #..# #..# ..#.. # ### .#. .##. ### ### ### ### ..# ### ### ..# ### ### # ...",
+)
+"""Five rows of pixels of `_CHARACTERS`."""
+_STYLES = {
+    Verdict.OK: "bold black on green",
+    Verdict.WARN: "bold black on yellow",
+    Verdict.VIOLATION: "bold white on red",
+    Verdict.UNKNOWN: "bold white on magenta",
+}
+_NO_MONITOR = "check that a monitor runs in this namespace and ROS domain"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show the cell until a signal ends it. Raises SettingsError without a terminal, or for invalid ROS arguments."""
+    console = Console(highlight=False, markup=False)
+    if not sys.stdout.isatty():
+        raise SettingsError("watch: stdout must be a terminal; the log of the monitor has each change of its verdict")
+    from scara_effmass.nodes.cell_client import CellClient  # noqa: PLC0415 - rclpy
+
+    with CellClient("watch", args.ros_arguments) as client:
+        name = client.node.get_namespace()
+        with Live(console=console, screen=True, auto_refresh=False) as live:
+            while not client.signals:
+                status = client.poll()
+                live.update(screen(status, time.monotonic_ns(), name, console.width, console.height), refresh=True)
+                time.sleep(PERIOD_S)
+    signal.raise_signal(client.signals[0])
+    return 0
+
+
+def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) -> RenderableType:
+    """Return the picture of `status` for a terminal of `width` columns and `height` rows."""
+    verdict, style = status.verdict, _STYLES[status.verdict]
+    is_unknown = verdict is Verdict.UNKNOWN
+    rows = max((height - 10) // 2, 5)
+    seconds = (now_ns - status.verdict_since_ns) / 1e9
+    point = f" at {status.contact_point}" * bool(status.contact_point and verdict is not Verdict.OK)
+    simulated = f"SIMULATED: {', '.join(status.simulated)}" * bool(status.simulated)
+    # A clock that stands still shows a display that does.
+    header = Table.grid(expand=True)
+    header.add_column(justify="left")
+    header.add_column(justify="center")
+    header.add_column(justify="right")
+    header.add_row(Text(f"scara-effmass watch {name}"), Text(simulated, "bold reverse"), time.strftime("%H:%M:%S"))
+    fill = "? " * (width // 2) if is_unknown else ""
+    banner = Group(
+        Text(fill, no_wrap=True),
+        Align.center(Text(_big(verdict.name, width, rows))),
+        Text(f"{verdict.name}{point} for {seconds:.0f} s", justify="center"),
+        Text(fill, no_wrap=True),
+    )
+    parts: list[RenderableType] = [header, Padding(banner, 0, style=style)]
+    worst = _deciding(status)
+    figures = Table.grid(expand=True)
+    for _ in range(2):
+        figures.add_column(justify="center", ratio=1)
+    pair = ("-.---", "-.---") if is_unknown or worst is None else (_figure(worst.speed), _figure(worst.allowable_speed))
+    figures.add_row(Text("speed [m/s]"), Text("allowable speed [m/s]"), style="bold")
+    figures.add_row(*(Align.center(Text(_big(text, width // 2, rows))) for text in pair))
+    parts.append(figures)
+    if status.reason:
+        parts.append(Text(status.reason, style="bold"))
+    if is_unknown:
+        parts.append(Text(f"remedy: {remedy(status.reason) or _NO_MONITOR}"))
+    past = next((episode for episode in reversed(status.episodes) if episode.end_ns is not None), None)
+    if past is not None and past.end_ns is not None:
+        ago_s = (now_ns - past.end_ns) / 1e9
+        lasted_s = (past.end_ns - past.start_ns) / 1e9
+        parts.append(Text(f"before: {past.verdict.name} until {ago_s:.0f} s ago, for {lasted_s:.2f} s: {past.cause}"))
+    if status.impacts:
+        impact = status.impacts[-1]
+        validation = impact.validation
+        text = f"last impact: peak {impact.impact.peak_force:.1f} N, {(now_ns - impact.at_ns) / 1e9:.0f} s ago"
+        if validation is not None:
+            side = "ABOVE" if validation.exceeds_limit else "below"
+            limit = f"{side} the {validation.limit_force:.0f} N of {validation.body_region}"
+            text += f", predicted {validation.predicted_force:.1f} N; {limit}"
+        parts.append(Text(text))
+    parts.append(_points(status))
+    return Group(*parts)
+
+
+def _deciding(status: CellStatus) -> ContactAssessment | None:
+    """Return the contact point with the smallest margin among those with the worst verdict; None without any."""
+    return max(status.contacts.values(), key=lambda c: (severity(c.verdict), c.speed - c.allowable_speed), default=None)
+
+
+def _points(status: CellStatus) -> Table:
+    """Return a row for each contact point; without numbers where the whole cell is UNKNOWN."""
+    table = Table(box=None, pad_edge=False)
+    for heading in ("contact point", "verdict", "m/s", "of m/s", "kg", "body region"):
+        table.add_column(heading, justify="right" if "m/s" in heading or heading == "kg" else "left")
+    for contact in sorted(status.contacts.values(), key=lambda contact: -severity(contact.verdict)):
+        verdict = contact.verdict if status.verdict is not Verdict.UNKNOWN else Verdict.UNKNOWN
+        numbers = (f"{contact.speed:.3f}", f"{contact.allowable_speed:.3f}", f"{contact.effective_mass:.3g}")
+        if verdict is Verdict.UNKNOWN:
+            numbers = ("-", "-", "-")
+        table.add_row(Text(contact.contact_point), Text(verdict.name, _STYLES[verdict]), *numbers, contact.body_region)
+    return table
+
+
+def _figure(speed: float) -> str:
+    """Return a speed [m/s] in five characters."""
+    return f"{speed:.3f}"[:5]
+
+
+def _big(text: str, width: int, height: int) -> str:
+    """Return `text` in letters of blocks, as large as fits into `width` columns and `height` rows."""
+    glyphs = [[row.split()[_CHARACTERS.index(character)] for row in _FONT] for character in text]
+    columns = sum(len(glyph[0]) for glyph in glyphs) + len(glyphs) - 1
+    scale = max(1, min(width // columns, 2 * (height // 5)))
+    lines = (".".join(glyph[row] for glyph in glyphs) for row in range(5))
+    blocks = ("".join((" " if pixel == "." else "█") * scale for pixel in line) for line in lines)
+    return "\n".join("\n".join([line] * ((scale + 1) // 2)) for line in blocks)

@@ -1,0 +1,149 @@
+"""`scara-effmass watch`: the screen of each verdict, and a monitor that is killed, in a pseudo-terminal."""
+
+import fcntl
+import os
+import pty
+import re
+import select
+import struct
+import subprocess
+import sys
+import termios
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, closing, suppress
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from scara_effmass.cli.watch import screen
+from scara_effmass.safety import unknown_contact
+from scara_effmass.safety.cell_status import CellStatus
+from scara_effmass.values import Impact, Verdict
+from test.nodes.conftest import NodeHarness, joint_state
+
+S = 1_000_000_000
+SIZES = [(80, 24), (120, 40), (200, 50), (50, 24)]
+BLOCKS = 5
+"""Rows of a large letter, at least."""
+
+
+def status(verdict: Verdict, reason: str = "", speed: float = 0.325) -> CellStatus:
+    status = CellStatus(0)
+    status.timeout_ns = S
+    for name, own, state_speed in (("elbow", Verdict.OK, 0.1), ("tool", verdict, speed)):
+        contact = unknown_contact(name, reason, 1, 0.0)
+        contact = contact._replace(verdict=own, speed=state_speed, allowable_speed=1.204, effective_mass=2.77)
+        status.take_contact(contact, 3 * S)
+    return status
+
+
+def lines(status: CellStatus, now_ns: int, width: int = 80, height: int = 24) -> list[str]:
+    with Path(os.devnull).open("w", encoding="utf-8") as sink:
+        console = Console(record=True, file=sink, width=width, height=height, color_system=None)
+        console.print(screen(status, now_ns, "/cell", width, height))
+        return console.export_text().splitlines()
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+@pytest.mark.parametrize("verdict", list(Verdict))
+def test_screen_fits_and_has_word_and_figures_in_blocks(verdict: Verdict, width: int, height: int) -> None:
+    shown = lines(status(verdict, "because"), 4 * S, width, height)
+    assert max(map(len, shown)) <= width
+    assert len(shown) <= height
+    text = "OK for 1 s" if verdict is Verdict.OK else f"{verdict.name} at tool for 1 s"
+    word = [line.strip() for line in shown].index(text)
+    assert sum("█" in line for line in shown[:word]) >= BLOCKS
+    assert sum("█" in line for line in shown[word:]) >= (2 if verdict is Verdict.UNKNOWN else BLOCKS)
+
+
+def test_unknown_shares_no_line_with_ok_and_shows_no_number() -> None:
+    """Without colours: the words, the hatching and the dashes."""
+    unknown = lines(status(Verdict.UNKNOWN, "the joint state is 3.1 s old"), 4 * S)
+    ok = lines(status(Verdict.OK), 4 * S)
+    assert not {line for line in unknown[1:] if line.strip()} & {line for line in ok if "OK" in line or "█" in line}
+    assert not any(re.search(r"\bOK\b", line) for line in unknown)
+    assert any(line.startswith("? ? ? ?") for line in unknown)
+    assert "remedy: synchronize the clocks" in " ".join(unknown)
+    assert not any("0.325" in line or "1.204" in line for line in unknown)
+
+
+def test_silence_and_a_missing_monitor_turn_an_ok_screen_to_unknown() -> None:
+    cell = status(Verdict.OK)
+    cell.update(3 * S + S + 1)
+    assert "the monitor is silent: no contact state for 1.0 s" in lines(cell, 4 * S + 1)
+    cell.take_publisher(S, exists=False)
+    cell.update(5 * S)
+    text = " ".join(lines(cell, 5 * S))
+    assert "no monitor: contact_state has no publisher" in text
+    assert "remedy: check that a monitor runs in this namespace and ROS domain" in text
+
+
+def test_screen_shows_impact_past_episode_and_simulation() -> None:
+    cell = status(Verdict.VIOLATION, "0.4 m/s is above", 1.4)
+    cell.take_contact(cell.contacts["tool"]._replace(verdict=Verdict.OK), 4 * S)
+    cell.take_impact(Impact(S, "cell", 123.4, *(2e-3, 0.3, 0.0, False, False, 0, 0.0, 0.1, 1e-4, "t", True)), 4 * S)
+    text = " ".join(lines(cell, 6 * S, 120, 40))
+    assert "before: VIOLATION until 2 s ago, for 1.00 s: 0.4 m/s is above" in text
+    assert "last impact: peak 123.4 N, 2 s ago" in text
+    assert "SIMULATED: force" in text
+
+
+def test_watch_refuses_a_pipe(refused: Callable[..., str]) -> None:
+    assert "watch: stdout must be a terminal" in refused("watch")
+
+
+class Screen:
+    """`scara-effmass watch` in a pseudo-terminal of 100 x 30."""
+
+    def __init__(self, domain: int) -> None:
+        self._reader, terminal = pty.openpty()
+        fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "TERM": "xterm-256color", "COLUMNS": "", "LINES": ""}
+        command = [sys.executable, "-m", "scara_effmass", "watch"]
+        self.process = subprocess.Popen(
+            command, stdin=terminal, stdout=terminal, stderr=terminal, env=environment, start_new_session=True
+        )
+        os.close(terminal)
+        self.output = b""
+
+    def read(self) -> str:
+        """Return the latest complete picture, without its control sequences."""
+        with suppress(OSError):  # the process has ended
+            while select.select([self._reader], [], [], 0.0)[0]:
+                self.output += os.read(self._reader, 65536)
+        pictures = self.output.split(b"\x1b[H")
+        text = pictures[-2 if len(pictures) > 1 else -1].decode(errors="replace")
+        return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text)
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        os.close(self._reader)
+
+
+@pytest.fixture
+def harness(
+    monkeypatch: pytest.MonkeyPatch, reserve_domain: Callable[[], AbstractContextManager[int]], tmp_path: Path
+) -> Iterator[NodeHarness]:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with reserve_domain() as domain, closing(NodeHarness(domain, tmp_path)) as harness:
+        yield harness
+
+
+@pytest.mark.live
+def test_watch_turns_unknown_when_the_monitor_is_killed_and_recovers(harness: NodeHarness) -> None:
+    words = ("--ros-args", "-p", "timeout:=1.0", "-p", "contact_points:=[tool]")
+    with closing(Screen(harness.domain)) as terminal:
+        harness.spin_until(lambda: "UNKNOWN for" in terminal.read())
+        for _ in range(2):
+            process = harness.start(*words)
+            send = lambda: harness.send(joint_state())  # noqa: E731
+            harness.spin_until(lambda: " OK for " in terminal.read(), repeat=send)
+            process.kill()
+            process.communicate()
+            harness.process = None
+            harness.spin_until(lambda: "UNKNOWN at tool" in terminal.read() or "UNKNOWN for" in terminal.read())
+            assert "OK" not in terminal.read().replace("UNKNOWN", "")
+        os.kill(terminal.process.pid, 2)
+        assert terminal.process.wait(20) == 130
