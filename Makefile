@@ -62,6 +62,12 @@ docs: setup .venv-tools/.requirements  ## build the documentation as a site in b
 	SCARA_EFFMASS_SOURCES=1 $(BIN)/python scripts/docs_reference.py
 	.venv-tools/bin/sphinx-build --quiet --fail-on-warning --keep-going --conf-dir docs . build/site
 
+dist: setup  ## build sdist and wheel in build/dist and use the wheel in a clean environment
+	scripts/check_dist.sh $(BIN)/python build/dist
+
+sbom: dist .venv-tools/.requirements  ## list what the clean environment of `make dist` holds in build/dist/sbom.json (CycloneDX)
+	.venv-tools/bin/cyclonedx-py environment --pyproject pyproject.toml --output-file build/dist/sbom.json build/dist/venv
+
 colcon: .venv-colcon/.requirements  ## build the tree as a ROS workspace and check the installation
 	scripts/check_colcon.sh .venv-colcon build/colcon
 
@@ -72,7 +78,7 @@ lock: setup  ## update the locked requirements
 clean:  ## remove all generated files
 	rm -rf .venv .venv-colcon .venv-tools build out .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup demo test check lint coverage mutants bench bags docs colcon lock clean
+.PHONY: help setup demo test check lint coverage mutants bench bags docs dist sbom colcon lock clean
 
 # The stamps are written last, so that an interrupted set-up starts over.
 .venv/.requirements: requirements.lock
