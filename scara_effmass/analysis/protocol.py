@@ -24,7 +24,7 @@ MIN_REPETITIONS = 3
 """Fewest contacts of a test point."""
 HEADER = """\
 Measurement protocol of contact forces (ISO/PAS 5672, RIA TR R15.806). Replace each null; `scara-effmass protocol fill`
-enters recorded contacts and evaluates. A missing value makes the verdict UNKNOWN.
+enters recorded contacts and evaluates, `protocol report` renders. A missing value makes the verdict UNKNOWN.
 For completion in an editor: scara-effmass protocol schema > protocol.schema.json, and as the first line of this file
 yaml-language-server: $schema=protocol.schema.json"""
 
@@ -118,6 +118,7 @@ class Repetition(FrozenSettings):
     time: AwareDatetime | None = stated("time of the onset, ISO 8601 with zone, as 2026-11-22T14:03:12.5+01:00")
     raw_data: Text | None = stated("file or folder with the force, relative to this file")
     raw_sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = stated("SHA-256 of it; fill computes it")
+    raw_offset_s: float | None = optional("time to add to the stamps in it [s], if it has another clock")
     reached_speed_m_s: Positive | None = stated("speed of the contact point at the onset [m/s]")
     transient_peak_n: NotNegative | None = stated("largest force in the first 0.5 s [N]")
     force_beyond_0_5_s_n: NotNegative | None = stated("largest force after the first 0.5 s [N]; 0: it had ended")
@@ -189,6 +190,10 @@ class Protocol(FrozenSettings):
             if test.id == name:
                 return test
         raise SettingsError(f"test = {name}: must be one of {', '.join(test.id for test in self.tests)}")
+
+    def device(self, test: ContactTest) -> Instrument | None:
+        """Return the instrument of `test`, None if it states no known one."""
+        return next((item for item in self.instruments if item.id == test.instrument), None)
 
     def replaced(self, test: ContactTest) -> "Protocol":
         """Return the protocol with `test` in place of that of the same id."""

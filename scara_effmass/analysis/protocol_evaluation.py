@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from scara_effmass.analysis.force_traces import sampling_loss
 from scara_effmass.analysis.protocol import (
     MIN_REPETITIONS,
     ContactTest,
@@ -16,11 +17,11 @@ from scara_effmass.analysis.protocol import (
     Repetition,
     missing,
 )
+from scara_effmass.analysis.summary import worst
 from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.limit_check import region_force
 from scara_effmass.input_files import digest
 from scara_effmass.iso15066 import TABLE_HASH, Limit, limits_for
-from scara_effmass.safety.debounce import severity
 from scara_effmass.settings import ContactType, MonitorSettings
 from scara_effmass.values import Verdict
 
@@ -47,22 +48,22 @@ class Uncertainty(NamedTuple):
 def uncertainty(test: ContactTest, instrument: Instrument) -> Uncertainty | None:
     """Return the uncertainty budget of a test, None while values are missing.
 
-    Repeatability is twice the standard deviation of the peaks. Between two samples a half-sine of the shortest duration
-    T loses at most 1 - cos(pi / (2 T f)) of its peak, of a rectangular distribution. The force grows with the speed.
+    Repeatability is twice the standard deviation of the peaks. What the shortest contact can lose between two samples
+    has a rectangular distribution. The force grows with the speed.
     """
     peaks = [item.transient_peak_n for item in test.results.repetitions if item.transient_peak_n is not None]
     durations = [item.duration_s for item in test.results.repetitions if item.duration_s is not None]
     force, speed, rate = instrument.force_uncertainty, instrument.speed_uncertainty, instrument.sample_rate_hz
     if force is None or speed is None or rate is None or len(peaks) < 2 or not durations or not min(peaks):
         return None
-    lost = 1.0 - math.cos(min(0.5 * math.pi / (min(durations) * rate), 0.5 * math.pi))
+    lost = sampling_loss(min(durations), rate)
     spread = 2.0 * float(np.std(peaks, ddof=1)) / float(np.mean(peaks))
     return Uncertainty(force, speed, spread, 2.0 * lost / math.sqrt(3.0))
 
 
 def evaluate(protocol: Protocol, test: ContactTest, folder: Path) -> Evaluation:
     """Return the evaluation of `test`, whose raw data is relative to `folder`. Raises SettingsError."""
-    instrument = next((item for item in protocol.instruments if item.id == test.instrument), None)
+    instrument = protocol.device(test)
     values = _values(test, instrument) if instrument else {}
     ratio, relative = values.get("ratio"), values.get("uncertainty")
     doubts = list(_doubts(protocol, test, instrument, folder))
@@ -76,9 +77,9 @@ def evaluate(protocol: Protocol, test: ContactTest, folder: Path) -> Evaluation:
     )
 
 
-def overall(evaluations: list[Evaluation]) -> Verdict:
-    """Return the verdict of a protocol: that of its worst test point, UNKNOWN without one."""
-    return max((Verdict[item.verdict] for item in evaluations), key=severity, default=Verdict.UNKNOWN)
+def overall(protocol: Protocol) -> Verdict:
+    """Return the verdict of an evaluated protocol: the worst of its test points."""
+    return worst(Verdict[test.results.evaluation.verdict] for test in protocol.tests if test.results.evaluation)
 
 
 def _doubts(protocol: Protocol, test: ContactTest, instrument: Instrument | None, folder: Path) -> Iterator[str]:
@@ -104,6 +105,7 @@ def _doubts(protocol: Protocol, test: ContactTest, instrument: Instrument | None
         if (item.reached_speed_m_s or math.inf) < (1.0 - SPEED_TOLERANCE) * (motion.commanded_speed_m_s or 0.0):
             yield f"slower than commanded: contact {number}, {item.reached_speed_m_s:.3f} m/s"
     yield from _changed_data(repetitions, folder)
+    yield from (f"photo not found: {name}" for name in test.results.photos or () if not (folder / name).is_file())
 
 
 def _instrument_doubts(instrument: Instrument, protocol: Protocol, test: ContactTest) -> Iterator[str]:

@@ -5,8 +5,6 @@ from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path
 
-import numpy as np
-
 from scara_effmass.analysis.force_traces import ForceTrace, force_traces
 from scara_effmass.analysis.protocol import ContactTest, Instrument, Protocol, Repetition
 from scara_effmass.analysis.protocol_evaluation import evaluate
@@ -19,8 +17,6 @@ from scara_effmass.values import ValidatedImpact
 
 AFTER_S = 10.0
 """Time after the onset in which force counts [s], unless another contact begins."""
-LOW_SHARE = 0.1
-"""Share of the peak above which the contact lasts."""
 
 
 def repetitions(validation: Validation, settings: ImportSettings, folder: Path) -> tuple[Repetition, ...]:
@@ -35,10 +31,11 @@ def repetitions(validation: Validation, settings: ImportSettings, folder: Path) 
 
 
 def _repetitions(recording: ValidatedRecording, settings: ImportSettings, folder: Path) -> Iterator[Repetition]:
-    path = Path(recording.force_topic) if recording.force_clock else recording.path
+    path = recording.files[-1]
     sha256, name = digest(path, BagError), os.path.relpath(path.resolve(), folder.resolve())
     for impact, trace in zip(recording.impacts, force_traces(recording, settings, AFTER_S), strict=True):
-        yield _repetition(impact, trace, name, sha256)
+        item = _repetition(impact, trace, name, sha256)
+        yield item.model_copy(update={"raw_offset_s": recording.force_offset}) if recording.force_clock else item
 
 
 def _rounded(value: float) -> float:
@@ -47,14 +44,10 @@ def _rounded(value: float) -> float:
 
 def _repetition(impact: ValidatedImpact, trace: ForceTrace, name: str, sha256: str) -> Repetition:
     """Return one contact; without force blocks only its peak is known."""
-    peak, beyond, duration = impact.measured_force, None, None
+    peak, beyond = impact.measured_force, None
     if trace.time.size and trace.time[-1] > 0.0:
         is_early = trace.time <= TRANSIENT_S
         early, late = trace.force[is_early], trace.force[~is_early]
-        low = np.flatnonzero(early < LOW_SHARE * early.max())
-        rise, fall = low[low < early.argmax()], low[low > early.argmax()]
-        if rise.size and fall.size:
-            duration = _rounded(trace.time[fall[0]] - trace.time[rise[-1]])
         if late.size:
             # The interpolated peak of an impact may lie between two samples.
             peak = max(float(early.max()), impact.measured_force if late.max() < early.max() else 0.0)
@@ -66,7 +59,7 @@ def _repetition(impact: ValidatedImpact, trace: ForceTrace, name: str, sha256: s
         reached_speed_m_s=_rounded(impact.speed),
         transient_peak_n=_rounded(peak),
         force_beyond_0_5_s_n=beyond,
-        duration_s=duration,
+        duration_s=trace.duration and _rounded(trace.duration),
         effective_mass_kg=_rounded(impact.effective_mass),
         reduced_mass_kg=_rounded(impact.reduced_mass),
         predicted_force_n=_rounded(impact.predicted_force),
@@ -76,7 +69,7 @@ def _repetition(impact: ValidatedImpact, trace: ForceTrace, name: str, sha256: s
 
 def device_of(protocol: Protocol, test: ContactTest, origin: str) -> Instrument:
     """Return the device of `test`. Raises SettingsError where a prediction needs what is missing."""
-    device = next((item for item in protocol.instruments if item.id == test.instrument), None)
+    device = protocol.device(test)
     if device is None:
         raise SettingsError(
             f"{origin}: tests.{test.id}.instrument = {test.instrument}: must be the id of an instrument"

@@ -1,23 +1,26 @@
 """Run information, force and impacts of one recording."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scara_effmass.analysis.summary import iso_time
 from scara_effmass.bags import run_info
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import check_definition
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, DecodeError, SettingsError
+from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.impact_matcher import check_run_info
 from scara_effmass.importers import IMPORTERS
 from scara_effmass.importers.force import import_force
-from scara_effmass.settings import ImportSettings
+from scara_effmass.settings import DetectionSettings, ImportSettings
 from scara_effmass.values import NAN, FloatArray, ForceBlock, Impact, RunInfo
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.force import decode_force_block, decode_impact
@@ -35,7 +38,7 @@ class Measurement(NamedTuple):
 
 
 class RecordedForce(NamedTuple):
-    """Force (n,) [N] at the ROS times `stamp_ns` (n,), with one NaN in each gap, and the impacts detected live."""
+    """Force (n,) [N] at the ROS times `stamp_ns` (n,), with one NaN in each gap, and its impacts."""
 
     stamp_ns: NDArray[np.int64]
     force: FloatArray
@@ -54,7 +57,7 @@ class RecordedForce(NamedTuple):
             marks = [f"rebound {impact.rebound}"] * bool(impact.rebound)
             marks += ["clipped"] * impact.clipped + ["incomplete"] * impact.incomplete
             text = f"{impact.peak_force:.1f} N, {1e3 * impact.duration:.2f} ms, {impact.impulse:.4f} N s"
-            yield "  impact", f"at stamp {impact.stamp_ns / NS:.5f} s: {', '.join((text, *marks))}"
+            yield "  impact", f"at {iso_time(impact.stamp_ns)}: {', '.join((text, *marks))}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the force and its impacts for JSON."""
@@ -106,8 +109,16 @@ def read_force(bag: Bag) -> RecordedForce | None:
         lost=sum(block.lost_samples for block in blocks[1:]),
         simulated=blocks[-1].simulated,
         source=blocks[-1].source,
-        impacts=tuple(decode_impact(message.data) for message in bag.messages([impact_topic])) if impact_topic else (),
+        impacts=tuple(decode_impact(message.data) for message in bag.messages([impact_topic]))
+        if impact_topic
+        else detected_impacts(blocks),
     )
+
+
+def detected_impacts(blocks: Iterable[ForceBlock]) -> tuple[Impact, ...]:
+    """Return the impacts in `blocks`, by the default settings of the detection."""
+    detector = Detector(DetectionSettings())
+    return (*chain.from_iterable(map(detector.feed, blocks)), *detector.finish())
 
 
 def measurement_topic(bag: Bag, name: str) -> Topic:

@@ -1,4 +1,4 @@
-"""Self-contained HTML reports: pages from the Jinja2 templates in `templates/`, and figures as PNG and SVG."""
+"""Files of a report: self-contained page, figures as PNG and SVG, PDF."""
 
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
@@ -7,22 +7,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import matplotlib as mpl
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from scara_effmass.analysis.output import write_files
+from scara_effmass.analysis.pages import PDF, phrases, print_pdf
 
 DPI = 140
-_TEMPLATES = Environment(
-    loader=FileSystemLoader(Path(__file__).parent / "templates"),
-    autoescape=True,
-    undefined=StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-    keep_trailing_newline=True,
-)
 
 
 class ReportFigure(NamedTuple):
@@ -40,11 +33,18 @@ class ReportFigure(NamedTuple):
         return f"data:image/png;base64,{b64encode(self.png).decode('ascii')}"
 
 
-def report_figure(name: str, title: str, caption: str, figure: Figure) -> ReportFigure:
-    """Return `figure` as PNG and SVG, byte for byte the same every time.
+def report_figure(name: str, title: str, caption: str, figure: Figure, language: str = "en") -> ReportFigure:
+    """Return `figure` as PNG and SVG, byte for byte the same every time; its texts are translated to `language`.
 
     The layout is computed once; `savefig` would compute it twice per format.
     """
+
+    def local(text: str) -> str:
+        return "".join(part for part, _ in phrases(text, language))
+
+    title, caption = local(title), local(caption)
+    for text in figure.findobj(Text):
+        text.set_text("\n".join(local(line) for line in text.get_text().split("\n")))
     png, svg = BytesIO(), BytesIO()
     figure.set_dpi(DPI)
     FigureCanvasAgg(figure).print_png(png)  # type: ignore[no-untyped-call]
@@ -60,15 +60,20 @@ def figure_files(names: Iterable[str]) -> list[str]:
 
 
 def write_report_files(
-    folder: Path, texts: Mapping[str, str | bytes], figures: Sequence[ReportFigure], *, overwrite: bool
+    folder: Path,
+    texts: Mapping[str, str | bytes],
+    figures: Sequence[ReportFigure],
+    *,
+    overwrite: bool,
+    pdf_of: str = "",
 ) -> None:
-    """Write `texts` by file name and `figures` into `folder`, all or none. Raises OutputError."""
+    """Write `texts` by file name, `figures`, and the page `pdf_of` as PDF into `folder`, all or none.
+
+    Raises OutputError.
+    """
     files = {name: text if isinstance(text, bytes) else text.encode() for name, text in texts.items()}
+    if pdf_of:
+        files[PDF] = print_pdf(files[pdf_of].decode())
     for figure in figures:
         files |= {f"{figure.name}.png": figure.png, f"{figure.name}.svg": figure.svg}
     write_files(folder, files, overwrite=overwrite)
-
-
-def render(template: str, **context: object) -> str:
-    """Return the page that `template`, a file in `templates/`, makes of `context`; texts are escaped."""
-    return _TEMPLATES.get_template(template).render(context)

@@ -2,21 +2,27 @@
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
 from scara_effmass.analysis.figure import draw_run
+from scara_effmass.analysis.force_traces import ShownTrace, recorded_traces
 from scara_effmass.analysis.output import check_output_files
+from scara_effmass.analysis.pages import PageOptions, file_hashes, render, setting_rows
 from scara_effmass.analysis.recorded_run import RecordedForce
-from scara_effmass.analysis.report import ReportFigure, figure_files, render, report_figure, write_report_files
+from scara_effmass.analysis.report import ReportFigure, figure_files, report_figure, write_report_files
+from scara_effmass.analysis.summary import worst
 from scara_effmass.analysis.time_series import Episode, TimeSeries, intervals
+from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Verdict
 
 PAGE, SUMMARY = "report.html", "summary.json"
+ENGLISH_PAGE = PageOptions()
 CAPTION = (
     "Verdict; speed of the contact point and its allowable speed; effective masses. "
     "Hatched: UNKNOWN, or no joint state."
@@ -31,16 +37,29 @@ _SEVERITY = (Verdict.VIOLATION, Verdict.UNKNOWN, Verdict.WARN)
 class RunReport:
     """Collects the figures and episodes of a run; `write` writes all files or none."""
 
-    def __init__(self, folder: Path, figures: int, settings: MonitorSettings, *, overwrite: bool) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        figures: int,
+        settings: MonitorSettings,
+        options: PageOptions = ENGLISH_PAGE,
+        *,
+        overwrite: bool,
+    ) -> None:
         """Prepare for up to `figures` figures; `settings` are those of the monitor.
 
         Raises OutputError where a file exists.
         """
         self._folder, self._settings, self._overwrite = folder, settings, overwrite
+        self._options = options
         names = [f"run_{number}" if number > 1 else "run" for number in range(1, figures + 1)]
-        check_output_files(folder, [PAGE, SUMMARY, *figure_files(names)], overwrite=overwrite)
+        check_output_files(folder, [PAGE, SUMMARY, *options.files(), *figure_files(names)], overwrite=overwrite)
         self._names = iter(names)
-        self._sections: list[tuple[ReportFigure, list[Episode], int]] = []
+        self._sections: list[tuple[ReportFigure, int, list[Episode], int]] = []
+        self._all_episodes: list[Episode] = []
+        self._traces: dict[str, list[ShownTrace]] = {}
+        self._period = [2**63, 0]
+        self._is_simulated = False
         self._episodes: list[dict[str, Any]] = []
 
     def add(
@@ -57,17 +76,25 @@ class RunReport:
         drawing = draw_run(
             series,
             title=f"{run}, {model} mass",
-            subtitle=f"{motion} · contact point {contact_point} · below {settings.speed_threshold:g} m/s: worst "
+            subtitle=f"{motion} · contact point: {contact_point} · below {settings.speed_threshold:g} m/s: worst "
             "direction · allowable speed includes the uncertainty margins"
             f"\n{shorten('mass: ' + '; '.join(models), MAX_MODELS_LENGTH)}",
             mass_model=model,
             timeout=settings.timeout,
             forces=forces,
         )
-        figure = report_figure(next(self._names), f"{run}, contact point {contact_point}.", CAPTION, drawing)
+        name, head = next(self._names), f"{run} · contact point: {contact_point}"
+        figure = report_figure(name, head, CAPTION, drawing, self._options.language)
         episodes = [item for item in intervals(series, settings.timeout) if item.verdict is not Verdict.OK]
         serious = sorted(episodes, key=lambda item: (_SEVERITY.index(item.verdict), item.start - item.stop))[:MAX_ROWS]
-        self._sections.append((figure, sorted(serious, key=lambda item: item.start), len(episodes) - len(serious)))
+        shown_episodes = sorted(serious, key=lambda item: item.start)
+        self._sections.append((figure, series.start_ns, shown_episodes, len(episodes) - len(serious)))
+        self._all_episodes += episodes
+        end_ns = series.start_ns + round(float(series.time[-1]) * 1e9)
+        self._period = [min(self._period[0], series.start_ns), max(self._period[1], end_ns)]
+        self._is_simulated |= generated or bool(forces and forces.simulated)
+        if forces and run not in self._traces:
+            self._traces[run] = recorded_traces(forces, run)
         self._episodes += [
             {
                 "run": run,
@@ -85,14 +112,47 @@ class RunReport:
             for episode in episodes
         ]
 
-    def write(self, title: str, lines: Iterable[tuple[str, str]], result: Mapping[str, Any]) -> dict[str, Any]:
-        """Write all files; return the summary, which is `result` with figures and episodes. Raises OutputError."""
-        figures = [figure for figure, _, _ in self._sections]
-        paths = [str(self._folder / name) for name in figure_files(figure.name for figure in figures)]
-        summary = {**result, "episodes": self._episodes, "figures": paths}
-        texts = {
-            PAGE: render("run.html", title=title, remedy=remedy, lines=list(lines), sections=self._sections),
-            SUMMARY: f"{json.dumps(summary, indent=2, allow_nan=False)}\n",
-        }
-        write_report_files(self._folder, texts, figures, overwrite=self._overwrite)
+    def write(
+        self, title: str, lines: Iterable[tuple[str, str]], result: Mapping[str, Any], paths: Iterable[Path] = ()
+    ) -> dict[str, Any]:
+        """Write all files; return the summary, which is `result` with figures and episodes. Raises OutputError.
+
+        `paths` are the files whose hashes the page states, besides that of the robot.
+        """
+        figures = [section[0] for section in self._sections]
+        names = [str(self._folder / name) for name in figure_files(figure.name for figure in figures)]
+        summary = {**result, "episodes": self._episodes, "figures": names}
+        settings, seconds = self._settings, result["seconds_by_verdict"]
+        total_s = sum(seconds.values()) or 1.0
+        shares = [(name, seconds[name] / total_s) for name, count in result["cycles_by_verdict"].items() if count][::-1]
+        page = render(
+            "run.html",
+            self._options.language,
+            title=title,
+            remedy=remedy,
+            lines=list(lines),
+            sections=self._sections,
+            summary=summary,
+            shares=shares,
+            verdict=worst(Verdict[name] for name, _ in shares).name,
+            running=title,
+            simulated=self._is_simulated,
+            period=self._period if self._sections else None,
+            regions=list(self._regions()),
+            traces=list(chain(*self._traces.values())),
+            margins=list(setting_rows("monitor", settings, ("uncertainty", "margin", "drives", "person_speed"))),
+            files=file_hashes([*paths, settings.robot_path]),
+            setting_rows=list(setting_rows("monitor", settings, changed_only=True)),
+        )
+        texts = {PAGE: page, SUMMARY: f"{json.dumps(summary, indent=2, allow_nan=False)}\n"}
+        pdf_of = PAGE * self._options.pdf
+        write_report_files(self._folder, texts, figures, overwrite=self._overwrite, pdf_of=pdf_of)
         return summary
+
+    def _regions(self) -> Iterator[tuple[Limit, int, float | None, str]]:
+        """Yield each limit with the intervals that it governs, their smallest margin [m/s] and worst verdict."""
+        for limit in limits_for(self._settings):
+            own = [item for item in self._all_episodes if item.body_region == limit.region]
+            margins = [item.min_margin for item in own if not math.isnan(item.min_margin)]
+            verdict = worst(item.verdict for item in own).name if own else ""
+            yield limit, len(own), min(margins, default=None), verdict

@@ -2,7 +2,8 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import datetime, timezone
 from typing import Any, NamedTuple
 
 from scara_effmass.analysis.time_series import NO_JOINT_STATE
@@ -20,6 +21,21 @@ MAX_UNKNOWN_SHARE = 0.05
 """Share of UNKNOWN above which the summary states a remedy."""
 
 
+_ORDER = (Verdict.OK, Verdict.WARN, Verdict.UNKNOWN, Verdict.VIOLATION)
+
+
+def iso_time(stamp_ns: int) -> str:
+    """Return a ROS time [ns] as ISO 8601 in UTC, to the microsecond."""
+    seconds, rest_ns = divmod(stamp_ns, 1_000_000_000)
+    time = datetime.fromtimestamp(seconds, timezone.utc).replace(microsecond=rest_ns // 1000)
+    return time.isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+def worst(verdicts: Iterable[Verdict]) -> Verdict:
+    """Return the verdict on several intervals or tests: one VIOLATION outweighs what is UNKNOWN. None is UNKNOWN."""
+    return max(verdicts, key=_ORDER.index, default=Verdict.UNKNOWN)
+
+
 class TightestMargin(NamedTuple):
     """The assessment with the smallest margin, its recording and joint positions. UNKNOWN has no margin."""
 
@@ -33,7 +49,7 @@ class TightestMargin(NamedTuple):
         speeds = f"{contact.speed:.3f} m/s where {contact.allowable_speed:.3f} m/s is allowable"
         yield "tightest margin", f"{contact.margin:+.3f} m/s ({contact.verdict.name}): {speeds}"
         source = f" in {self.source}" if self.source else ""
-        yield "  where", f"{contact.contact_point} at stamp {contact.stamp_ns / 1e9:.3f} s{source}"
+        yield "  where", f"{contact.contact_point} at {iso_time(contact.stamp_ns)}{source}"
         if self.positions:
             yield "  pose", ", ".join(f"{name} {position:.3f}" for name, position in self.positions.items())
         components = ", ".join(f"{round(component, 2) + 0.0:.2f}" for component in contact.direction)

@@ -88,6 +88,11 @@ class ValidatedRecording:
     refused: tuple[RefusedImpact, ...] = ()
     losses: tuple[str, ...] = ()
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The recording, and the file of the force if it is another one: the last is that of the force."""
+        return (self.path, Path(self.force_topic)) if self.force_clock else (self.path,)
+
     def count(self, value: ForceBlock | Impact) -> None:
         """Count a force block or an impact."""
         self.simulated |= value.simulated

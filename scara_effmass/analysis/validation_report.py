@@ -12,18 +12,24 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 
 from scara_effmass import __version__
+from scara_effmass.analysis.force_traces import AFTER_S, force_traces, shown
 from scara_effmass.analysis.output import check_output_files
+from scara_effmass.analysis.pages import PageOptions, file_hashes, render, setting_rows
 from scara_effmass.analysis.plot_style import STYLE
-from scara_effmass.analysis.report import ReportFigure, figure_files, render, report_figure, write_report_files
+from scara_effmass.analysis.report import ReportFigure, figure_files, report_figure, write_report_files
 from scara_effmass.analysis.validation_figures import PLOTS
-from scara_effmass.iso15066 import EDITION, limits_for
+from scara_effmass.impacts.limit_check import worst_force
+from scara_effmass.iso15066 import limits_for
+from scara_effmass.values import ValidatedImpact, Verdict
 
 if TYPE_CHECKING:
     from scara_effmass.analysis.validation import ValidatedRecording, Validation, ValidationSettings
     from scara_effmass.impacts.validator import ModelResult, Result
+    from scara_effmass.iso15066 import Limit
     from scara_effmass.model.robot import Robot
 
 PAGE, RECORD = "report.html", "report.json"
+ENGLISH_PAGE = PageOptions()
 FILES = (PAGE, RECORD, *figure_files(plot.name for plot in PLOTS))
 """Names of all files of a report."""
 UNITS = {
@@ -42,23 +48,30 @@ LINEAR = 1.0
 """Exponent of a linear spring."""
 
 
-def check_report_folder(folder: Path, *, overwrite: bool) -> None:
+def check_report_folder(folder: Path, options: PageOptions = ENGLISH_PAGE, *, overwrite: bool) -> None:
     """Raise OutputError if a file of the report cannot be written into `folder`."""
-    check_output_files(folder, FILES, overwrite=overwrite)
+    check_output_files(folder, [*FILES, *options.files()], overwrite=overwrite)
 
 
 def write_report(
-    validation: Validation, settings: ValidationSettings, robot: Robot, folder: Path, *, overwrite: bool
+    validation: Validation,
+    settings: ValidationSettings,
+    robot: Robot,
+    folder: Path,
+    options: PageOptions = ENGLISH_PAGE,
+    *,
+    overwrite: bool,
 ) -> dict[str, Any]:
-    """Write `FILES` into `folder`; return the content of `RECORD`. Raises OutputError."""
+    """Write `FILES` into `folder`; return the content of `RECORD`. Raises OutputError and BagError."""
     figures = []
     for plot in PLOTS:
         with mpl.rc_context(STYLE):
-            figures.append(report_figure(plot.name, plot.title, plot.caption, plot.draw(validation.result)))
+            drawing = plot.draw(validation.result)
+            figures.append(report_figure(plot.name, plot.title, plot.caption, drawing, options.language))
     results = record(validation, settings, robot)
     numbers = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False)
-    texts = {PAGE: _page(validation, figures, settings, robot), RECORD: f"{numbers}\n"}
-    write_report_files(folder, texts, figures, overwrite=overwrite)
+    texts = {PAGE: _page(validation, figures, settings, robot, options.language), RECORD: f"{numbers}\n"}
+    write_report_files(folder, texts, figures, overwrite=overwrite, pdf_of=PAGE * options.pdf)
     return results
 
 
@@ -118,11 +131,17 @@ def clock_text(result: Result) -> str:
     return f"joint states {1e3 * clock.offset:+.1f} ms behind the force ({extremes}; {shown})"
 
 
+def worst_impact(result: Result) -> ValidatedImpact | None:
+    """Return the impact with the largest force on a body region relative to its limit."""
+    ratios = [impact.region_force / (impact.limit_force or math.inf) for impact in result.impacts]
+    return result.impacts[ratios.index(max(ratios))] if ratios else None
+
+
 def limit_text(result: Result) -> str:
     """Return the largest force on a body region relative to its limit, in one line."""
-    if not result.impacts:
+    worst = worst_impact(result)
+    if worst is None:
         return "no force to compare"
-    worst = max(result.impacts, key=lambda impact: impact.region_force / (impact.limit_force or math.inf))
     above = f"{result.exceedances} of {len(result.impacts)} impacts above the limit"
     return f"{above}; largest {worst.region_force:.0f} N of {worst.limit_force:.0f} N ({worst.body_region})"
 
@@ -190,18 +209,45 @@ def stated_stiffness(validation: Validation) -> float | None:
     return stiffness if exponent == LINEAR and 0.0 < stiffness < math.inf else None
 
 
-def _page(validation: Validation, figures: list[ReportFigure], settings: ValidationSettings, robot: Robot) -> str:
+def _page(
+    validation: Validation, figures: list[ReportFigure], settings: ValidationSettings, robot: Robot, language: str
+) -> str:
     result = validation.result
     models = [model.model for model in result.models]
     predictions = [{item.model: item for item in impact.predictions} for impact in result.impacts]
+    traces = [
+        trace for recording in validation.recordings for trace in force_traces(recording, settings.force, AFTER_S)
+    ]
+    stamps = sorted(impact.stamp_ns for impact in result.impacts)
+    losses = [trace.sampling_loss for trace in traces if trace.sampling_loss is not None]
     return render(
         "validation.html",
+        language,
         validation=validation,
         settings=settings,
         robot=robot,
         figures=figures,
-        mass_heads=[f"m_n {model} [kg]" for model in models],
-        error_heads=[f"error {model}" for model in models],
+        verdict=_verdict(result),
+        running=robot.name,
+        simulated=result.simulated or any(recording.simulated for recording in validation.recordings),
+        period=(stamps[0], stamps[-1]) if stamps else None,
+        regions=list(_regions(validation, settings)),
+        traces=[
+            item
+            for name, impact, trace in zip(validation.names(), result.impacts, traces, strict=False)
+            for item in shown(
+                name,
+                impact.stamp_ns,
+                trace,
+                simulated=impact.simulated,
+                peak=impact.measured_force,
+                predicted=impact.predicted_force,
+                speed=impact.speed,
+            )
+        ],
+        sampling_loss=max(losses, default=None),
+        mass_heads=tuple(f"m_n {model} [kg]" for model in models),
+        error_heads=tuple(f"{model} [%]" for model in models),
         impacts=[
             (name, impact, [by_model.get(model) for model in models])
             for name, impact, by_model in zip(validation.names(), result.impacts, predictions, strict=True)
@@ -209,11 +255,44 @@ def _page(validation: Validation, figures: list[ReportFigure], settings: Validat
         deviations=deviations(validation),
         stated_stiffness=stated_stiffness(validation),
         clock_text=clock_text(result),
-        limit_text=limit_text(result),
-        limits=limits_for(settings.validator.limit_settings),
-        edition=EDITION,
-        version=__version__,
+        worst=worst_impact(result),
+        files=file_hashes(
+            [*(path for item in validation.recordings for path in item.files), settings.monitor.robot_path]
+        ),
+        setting_rows=[
+            *setting_rows("validator", settings.validator),
+            *setting_rows("daq: detection", settings.detection),
+            *setting_rows("monitor", settings.monitor, changed_only=True),
+        ],
     )
+
+
+def _verdict(result: Result) -> str:
+    """Return the word that styles the verdict: a force above a limit is a violation, whatever the model is worth."""
+    if result.exceedances or (result.decidable and not result.accepted):
+        return Verdict.VIOLATION.name
+    return Verdict.OK.name if result.accepted else Verdict.UNKNOWN.name
+
+
+def _regions(validation: Validation, settings: ValidationSettings) -> Iterator[tuple[Limit, float | None]]:
+    """Yield each limit with the largest force [N] of the impacts on its region, None without impacts."""
+    for limit in limits_for(settings.validator.limit_settings):
+        yield (
+            limit,
+            max(
+                (
+                    worst_force(
+                        [limit],
+                        impact.measured_force / impact.force_share,
+                        (impact.effective_mass, impact.measured_effective_mass),
+                        math.inf if settings.validator.obstacle_fixed else impact.obstacle_mass,
+                        impact.stiffness,
+                    ).force
+                    for impact in validation.result.impacts
+                ),
+                default=None,
+            ),
+        )
 
 
 def _plain(value: Any, without: str = "") -> Any:  # noqa: ANN401 - any part of a result

@@ -15,6 +15,7 @@ from scara_effmass.analysis.assessment import (
     joint_state_topic,
     open_velocities,
 )
+from scara_effmass.analysis.pages import PageOptions
 from scara_effmass.analysis.recorded_run import read_force
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.analysis.tables import open_writer, provenance
@@ -44,7 +45,8 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         from scara_effmass.analysis.run_report import RunReport  # noqa: PLC0415 - loads matplotlib
 
-        report = RunReport(args.report, len(paths) * len(dynamics.contact_points), settings, overwrite=args.force)
+        figures, page = len(paths) * len(dynamics.contact_points), PageOptions(args.language, args.pdf)
+        report = RunReport(args.report, figures, settings, page, overwrite=args.force)
     with ExitStack() as stack:
         origin = provenance(settings, robot.origin, paths) | {"input": json.dumps(input_notes)}
         table = stack.enter_context(open_writer(args.output, origin, robot.base_frame, overwrite=args.force))
@@ -81,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
         notes = {"losses": losses, "robot_notes": list(robot.notes), "unreadable": unreadable, "input": input_notes}
         result = {"output": str(args.output), **counts, **summary.as_dict(), **notes}
         if report:
-            result = report.write(f"{robot.name}: assessment", lines, result)
+            result = report.write(f"{robot.name}: assessment", lines, result, paths)
     written = [("written", args.output), *([("open", args.report / "report.html")] if report else [])]
     print_result(result, [*lines, *written], as_json=args.json)
     return 1 if unreadable or summary.only_unknown else 0

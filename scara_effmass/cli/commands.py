@@ -20,6 +20,7 @@ from scara_effmass.cli.options import (
     MASS,
     NOT_NEGATIVE,
     NUMBER,
+    PAGE,
     PAYLOAD,
     PORT,
     POSITIVE,
@@ -51,7 +52,7 @@ class Command:
 NODES = ("monitor", "daq", "validator", "speed_scaling", "sim", "visualization")
 ROS_COMMANDS = {*NODES, "record", "foxglove", "dashboard", "watch"}
 """Commands that take ROS arguments."""
-PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "schema"))
+PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "report", "schema"))
 MODULES = {"import": "import_force"} | dict.fromkeys(NODES, "nodes") | dict.fromkeys(PROTOCOL, "protocol")
 """Modules of the commands that have no module of their name."""
 GROUPS = {"protocol": "write, fill in and render a measurement protocol of contact forces"}
@@ -94,6 +95,7 @@ examples:
             default=math.inf,
         ),
         Option("--out", "output folder (default: out/demo)", "DIR", Path, default=Path("out/demo")),
+        *PAGE,
         FORCE,
         JSON,
     ),
@@ -354,6 +356,7 @@ examples:
         TIME,
         *DIRECTION,
         params("monitor_node"),
+        *PAGE,
         FORCE,
         JSON,
     ),
@@ -391,6 +394,7 @@ examples:
         TIME,
         *LIMITS,
         params("monitor_node, validator_node and daq_node (its detection)"),
+        *PAGE,
         FORCE,
         JSON,
     ),
@@ -441,6 +445,22 @@ examples:
         TIME,
         params("monitor_node, validator_node and daq_node (its detection)"),
         flag("--force", "replace existing output, and contacts that were filled in before"),
+        JSON,
+    ),
+    "protocol report": Command(
+        "render a measurement protocol as a page, and as PDF",
+        """\
+DIR receives report.html, which prints on A4, and report.json. The verdict is computed again; it is UNKNOWN where raw
+data is missing or changed. Exit status 1: the verdict is not OK.
+
+examples:
+  scara-effmass protocol report protocol.yaml -o out/protocol
+  scara-effmass protocol report protocol.yaml -o out/protocol --pdf --language de --force
+""",
+        Option("protocol", "measurement protocol", "FILE", Path),
+        output("DIR", "folder for the report"),
+        *PAGE,
+        FORCE,
         JSON,
     ),
     "protocol schema": Command(

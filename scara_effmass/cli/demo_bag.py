@@ -15,6 +15,7 @@ from scara_effmass.analysis.assessment import (
     joint_state_topic,
     payload_topics,
 )
+from scara_effmass.analysis.pages import PageOptions
 from scara_effmass.analysis.recorded_run import read_force
 from scara_effmass.analysis.run_report import PAGE, RunReport
 from scara_effmass.analysis.summary import Summary
@@ -116,7 +117,8 @@ def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
             duration_s=min(opened.duration_ns / 1e9, args.duration),
             description=generated_description(opened),
         )
-    report = RunReport(args.out, len(dynamics.contact_points), settings, overwrite=args.force)
+    page = PageOptions(args.language, args.pdf)
+    report = RunReport(args.out, len(dynamics.contact_points), settings, page, overwrite=args.force)
     introduction = _introduction(bag, dynamics, settings, args.rate)
     if not args.json:
         print_lines(introduction)
@@ -150,7 +152,7 @@ def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
             "force": forces and forces.as_dict(),
             "recording": live.recorded,
         }
-        result = report.write(title, [*introduction, *lines], result)
+        result = report.write(title, [*introduction, *lines], result, [bag.path])
     print_result(result, [*lines, ("open", args.out / PAGE)], as_json=args.json)
     return 0
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from scara_effmass_msgs.msg import ImpactValidation
 
+from scara_effmass.analysis.pages import PageOptions
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
 from scara_effmass.cli import processes
@@ -43,7 +44,8 @@ INTRODUCTION = (
 
 def run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings) -> int:
     """Run the simulated cell; return 0 when the series of impacts is accepted, else 1. Raises EffmassError."""
-    check_report_folder(args.out, overwrite=args.force)
+    page = PageOptions(args.language, args.pdf)
+    check_report_folder(args.out, page, overwrite=args.force)
     dashboard, address = processes.dashboard_command(args)
     if not args.json:
         print_lines((*INTRODUCTION, ("dashboard", address)))
@@ -54,7 +56,7 @@ def run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
             validator=ValidatorSettings(clock_tolerance=RECORDER_DELAY_S),
         )
         validation = validate([args.out / processes.RECORDING], dynamics, validation_settings)
-        results = write_report(validation, validation_settings, dynamics.robot, args.out, overwrite=args.force)
+        results = write_report(validation, validation_settings, dynamics.robot, args.out, page, overwrite=args.force)
     offline = {impact.stamp_ns for impact in validation.result.impacts}
     counts = {"live": len(live), "offline": len(offline), "both": len(live & offline)}
     lines = [

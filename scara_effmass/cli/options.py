@@ -94,6 +94,11 @@ LOGGING = (
     flag("-q --quiet", "log warnings and errors only"),
     flag("-v --verbose", "log a status line every second (default: every 10 s, parameter status_period)"),
 )
+PAGE = (
+    Option("--language", "language of the report: en or de (default: en)", choices=["en", "de"], default="en"),
+    flag("--pdf", "write the report as report.pdf, too, with Chromium or Chrome"),
+)
+"""How a report is rendered."""
 JSON = flag("--json", "print the result as JSON")
 BAGS = Option("bags", "recording, or folder of recordings", "BAG", Path, nargs="+")
 BAG = Option("--bag", "recording to assess, which shows whether the settings fit it", "BAG", Path)

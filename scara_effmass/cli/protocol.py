@@ -3,13 +3,17 @@
 import argparse
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
 from scara_effmass.analysis.output import atomic_file, check_output_path
+from scara_effmass.analysis.pages import PageOptions
 from scara_effmass.analysis.protocol import Protocol, Repetition, protocol_yaml, read_protocol
 from scara_effmass.analysis.protocol_evaluation import overall
 from scara_effmass.analysis.protocol_fill import AFTER_S, device_of, evaluated, repetitions
 from scara_effmass.analysis.protocol_plan import Plan
+from scara_effmass.analysis.protocol_report import PAGE, check_report_folder, write_report
 from scara_effmass.analysis.validation import validate
 from scara_effmass.analysis.workspace_map import AS_SAMPLED, Plane, sample_workspace
 from scara_effmass.bags.files import open_bag
@@ -28,7 +32,7 @@ BASE_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 def run(args: argparse.Namespace) -> int:
     """Run one step."""
-    steps = {"init": _init, "fill": _fill, "schema": _schema}
+    steps = {"init": _init, "fill": _fill, "report": _report, "schema": _schema}
     return steps[args.command.rpartition(" ")[2]](args)
 
 
@@ -93,13 +97,26 @@ def _fill(args: argparse.Namespace) -> int:
     protocol = evaluated(protocol, folder)
     with atomic_file(target, overwrite=args.force or target == args.protocol) as path:
         path.write_text(protocol_yaml(protocol), encoding="utf-8")
-    evaluations = [test.results.evaluation for test in protocol.tests if test.results.evaluation]
-    verdict = overall(evaluations)
-    lines = [("verdict", verdict.name)]
-    for test, evaluation in zip(protocol.tests, evaluations, strict=True):
-        lines += [(evaluation.verdict, f"{test.id}: {reason}") for reason in evaluation.reasons]
-    result = {"output": str(target), "verdict": verdict.name, **protocol.model_dump(mode="json")}
-    print_result(result, [*lines, ("written", target)], as_json=args.json)
+    return _printed(protocol, {"output": str(target)}, target, as_json=args.json)
+
+
+def _report(args: argparse.Namespace) -> int:
+    options = PageOptions(args.language, args.pdf)
+    check_report_folder(args.output, options, overwrite=args.force)
+    protocol = evaluated(read_protocol(args.protocol), args.protocol.parent)
+    write_report(protocol, args.protocol, args.output, options, overwrite=args.force)
+    return _printed(protocol, {"output": str(args.output)}, args.output / PAGE, as_json=args.json)
+
+
+def _printed(protocol: Protocol, result: dict[str, Any], written: Path, *, as_json: bool) -> int:
+    """Print the verdicts; return the exit status."""
+    verdict = overall(protocol)
+    lines: list[tuple[str, object]] = [("verdict", verdict.name)]
+    for test in protocol.tests:
+        if evaluation := test.results.evaluation:
+            lines += [(evaluation.verdict, f"{test.id}: {reason}") for reason in evaluation.reasons]
+    content = {**result, "verdict": verdict.name, **protocol.model_dump(mode="json")}
+    print_result(content, [*lines, ("written", written)], as_json=as_json)
     return 0 if verdict is Verdict.OK else NOT_OK
 
 

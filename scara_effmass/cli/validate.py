@@ -5,6 +5,7 @@ from collections import Counter
 from pathlib import Path
 
 from scara_effmass.analysis.assessment import Time, input_lines
+from scara_effmass.analysis.pages import PageOptions
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
 from scara_effmass.bags.files import find_bags
@@ -23,12 +24,13 @@ def run(args: argparse.Namespace) -> int:
     """Validate the recordings, write the report and print a summary."""
     settings = validation_settings(args)
     dynamics = load_dynamics(settings.monitor)
-    check_report_folder(args.output, overwrite=args.force)
+    page = PageOptions(args.language, args.pdf)
+    check_report_folder(args.output, page, overwrite=args.force)
     paths = recordings(args)
     with progress_bar() as progress:
         task = progress.add_task("recordings", total=len(paths))
         validation = validate(paths, dynamics, settings, lambda share: progress.advance(task, share))
-    result = write_report(validation, settings, dynamics.robot, args.output, overwrite=args.force)
+    result = write_report(validation, settings, dynamics.robot, args.output, page, overwrite=args.force)
     notes = list(input_lines(settings.monitor, settings.time))
     lines = [*summary_lines(validation), *notes, ("written", args.output / PAGE)]
     print_result({**result, "output": str(args.output)}, lines, as_json=args.json)

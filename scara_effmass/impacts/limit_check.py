@@ -41,3 +41,12 @@ def region_force(
         force = peak * math.sqrt(reduced_mass(robot_mass, limit.obstacle_mass_kg) * limit.stiffness_n_m / device)
         forces.append(RegionForce(limit.region, force, limit.permissible_force_n, limit.criterion))
     return max(forces, key=lambda region: region.force / region.limit, default=NO_REGION)
+
+
+def worst_force(
+    limits: Iterable[Limit], peak: float, robot_masses: Iterable[float], device_mass: float, stiffness: float
+) -> RegionForce:
+    """Return the largest `region_force` over the limit for the `robot_masses` [kg]; 0 is an unknown mass."""
+    limits = list(limits)
+    forces = [region_force(limits, peak, mass, device_mass, stiffness) for mass in robot_masses if mass]
+    return max(forces, key=lambda region: region.force / (region.limit or math.inf), default=NO_REGION)

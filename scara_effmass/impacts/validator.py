@@ -19,7 +19,7 @@ from scara_effmass.impacts.agreement import (
 from scara_effmass.impacts.clock_offset import ClockOffset, clock_offset
 from scara_effmass.impacts.criterion import Decision, Series, criterion_hash, decide
 from scara_effmass.impacts.impact_matcher import ImpactMatcher, MatchedImpact
-from scara_effmass.impacts.limit_check import RegionForce, region_force
+from scara_effmass.impacts.limit_check import RegionForce, worst_force
 from scara_effmass.impacts.mass_fit import MassFit
 from scara_effmass.impacts.state_history import MODELS, Rejection
 from scara_effmass.iso15066 import limits_for
@@ -293,8 +293,7 @@ class Validator:
         """Return the force on the most endangered body region, with the mass of the model or the measured one."""
         peak = match.impact.peak_force / match.force_share
         masses = (match.state.masses[self._model], match.measured_mass)
-        forces = [region_force(self._limits, peak, mass, match.obstacle_mass, stiffness) for mass in masses if mass]
-        return max(forces, key=lambda region: region.force / (region.limit or math.inf))
+        return worst_force(self._limits, peak, masses, match.obstacle_mass, stiffness)
 
     @property
     def _gain_tolerance(self) -> float:

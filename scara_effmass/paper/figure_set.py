@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from scara_effmass import __version__
 from scara_effmass.analysis.output import check_output_files
+from scara_effmass.analysis.pages import render
 from scara_effmass.analysis.plot_style import STYLE
-from scara_effmass.analysis.report import figure_files, render, report_figure, write_report_files
+from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
 from scara_effmass.paper.claims import Claim, Outcome, all_claims
 from scara_effmass.paper.density import figure_8
 from scara_effmass.paper.experiment import figure_17, figure_18, figure_19

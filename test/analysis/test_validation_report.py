@@ -90,6 +90,7 @@ def test_page_is_well_formed_and_self_contained(files: dict[str, bytes]) -> None
     text = files["report.html"].decode()
     page = Page(text)
     assert page.open == []
+    assert text.count("<svg ") == 6  # the force over time of each impact
     assert [address[:22] for address in page.addresses] == ["data:image/png;base64,"] * 4
     assert "url(" not in text
     assert "@import" not in text
@@ -120,7 +121,7 @@ def test_page_states_result_limits_and_origin(
     assert dynamics.robot.origin in texts
     assert "rebound of an earlier impact" in texts
     for recording in validation.recordings:
-        assert texts.count(recording.path.name) == 2  # its impact, and itself
+        assert texts.count(recording.path.name) == 3  # its force over time, its impact, and itself
     for model in validation.result.models:
         assert any(text.startswith(f"{model.overall.correlation:.5f} (") for text in texts)
 

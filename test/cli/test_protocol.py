@@ -88,6 +88,31 @@ def test_fill_names_what_a_prediction_needs(
     assert "--test" in refused("protocol", "fill", protocol, campaign[0], "--test")
 
 
+def test_report_renders_and_exits_with_the_verdict(cli: Cli, refused: Refused, protocol: Path, tmp_path: Path) -> None:
+    done = cli("protocol", "report", protocol, "-o", "report", "--language", "de")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert {path.name for path in (tmp_path / "report").iterdir()} == {"report.html", "report.json"}
+    assert json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))["verdict"] == "OK"
+    assert "Messprotokoll der Kontaktkräfte" in (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "already exists; use --force" in refused("protocol", "report", protocol, "-o", "report")
+    (tmp_path / "raw.csv").write_bytes(b"other")
+    done = cli("protocol", "report", protocol, "-o", "report", "--force")
+    assert done.returncode == 1
+    assert "UNKNOWN         1: raw data changed: raw.csv" in done.stdout
+
+
+def test_pdf_without_a_browser_is_refused_before_any_work(
+    refused: Refused, protocol: Path, swing_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    for command in (
+        ("protocol", "report", protocol, "-o", "report"),
+        ("assess", swing_bag, "-o", "a.csv", "--report", "report"),
+        ("validate", swing_bag, "-o", "report"),
+    ):
+        assert refused(*command, "--pdf").startswith("--pdf: needs Chromium or Chrome on the PATH")
+
+
 def test_schema_is_json_schema(cli: Cli) -> None:
     done = cli("protocol", "schema")
     assert json.loads(done.stdout)["properties"].keys() == {"identity", "instruments", "tests"}

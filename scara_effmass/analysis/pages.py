@@ -1,0 +1,166 @@
+"""Pages from the Jinja2 templates in `templates/`, in the languages of its catalogues, as HTML and PDF."""
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import yaml
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from pydantic import BaseModel
+
+from scara_effmass import __version__
+from scara_effmass.analysis.summary import iso_time
+from scara_effmass.errors import OutputError
+from scara_effmass.input_files import digest
+from scara_effmass.iso15066 import EDITION, TABLE_HASH
+from scara_effmass.settings.loading import flat_fields
+
+TEMPLATES = Path(__file__).parent / "templates"
+ENGLISH = "en"
+_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(\.\d+)?(e[-+]?\d+)?%?(?!\w)")
+PDF = "report.pdf"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
+PRINT_TIMEOUT_S = 120.0
+
+
+class PageOptions(NamedTuple):
+    """How a report is rendered."""
+
+    language: str = ENGLISH
+    pdf: bool = False
+
+    def files(self) -> list[str]:
+        """Return the names of the files beside the page. Raises OutputError where they cannot be made."""
+        return [PDF] * bool(self.pdf and find_browser())
+
+
+@lru_cache
+def catalogue(language: str) -> Mapping[str, str]:
+    """Return the texts of `language` by their English ones, with "…" for each number; empty for English."""
+    if language == ENGLISH:
+        return {}
+    texts: dict[str, str] = yaml.safe_load((TEMPLATES / f"{language}.yaml").read_text(encoding="utf-8"))
+    return texts
+
+
+def translated(text: str, language: str) -> str | None:
+    """Return `text` in `language`, its numbers in the same order, None where the catalogue has none."""
+    known = text if language == ENGLISH else catalogue(language).get(_NUMBER.sub("…", text))
+    if known is None or "…" not in known:
+        return known
+    numbers = (match.group() for match in _NUMBER.finditer(text))
+    return re.sub("…", lambda _: next(numbers), known)
+
+
+def phrases(text: str, language: str) -> Iterator[tuple[str, bool]]:
+    """Yield the parts of `text` in `language`, split at " · ", ": " and "; ", and whether the catalogue has them."""
+    whole = translated(text, language)
+    head, dot, tail = text.partition(" · ")
+    for separator in (": ", "; "):
+        if not dot:
+            head, dot, tail = text.partition(separator)
+            dot *= translated(head, language) is not None
+    if whole is not None or not dot:
+        yield (text if whole is None else whole), whole is not None or not text
+        return
+    yield from phrases(head, language)
+    yield dot, True
+    yield from phrases(tail, language)
+
+
+@lru_cache
+def environment(language: str) -> Environment:
+    """Return the Jinja2 environment of a language."""
+
+    def t(text: str) -> str:
+        """Return a text from the code; what the catalogue lacks is marked as English."""
+        english = Markup('<span lang="en">{}</span>')
+        return Markup().join(part if is_known else english.format(part) for part, is_known in phrases(text, language))
+
+    made = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        extensions=["jinja2.ext.i18n"],
+    )
+    made.install_gettext_callables(  # type: ignore[attr-defined]  # by the extension
+        lambda text: catalogue(language).get(text, text), lambda *texts: texts[0], newstyle=True
+    )
+    made.globals |= {"language": language, "version": __version__, "edition": EDITION, "limits_hash": TABLE_HASH}
+    made.filters |= {
+        "t": t,
+        "iso_time": time,
+        "css": css_string,
+    }
+    made.filters |= {"capital": lambda text: text[:1].upper() + text[1:], "percent": lambda share: f"{share:.1%}"}
+    return made
+
+
+def render(template: str, language: str = ENGLISH, **context: object) -> str:
+    """Return the page that `template`, a file in `templates/`, makes of `context`; texts are escaped."""
+    return environment(language).get_template(template).render(context)
+
+
+def time(stamp_ns: int) -> Markup:
+    """Return a ROS time [ns] as an element of a page."""
+    return Markup("<time>{}</time>").format(iso_time(stamp_ns))
+
+
+def css_string(text: str) -> Markup:
+    """Return `text` as a string of CSS inside of a style element."""
+    escaped = re.sub(r'["\\\\<>&\n]', lambda match: f"\\{ord(match.group()):x} ", text)
+    return Markup(f'"{escaped}"')  # noqa: S704 - escaped for CSS
+
+
+def setting_rows(
+    section: str, settings: BaseModel, chosen: Iterable[str] | None = None, *, changed_only: bool = False
+) -> Iterator[tuple[str, object, str]]:
+    """Yield name, value and meaning with its unit of the settings whose names contain one of `chosen`."""
+    fields = flat_fields(type(settings))
+    for name, field in fields.items():
+        value: object = settings
+        for key in name.split("."):
+            value = getattr(value, key)
+        is_chosen = chosen is None or any(part in name for part in chosen)
+        if is_chosen and not (changed_only and value == field.default):
+            text = getattr(value, "value", value)
+            yield f"{section}: {name}", "(empty)" if text in ("", ()) else text, field.description or ""
+
+
+def file_hashes(paths: Iterable[Path]) -> list[tuple[str, str]]:
+    """Return path and SHA-256 of each of `paths` that exists. Raises OutputError."""
+    return [(str(path), digest(path, OutputError)) for path in dict.fromkeys(paths) if path.exists()]
+
+
+def find_browser() -> str:
+    """Return the browser that prints PDF. Raises OutputError if there is none."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        raise OutputError("--pdf: needs Chromium or Chrome on the PATH; without one, print report.html from a browser")
+    return browser
+
+
+def print_pdf(page: str) -> bytes:
+    """Return a page as PDF. Raises OutputError."""
+    browser = find_browser()
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "page.html").write_text(page, encoding="utf-8")
+        command = [browser, "--headless", "--disable-gpu", "--no-first-run", f"--user-data-dir={folder / 'profile'}"]
+        command += ["--no-sandbox"] * (os.geteuid() == 0)  # Chromium has no sandbox for root
+        command += ["--no-pdf-header-footer", f"--print-to-pdf={folder / PDF}", (folder / "page.html").as_uri()]
+        try:
+            subprocess.run(command, capture_output=True, timeout=PRINT_TIMEOUT_S, check=False)  # noqa: S603
+            return (folder / PDF).read_bytes()
+        except (OSError, subprocess.TimeoutExpired):
+            raise OutputError(f"--pdf: {browser} printed no page") from None
