@@ -13,7 +13,7 @@ from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import EffmassError
 
 MISSING = "install NiceGUI: pip install 'scara_effmass[dashboard]'"
-_NICENESS = 5
+_NICENESS = 10
 """The nodes beside the dashboard come first."""
 
 

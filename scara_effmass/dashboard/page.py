@@ -117,8 +117,7 @@ class Page:
     def _refresh(self) -> None:
         """Show verdict, speeds and pose."""
         now_ns = time.monotonic_ns()
-        status = self._client.status
-        status.update(now_ns)  # silence counts even if polling has failed
+        status = self._client.poll()  # first what has arrived, so that a late page is no silent monitor
         verdict = status.verdict
         if self._word.text != verdict.name:
             self._panel.classes(remove=" ".join(Verdict.__members__), add=verdict.name)

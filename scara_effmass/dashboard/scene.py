@@ -37,7 +37,7 @@ class RobotScene:
         label = 'role=img aria-label="robot in 3-D with velocity, worst normal and mass ellipsoid"'
         camera = ui.scene.perspective_camera(fov=40)
         self._scene = ui.scene(
-            grid=(max(round(4 * size), 1), 20), camera=camera, background_color="#f1f3f5", fps=15
+            grid=(max(round(4 * size), 1), 20), camera=camera, background_color="#f1f3f5", fps=10
         ).props(label)
         self._scene.move_camera(1.4 * size, -1.3 * size, 1.3 * size, 0.3 * size, 0.0, 0.0, duration=0)
         with self._scene as scene:  # the base

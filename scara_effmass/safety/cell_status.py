@@ -209,7 +209,7 @@ class CellStatus:
         verdict, point, reason = self._judge(now_ns)
         if verdict is not self.verdict:
             if self.episodes and self.episodes[-1].end_ns is None:
-                self.episodes[-1].end_ns = now_ns
+                self.episodes[-1].end_ns = max(now_ns, self.episodes[-1].start_ns)
             if verdict is not Verdict.OK:
                 self.episodes.append(Episode(verdict, point, reason, now_ns))
             self.verdict_since_ns = now_ns

@@ -2,6 +2,7 @@
 
 import http.client
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -102,7 +103,8 @@ def browser() -> Iterator[Browser]:
 
 def expect_verdict(page: Page, verdict: str, timeout_ms: float = WAIT_MS) -> None:
     """Wait until the only word that can be seen is `verdict`, in its own colours."""
-    expect(page.locator(".word:visible")).to_have_text(verdict, timeout=timeout_ms)
+    pattern = re.compile(rf"^\s*{verdict}(?![A-Z])")
+    expect(page.locator(".verdict:visible")).to_have_text(pattern, timeout=timeout_ms, use_inner_text=True)
     expect(page.locator(f".verdict.{verdict}:visible")).to_have_count(1)
 
 
