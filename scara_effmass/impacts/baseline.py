@@ -17,6 +17,8 @@ BASELINE_FRAMES = 5
 """Number of quiet frames that define a baseline."""
 MIN_FLAT_RUN = 3
 """Minimum number of equal consecutive samples in a dropout."""
+MIN_ZERO_RUN = 2
+"""The same for exact zeros."""
 _MAX_SUBSAMPLES = 128
 """Samples per frame that enter the statistics, evenly spaced: bounds the work at any sample rate."""
 _GAUSSIAN = 1.4826
@@ -27,6 +29,9 @@ _FLAT_RUN_PROBABILITY = 1e-12
 """Less probable runs of equal samples are dropouts; about 1e-4 false ones an hour at 12.8 kS/s."""
 _ZERO_RUN_PROBABILITY = 1e-6
 """The same for exact zeros, the output of converters without a signal; they are searched near contacts only."""
+
+_FINE_SHARE = 0.1
+"""Maximum share of equal consecutive samples at rest of a sensor with fine resolution; dropouts included."""
 
 
 class Frame:
@@ -106,16 +111,15 @@ class Baseline:
     @cached_property
     def flat_run(self) -> int:
         """Minimum length of a run of equal samples that is a dropout."""
-        share = self._share(lambda samples: samples[1:] == samples[:-1])
-        return max(MIN_FLAT_RUN, improbable_run_length(share, _FLAT_RUN_PROBABILITY))
+        return max(MIN_FLAT_RUN, improbable_run_length(self._equal_share, _FLAT_RUN_PROBABILITY))
 
     @cached_property
     def zero_run(self) -> int:
         """Minimum length of a run of exact zeros that is a dropout."""
-        if abs(self.force) > self.threshold:
-            return 2  # the sensor never reads zero without contact
+        if abs(self.force) > self.threshold or self._equal_share < _FINE_SHARE:
+            return MIN_ZERO_RUN  # a sensor far from zero, or of fine resolution, never reads zero twice
         share = self._share(lambda samples: samples == 0.0)
-        return max(2, improbable_run_length(share, _ZERO_RUN_PROBABILITY))
+        return max(MIN_ZERO_RUN, improbable_run_length(share, _ZERO_RUN_PROBABILITY))
 
     def threshold_for(self, noise: float) -> float:
         """Return the contact threshold in `noise` [N], at least that of the baseline."""
@@ -151,6 +155,11 @@ class Baseline:
         if noise == 0.0:  # frame by frame: a contact before the first baseline affects the minority of frames
             noise = float(np.median([quantisation_deviation(part, force) for part in parts]))
         return force, noise
+
+    @cached_property
+    def _equal_share(self) -> float:
+        """Share of samples that equal the previous one."""
+        return self._share(lambda samples: samples[1:] == samples[:-1])
 
     def _share(self, mark: Callable[[FloatArray], BoolArray]) -> float:
         """Return the share of samples that `mark` marks; counts one more, so that it is never zero."""

@@ -26,6 +26,8 @@ SAME_RATE = 0.01
 """Maximum relative change of the sample rate within a recording; the clock fit varies it a little."""
 MIN_QUIET_SHARE = 0.6
 """Minimum share of quiet frames for a baseline when the recording ends before five frames are quiet."""
+QUIET_LEVEL = 0.75
+"""Maximum median [threshold] of the quiet frame that ends a segment; a higher one is a noisy load."""
 RESPONSE_TIME = 0.5
 """A tensile pulse within this time after a contact [s] is the response of sensor, converter or structure to it."""
 
@@ -239,6 +241,7 @@ class Detector:
     def _process(self, frame: Frame) -> list[Impact]:
         """Process the next frame."""
         quiet = self._baseline.is_quiet(frame)
+        level = float(np.median(frame.samples)) - self._baseline.force if frame.is_present else 0.0
         if quiet and self._segment_start is None:
             self._update_baseline(frame)
             return []
@@ -247,11 +250,11 @@ class Detector:
             self._segment_start = max(self._processed - 2 * self._frame_size, self._buffer.first)
             self._frames_below = 0
             self._candidates.clear()
-        if quiet:
+        if quiet and level <= QUIET_LEVEL * self._baseline.threshold:
             impacts = self._report(self._classify(self._segment_start, self._processed), self._segment_start)
             self._segment_start = None
             return impacts
-        below = frame.is_present and np.median(frame.samples) < self._baseline.force - self._baseline.threshold
+        below = level < -self._baseline.threshold
         self._frames_below = self._frames_below + 1 if below else 0
         if self._frames_below == BASELINE_FRAMES:
             self._candidates.clear()

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.impacts.baseline import Baseline, median_and_deviation, runs
+from scara_effmass.impacts.baseline import MIN_ZERO_RUN, Baseline, median_and_deviation, runs
 from scara_effmass.values import BoolArray, FloatArray
 
 FLANK_LOW = 0.1
@@ -24,8 +24,9 @@ PEAK_SHARE = 0.8
 MIN_CUBIC_SAMPLES = 6
 _GLITCH_SHARE = 0.25
 """The neighbours of a glitch are below this share of it, which excludes half-sines of 2.4 samples and more."""
-_MIN_REST_SAMPLES, _REST_SPREAD = 8, 2.0
-"""Between two contacts the force is at rest if so many samples have this interquartile range [noise] at most."""
+_MIN_REST_SAMPLES, _MIN_REST_GAPS, _REST_SPREAD = 8, 5, 2.0
+"""Between two contacts the force is at rest if so many samples, and minimum gaps, have a median and an interquartile
+range of at most this [noise]."""
 _RELEASE = 0.5
 """A contact ends below this share of the threshold."""
 
@@ -72,6 +73,8 @@ def classify(
     valid = np.isfinite(samples)
     for start, stop in zip(dropouts, dropout_ends, strict=True):
         valid[start:stop] = False
+    if baseline.zero_run == MIN_ZERO_RUN:
+        valid[[0, -1]] &= samples[[0, -1]] != 0.0  # perhaps one of several
     force[~valid] = 0.0
     threshold = _threshold(force, valid, baseline, gap)
     glitches = lone_samples(force, threshold)
@@ -80,7 +83,7 @@ def classify(
 
     contacts = _contacts(force, valid, saturated, threshold, gap, margin)
     if contacts and contacts[-1].last - contacts[0].first >= longest:
-        contacts = _join_loads(contacts, force, baseline, longest)
+        contacts = _join_loads(contacts, force, baseline, longest, max(_MIN_REST_SAMPLES, _MIN_REST_GAPS * gap))
     tensile_pulses: list[DetectedContact] = []
     if force.min() < -baseline.threshold:
         threshold = _threshold(-force, valid, baseline, gap)
@@ -104,14 +107,18 @@ def flat_runs(
 def lone_samples(force: FloatArray, threshold: float) -> NDArray[np.intp]:
     """Return the positions in `force` (n,) above baseline of single samples far from both neighbours.
 
-    Either the sample exceeds `threshold` and its neighbours are near the baseline, or the other way around.
+    Either the sample exceeds `threshold` and its neighbours are near the baseline, or the other way around. A sample
+    next to such a hole is no spike.
     """
     previous, current, following = force[:-2], force[1:-1], force[2:]
     size = np.abs(current)
     spike = (size > threshold) & (np.maximum(np.abs(previous), np.abs(following)) < _GLITCH_SHARE * size)
     rim = np.minimum(previous, following)
     hole = (rim > threshold) & (current < _GLITCH_SHARE * rim)
-    return np.flatnonzero(spike | hole) + 1
+    between_holes = np.zeros_like(hole)
+    between_holes[1:] |= hole[:-1]
+    between_holes[:-1] |= hole[1:]
+    return np.flatnonzero(spike & ~between_holes | hole) + 1
 
 
 def separate(force: FloatArray, valid: BoolArray, threshold: float, gap: int) -> list[tuple[int, int]]:
@@ -244,14 +251,17 @@ def _contacts(
 
 
 def _join_loads(
-    contacts: list[DetectedContact], force: FloatArray, baseline: Baseline, longest: int
+    contacts: list[DetectedContact], force: FloatArray, baseline: Baseline, longest: int, min_rest: int
 ) -> list[DetectedContact]:
-    """Return `contacts`; those between which the `force` (n,) [N] swings for `longest` samples about a load are one."""
+    """Return `contacts`; those between which the `force` (n,) [N] swings for `longest` samples about a load are one.
+
+    The force does not swing where it is at rest for `min_rest` samples.
+    """
     chains = [contacts[:1]]
     for contact in contacts[1:]:
         between = force[chains[-1][-1].last + 1 : contact.first]
-        low, high = np.percentile(between, (25.0, 75.0))
-        if between.size >= _MIN_REST_SAMPLES and high - low <= _REST_SPREAD * baseline.noise:
+        low, level, high = np.percentile(between, (25.0, 50.0, 75.0))
+        if between.size >= min_rest and max(abs(level), high - low) <= _REST_SPREAD * baseline.noise:
             chains.append([contact])
         else:
             chains[-1].append(contact)

@@ -89,6 +89,24 @@ def test_no_impact_comes_out_of_a_held_value(
     assert (impacts, detector.sustained_contacts) == ([], PRESSES)
 
 
+@settings(max_examples=10)
+@given(st.sampled_from((*RATES[1:], 12_800.0)), st.integers(0, 2**32), st.floats(0.02, 0.2))
+def test_scattered_zeros_make_no_impact(detect: Detect, rate: float, seed: int, share: float) -> None:
+    force = presses(rate, seed)
+    force[np.random.default_rng(seed).random(force.size) < share] = 0.0
+    impacts, detector = detect(force, rate)
+    assert (impacts, detector.sustained_contacts) == ([], PRESSES)
+
+
+@settings(max_examples=10)
+@given(st.sampled_from((*RATES[1:], 12_800.0)), st.integers(0, 2**32), st.floats(0.02, 0.2))
+def test_zeros_only_under_load_make_no_impact(detect: Detect, rate: float, seed: int, share: float) -> None:
+    force = presses(rate, seed)
+    force[(np.random.default_rng(seed).random(force.size) < share) & (force > 1.0)] = 0.0
+    impacts, detector = detect(force, rate)
+    assert (impacts, detector.sustained_contacts) == ([], PRESSES)
+
+
 @pytest.mark.parametrize("rate", [500.0, 1_000.0])
 def test_presses_of_a_slow_and_coarse_sensor(detect: Detect, rate: float) -> None:
     """Five samples of the recording for one of the sensor, in steps of 0.5 N."""
@@ -118,6 +136,25 @@ def test_a_load_step_is_no_series_of_rebounds(
     impacts, detector = detect(force, rate)
     assert [impact.rebound for impact in impacts] == []
     assert detector.sustained_contacts == 1
+
+
+@settings(max_examples=20)
+@given(
+    rate=st.sampled_from((1_000.0, 12_800.0)),
+    noise=st.floats(0.1, 0.5),
+    level=st.floats(1.0, 1.5),
+    seed=st.integers(0, 2**32),
+)
+def test_a_noisy_load_step_near_the_threshold_is_one_contact(
+    detect: Detect, rate: float, noise: float, level: float, seed: int
+) -> None:
+    """The noise under load is five times that of the baseline and reaches below the threshold."""
+    rng, time = np.random.default_rng(seed), np.arange(-2.0, 4.0, 1.0 / rate)
+    force = rng.normal(0.0, noise, time.size)
+    loaded = int(np.count_nonzero(time >= 0.0))
+    force[-loaded:] = level * DetectionSettings().threshold + rng.normal(0.0, 5.0 * noise, loaded)
+    impacts, detector = detect(force, rate)
+    assert (impacts, detector.sustained_contacts) == ([], 1)
 
 
 Signal = Callable[[float, int], FloatArray]
