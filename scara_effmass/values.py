@@ -121,7 +121,7 @@ class ContactAssessment(NamedTuple):
     @property
     def mobility(self) -> Mobility6:
         """Mobility of the model that decides; that of ISO/TS 15066 is the same in every direction."""
-        if self.mass_model == "iso":
+        if self.mass_model == "iso" and self.iso_mass > 0.0:
             return 1.0 / self.iso_mass, 0.0, 0.0, 1.0 / self.iso_mass, 0.0, 1.0 / self.iso_mass
         return {"lumped": self.lumped_mobility, "full": self.full_mobility}.get(self.mass_model, NO_MOBILITY)
 

@@ -60,7 +60,8 @@ def contact_markers(
         text = (x, y, z + (TEXT_LIFT_M if z > -TEXT_LIFT_M else -TEXT_LIFT_M))  # away from the base
         words = _words(contact, simulated=simulated)
         yield _marker(Marker.TEXT_VIEW_FACING, "verdict", index, color, (0.0, 0.0, TEXT_HEIGHT_M), text, text=words)
-        if contact.verdict is Verdict.UNKNOWN or contact.contact_point not in places:
+        is_finite = np.isfinite([*contact.direction, *contact.mobility]).all()
+        if contact.verdict is Verdict.UNKNOWN or contact.contact_point not in places or not is_finite:
             continue
         direction, mobility = np.array(contact.direction), matrix_of(contact.mobility)
         if contact.mobility != NO_MOBILITY:
@@ -86,11 +87,6 @@ def stamped(marker: Marker, frame: str, stamp_ns: int, lifetime_ns: int) -> Mark
     marker.header.stamp.sec, marker.header.stamp.nanosec = sec_and_nanosec(stamp_ns)
     marker.lifetime.sec, marker.lifetime.nanosec = divmod(lifetime_ns, NS)
     return marker
-
-
-def deletion(namespace: str, index: int) -> Marker:
-    """Return the marker that deletes another one."""
-    return Marker(ns=namespace, id=index, action=Marker.DELETE)
 
 
 def _words(contact: ContactAssessment, *, simulated: bool) -> str:

@@ -19,7 +19,7 @@ from scara_effmass.model.pose_geometry import pose_geometry
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
-from scara_effmass.nodes.markers import contact_markers, deletion, robot_markers, stamped
+from scara_effmass.nodes.markers import contact_markers, robot_markers, stamped
 from scara_effmass.nodes.robot_input import use_robot
 from scara_effmass.safety import unknown_contact
 from scara_effmass.safety.cell_status import CellStatus
@@ -111,7 +111,8 @@ class VisualizationNode(LifecycleBase):
             return
         markers = list(self._current())
         shown = {(marker.ns, marker.id) for marker in markers}
-        self._markers.publish(MarkerArray(markers=[*(deletion(*gone) for gone in self._shown - shown), *markers]))
+        gone = [Marker(ns=name, id=number, action=Marker.DELETE) for name, number in self._shown - shown]
+        self._markers.publish(MarkerArray(markers=[*gone, *markers]))
         self._shown = shown
 
     def _log_status(self) -> None:

@@ -135,3 +135,10 @@ def test_contact_point_without_a_place_has_its_word_above_the_base() -> None:
     assert [marker.ns for marker in markers] == ["verdict", "verdict"]
     assert markers[0].pose.position.z < markers[1].pose.position.z
     assert markers[1].text == "robot: UNKNOWN\nwhy"
+
+
+def test_numbers_that_are_not_finite_leave_only_the_word() -> None:
+    contact = assessed()
+    for broken in ({"lumped_mobility": (math.nan,) * 6}, {"direction": (math.inf, 0.0, 0.0)}):
+        assert drawn(contact._replace(**broken)).keys() == {"verdict"}
+    assert "mass_ellipsoid" not in drawn(contact._replace(mass_model="iso", iso_mass=0.0))

@@ -252,3 +252,20 @@ def test_gap_or_other_joints_restart_the_filter() -> None:
         adapted = adapter.adapt(state)
         assert isinstance(adapted, JointState)
         assert set(adapted.velocity) == {expected}
+
+
+@pytest.mark.parametrize(
+    ("names", "position", "expected"),
+    [
+        (("wheel", "arm_4", "arm_3", "arm_2", "arm_1"), (9.0, 4.0, 3.0, 2.0, 1.0), [1.0, 2.0, 3.0, 4.0]),
+        (("arm_1", "arm_2", "arm_3"), (1.0, 2.0, 3.0), "joint joint4 is missing"),
+        (("arm_1", "arm_2", "arm_3", "arm_4"), (1.0, 2.0), "2 positions for 4 names"),
+        (("arm_1", "arm_2", "arm_3", "arm_4"), (1.0, 2.0, np.nan, 4.0), "a position is not finite"),
+    ],
+)
+def test_positions_for_a_drawing_are_those_of_the_robot_or_the_reason_why_not(
+    names: tuple[str, ...], position: tuple[float, ...], expected: list[float] | str
+) -> None:
+    state = JointState(NOW, names, np.array(position), np.empty(0))
+    q = adapter_of(joint_map=("arm_*=joint*",)).positions(state)
+    assert (q if isinstance(q, str) else q.tolist()) == expected
