@@ -248,6 +248,16 @@ def test_parameter_file_of_a_command_obeys_the_types_of_ros(folder: Path, line: 
     one_line(error.value, path)
 
 
+def test_parameters_of_other_nodes_under_all_nodes_are_ignored(folder: Path) -> None:
+    path = folder / "shared.yaml"
+    shared = "/**:\n  ros__parameters: {controller_rate: 500, sensor: {sensitivity: 2.0}, timeout: 0.1}\n"
+    path.write_text(shared, encoding="utf-8")
+    assert load_settings(MonitorSettings, path, "monitor") == MonitorSettings(timeout=0.1)
+    path.write_text("monitor:\n  ros__parameters: {controller_rate: 500}\n", encoding="utf-8")
+    with pytest.raises(SettingsError, match="controller_rate: unknown: must be"):
+        load_settings(MonitorSettings, path, "monitor")
+
+
 def test_list_may_be_empty_and_a_number_may_have_an_exponent(folder: Path) -> None:
     path = folder / "types.yaml"
     path.write_text("/**:\n  ros__parameters: {body_regions: [], timeout: 1e-1}\n", encoding="utf-8")

@@ -17,7 +17,7 @@ def run_infos(bag: Bag) -> Iterator[tuple[int, RunInfo]]:
 
     Raises BagError for a RunInfo that cannot be decoded or has another definition.
     """
-    topics = [topic.name for topic in bag.topics if topic.type == RUN_INFO or topic.name == RECORDING_INFO]
+    topics = [topic.name for topic in bag.topics if topic.type == RUN_INFO or topic.name.endswith(f"/{RECORDING_INFO}")]
     if not topics:
         return
     if any(topic.type == RUN_INFO for topic in bag.topics):
@@ -29,7 +29,7 @@ def run_infos(bag: Bag) -> Iterator[tuple[int, RunInfo]]:
                 info = decode_run_info(message.data)
             except DecodeError as error:
                 raise BagError(f"{bag.path}: {message.topic}: {error}") from None
-        elif message.topic == RECORDING_INFO:
+        elif message.topic.endswith(RECORDING_INFO):
             with suppress(DecodeError, AttributeError):
                 info = run_info_from_json(str(bag.deserialize(message).data))
         if info is not None:

@@ -41,6 +41,7 @@ from rclpy.utilities import remove_ros_args
 from std_srvs.srv import Trigger
 
 from scara_effmass.errors import EffmassError, SettingsError
+from scara_effmass.nodes import parameters
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.readiness import report_readiness
 from scara_effmass.wire.topics import INFO_QOS, Qos
@@ -80,6 +81,8 @@ class LifecycleBase(LifecycleNode):
         """One line for each endpoint that cannot be connected, and its QoS policy that does not fit."""
         self.lost: dict[str, int] = {}
         """Messages that the middleware lost, by topic."""
+        self.fixed_parameters: Sequence[str] = ()
+        """Parameters that can change only while the node is unconfigured."""
         self._abort_error: EffmassError | None = None
         self._owned = ExitStack()
         self._transition_error: Exception | None = None
@@ -102,29 +105,32 @@ class LifecycleBase(LifecycleNode):
 
     def on_configure(self, state: State) -> TransitionCallbackReturn:
         """Configure; after an error the node stays unconfigured."""
-        return self._attempt(self.configure, self._clean_up) or super().on_configure(state)
+        self.set_read_only(read_only=True)
+        return self._attempt(self.configure, self._clean_up) or self._done(
+            state, "inactive", super().on_configure(state)
+        )
 
     def on_activate(self, state: State) -> TransitionCallbackReturn:
         """Activate; after an error the node stays inactive."""
         failure = self._attempt(self.activate, self.deactivate)
         self.active = failure is None
-        return failure or super().on_activate(state)
+        return failure or self._done(state, "active", super().on_activate(state))
 
     def on_deactivate(self, state: State) -> TransitionCallbackReturn:
         """Stop publishing."""
         self.active = False
         self.deactivate()
-        return super().on_deactivate(state)
+        return self._done(state, "inactive", super().on_deactivate(state))
 
     def on_cleanup(self, state: State) -> TransitionCallbackReturn:
         """Release what `configure` created."""
         self._clean_up()
-        return super().on_cleanup(state)
+        return self._done(state, "unconfigured", super().on_cleanup(state))
 
     def on_shutdown(self, state: State) -> TransitionCallbackReturn:
         """Release what `activate` and `configure` created."""
         self._clean_up()
-        return super().on_shutdown(state)
+        return self._done(state, "finalized", super().on_shutdown(state))
 
     def own(self, entity: Entity, destroy: Callable[[Entity], object]) -> Entity:
         """Return `entity`; call `destroy` with it when the node is cleaned up or destroyed."""
@@ -205,6 +211,11 @@ class LifecycleBase(LifecycleNode):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         return self.own(self.create_timer(period_s, callback, clock=steady), self.destroy_timer)
 
+    def set_read_only(self, *, read_only: bool) -> None:
+        """Let the fixed parameters change, or not."""
+        for name in self.fixed_parameters:
+            self.describe_parameter(name).read_only = read_only
+
     def now_ns(self) -> int:
         """Return the time of the node's clock [ns]."""
         return int(self.get_clock().now().nanoseconds)
@@ -244,8 +255,13 @@ class LifecycleBase(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         return None
 
+    def _done(self, state: State, goal: str, result: TransitionCallbackReturn) -> TransitionCallbackReturn:
+        self.get_logger().info(f"{state.label} -> {goal}")
+        return result
+
     def _clean_up(self) -> None:
         self.active = False
+        self.set_read_only(read_only=False)
         self.deactivate()
         self._owned.close()
         self.incompatible_qos.clear()
@@ -293,6 +309,7 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
     try:
         with _on_signal(stop):
             try:
+                parameters.ARGUMENTS.set(arguments)
                 _init(arguments)
                 ros_arguments = arguments
                 if stopped:

@@ -2,9 +2,12 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from contextvars import ContextVar
 from dataclasses import asdict
 from enum import Enum
-from typing import Any, get_args, get_origin
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
@@ -13,6 +16,7 @@ from rclpy.parameter import Parameter
 
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.settings.loading import (
+    READ_ONLY,
     FrozenSettings,
     Settings,
     check_types,
@@ -20,9 +24,16 @@ from scara_effmass.settings.loading import (
     fixed,
     flat_fields,
     former_unit,
+    is_foreign,
     nearest,
+    parameter_sections,
 )
 
+if TYPE_CHECKING:
+    from scara_effmass.nodes.lifecycle import LifecycleBase
+
+ARGUMENTS: ContextVar[Sequence[str]] = ContextVar("arguments", default=())
+"""ROS arguments of the process, which show where a parameter comes from."""
 _ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
@@ -36,7 +47,8 @@ class NodeParameters(FrozenSettings):
 def declare(node: Node, settings: type[Settings]) -> Settings:
     """Declare every field of `settings` on `node` and return the settings: overrides or defaults.
 
-    Raises SettingsError for an unknown parameter and for a value of the wrong type or range.
+    Raises SettingsError for an unknown parameter and for a value of the wrong type or range. Those of other nodes under
+    `/**` of a parameter file are ignored with a warning.
     """
     # A private attribute, because automatically_declare_parameters_from_overrides raises on an empty list.
     overrides: dict[str, Parameter] = node._parameter_overrides  # noqa: SLF001
@@ -46,6 +58,9 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
         if name in fields:
             values[name] = from_ros(parameter)
         elif not name.startswith(_ROS_PARAMETERS):
+            if is_foreign(name, settings) and name in _shared_names(node.get_name()):
+                node.get_logger().warning(f"parameter {name!r} of /** is not of this node: ignored")
+                continue
             text = f"no parameter {name!r}: {nearest(name, fields)}"
             raise SettingsError(f"{node.get_name()}: {former_unit(name, parameter.value, settings) or text}")
     check_types(settings, values, node.get_name())
@@ -60,15 +75,19 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
 
 
 def on_parameters_changed(
-    node: Node,
+    node: "LifecycleBase",
     current: Callable[[], Settings],
     apply: Callable[[Settings, AbstractSet[str]], None],
     validate: Callable[[Settings], object] = lambda _: None,
 ) -> None:
     """Call `apply` with the new settings and the names of the changed parameters after every change.
 
-    Refuse a change if the settings model or `validate` raises EffmassError, whose text becomes the reason.
+    Refuse a change if the settings model or `validate` raises EffmassError, whose text becomes the reason. What is
+    fixed on a configured node can change while it is unconfigured.
     """
+    fields = flat_fields(type(current())).items()
+    node.fixed_parameters = [name for name, f in fields if f.json_schema_extra == READ_ONLY and name != "autostart"]
+    node.set_read_only(read_only=False)
 
     def changed(changes: list[Parameter]) -> Settings:
         settings = current()
@@ -86,6 +105,18 @@ def on_parameters_changed(
 
     node.add_on_set_parameters_callback(on_set)
     node.add_post_set_parameters_callback(lambda changes: apply(changed(changes), {p.name for p in changes}))
+
+
+def _shared_names(node: str) -> set[str]:
+    """Return the names that parameter files state under `/**`, and neither they for `node` nor its arguments do."""
+    shared, own = set[str](), set[str]()
+    for option, value in pairwise(ARGUMENTS.get()):
+        if option in {"-p", "--param"}:
+            own.add(value.partition(":=")[0].rpartition(":")[2])
+        elif option == "--params-file":
+            for owner, parameters in parameter_sections(Path(value), node):
+                (shared if owner == "**" else own).update(parameters)
+    return shared - own
 
 
 def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401 - the settings model checks the type

@@ -175,7 +175,7 @@ class ValidatorNode(LifecycleBase):
     def _on_write_report(self) -> str:
         if self._write_report is None:
             raise SettingsError("the node runs without a report writer")
-        folder = Path(self._settings.report_folder or "validation") / f"{self.now_ns() / _NS:.3f}"
+        folder = Path(self._settings.report_folder or "validation").resolve() / f"{self.now_ns() / _NS:.3f}"
         return str(self._write_report(self._validator.result(), self._settings, folder))
 
     def _apply(self, settings: NodeSettings, names: AbstractSet[str]) -> None:

@@ -162,22 +162,40 @@ def load_settings(kind: type[Settings], path: Path, node: str, other_nodes: Coll
     The file holds `/**`, `node` or `/**/node` over `ros__parameters`, as written by `ros2 param dump`. Parameters of
     other nodes are ignored; a file for `other_nodes` alone gives the defaults. Raises SettingsError.
     """
+    parameters: dict[str, Any] = {}
+    for owner, stated in parameter_sections(path, node, other_nodes):
+        foreign = {key for key in stated if key in NODE_ONLY - kind.model_fields.keys()}
+        foreign |= {key for key in stated if owner == "**" and is_foreign(key, kind)}
+        parameters |= {key: value for key, value in stated.items() if key not in foreign}
+    check_types(kind, parameters, str(path))
+    return checked(kind, parameters, str(path))
+
+
+def parameter_sections(
+    path: Path, node: str, other_nodes: Collection[str] | None = None
+) -> list[tuple[str, dict[str, Any]]]:
+    """Return the owner, ** or `node`, and the parameters by flat name of the sections that apply to `node`.
+
+    Raises SettingsError, also for a file without any unless it is for `other_nodes`; None: for whatever nodes.
+    """
     document = read_yaml(path, SettingsError)
     if not isinstance(document, dict) or not document:
         raise SettingsError(f"{path}: must hold {node} (or /**) over ros__parameters")
     owners = {name: str(name).rpartition("/")[2] for name in document}
-    sections = [name for name, owner in owners.items() if owner in {"**", node}]
-    if not sections and not set(other_nodes).intersection(owners.values()):
+    sections = [(name, owner) for name, owner in owners.items() if owner in {"**", node}]
+    if not sections and other_nodes is not None and not set(other_nodes).intersection(owners.values()):
         raise SettingsError(f"{path}: holds {', '.join(map(str, document))}: must hold {node} (or /**)")
-    parameters: dict[str, Any] = {}
-    for name in sections:
-        section = document[name]
-        if not isinstance(section, dict) or not isinstance(section.get("ros__parameters"), dict):
+    for name, _ in sections:
+        if not isinstance(document[name], dict) or not isinstance(document[name].get("ros__parameters"), dict):
             raise SettingsError(f"{path}: {name}: must hold ros__parameters")
-        items = section["ros__parameters"].items()
-        parameters |= {key: value for key, value in items if key in kind.model_fields or key not in NODE_ONLY}
-    check_types(kind, _flat(parameters), str(path))
-    return checked(kind, parameters, str(path))
+    return [(owner, _flat(document[name]["ros__parameters"])) for name, owner in sections]
+
+
+def is_foreign(name: str, kind: type[BaseModel]) -> bool:
+    """Return whether `name` is not a field of `kind`, nor one in another unit, misspelt, or of one of its groups."""
+    fields = flat_fields(kind)
+    own = name in fields or name.partition(".")[0] in kind.model_fields or former_unit(name, 0.0, kind)
+    return not (own or get_close_matches(name, fields, n=1, cutoff=0.8))
 
 
 def _flat(values: Mapping[str, Any]) -> dict[str, Any]:

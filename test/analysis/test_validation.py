@@ -488,7 +488,7 @@ def older(source: Path, path: Path, text: str) -> Path:
         for message in bag.messages():
             if message.type == RUN_INFO:
                 data = serialized(STRING, {"data": text})
-                writer.write(RECORDING_INFO, STRING, message.log_time_ns, data)
+                writer.write(f"/{RECORDING_INFO}", STRING, message.log_time_ns, data)
             else:
                 writer.write(*message)
     return path

@@ -68,8 +68,9 @@ def test_former_name_of_a_command_is_accepted_and_not_documented(capsys: pytest.
 
 
 @pytest.mark.live
-def test_console_script_runs_the_module() -> None:
-    script = Path(sys.executable).with_name("scara-effmass")
+@pytest.mark.parametrize("folder", ["bin", "lib/scara_effmass"])  # where `ros2 run` and launch files look
+def test_console_script_runs_the_module(folder: str) -> None:
+    script = Path(sys.prefix, folder, "scara-effmass")
     done = subprocess.run([script, "--version"], capture_output=True, text=True, check=True)
     assert done.stdout == f"scara-effmass {__version__}\n"
 

@@ -177,7 +177,7 @@ def test_bag_with_force_blocks_needs_no_import(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("info", [{"generated": True}, {"generated": False}, []])
 def test_generated_recording_is_simulated(tmp_path: Path, info: object) -> None:
-    text = (RECORDING_INFO, STRING, T0, serialized(STRING, {"data": json.dumps(info)}))
+    text = (f"/{RECORDING_INFO}", STRING, T0, serialized(STRING, {"data": json.dumps(info)}))
     blocks = imported(write(tmp_path / "run", [text, *wrenches(TIMES_NS, TIMES_NS)]))
     assert {block.simulated for block in blocks} == {info == {"generated": True}}
 

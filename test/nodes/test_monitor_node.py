@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import GetState
-from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.msg import Log, ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -32,6 +32,7 @@ from test.nodes.conftest import NodeHarness, joint_state, stamp_ns
 
 MS = 1_000_000
 S = 1_000_000_000
+INFO = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FAST = (8.0, 0.1, 0.1, 0.1)
 VECTORS = {
     "payload_com": "list of 3 numbers from -2 to 2",
@@ -47,6 +48,33 @@ def label(harness: NodeHarness) -> str:
 
 
 class TestLifecycle:
+    def test_robot_payload_and_contact_points_can_change_while_unconfigured(
+        self, new_harness: Callable[..., NodeHarness]
+    ) -> None:
+        harness = new_harness("--ros-args", "-p", "autostart:=false")
+        logged: list[str] = []
+
+        def on_log(message: Log) -> None:
+            logged.append(message.msg)
+
+        harness.node.create_subscription(Log, "/rosout", on_log, INFO)
+        ur5 = str(share("config", "robots", "ur5_robot.urdf"))
+        changes = {"robot": ur5, "contact_points": ["ee_link"], "payload_mass": 2.0}
+        assert harness.set_parameters(**changes) == ""
+        assert harness.set_parameters(timeout=-1.0) != ""
+        assert harness.change_state(Transition.TRANSITION_CONFIGURE)
+        harness.spin_until(lambda: any(line.startswith("monitoring ur5") and "ee_link" in line for line in logged))
+        assert "read-only" in harness.set_parameters(robot="")
+        assert "read-only" in harness.set_parameters(contact_points=["tool"])
+        assert harness.change_state(Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_DEACTIVATE)
+        assert harness.change_state(Transition.TRANSITION_CLEANUP)
+        assert harness.set_parameters(robot="", contact_points=["nose"]) == ""
+        assert not harness.change_state(Transition.TRANSITION_CONFIGURE)  # and stays unconfigured
+        assert harness.set_parameters(contact_points=["tool"]) == ""
+        assert harness.change_state(Transition.TRANSITION_CONFIGURE)
+        steps = ["unconfigured -> inactive", "inactive -> active", "active -> inactive", "inactive -> unconfigured"]
+        harness.spin_until(lambda: [line for line in logged if " -> " in line] == [*steps, steps[0]])
+
     def test_node_passes_through_all_states(self, new_harness: Callable[..., NodeHarness]) -> None:
         harness = new_harness("--ros-args", "-p", "autostart:=false", "-p", "timeout:=60.0", "-p", "release_time:=0.0")
         harness.subscribe()

@@ -135,3 +135,43 @@ def test_signal_during_start_ends_the_node_with_exit_code_0(new_harness: Callabl
 def test_import_does_not_start_ros() -> None:
     check = "import scara_effmass.nodes.monitor_node, rclpy; raise SystemExit(rclpy.ok())"
     assert subprocess.run([sys.executable, "-c", check], check=False).returncode == 0
+
+
+def test_parameters_of_other_nodes_under_all_nodes_are_ignored_with_a_warning(
+    new_harness: Callable[..., NodeHarness], tmp_path: Path
+) -> None:
+    params = tmp_path / "robot.yaml"
+    shared = "/**:\n  ros__parameters: {controller_rate: 500, sensor: {sensitivity: 2.0}, release_time: 0.0}\n"
+    params.write_text(f"{shared}planner:\n  ros__parameters: {{horizon: 2}}\n", encoding="utf-8")
+    harness = new_harness("--ros-args", "--params-file", str(params))
+    harness.subscribe_until_ok()
+    assert harness.process is not None
+    harness.process_may_end = True
+    harness.process.terminate()
+    _, errors = harness.process.communicate()
+    for name in ("controller_rate", "sensor.sensitivity"):
+        assert f"parameter '{name}' of /** is not of this node: ignored" in errors
+    assert "horizon" not in errors
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (
+            "/**/monitor:\n  ros__parameters: {controller_rate: 500}\n",
+            "monitor: no parameter 'controller_rate': must be",
+        ),
+        ("/**:\n  ros__parameters: {payload_mas: 5.0}\n", "monitor: no parameter 'payload_mas': must be payload_mass"),
+        ("/**:\n  ros__parameters: {servo: {stiff: 5.0}}\n", "monitor: no parameter 'servo.stiff': must be"),
+        ("/**:\n  ros__parameters: {stiffness: 75.0}\n", "monitor: stiffness = 75.0: must be stiffness_n_m = 75000.0"),
+    ],
+)
+def test_misspelt_parameters_of_the_node_are_refused(
+    new_harness: Callable[..., NodeHarness], tmp_path: Path, text: str, line: str
+) -> None:
+    params = tmp_path / "cell.yaml"
+    params.write_text(text, encoding="utf-8")
+    process = new_harness("--ros-args", "--params-file", str(params)).process
+    assert process is not None
+    assert process.communicate()[1].startswith(line)
+    assert process.returncode == 2

@@ -202,6 +202,7 @@ def test_write_report_service_writes_the_report(node: ValidatorHarness) -> None:
     answer: Any = node.harness.call_service(Trigger, "write_report", Trigger.Request())
     assert answer.success, answer.message
     page = Path(answer.message)
+    assert page.is_absolute()
     assert page.name == "report.html"
     record = json.loads(page.with_name("report.json").read_text(encoding="utf-8"))
     assert record["models"][0]["count"] == 4
