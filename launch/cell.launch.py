@@ -26,6 +26,12 @@ ARGUMENTS = (
         description="robot file, URDF or DH YAML; empty: the parameter of params_file, else the shipped Omron i4-550L",
     ),
     DeclareLaunchArgument(
+        "robot_from_topic",
+        default_value="false",
+        choices=["true", "false"],
+        description="take the robot from the topic robot_description of the namespace, in place of a file",
+    ),
+    DeclareLaunchArgument(
         "source",
         default_value="none",
         choices=["none", "ni9230", "bag", "sim"],
@@ -38,15 +44,42 @@ ARGUMENTS = (
     ),
     DeclareLaunchArgument(
         "use_sim_time",
-        default_value="false",
-        choices=["true", "false"],
-        description="take the time from /clock, for a replayed bag",
+        default_value="",
+        choices=["", "true", "false"],
+        description="take the time from /clock; empty: as the including launch file says, true with replay",
     ),
     DeclareLaunchArgument(
         "log_level",
         default_value="info",
         choices=["debug", "info", "warn", "error", "fatal"],
         description="minimum severity that the nodes log",
+    ),
+    DeclareLaunchArgument(
+        "record",
+        default_value="",
+        description="folder of a new bag that records the topics of the cell; empty: none",
+    ),
+    DeclareLaunchArgument(
+        "replay",
+        default_value="",
+        description="bag to replay to the nodes with /clock, its topics in the namespace; empty: none",
+    ),
+    DeclareLaunchArgument(
+        "visualization",
+        default_value="false",
+        choices=["true", "false"],
+        description="publish markers for RViz and Foxglove",
+    ),
+    DeclareLaunchArgument(
+        "dashboard",
+        default_value="",
+        description="TCP port of the operator's page on this machine (8321); empty: no page",
+    ),
+    DeclareLaunchArgument(
+        "respawn",
+        default_value="false",
+        choices=["true", "false"],
+        description="start a node again 1 s after it ends, for whatever reason; false: its end ends the launch",
     ),
 )
 
@@ -57,38 +90,63 @@ def nodes(context: LaunchContext) -> list[Node]:
     ROS would start the nodes without the file, and so the monitor with the shipped robot.
     """
     arguments = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
-    params_file = arguments["params_file"]
+    params_file, robot, replay = arguments["params_file"], arguments["robot"], arguments["replay"]
     if params_file and not Path(params_file).is_file():
         raise FileNotFoundError(f"params_file = {params_file}: must be an existing file")
-    actions = [_node("monitor_node", arguments, {"robot": arguments["robot"]} if arguments["robot"] else {})]
+    if robot and arguments["robot_from_topic"] == "true":
+        raise ValueError(f"robot = {robot}: must be empty with robot_from_topic")
+    if replay and not arguments["use_sim_time"]:
+        arguments["use_sim_time"] = "true"
+    model: dict[str, str | bool] = {"robot": robot} if robot else {}
+    if arguments["robot_from_topic"] == "true":
+        model["await_robot_description"] = True
+    actions = [_node("monitor_node", arguments, model)]
     if arguments["source"] != "none":
         actions.append(_node("daq_node", arguments, {"source": arguments["source"]}))
-        actions.append(_node("validator_node", arguments, {}))
+        actions.append(_node("validator_node", arguments, {"robot": robot} if robot else {}))
+    if arguments["visualization"] == "true":
+        actions.append(_node("visualization_node", arguments, model))
+    if arguments["dashboard"]:
+        page = ["dashboard", "--port", arguments["dashboard"]]
+        page += ["--params", params_file] if params_file else []
+        actions.append(_node("scara-effmass", arguments, {}, [*page, *(["--robot", robot] if robot else [])]))
+    if arguments["record"]:
+        actions.append(_node("scara-effmass", arguments, {}, ["record", "-o", arguments["record"]]))
+    if replay:
+        actions.append(_node("scara-effmass", arguments, {}, ["replay", replay]))
     return actions
 
 
 def end_launch(event: ProcessExited, context: LaunchContext) -> None:
-    """End the launch with status 1 when a node ends before it; only a recording that is over may end `daq_node`.
+    """End the launch with status 1 when a process ends before it; only what plays a recording may end with 0.
 
     An exception is the only way to a status other than 0.
     """
-    is_finished = event.returncode == 0 and event.process_name.startswith("daq_node")
+    is_finished = event.returncode == 0 and (event.process_name.startswith("daq_node") or "replay" in event.cmd)
     if not context.is_shutdown and not is_finished:
         raise RuntimeError(f"{event.process_name} ended with status {event.returncode}")
 
 
-def _node(executable: str, arguments: dict[str, str], node_parameters: dict[str, str]) -> Node:
-    parameters: list[str | dict[str, str] | dict[str, bool]] = [{"use_sim_time": arguments["use_sim_time"] == "true"}]
-    if arguments["params_file"]:
+def _node(
+    executable: str, arguments: dict[str, str], own: dict[str, str | bool], command: list[str] | None = None
+) -> Node:
+    parameters: list[str | dict[str, str | bool]] = []
+    if arguments["use_sim_time"]:  # else the parent's SetParameter("use_sim_time", ...) holds
+        parameters.append({"use_sim_time": arguments["use_sim_time"] == "true"})
+    if arguments["params_file"] and command is None:
         parameters.append(arguments["params_file"])
+    plays_once = executable == "daq_node" and arguments["source"] == "bag"
+    respawn = arguments["respawn"] == "true" and command is None and not plays_once
     return Node(
         package="scara_effmass",
         executable=executable,
         namespace=arguments["namespace"],
-        parameters=[*parameters, node_parameters],
-        arguments=["--ros-args", "--log-level", arguments["log_level"]],
+        parameters=[*parameters, *([own] if own else [])],
+        arguments=[*(command or []), "--ros-args", "--log-level", arguments["log_level"]],
         output="screen",
-        on_exit=end_launch,
+        respawn=respawn,
+        respawn_delay=1.0,
+        on_exit=None if respawn or (command and command[0] == "dashboard") else end_launch,
     )
 
 

@@ -50,7 +50,7 @@ class Command:
 
 
 NODES = ("monitor", "daq", "validator", "speed_scaling", "sim", "visualization")
-ROS_COMMANDS = {*NODES, "record", "foxglove", "dashboard", "watch"}
+ROS_COMMANDS = {*NODES, "record", "replay", "foxglove", "dashboard", "watch"}
 """Commands that take ROS arguments."""
 PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "report", "schema"))
 MODULES = {"import": "import_force"} | dict.fromkeys(NODES, "nodes") | dict.fromkeys(PROTOCOL, "protocol")
@@ -264,7 +264,8 @@ examples:
 The time of the recording is published on /clock: run the nodes with use_sim_time, or the monitor answers UNKNOWN to
 old joint states. The replay starts when every node of the suite that runs on /clock, or subscribes to a replayed topic,
 is active, has received the clock and has discovered the others. If that takes longer than --wait, it fails and names
-the nodes that are not ready.
+the nodes that are not ready. ROS arguments follow --; in a namespace (-r __ns:=/left) the recorded topics are published
+in it, but for /tf, /tf_static and /diagnostics.
 
 examples:
   scara-effmass monitor -- -p use_sim_time:=true

@@ -22,6 +22,7 @@ def run(args: argparse.Namespace) -> int:
         joint_state_topic=args.topic or "",
         subscribers=args.subscribers,
         ready_timeout_s=args.wait,
+        ros_arguments=tuple(args.ros_arguments),
     )
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:.1f} s"))
     with progress_bar(*columns) as progress:

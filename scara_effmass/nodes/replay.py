@@ -23,7 +23,7 @@ from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.client import ClientNode
 from scara_effmass.nodes.lockstep import Lockstep
 from scara_effmass.nodes.readiness import ReadinessReports
-from scara_effmass.nodes.replay_topics import JOINT_STATES, ReplayPublisher, replay_publishers
+from scara_effmass.nodes.replay_topics import JOINT_STATES, ReplayPublisher, in_namespace, replay_publishers
 from scara_effmass.wire.topics import CLOCK
 
 CLOCK_STEP_NS = 10_000_000
@@ -55,7 +55,9 @@ class ReplayOptions:
     topics: tuple[str, ...] = ()
     """Topics to replay; empty: all but the clock and the outputs of the live nodes."""
     joint_state_topic: str = ""
-    """Topic that is published as /joint_states; empty: every topic keeps its name."""
+    """Topic that is published as joint_states; empty: every topic keeps its name."""
+    ros_arguments: tuple[str, ...] = ()
+    """In the namespace that they state, every topic is published below it."""
     subscribers: int = 1
     """Minimum number of subscribers of the joint states, or of any topic without joint states, before the start."""
     ready_timeout_s: float = 30.0
@@ -127,7 +129,7 @@ def replay(options: ReplayOptions, on_progress: OnProgress = lambda *_: None) ->
     SIGINT and SIGTERM end the replay early. It runs in its own ROS context. Raises BagError for an unreadable bag,
     EffmassError if nodes are not ready in time or the monitor stops answering.
     """
-    with ClientNode("replay") as client, open_bag(options.bag) as bag:
+    with ClientNode("replay", arguments=options.ros_arguments) as client, open_bag(options.bag) as bag:
         player = _Player(options, bag, client, on_progress)
         try:
             player.play()
@@ -157,7 +159,9 @@ class _Player:
         self._publishers, self.report.skipped = replay_publishers(
             bag, client.node, options.topics, options.joint_state_topic
         )
-        self._joint_states = next((p for p in self._publishers.values() if p.name == JOINT_STATES), None)
+        self._joint_states = next(
+            (p for p in self._publishers.values() if p.name == in_namespace(client.node, JOINT_STATES)), None
+        )
         if options.rate == 0.0 and self._joint_states is None:
             raise SettingsError(
                 f"{bag.path}: rate = 0: nothing is published as {JOINT_STATES}; name its topic, or give a rate"

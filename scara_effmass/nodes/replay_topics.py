@@ -22,8 +22,17 @@ NODE_OUTPUTS = {
     wire_topics.DIAGNOSTICS.removeprefix("/"),
 }
 """Outputs of the live nodes, in any namespace, which are replayed only on request. `daq_node` plays recorded force."""
+SHARED = {"/tf", "/tf_static", wire_topics.DIAGNOSTICS}
+"""Topics that no namespace changes."""
 LATCHED = {"recording_info", "tf_static", wire_topics.ROBOT_DESCRIPTION, wire_topics.RUN_INFO}
 """Topics whose last messages a late subscriber receives, and so all payloads; recording_info is RunInfo in old bags."""
+
+
+def in_namespace(node: Node, topic: str) -> str:
+    """Return the name under which `node` publishes a recorded `topic`: in its namespace, unless all cells share it."""
+    namespace = node.get_namespace().rstrip("/")
+    is_there = topic in SHARED or topic.startswith(f"{namespace}/")
+    return str(node.resolve_topic_name(topic if is_there else namespace + topic))
 
 
 class ReplayPublisher:
@@ -63,7 +72,7 @@ def replay_publishers(
     """Return a publisher for each replayed topic of `bag`, and the reason for each topic that is not replayed.
 
     `topics` selects topics; if empty, all but the clock and the outputs of live nodes. `joint_state_topic` is
-    published as /joint_states. Raises BagError for a topic that the bag does not have, SettingsError if nothing is
+    published as joint_states. Raises BagError for a topic that the bag does not have, SettingsError if nothing is
     left to replay.
     """
     names = [topic.name for topic in bag.topics]
@@ -82,7 +91,9 @@ def replay_publishers(
         if reason or installed_class is None:
             skipped[topic.name] = reason or f"its type {topic.type or '(none)'} is not installed"
             continue
-        publisher = ReplayPublisher(node, JOINT_STATES if is_joint_states else topic.name, installed_class)
+        publisher = ReplayPublisher(
+            node, in_namespace(node, JOINT_STATES if is_joint_states else topic.name), installed_class
+        )
         if reason := _definition_mismatch(bag, node, publisher, topic.type):
             node.destroy_publisher(publisher.publisher)
             skipped[topic.name] = reason
