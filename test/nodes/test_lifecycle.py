@@ -1,4 +1,10 @@
-"""Spinning of nodes."""
+"""Spinning of nodes, and their end while they start."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from rclpy.experimental.events_executor import EventsExecutor
@@ -25,3 +31,25 @@ def test_spinning_ends_under_constant_load() -> None:
         spin_for(executor, 600.0, lambda: calls >= before + 10)
         assert calls == before + 10
         executor.shutdown()
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("command", [("monitor_node",), ("scara-effmass", "monitor")])
+@pytest.mark.parametrize("is_caught", [False, True])
+def test_sigterm_while_a_node_starts_ends_it_with_0_or_143(
+    command: tuple[str, ...], own_domain: int, tmp_path: Path, *, is_caught: bool
+) -> None:
+    """At once, and as soon as the process catches the signal: after its imports, before or while the node comes up."""
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(own_domain), "ROS_LOG_DIR": str(tmp_path)}
+    words = [str(Path(sys.executable).with_name(command[0])), *command[1:]]
+    with subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        status = Path("/proc", str(process.pid), "status")
+        while is_caught:
+            (caught,) = (line.split()[1] for line in status.read_text().splitlines() if line.startswith("SigCgt"))
+            if int(caught, 16) >> (signal.SIGTERM - 1) & 1:
+                break
+        process.terminate()
+        errors = process.communicate()[1]
+    assert process.returncode in {0, 143, -signal.SIGTERM}  # a shell states the last one as 143, too
+    assert "Traceback" not in errors
+    assert "FATAL" not in errors

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
 
@@ -190,6 +191,9 @@ def test_two_cells_side_by_side_keep_to_their_namespaces(
         harness.node.create_subscription(ContactState, f"/{name}/contact_state", contacts.append, DEEP_QOS)
         senders[name] = harness.node.create_publisher(JointState, f"/{name}/joint_states", DEEP_QOS)
 
+    arrays: list[DiagnosticArray] = []
+    harness.node.create_subscription(DiagnosticArray, "/diagnostics", arrays.append, DEEP_QOS)
+
     def send() -> None:
         senders["left"].publish(joint_state())
         senders["right"].publish(joint_state(names=JOINTS[1:], position=Q[1:], velocity=QD[1:]))
@@ -205,6 +209,17 @@ def test_two_cells_side_by_side_keep_to_their_namespaces(
         return all(harness.node.count_subscribers(f"/{name}/{topic}") >= 2 for name in cells for topic in topics)
 
     harness.spin_until(lambda: recorded() and answered(), repeat=send)
+    config = yaml.safe_load((ROOT / "config" / "diagnostic_aggregator.yaml").read_text(encoding="utf-8"))
+    groups = [item for item in config["analyzers"]["ros__parameters"].values() if isinstance(item, dict)]
+    wanted = {f"/{name}{status}" for name in cells for group in groups for status in group.get("expected", ())}
+    reporters = {f"/{name}/{node}" for name in cells for node in ("monitor", "daq", "validator")}
+
+    def statuses() -> set[str]:
+        return {status.name for array in arrays for status in array.status}
+
+    harness.spin_until(lambda: wanted <= statuses() and reporters <= {name.split(":")[0] for name in statuses()})
+    for status in statuses():  # each belongs to one analyzer
+        assert sum(any(part in status for part in group["contains"]) for group in groups) == 1, status
     info = f"/left/{topics.RECORDING_INFO}"
     assert len(harness.node.get_subscriptions_info_by_topic(info)) >= 1
     harness.close()
