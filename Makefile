@@ -66,7 +66,7 @@ dist: setup  ## build sdist and wheel in build/dist and use the wheel in a clean
 	scripts/check_dist.sh $(BIN)/python build/dist
 
 sbom: dist .venv-tools/.requirements  ## list what the clean environment of `make dist` holds in build/dist/sbom.json (CycloneDX)
-	.venv-tools/bin/cyclonedx-py environment --pyproject pyproject.toml --output-file build/dist/sbom.json build/dist/venv
+	.venv-tools/bin/cyclonedx-py environment --output-file build/dist/sbom.json build/dist/venv
 
 colcon: .venv-colcon/.requirements  ## build the tree as a ROS workspace and check the installation
 	scripts/check_colcon.sh .venv-colcon build/colcon
