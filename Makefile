@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Environment, demo, tests, benchmarks; `make` without a target lists the targets.
 
 .DEFAULT_GOAL := help

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Set-up for colcon in ROS workspaces: version, description and executables, from package.xml and pyproject.toml.
 
 Both files are found beside the real path of this one, because colcon may run it from a build folder of symlinks.

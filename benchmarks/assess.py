@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """(d) `assess` end to end, from a bag to a table of verdicts, against rosbags decoding the same file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """(c) Reading joint states from a bag: blocks of this package, compared with messages of rosbags."""
 
 from __future__ import annotations

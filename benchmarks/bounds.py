@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The force bounds of the verdict against an independent simulation; prints the tables of docs/bounds.md.
 
     python benchmarks/bounds.py [--poses 200] [--seed 1]

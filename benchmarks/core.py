@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """(a) One cycle of the core against the direct computation of one effective mass with Pinocchio and numpy."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure daq_node on three channels of simulated force, beside a bare loop that reads the same source."""
 
 from __future__ import annotations

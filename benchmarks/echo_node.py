@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bare node for comparison: the monitor's message types in and out, without any computation."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure the time from a fault of the monitor until a consumer stops: `python benchmarks/fault_notice.py [-n RUNS]`.
 
 For each fault a fresh `monitor_node` with default parameters gets 100 joint states a second, and

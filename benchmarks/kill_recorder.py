@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kill the recorder with SIGKILL at random moments and check its bags.
 
 Each run records in its own process, which reports after every few messages how many are saved. After the kill, all

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Joint states that lie: the share of true VIOLATIONs that the monitor shows as OK or WARN.
 
     python benchmarks/lies.py [--runs 60] [--seed 1]

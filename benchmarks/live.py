@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """(b) The live monitor at 1 kHz against a bare node that publishes the same message types."""
 
 from __future__ import annotations

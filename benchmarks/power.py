@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Power of the validation: how often it accepts true and wrong simulated campaigns; prints the table of docs/power.md.
 
     python benchmarks/power.py [--campaigns 100] [--seed 1] [--workers 2]

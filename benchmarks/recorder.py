@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """(e) The recorder: its rate compared with the writer of `mcap`, and a live recording at 1 kHz with force blocks."""
 
 from __future__ import annotations

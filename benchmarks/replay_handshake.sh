@@ -1,4 +1,5 @@
 #!/bin/sh
+# SPDX-License-Identifier: Apache-2.0
 # Run the live validation test COUNT times (default 100) beside one busy process per core; print the number of passes.
 set -eu
 count=${1:-100}

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`make bench`: every speed claim as a ratio of two measurements taken in turn in the same run."""
 
 from __future__ import annotations

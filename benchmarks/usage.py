@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """CPU time and memory of a process, read from /proc."""
 
 from __future__ import annotations

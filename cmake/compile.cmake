@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Compile the hot path with mypyc, as setup.py states, and install it beside the Python sources of the wheel.
 # It runs in a folder without pyproject.toml, or scikit-build-core would hook setuptools and start CMake once more.
 # Only for pip: in colcon's build of the Python package, scikit-build-core runs CMake without a place for wheels.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Build msg_schemas against the ROS wheels of PyPI: pass this file to CMake as CMAKE_PROJECT_INCLUDE.
 # A workspace with an installed ROS does not need it.
 

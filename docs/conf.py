@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sphinx configuration of `make docs`. The sources are the Markdown files of the tree, so that links work in both."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Detect measured impacts and compute the mass of a cart from impulse and change of velocity.
 
     python examples/cart_impacts.py test/recordings/cart_impacts

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draw one array of effective_mass_markers of a recording: draw_markers.py BAG SECONDS IMAGE."""
 
 import sys

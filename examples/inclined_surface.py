@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated impacts on plates that are not square to the path, one of them tilted out of the plane.
 
 Effective mass and impact speed are those along the normal n of the plate. The force cell measures the component of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stop on every sign that the monitor's last permissive value is void: docs/consuming.md explains each.
 
     python examples/verdict_consumer.py [--timeout SECONDS]

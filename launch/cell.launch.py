@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Start the nodes of a cell: `ros2 launch scara_effmass cell.launch.py robot:=my_robot.urdf namespace:=cell`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effective mass, impact force and allowable speed of a serial robot, live from its joint states.
 
 `load_robot`, `RobotDynamics` and `Monitor` assess joint states; `Detector` finds impacts in a force signal;

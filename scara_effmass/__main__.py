@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`python -m scara_effmass` is `scara-effmass`."""
 
 import sys

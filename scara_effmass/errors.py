@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exceptions: one tree, whose leaves are also builtin exceptions.
 
 A message is one line: `FILE: key = value: must be RULE`.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read text and YAML files of limited size; an error is one line that names the place."""
 
 import hashlib

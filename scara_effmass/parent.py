@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """End of a process with its parent."""
 
 import ctypes

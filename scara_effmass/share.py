@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Location of the files shipped with the package: `config/`, `launch/`, `bags/`."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Values that cross rooms: immutable, SI units, float64, time in integer nanoseconds.
 
 Most are named tuples because one is built per cycle, at a third of the cost of a dataclass.

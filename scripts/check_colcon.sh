@@ -1,4 +1,5 @@
 #!/bin/sh
+# SPDX-License-Identifier: Apache-2.0
 # Build the tree as a ROS workspace and check the installation; usage: check_colcon.sh VENV DIRECTORY
 set -eu
 cd "$(dirname "$0")/.."

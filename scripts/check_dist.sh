@@ -1,4 +1,5 @@
 #!/bin/sh
+# SPDX-License-Identifier: Apache-2.0
 # Build sdist and wheel in FOLDER and use the wheel, built from the sdist, in a clean environment outside the tree.
 # usage: check_dist.sh PYTHON FOLDER   PYTHON: with the requirements of the build
 set -eu

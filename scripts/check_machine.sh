@@ -1,4 +1,5 @@
 #!/bin/sh
+# SPDX-License-Identifier: Apache-2.0
 # Check the requirements of the set-up; print the Python to use, or print one line and exit with 2.
 # usage: check_machine.sh DIRECTORY [PYTHON]   DIRECTORY: location of the environment; PYTHON: the only one to accept
 set -u

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Print line and branch coverage of each room, from the data file that `pytest --cov` wrote.
 
 Usage: coverage_table.py [ROOM ...]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write the pages of docs/reference from the code: parameters, topics, messages, commands, diagnostics, Python API."""
 
 import ast

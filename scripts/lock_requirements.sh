@@ -1,4 +1,5 @@
 #!/bin/sh
+# SPDX-License-Identifier: Apache-2.0
 # Write the three locked requirement files, with hashes, for all supported Pythons; usage: lock_requirements.sh PYTHON
 set -eu
 python=$1

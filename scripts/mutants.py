@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mutation testing: change one operator, number or statement of a room and see whether the room's tests fail.
 
 A random sample of all mutants is run, each in a copy of the tree, stopping at the first failing test. Prints the killed

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings and fixtures of all tests: reproducible Hypothesis runs, ROS domains, the `live` marker."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameter and robot files: any content gives settings, a robot, or one line with the place, at a bounded cost."""
 
 import os

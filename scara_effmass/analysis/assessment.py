@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Assess every joint state of a recording; its log time replaces the clock of the live node."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Coverage of recordings: what of joint ranges, poses, directions and speeds they contain; mergeable counts."""
 
 from __future__ import annotations

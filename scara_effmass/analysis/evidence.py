@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Report of random impacts at the allowed speed: how often and how far the peak force exceeds the limit."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draw a run: verdict, speed and its limit, effective masses, and force over time."""
 
 from collections.abc import Sequence

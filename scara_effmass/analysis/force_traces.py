@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Force over time of the impacts in a recording."""
 
 import math

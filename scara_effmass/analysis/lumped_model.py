@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Masses of the lumped model on the robot, and how its effective masses compare with those of the full model."""
 
 from typing import NamedTuple

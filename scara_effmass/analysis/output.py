@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Output files that appear only when complete and never replace a file without permission."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pages from the Jinja2 templates in `templates/`, in the languages of its catalogues, as HTML and PDF."""
 
 import os

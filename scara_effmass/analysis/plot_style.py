@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Style of the figures: colours, markers and matplotlib settings."""
 
 from typing import Any

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measurement protocol of contact forces, as ISO/PAS 5672 and RIA TR R15.806 tests need one: schema, YAML, gaps.
 
 Any field may be empty while a protocol is being filled in; `missing` names those that are.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Verdict on the test points of a measurement protocol: OK only if nothing is missing and nothing is doubtful."""
 
 import math

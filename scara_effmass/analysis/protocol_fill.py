@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Enter recorded contacts into a measurement protocol, and evaluate it."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Propose test points for a measurement protocol: the contacts with the largest force over the limit of each region."""
 
 from collections.abc import Mapping

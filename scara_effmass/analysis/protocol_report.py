@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Report of a measurement protocol: a page that prints on A4, and the protocol as JSON."""
 
 import json

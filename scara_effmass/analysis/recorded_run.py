@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run information, force and impacts of one recording."""
 
 from collections import Counter

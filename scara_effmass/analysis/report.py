@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files of a report: self-contained page, figures as PNG and SVG, PDF."""
 
 from base64 import b64encode

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report of a run, live or offline: a figure and the episodes of each contact point, a page, and a summary."""
 
 import json

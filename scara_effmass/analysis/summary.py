@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Summary of a run: cycles and time per verdict, the tightest margin, and the reasons of UNKNOWN."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write assessments: Parquet or CSV with a row per contact point and joint state, or a bag of ContactStates."""
 
 import json

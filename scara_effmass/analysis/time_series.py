@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time series of the assessments of one contact point, for figures and reports."""
 
 from __future__ import annotations

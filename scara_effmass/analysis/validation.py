@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Validate recordings with the same monitor, detector and validator as the live nodes.
 
 The log time of a message replaces its arrival time at a node.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Report of a validation: a page, figures, and all results as JSON, written completely or not at all."""
 
 from __future__ import annotations

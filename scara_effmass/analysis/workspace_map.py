@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Maps over the workspace of a contact point: masses, allowable speed and bound, for any arm and direction.
 
 The monitor assesses a motion along the direction in many configurations of the joints. Each cell of a map holds the

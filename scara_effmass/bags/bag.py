@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An open bag of any format."""
 
 from abc import ABC, abstractmethod

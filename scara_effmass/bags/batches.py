@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Batches of messages in log-time order, common to all bag formats."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Message definitions: of a bag, of live publishers, of this package and of ROS 2 Jazzy."""
 
 from collections.abc import Callable, Iterator, Mapping

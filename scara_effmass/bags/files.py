@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags on disk: find them at a path and open them."""
 
 import re

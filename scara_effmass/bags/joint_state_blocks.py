@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JointState messages decoded in bulk: consecutive messages of equal layout become one array each."""
 
 from collections import Counter

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """MCAP files read by their index; the messages in a chunk are located with numpy.
 
 A file without a usable index is copied to a temporary file that has one.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The readable content of an MCAP file, which may be damaged, and its copy to a new file.
 
 Format: https://mcap.dev/spec. A record is an opcode (1 byte), the length of its content (8 bytes) and the content.

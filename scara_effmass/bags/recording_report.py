@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Message counts of a recording: recorded and lost, by topic and cause."""
 
 import json

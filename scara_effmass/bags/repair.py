@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Repair of bags that were not completed: index, summary and metadata are made from the readable content."""
 
 import json

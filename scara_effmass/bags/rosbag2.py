@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rosbag2 format: metadata.yaml, QoS profiles and the checks of an output folder."""
 
 import fcntl

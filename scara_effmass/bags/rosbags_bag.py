@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags that the rosbags library reads: SQLite, compressed rosbag2 and ROS 1."""
 
 import heapq

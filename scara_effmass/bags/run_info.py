@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run information in a recording: `RunInfo` messages, or the JSON text of older recordings."""
 
 from collections.abc import Iterator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The writer of a rosbag2 folder that is split into files; it survives a full or failing disk."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writers of MCAP files and of complete bags, with profile, schemas, channels and messages as rosbag2 writes them."""
 
 import fcntl

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Command line. The module of a command is imported only when the command runs."""
 
 import argparse

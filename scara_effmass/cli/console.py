@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Print results and the status of a live run: lines of subject and text, tables, JSON, and progress."""
 
 from __future__ import annotations

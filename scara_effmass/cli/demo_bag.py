@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`scara-effmass demo --bag`: replay a recording to the live monitor and report its verdicts."""
 
 import argparse

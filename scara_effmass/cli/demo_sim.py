@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`scara-effmass demo`: run all nodes on the simulated cell and write the report of its impacts."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`scara-effmass monitor`, `daq`, `validator`, `speed_scaling`, `sim` and `visualization`: run one node."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Options of the commands, as arguments of `ArgumentParser.add_argument`."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Child processes of a demo: commands of the suite in a ROS domain of their own."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`scara-effmass protocol`: write, fill in and render a measurement protocol."""
 
 import argparse

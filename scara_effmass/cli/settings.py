@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings and robot from the options of a command."""
 
 from __future__ import annotations

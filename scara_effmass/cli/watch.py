@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`scara-effmass watch`: verdict and speeds of a cell, full screen, readable from three metres."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Force from a bag: read its ForceBlocks or wrenches, count the samples that are missing, play them at their pace."""
 
 import math

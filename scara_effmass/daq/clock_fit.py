@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fit the sample numbers of a device to ROS time."""
 
 import math

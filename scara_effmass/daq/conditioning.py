@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Condition the signal of a force source: sign, filter, tare, stamps and saturation, as ForceBlocks."""
 
 from __future__ import annotations

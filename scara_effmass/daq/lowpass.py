@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Optional low-pass filters that state their delay. Importing this module loads scipy: import it only when needed."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The source `ni9230`: IEPE force sensors on an NI-9230 or another module that supplies them, through NI-DAQmx."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Devices and errors of the driver NI-DAQmx.
 
 Only this module imports NI's Python client, which can be imported without the driver.

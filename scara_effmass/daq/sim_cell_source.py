@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The source `sim` with the scene `cell`: force from the simulated cell, live."""
 
 from collections.abc import Callable, Iterator

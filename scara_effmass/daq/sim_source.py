@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The source `sim`: simulated force at the pace of a converter."""
 
 import threading

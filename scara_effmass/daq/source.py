@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The interface of all force sources."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure the force of the unloaded sensor."""
 
 import numpy as np

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Web page of a cell for its operator (NiceGUI)."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page of a cell: verdict, robot, speeds, masses, impacts, validation, diagnostics and episodes."""
 
 import csv

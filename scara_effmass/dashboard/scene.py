@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The robot in 3-D: links, contact points, velocity, worst normal and mass ellipsoid of the point that decides."""
 
 import numpy as np

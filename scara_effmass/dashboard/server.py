@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """HTTP server of the dashboard: page, token, polling of the cell."""
 
 import hmac

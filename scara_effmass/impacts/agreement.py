@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Predicted peak forces, and their agreement with measured ones over a series.
 
 The model is F = x sqrt(k), x = v sqrt(mu) (ISO/TS 15066, Annex A: E = mu v^2 / 2 = F^2 / (2 k)). Every call recomputes

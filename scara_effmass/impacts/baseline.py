@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Baseline of the force: its level and noise without contact, and the runs of equal samples that are normal for it."""
 
 from __future__ import annotations

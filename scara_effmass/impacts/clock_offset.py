@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Offset between the clocks of force and joint states, from the kink of the velocity at the impact."""
 
 import math

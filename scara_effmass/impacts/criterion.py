@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Acceptance of a series: accepted, rejected, or not decidable with what to measure next."""
 
 import hashlib

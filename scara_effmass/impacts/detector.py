@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Impact detection in a stream of force blocks; the same live and offline.
 
 Samples are processed in frames aligned to the sample number, so neither the block length nor the start of the recording

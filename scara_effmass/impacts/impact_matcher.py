@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Match impacts with the contact states at their onsets.
 
 Impacts are matched in the order of arrival, each as soon as the states around its onset have arrived. The outcome

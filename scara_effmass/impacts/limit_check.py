@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured peak forces, converted to body regions and compared with their limits."""
 
 import math

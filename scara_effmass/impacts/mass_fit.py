@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robot mass, force gain and contact law of a series, from the impulses up to the peaks.
 
 The impulse J from the onset to the peak is the relative momentum mu v_n of robot and obstacle, for any stiffness and

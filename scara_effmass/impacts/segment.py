@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A segment of force with activity, classified as a whole: contacts, tensile pulses, dropouts, glitches.
 
 Forces are in [N], positions and durations in samples.

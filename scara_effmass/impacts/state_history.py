@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recent contact states, and the robot state at the onset of an impact.
 
 The contact changes the robot's velocity from the onset on. A state after the onset is used only if it continues the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Validation of predicted peak forces against measured impacts, live and offline."""
 
 import math

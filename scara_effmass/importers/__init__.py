@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Force from the files of other programs, converted to ForceBlocks."""
 
 CSV_IMPORTER = "scara_effmass.importers.csv_file:open_csv"

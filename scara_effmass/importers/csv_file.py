@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Force from a CSV file: a header row, a column of times and a column of force."""
 
 import csv

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Force recordings of other programs as ForceBlocks, one by one or written to a bag."""
 
 from collections.abc import Callable, Iterator, Sequence

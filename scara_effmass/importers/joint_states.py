@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Joint states from a CSV file, such as a log of UR's RTDE or of `ros2 topic echo --csv`, by a mapping file."""
 
 import csv

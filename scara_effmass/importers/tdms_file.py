@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Force from a TDMS file of LabVIEW or NI-DAQmx: a channel with waveform timing."""
 
 import logging

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Convert stamped samples to blocks of uniform sampling.
 
 A sensor measures at a constant rate, but the stamps jitter, come in bursts, and samples are missing. A delayed

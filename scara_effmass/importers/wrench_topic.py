@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Force from a topic of wrenches or numbers in a bag, one sample per message."""
 
 import math

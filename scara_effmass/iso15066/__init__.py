@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ISO/TS 15066:2016, Annex A: the limits table, the contact formulas, and the speed that the limits allow.
 
 `EDITION` states what is unconfirmed about ISO 10218-2:2025, which carries the limits on.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contact while the drives of the robot push on: between free joints and an immovable robot.
 
 Along a contact normal the robot is a mass m_n on a servo spring w_s^2 m_n with the damping ratio zeta, whose reference

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Limits of the chosen body regions for a type of contact. Settings may tighten them but never loosen them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mobility of a contact point, and the reduced mass of its contact along the worst normal."""
 
 from __future__ import annotations

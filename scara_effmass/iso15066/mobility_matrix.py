@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mobility A = J_v M^-1 J_v^T of a contact point as a symmetric (3, 3) matrix [1/kg], the inverse of Eqs. 3-4."""
 
 from scara_effmass.values import Mobility6, Vector3

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Change of pose during a contact: how fast the force of the worst normal grows from the first touch on."""
 
 from __future__ import annotations

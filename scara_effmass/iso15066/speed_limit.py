@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Allowable speed: the highest relative speed at which a contact stays within every limit."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Biomechanical limits of ISO/TS 15066:2016, Annex A: body points (Table A.2) and body regions (Table A.3)."""
 
 import hashlib

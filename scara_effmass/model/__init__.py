@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effective mass of a serial robot at a contact point. Pure; SI units.
 
 The formula is in `dynamics` (Eqs. 3-14); `lumping` builds the simplified model; `scara_closed_form` is the test oracle.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Load a robot from Denavit-Hartenberg rows in YAML, such as `config/omron_i4_550l.yaml`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effective mass of a serial robot at its contact points, per joint state (Eqs. 3-14 of the paper, over Pinocchio).
 
     v = J_v qd                     velocity of the contact point (Eq. 1)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plausibility check of the inertial data that a robot file states."""
 
 from collections.abc import Sequence

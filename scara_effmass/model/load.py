@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Load a robot from a file of any format."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lumped ("simplified") model: two point masses per link, on the axes of its two joints, with its mass and CoM.
 
 For link i with unit axes u_a (proximal) and u_b (distal), and feet f_a and f_b of their common normal:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Judge whether a robot is stated in SI units: lengths, masses, inertias, angles and efforts beside each other.
 
 The bounds lie a factor of five or more beyond those of 50 published arms, legs and humanoids with reaches of 0.1 to

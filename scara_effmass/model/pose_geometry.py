@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Geometry of a robot at one pose, in its base frame, for drawings: links, lumped masses, mass ellipsoids, normals."""
 
 from __future__ import annotations

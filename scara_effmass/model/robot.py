@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Serial robot, independent of its file format."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inertia of rotors and gears reflected to the joints, from the robot file and the setting `armature`.
 
 The matrix B (n, n) is added to M(q). Its diagonal is the armature N^2 J of each joint (reduction N, rotor inertia J).

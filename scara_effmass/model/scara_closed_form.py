@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SCARA closed forms of the paper (Eqs. 27, 28 and 30): test oracle and figures, not used for verdicts.
 
 Vectorised and independent of Pinocchio; production computes masses in `dynamics`. Angles in [rad], lengths in [m],

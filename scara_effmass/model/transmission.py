@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read the reflected rotor inertia of a URDF's joints.
 
 URDF's `<transmission>` states the reduction, and some robots the rotor inertia beside it: `<motorInertia>`, or Drake's

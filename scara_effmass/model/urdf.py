@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Load a robot from URDF with Pinocchio's parser."""
 
 import math

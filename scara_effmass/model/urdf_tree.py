@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parse the XML of a URDF into a tree of links and joints, and check its numbers.
 
 Pinocchio's parser skips what it cannot read, with a message on stderr only, so all numbers are checked before.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Client of all topics of one cell, for displays: polled, so that it costs little beside nodes at 1 kHz."""
 
 import time

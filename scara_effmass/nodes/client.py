@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Client of ROS topics: a plain node with its own context and executor, which handles events only when told to."""
 
 import signal

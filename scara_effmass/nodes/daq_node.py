@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`daq_node`: publish force blocks and impacts. A thread of its own reads the source."""
 
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnostics of a node on `/diagnostics`."""
 
 from collections.abc import Callable, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Serve live topics to Foxglove over a WebSocket, by Foxglove's SDK, in place of foxglove_bridge."""
 
 from collections.abc import Callable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lifecycle of every node of the suite: start, spin, end."""
 
 import argparse

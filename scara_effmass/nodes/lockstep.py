@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Flow control at rate 0: the next joint state is sent when the monitor has answered the previous one.
 
 The monitor's queue then never holds more than one joint state, nothing is dropped, and its clock equals that of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Markers of a cell for RViz and Foxglove: links, lumped masses, and each contact point with its verdict.
 
 Everything is drawn in the base frame, so a viewer needs neither a robot description nor transforms.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Client of the monitor's topics, with its own ROS context."""
 
 import signal

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnostics of the monitor: its input, its model and each contact point."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence

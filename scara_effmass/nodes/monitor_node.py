@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`monitor_node`: decode joint states, call `safety.Monitor`, publish its verdicts.
 
 The watchdog has a thread of its own, so it also publishes while a callback takes long.

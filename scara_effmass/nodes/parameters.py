@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ROS parameters declared from a settings model, which states names, types, ranges and descriptions."""
 
 from collections.abc import Callable, Mapping, Sequence

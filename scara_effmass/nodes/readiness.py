@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readiness of the suite's nodes: every node reports it, and a replay waits for it before it sends anything.
 
 DDS discovery takes from milliseconds to seconds and differs from pair to pair of nodes. A publisher therefore cannot

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Record live topics, as serialized bytes, into a bag that survives a crash.
 
 The log time of a message is its receive time on the node's clock: system time, or /clock with `use_sim_time`.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replay a bag to the live nodes, with `/clock`.
 
 The clock shows the start until every node that consumes the replay is ready. Then it is set before each message and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Publishers of a replay: which topics of a bag are replayed, under which name, and why others are not."""
 
 from collections.abc import Collection, Sequence

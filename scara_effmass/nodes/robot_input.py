@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The robot of a node: from a file, or from the topic robot_description."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`sim_node`: the robot of the simulated cell; `daq_node` with the scene `cell` publishes its force."""
 
 import time

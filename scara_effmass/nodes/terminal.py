@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a node says on its terminal and on /rosout: changes of its statuses, events, and a status line."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Subscriptions of the recorder: topics are subscribed as they appear, with the QoS of their publishers."""
 
 from collections.abc import Callable, Collection, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnostics of the validation: state of the series, and impacts and messages that are not part of it."""
 
 from collections import Counter

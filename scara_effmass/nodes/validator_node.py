@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`validator_node`: compare measured impacts with predictions from the contact states at their onsets."""
 
 from collections import Counter

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`visualization_node`: markers of the robot, its effective masses and verdicts, for RViz and Foxglove."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's figures and claims, recomputed from this project's models and recordings.
 
 The paper: A. C., M. B., M. T., A. D. and G. R. (initials as in its author contributions; see CITATION.cff) on a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's statements beside this project's results."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fig. 8: distribution of the effective mass over the workspace."""
 
 from typing import NamedTuple

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figs. 17, 18 and 19: the impact tests."""
 
 from collections.abc import Callable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All figures, the page and the claims: what they need, and how they are written, all or nothing."""
 
 import json

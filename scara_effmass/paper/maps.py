@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figs. 6, 7, 9 to 12, 14 and 15: poses, and maps of effective mass, reduced mass and the simplified model's error."""
 
 import math

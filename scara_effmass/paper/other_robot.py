@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's maps and distribution of the masses for any other robot, from configurations over its joint ranges."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs of the experiment from their recordings, one bag per run, and what the figures and claims take from them."""
 
 import math

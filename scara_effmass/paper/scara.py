@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's robot as functions of q1 and q2: full, simplified and standard model, and the poses of its figures."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Verdicts: one per contact point and joint state. Pure: time is an argument, in nanoseconds."""
 
 from scara_effmass.safety.monitor import Cause, Monitor, unknown_contact, unknown_decision

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Status of a cell as displays show it: verdict, speeds of the last minute, episodes, impacts and diagnostics.
 
 Times `at_ns` and `now_ns` are monotonic and those of arrival [ns]: no sender's clock can make an old state look fresh.

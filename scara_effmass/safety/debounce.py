@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Debounce verdicts: a worse one shows at once, a better one after the release time."""
 
 from scara_effmass.values import Verdict

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Turn joint states as published or recorded into those that the validator expects."""
 
 from __future__ import annotations

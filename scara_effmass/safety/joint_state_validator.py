@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check joint states before anything is computed from them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Assess joint states: the verdict and the allowable speed of each contact point."""
 
 from __future__ import annotations

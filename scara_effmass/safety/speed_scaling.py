@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Speed scaling factor for a robot controller, from the contact states of the monitor.
 
 The controller scales the programmed speed v by its factor s, so the measured speed is s v, and the largest allowed

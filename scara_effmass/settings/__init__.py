@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings, from which the ROS parameters, the YAML files and --help are derived."""
 
 from scara_effmass.settings.daq import (

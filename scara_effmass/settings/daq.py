@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of the force: source, sensor, signal conditioning, impact detection, and import from files."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Load and check settings from files and parameters; an error is one line."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of the validator: matching of impacts and contact states, and the acceptance criterion."""
 
 from pydantic import field_validator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`python -m scara_effmass.sim -o bags`: generate the reference recordings and one repetition of the campaign."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's experiment as bags: repeated impacts in every configuration, with small random variations."""
 
 from __future__ import annotations

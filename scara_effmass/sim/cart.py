@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The cart that the robot hits, and the contact law of its tip."""
 
 import math

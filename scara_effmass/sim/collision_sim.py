@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """MuJoCo simulation of a collision: robot, cart, and a spring contact between them.
 
 The contact force is applied between MuJoCo's two half steps. MuJoCo's own contacts are soft constraints whose

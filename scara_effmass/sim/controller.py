@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The robot controller: a servo per joint along a planned trajectory, with feed-forward torques.
 
     tau = tau_plan + K (q_plan - q) + D (qd_plan - qd)        K = I w^2,  D = 2 zeta w I

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One impact of the paper's experiment: the robot hits the waiting cart in the middle of a straight path.
 
 The robot follows its planned path after the impact, so it often catches up with the cart and hits it again, weaker.

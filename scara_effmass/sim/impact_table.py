@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The table of random impacts: a CSV file that grows impact by impact, so that an interrupted run can be resumed."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run the simulation continuously: one impact after the other, with a fresh cart for each."""
 
 import random

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the suite would record: joint states from encoders, and force from a model of a PCB 208C03 on an NI-9230.
 
     sensor range -> decimation filter -> AC coupling -> noise -> 24 bits over 60 V

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Moves of a SCARA between joint positions (q1, q2, q3, q4) [rad, rad, m, rad], independent of the room `model`.
 
     x = l1 cos q1 + l2 cos(q1 + q2)        y = l1 sin q1 + l2 sin(q1 + q2)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Impact of an arm on a free plate: MuJoCo moves the arm, an explicit spring is the contact.
 
 MuJoCo reads the robot file by itself: mass matrix and kinematics are independent of the room `model`, which gives only

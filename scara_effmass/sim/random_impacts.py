@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random impacts at the speed that the monitor allows: does the peak force keep the limit?
 
 Pose, motion, contact point, region, plate normal, drives and the errors of the link masses are random. The same impact

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The reference recordings: their motion as joint states, and their synthetic force."""
 
 import random

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random numbers that do not change with the numpy version.
 
 They use the raw bits of PCG64, which numpy keeps stable; its distributions may change.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A joint trajectory with scaled time, followed exactly, as by the joint trajectory controller in position mode."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Synthetic force, not computed from any motion: noise and half-sine pulses, in counts of a 24-bit converter.
 
 The same seed gives the same samples, for any block size and numpy version; see `rng`.

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """The wire format: CDR, message conversion, topics and QoS."""

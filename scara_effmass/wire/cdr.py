@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """CDR encoding and decoding of messages whose fields are numbers, strings and sequences.
 
 CDR (OMG DDSI-RTPS 10, XCDR version 1): two bytes of byte order and two of options; then each number is aligned to its

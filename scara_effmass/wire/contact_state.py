@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Convert ContactState messages to and from `ContactAssessment`, and encode Float64 messages.
 
 Packing with `struct` takes a fifth of the time of rclpy, which matters three times per cycle. Tests compare the layout

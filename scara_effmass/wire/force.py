@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Convert the ForceBlock and Impact messages to and from the values of the same names.
 
 Tests compare both layouts with rclpy and rosbags.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Convert sensor_msgs/JointState messages to and from `JointState`."""
 
 import struct

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names of message types, and their installed classes and definitions."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decode geometry_msgs/Inertia messages to `Payload`."""
 
 from scara_effmass.errors import DecodeError

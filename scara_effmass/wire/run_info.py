@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Convert run information to and from CDR (`RunInfo.msg`), and from the JSON text of older recordings."""
 
 import json

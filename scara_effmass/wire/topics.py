@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names and quality of service of the suite's topics. Relative names follow the node's namespace."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A small campaign on the simulated cell, and recordings made wrong from it."""
 
 import hashlib

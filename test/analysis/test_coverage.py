@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Coverage: every valid joint state is counted once, and merged files equal one run."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Report of random impacts: shares, intervals and goals of a table whose numbers are known."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The figure of a run shows every line, verdict, gap and impact with its label."""
 
 from collections import Counter

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Force and impacts read from a recording."""
 
 from pathlib import Path

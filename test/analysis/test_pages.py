@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pages of reports: every text in every language, structure for all readers, times, hashes, and PDF."""
 
 import os

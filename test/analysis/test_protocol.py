@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measurement protocol: schema, gaps, evaluation, proposed test points, and recorded contacts."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cycles, times and reasons of a summary match hand counts."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time series, decimation and episodes keep every peak, gap and verdict."""
 
 from itertools import pairwise

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Validation of recordings: same result as the core classes, run information per recording, refusals."""
 
 import json

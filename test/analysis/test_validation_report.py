@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Validation report: complete, self-contained, reproducible, and valid with few or no impacts."""
 
 import json

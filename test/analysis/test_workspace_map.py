@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Maps of the workspace: every cell has the worst of the configurations in it, by the monitor and the closed forms."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of any known type, encoded by rosbags; MCAP files written by `mcap`; run information."""
 
 from collections.abc import Callable, Iterable, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The definition of a live topic is the published one; no other is recorded."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reading needs the memory of a few chunks, whatever the length of the bag."""
 
 import tracemalloc

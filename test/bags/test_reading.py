@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags of every format give the same messages; damaged ones give what is readable, and name what is lost."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recording: received messages are in the files, lost ones are counted, and disks may fail."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Repair: incomplete bags get an index, and no bag is made worse."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Written bags are read back by this package and others, never replace other files and are never incomplete."""
 
 import math

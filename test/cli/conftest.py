@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings, and the command line in this process or in one of its own."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`assess`: output files contain the verdicts of `safety.Monitor`, in bounded memory, and replace no file."""
 
 import csv

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`assess` of recordings with other names, without names, stamps or velocities, on other clocks, unreadable."""
 
 import json

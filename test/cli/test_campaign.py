@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`campaign`: records runs, resumes after an interruption, refuses invalid options in one line."""
 
 import json

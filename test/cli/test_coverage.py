@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`coverage`: recordings and earlier counts give figure and file; refusals are one line."""
 
 import json

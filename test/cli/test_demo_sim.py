@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`demo`: all nodes live on the simulated cell, and the report of their impacts."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`doctor`: the shipped robot is healthy, and each missing prerequisite is named."""
 
 import json

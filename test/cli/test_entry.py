@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All commands: help, version, errors in one line, signals, and no slow imports for --help."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`evidence`: a short run, an interrupted one, and refusals in one line."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`figures`: writes the paper's figures and claims, and refuses an existing output."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`init`: what it writes passes `doctor`, holds the options, and serves every node and command."""
 
 import io

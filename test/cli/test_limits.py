@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`limits`: the printed table and speeds are those of `iso15066`."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`monitor`, `replay` and `demo --bag`: real nodes over DDS, in a ROS domain of the test."""
 
 import json

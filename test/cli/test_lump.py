@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`lump`: table, comparison and picture of the lumped model; the comparison agrees with the closed forms."""
 
 import json

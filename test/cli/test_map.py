@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`map`: figure, table and summary of a robot, and refusals in one line."""
 
 import json

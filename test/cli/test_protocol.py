@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`protocol`: init, fill, report and schema."""
 
 import json

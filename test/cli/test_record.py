@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`scara-effmass record` as a process: stopped by signals, killed, and repaired."""
 
 import json

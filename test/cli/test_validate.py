@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`validate`: a report, a summary, and an exit code that says whether the criterion is met."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`scara-effmass watch`: the screen of each verdict, and a monitor that is killed, in a pseudo-terminal."""
 
 import fcntl

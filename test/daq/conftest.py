@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated NI-9230: NI's client on a simulated driver with its own clock."""
 
 import math

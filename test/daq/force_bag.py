@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags with ForceBlocks for the tests, and a clock."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Force from the ForceBlocks of a bag: gaps, damage, and what is refused."""
 
 from collections.abc import Iterator

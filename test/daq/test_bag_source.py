@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pace of a played bag on wall clocks and replay clocks."""
 
 from collections.abc import Callable, Iterator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests of the clock fit against simulated clocks."""
 
 from __future__ import annotations

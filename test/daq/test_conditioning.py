@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From readings to blocks of force: nothing invented, nothing lost unsaid, and every sample at its time."""
 
 import math

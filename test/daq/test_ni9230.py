@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests of the source ni9230: NI's client on a simulated driver, with faults."""
 
 import math

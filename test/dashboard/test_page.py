@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page in a real browser without a network: it shows what holds, and never an old OK."""
 
 import http.client

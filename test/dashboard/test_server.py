@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who may see the page: this machine without a token, others with it, pages of other sites never."""
 
 import asyncio

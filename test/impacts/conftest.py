@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pulses, blocks, and a run of the detector over them."""
 
 from collections.abc import Callable, Iterable

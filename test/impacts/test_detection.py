@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is said of an impact, against closed forms."""
 
 from collections.abc import Callable

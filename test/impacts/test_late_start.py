@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A detector that begins later in a stream finds what one that ran from the beginning finds."""
 
 from typing import NamedTuple

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Force of the wrong sign is counted; what answers a force of the right one is not."""
 
 import numpy as np

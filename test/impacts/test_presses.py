@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Slow presses and loads are no impacts, whatever samples are missing or held; nor do the ends of a signal matter."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Real impacts: a cart against a force sensor behind a pad. Impulse over change of velocity is the mass of the cart."""
 
 import csv

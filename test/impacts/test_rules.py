@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Each rule of the detection on its own: what goes wrong without it."""
 
 import numpy as np

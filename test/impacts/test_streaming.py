@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The same impacts however the samples come, and none where samples are missing or wrong."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Import of force files as the tests call it."""
 
 from collections.abc import Sequence

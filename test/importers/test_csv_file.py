@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Import of force from CSV files as programs of load cells write them."""
 
 import tracemalloc

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Joint states from CSV files by a mapping file."""
 
 from pathlib import Path

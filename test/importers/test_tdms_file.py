@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Import of force from TDMS files of LabVIEW and NI-DAQmx."""
 
 from pathlib import Path

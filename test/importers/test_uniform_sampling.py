@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Conversion of stamped samples to blocks of uniform sampling."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Import of force from topics of wrenches and numbers in a bag."""
 
 import json

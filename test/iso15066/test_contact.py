@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contact formulas: limits of the reduced mass, energy balance, arrays and scalars."""
 
 import math

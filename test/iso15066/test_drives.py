@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contact with drives that push on: limits, and a simulation of its own with another integrator."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Limits for given settings: the strictest row governs, and settings can only tighten it."""
 
 import math

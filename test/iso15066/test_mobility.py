@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reduced mass along the worst contact normal: search over directions, linear algebra, energy."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Growth of the force by the change of pose: derivatives by finite differences, and the speed that it leaves."""
 
 import math

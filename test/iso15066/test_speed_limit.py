@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Allowable speed: reference values, agreement with the minimum over all limits, monotonicity."""
 
 from __future__ import annotations

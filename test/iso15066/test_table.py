@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The limits table agrees with a second transcription and with physical invariants."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robots for the tests of the model: the shipped file, variants of it, and URDF files."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Both models of real arms with five to seven axes: Pinocchio, Eq. 14 by hand, invariances, singular poses."""
 
 import math

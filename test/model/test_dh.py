@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """DH files: values are read as stated, and every wrong value is named in one line."""
 
 import copy

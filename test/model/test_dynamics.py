@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effective masses agree with physics: impulses, kinetic energy, worst direction, singular poses."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The same robot as DH rows and as URDF: same masses, rotors, payload and contact points; and points on any link."""
 
 from collections.abc import Callable

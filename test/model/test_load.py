@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings that robot files accept."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lumped model: supported robots, and reasons for the others."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mass matrices and Jacobians agree with Eqs. 9-14 in numpy and with finite differences."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The shipped robot file reproduces the paper's numbers for the Omron i4-550L."""
 
 from collections.abc import Callable

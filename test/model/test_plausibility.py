@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Descriptions that are not in SI units are recognised and named; published robots raise no false alarm."""
 
 import xml.etree.ElementTree as ET

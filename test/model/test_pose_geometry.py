@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drawings show the robot: forward kinematics, masses that balance, ellipsoids and normals by their definitions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rotor inertia: where it comes from, that it is added exactly, and that a joint without it is named."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """URDF: the test robots, and every wrong value is named in one line."""
 
 import xml.etree.ElementTree as ET

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fixtures for tests of a node: a harness that runs it as a process and talks to it over ROS."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """CellClient: the status of a cell over DDS, from real messages and a monitor that is killed."""
 
 import os

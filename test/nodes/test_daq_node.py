@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests of daq_node over DDS: topics, lifecycle, refusals and exit."""
 
 import signal

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Another process floods `joint_states`: the verdicts go on, and none that permits a speed is old."""
 
 import os

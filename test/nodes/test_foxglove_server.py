@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`scara-effmass foxglove`: a WebSocket client of Foxglove's protocol reads the messages of live topics."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Spinning of nodes, and their end while they start."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Markers show what they stand for: masses by volume, mobilities by ellipsoids, verdicts by word and colour."""
 
 import math

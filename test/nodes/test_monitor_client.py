@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """MonitorClient collects the contact states of a monitor in cycles."""
 
 import os

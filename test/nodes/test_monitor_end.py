@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """No permissive value outlives its reason: end of the monitor, busy callbacks, latch, QoS and start-up refusals."""
 
 import signal

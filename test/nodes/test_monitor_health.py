@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnostic status of the monitor's robot model."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Invalid joint states give UNKNOWN in the live monitor, and the next valid one gives OK."""
 
 import struct

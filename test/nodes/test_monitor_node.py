@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live monitor node: lifecycle, parameters, time, robot_description and a 1 kHz stream."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Start and end of the monitor: one error line and exit code 2 for invalid input, 0 after a signal."""
 
 import signal

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live payload: by topic from exactly one publisher, and by the parameter service at once."""
 
 from collections.abc import Callable

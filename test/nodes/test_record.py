@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recorder on DDS: published messages are recorded byte by byte, with any QoS of their publishers."""
 
 import os

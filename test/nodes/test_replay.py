@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replay of bags to live nodes."""
 
 from __future__ import annotations

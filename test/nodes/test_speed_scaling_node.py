@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`speed_scaling_node` beside a live monitor: what the joint trajectory controller receives."""
 
 import os

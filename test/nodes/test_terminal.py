@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the nodes log, on the terminal and on /rosout."""
 
 import sys

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare a bag replayed to the live monitor with its offline assessment, bit for bit."""
 
 import os

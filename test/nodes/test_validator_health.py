@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnostic status of the validation."""
 
 from __future__ import annotations

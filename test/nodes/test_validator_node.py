@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The live validator: the same as offline, and what it says of itself."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare a recorded impact replayed to the three live nodes with `validate` offline, bit for bit."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The example of a consumer stops for every reason that docs/consuming.md names."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """visualization_node over DDS: markers of the latest states, UNKNOWN without them."""
 
 import sys

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's robot, the shipped campaign, and synthetic impacts."""
 
 from dataclasses import replace

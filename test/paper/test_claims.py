@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Claims match where the numbers agree, and only there."""
 
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The distribution of Fig. 8 agrees with independent numbers."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures, page and claims are written together and reproducibly; the page is self-contained."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every figure has titles and units, nothing is cut off, and the red line is at the standard's value."""
 
 from dataclasses import replace

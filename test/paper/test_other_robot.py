@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's figures for another robot: masses equal those of the models, and what is left out is said."""
 
 import json

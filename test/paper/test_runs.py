@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Impacts and motions read from campaign recordings agree with the ground truth."""
 
 import math

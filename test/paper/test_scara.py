@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The closed forms have the parameters of the robot file and agree with the mass matrices."""
 
 from dataclasses import replace

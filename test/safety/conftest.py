@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robots for the tests of the monitor: the shipped SCARA and variants of it."""
 
 from collections.abc import Callable

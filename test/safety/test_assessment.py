@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Assessments agree with a recomputation from masses and limits, and are monotonic in their inputs."""
 
 import math

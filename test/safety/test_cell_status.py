@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """CellStatus: what a display may show; silence, missing and contradicting monitors are UNKNOWN."""
 
 from typing import Any

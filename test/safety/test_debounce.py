@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The debounced verdict is the worst verdict within the release time."""
 
 from itertools import accumulate

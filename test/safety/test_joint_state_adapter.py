@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Joint states with other names, without names, and with filtered velocities or velocities from positions."""
 
 from collections.abc import Callable

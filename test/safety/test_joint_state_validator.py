@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Joint state validation: each kind of invalid joint state gives UNKNOWN with its reason."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State of a monitor: debounce, latch, first cause, watchdog, jumps of the clock."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A payload by topic: no speed is allowed before its first message, nor after one that no load can have."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every reason that the code can give has a remedy, and the documentation lists them all."""
 
 import ast

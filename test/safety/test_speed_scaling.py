@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The speed scaling factor: bounds, fall, rise, and convergence of the closed loop without oscillation."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every name in docs/architecture.md exists."""
 
 import re

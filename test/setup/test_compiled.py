@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The modules that mypyc compiles: the same decisions as their sources, and never older than these."""
 
 import os

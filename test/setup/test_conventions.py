@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules of style that no linter checks."""
 
 import re
@@ -35,3 +36,12 @@ def test_pattern_is_absent(pattern: str, paths: list[Path]) -> None:
 def test_only_root_an_installed_driver_and_a_missing_browser_skip_tests() -> None:
     allowed = r"os\.geteuid|find_library\(\"nidaqmx|CHROMIUM is None"
     assert lines_with(rf"pytest\.skip|importorskip|mark\.skip(?!if\(({allowed}))", TESTS) == []
+
+
+def test_every_source_file_states_its_licence() -> None:
+    folders = ("benchmarks", "cmake", "docs", "examples", "launch", "msg_schemas", "scara_effmass", "scripts", "test")
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*")]
+    sources = [path for path in files if path.suffix in {".py", ".sh", ".cmake"} or path.name == "CMakeLists.txt"]
+    sources += [ROOT / name for name in (".ci/run", "Makefile", "scripts/ros_executable", "setup.py")]
+    headers = {path: path.read_text(encoding="utf-8").splitlines()[:2] for path in sources}
+    assert [path for path in headers if "# SPDX-License-Identifier: Apache-2.0" not in headers[path]] == []

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A ROS workspace installs all shipped files, in the folders that they have in the tree."""
 
 from configparser import ConfigParser

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every command and every Python example in README and docs runs, offline, in one scratch folder per page.
 
 A block of `sh` or `python` runs in the order of the page, unless a comment `<!-- not run: WHY -->` is above. Every

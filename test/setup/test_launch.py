@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The launch file, against small fakes of the launch API, because `launch` has no wheel."""
 
 import os

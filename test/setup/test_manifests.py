@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ROS manifests name exactly the packages that the code and the messages use."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compiled messages match `msg_schemas/msg` and the public contract."""
 
 import importlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Import rules: a room imports only from rooms below it, and each foreign library has its rooms."""
 
 import ast

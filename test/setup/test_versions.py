@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Version and description are stated once; the locked requirements satisfy pyproject.toml."""
 
 import re

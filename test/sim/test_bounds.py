@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The force bounds of the verdict against MuJoCo, a free plate and an explicit spring; see docs/bounds.md."""
 
 import runpy

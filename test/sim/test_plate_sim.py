@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Impact of an arm on a free plate: kinematics, closed forms, and the error of the time step."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random impacts: each begins at the allowed speed, whatever was simulated before, and their table can be resumed."""
 
 from pathlib import Path

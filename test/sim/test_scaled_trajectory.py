@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A simulated controller that obeys keeps the allowable speed, but for one cycle after a change."""
 
 from typing import NamedTuple

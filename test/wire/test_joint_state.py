@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JointState messages of rosbags and rclpy are decoded."""
 
 from typing import Any

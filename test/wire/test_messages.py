@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The encoded messages equal those of rclpy and rosbags, field by field; invalid ones are refused."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of the payload are decoded as rclpy writes them."""
 
 import struct

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run information in the JSON of older recordings."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contact states and impacts for the tests of the validator."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The statistics of a series, against scipy, numpy and closed forms."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kink of the velocity at an impact: found to a fraction of the state period, and not where there is none."""
 
 from __future__ import annotations

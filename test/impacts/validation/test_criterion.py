@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decision on a series: accepted, rejected with value and limit, or not decidable with what to measure next."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Force on a body region from the force on a measuring device."""
 
 from __future__ import annotations

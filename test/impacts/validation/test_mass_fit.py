@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mass scale, gain and exponent: exact on exact impacts, with honest intervals, and blind where nothing can be seen."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robot state at the onset: interpolated, extrapolated from before the contact, or rejected with a reason."""
 
 import math

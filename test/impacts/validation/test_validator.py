@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Validator: from contact states and impacts to the result of a series."""
 
 from __future__ import annotations
