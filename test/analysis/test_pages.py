@@ -32,6 +32,7 @@ from scara_effmass.analysis.summary import iso_time
 from scara_effmass.analysis.validation import Validation, ValidationSettings
 from scara_effmass.analysis.validation_report import write_report
 from scara_effmass.errors import OutputError
+from scara_effmass.iso15066 import EDITION
 from scara_effmass.model.dynamics import RobotDynamics
 from test.analysis.conftest import RAW, changed, content
 
@@ -79,6 +80,7 @@ def test_numbers_of_a_text_from_the_code_are_kept() -> None:
     assert translated("too few contacts: 2 of 3", "de") == "zu wenige Kontakte: 2 von 3"
     assert translated("correlation 0.7814 is below 0.95", "en") == "correlation 0.7814 is below 0.95"
     assert translated("never heard of", "de") is None
+    assert (translated(EDITION, "de") or "").startswith("ISO/TS 15066:2016, Anhang A (übernommen in ISO 10218-2:2025;")
     parts = list(phrases("raw data changed: run1; 2", "de"))
     assert parts == [("Rohdaten verändert", True), (": ", True), ("run1; 2", False)]
 

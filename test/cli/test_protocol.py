@@ -4,10 +4,15 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from scara_effmass.analysis.protocol import Protocol, protocol_yaml, read_protocol
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.writer import BagWriter
 from scara_effmass.sim.campaign import Campaign, run_campaign
+from scara_effmass.wire.force import decode_force_block, force_block_message
+from scara_effmass.wire.message_types import FORCE_BLOCK
 from test.analysis.conftest import RAW, changed, content
 from test.cli.conftest import Cli, Refused
 
@@ -64,6 +69,33 @@ def test_fill_enters_simulated_contacts_which_stay_unknown(
     assert test.results.evaluation.residual == pytest.approx(0.0, abs=0.03)
     assert "already filled in; use --force" in refused("protocol", "fill", path, *campaign)
     assert cli("protocol", "fill", path, *campaign, "--force").returncode == 1
+
+
+def test_fill_takes_a_clamped_contact_as_one(cli: Cli, campaign: list[Path], tmp_path: Path) -> None:
+    with open_bag(campaign[0]) as bag:
+        blocks = [decode_force_block(message.data) for message in bag.messages(["/force"])]
+        first = max(blocks, key=lambda block: block.force.max())
+        onset_ns = first.stamp_ns + round(1e9 * int(np.argmax(first.force > 20.0)) / first.sample_rate)
+        with BagWriter(tmp_path / "clamped.mcap") as writer:
+            for message in bag.messages():
+                data = message.data
+                if message.type == FORCE_BLOCK:
+                    block = decode_force_block(data)
+                    time = (block.stamp_ns - onset_ns) / 1e9 + np.arange(len(block.force)) / block.sample_rate
+                    held = np.where((time > 0.0) & (time < 0.62), 60.0 + 5.0 * np.sin(30.0 * time), 0.0)
+                    data = force_block_message(
+                        block._replace(force=block.force * (time < 0.0) + held + 0.01 * time % 1)
+                    )
+                writer.write(message.topic, message.type, message.log_time_ns, data)
+    change = {"instruments": [{"stiffness_n_m": 25e3}], "tests": [{"point": {"contact": "quasi_static"}}]}
+    path = tmp_path / "protocol.yaml"
+    path.write_text(protocol_yaml(Protocol.model_validate(changed(content(), change))), encoding="utf-8")
+    done = cli("protocol", "fill", path, tmp_path / "clamped.mcap", "--force")
+    assert (done.returncode, done.stderr) == (1, "")
+    (item,) = read_protocol(path).tests[0].results.repetitions
+    assert item.transient_peak_n == pytest.approx(65.0, abs=1.0)
+    assert item.force_beyond_0_5_s_n == pytest.approx(64.0, abs=2.0)
+    assert item.duration_s == pytest.approx(0.62, abs=0.01)
 
 
 def test_fill_evaluates_what_was_typed_in(cli: Cli, protocol: Path, tmp_path: Path) -> None:
