@@ -207,10 +207,18 @@ class LifecycleBase(LifecycleNode):
 
         self.own(self.create_service(Trigger, name, respond), self.destroy_service)
 
-    def create_steady_timer(self, period_s: float, callback: Callable[[], None]) -> Timer:
+    def create_steady_timer(self, period_s: float, callback: Callable[[], None], *, owned: bool = True) -> Timer:
         """Return a timer in steady time, which runs even if /clock stands still or jumps."""
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        return self.own(self.create_timer(period_s, callback, clock=steady), self.destroy_timer)
+
+        def call() -> None:
+            try:
+                callback()
+            except RCLError:
+                if self.context.ok():  # else a signal has ended it meanwhile
+                    raise
+
+        timer = self.create_timer(period_s, call, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        return self.own(timer, self.destroy_timer) if owned else timer
 
     def set_read_only(self, *, read_only: bool) -> None:
         """Let the fixed parameters change, or not."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from scara_effmass_msgs.msg import NodeReadiness
@@ -47,7 +46,7 @@ def report_readiness(node: LifecycleBase) -> None:
             publisher.publish(report)
 
     # Steady time: the clock of a replay stands still until the nodes are ready.
-    node.create_timer(_PERIOD_S, publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    node.create_steady_timer(_PERIOD_S, publish, owned=False)
 
 
 class ReadinessReports:

@@ -5,12 +5,18 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import rclpy
+from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import String
 
 from scara_effmass.nodes.client import spin_for
+from scara_effmass.nodes.lifecycle import LifecycleBase
 from test.nodes.conftest import ros_node
 
 
@@ -32,6 +38,30 @@ def test_spinning_ends_under_constant_load() -> None:
         spin_for(executor, 600.0, lambda: calls >= before + 10)
         assert calls == before + 10
         executor.shutdown()
+
+
+@pytest.mark.usefixtures("own_domain")
+def test_timer_whose_context_ends_meanwhile_logs_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = LifecycleBase("ending")
+    publisher = node.create_publisher(String, "text", 1)
+    ended: list[bool] = []
+
+    def end_and_publish() -> None:
+        """As a signal does, which has a thread of its own."""
+        rclpy.try_shutdown()
+        ended.append(True)
+        publisher.publish(String())
+
+    node.create_steady_timer(0.01, end_and_publish)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    with suppress(ExternalShutdownException):
+        spin_for(executor, 60.0, lambda: bool(ended))
+    executor.shutdown()
+    node.destroy_node()
+    assert ended
+    assert "FATAL" not in capfd.readouterr().err
 
 
 @pytest.mark.live
