@@ -1,9 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m scara_effmass` is `scara-effmass`."""
+"""`python -m scara_effmass` and `scara-effmass`."""
 
 import sys
 
-from scara_effmass.cli import main
+
+def main() -> int:
+    """Run the command line; Ctrl-C during its imports also gives one line and the exit code of a shell."""
+    try:
+        from scara_effmass.cli import main as run  # noqa: PLC0415 - takes a second
+
+        return run()
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)  # noqa: T201
+        return 130
+
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -30,6 +30,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments, ros_arguments = _split(sys.argv[1:] if argv is None else list(argv))
     arguments[:1] = [ALIASES.get(name, name) for name in arguments[:1]]
     parser = make_parser()
+    if "_ARGCOMPLETE" in os.environ:
+        import_module("argcomplete").autocomplete(parser)  # ends the process
     parsed = parser.parse_args(arguments, argparse.Namespace(ros_arguments=ros_arguments))
     name = parsed.command
     if name is None:
@@ -45,6 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(error, file=sys.stderr)  # noqa: T201 - the only error output
         return INPUT_ERROR
     except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)  # noqa: T201
         return INTERRUPTED
     except BrokenPipeError:
         # Otherwise the interpreter reports the broken pipe again at exit.

@@ -95,7 +95,9 @@ examples:
             POSITIVE,
             default=math.inf,
         ),
-        Option("--out", "output folder (default: out/demo)", "DIR", Path, default=Path("out/demo")),
+        Option(
+            "-o --output --out", "output folder (default: out/demo)", "DIR", Path, dest="out", default=Path("out/demo")
+        ),
         *PAGE,
         FORCE,
         JSON,
@@ -705,6 +707,15 @@ examples:
         *LIMITS,
         params("monitor_node"),
         JSON,
+    ),
+    "completion": Command(
+        "print the script that completes commands, options and files in a shell",
+        """\
+examples:
+  eval "$(scara-effmass completion bash)"
+  scara-effmass completion fish > ~/.config/fish/completions/scara-effmass.fish
+""",
+        Option("shell", "bash, zsh or fish", choices=["bash", "zsh", "fish"]),
     ),
     "doctor": Command(
         "check the installation, the DAQ device and a robot model",

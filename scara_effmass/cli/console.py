@@ -29,6 +29,8 @@ PIPE_WIDTH = 160
 """Width of the output without a terminal [columns]."""
 PIPE_PERIOD_S, TERMINAL_PERIOD_S = 2.0, 0.125
 """Period of the status of a live run."""
+_MAX_WORD = 16
+LEVEL_STYLES = {"ok": "green", "note": "yellow", "wrong": "bold white on red"}
 _STYLES = {
     Verdict.OK: "bold green",
     Verdict.WARN: "bold yellow",
@@ -63,14 +65,21 @@ def print_result(result: object, lines: Iterable[tuple[str, object]], *, as_json
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a table; numbers are aligned right and a missing number reads "none"."""
-    table = Table(box=SIMPLE_HEAD, title=title or None, title_justify="left")
+    """Print a table; numbers are aligned right, a missing number reads "none", and levels have their colour.
+
+    Words of up to 16 characters are kept whole.
+    """
+    table = Table(box=SIMPLE_HEAD, title=title or None, title_justify="left", collapse_padding=True)
     rows = list(rows)
     for heading, column in zip(headings, zip(*rows, strict=True), strict=True):
         is_numeric = all(value is None or isinstance(value, int | float) for value in column)
-        table.add_column(heading, justify="right" if is_numeric else "left", overflow="fold")
+        longest = max(len(word) for text in (heading, *column) for word in (str(text).split() or [""]))
+        table.add_column(
+            heading, justify="right" if is_numeric else "left", overflow="fold", min_width=min(longest, _MAX_WORD)
+        )
     for row in rows:
-        table.add_row(*("none" if v is None else f"{v:.4g}" if isinstance(v, int | float) else str(v) for v in row))
+        cells = ("none" if v is None else f"{v:.4g}" if isinstance(v, int | float) else str(v) for v in row)
+        table.add_row(*(Text(cell, LEVEL_STYLES.get(cell, "")) for cell in cells))
     printer().print(table)
 
 

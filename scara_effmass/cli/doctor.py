@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from scara_effmass import __version__
-from scara_effmass.cli.console import print_json, print_table, printer
+from scara_effmass.cli.console import LEVEL_STYLES, print_json, print_table, printer
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
@@ -58,7 +58,8 @@ def run(args: argparse.Namespace) -> int:
             rows = ((*joint.values(), "rad" if joint["type"] == "revolute" else "m") for joint in joints)
             print_table("", headings, rows)
         problem = "not healthy: the monitor cannot run: see the lines marked wrong"
-        printer().print("healthy: the monitor can run with this robot" if healthy else problem)
+        verdict = "healthy: the monitor can run with this robot" if healthy else problem
+        printer().print(verdict, style=LEVEL_STYLES["ok" if healthy else "wrong"])
     return 0 if healthy else 1
 
 

@@ -26,6 +26,9 @@ POINT_COLUMNS = (
     *("transient_force_n", "transient_pressure_n_cm2"),
 )
 
+_WIDE = 100
+"""Columns from which the table has room for whole clauses."""
+
 
 def run(args: argparse.Namespace) -> int:
     """Print the rows of the chosen regions, and the allowable speeds of the masses."""
@@ -56,10 +59,17 @@ def run(args: argparse.Namespace) -> int:
         }
         print_json(result)
         return 0
+    is_wide = printer().width >= _WIDE
     print_table(
-        "Body points (2016: Table A.2): permissible force [N] and pressure [N/cm²]",
-        ("row", "point", "region", "clamped force", "clamped pressure", "transient force", "transient pressure"),
-        ([getattr(point, name) for name in POINT_COLUMNS] for point in points),
+        "Body points (2016: Table A.2): permissible force and pressure",
+        ("row", "point", "region", "clamped\n[N]", "\n[N/cm²]", "transient\n[N]", "\n[N/cm²]"),
+        (
+            (
+                point.clause if is_wide else point.clause.rpartition(" ")[2],
+                *(getattr(point, name) for name in POINT_COLUMNS[1:]),
+            )
+            for point in points
+        ),
     )
     print_table(
         "Body regions (2016: Table A.3); energy for information",

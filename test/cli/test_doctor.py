@@ -281,3 +281,16 @@ def test_parameter_file_of_daq_node_alone_is_accepted(capsys: pytest.CaptureFixt
     code, result = run_doctor(capsys, "--params", str(share("config", "daq.yaml")))
     assert code == 0
     assert texts(result, "ok")["ni9230.channels"] == "cDAQ1Mod1/ai0: present"
+
+
+@pytest.mark.parametrize("on_terminal", [True, False])
+def test_levels_have_a_colour_on_a_terminal_only(
+    *, on_terminal: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: on_terminal)
+    assert main(["doctor"]) == 0
+    output = capsys.readouterr().out
+    assert ("\x1b[32mok" in output, "\x1b[33mnote" in output) == (on_terminal, on_terminal)
+    assert ("\x1b" in output) == on_terminal

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from scara_effmass import __version__
-from scara_effmass.cli import main
-from scara_effmass.cli.commands import COMMANDS
+from scara_effmass.cli import main, make_parser
+from scara_effmass.cli.commands import COMMANDS, NODES
 from scara_effmass.cli.options import CELL, Option
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
@@ -82,6 +82,7 @@ def test_missing_command_prints_the_help_and_exits_with_2(capsys: pytest.Capture
 
 
 TOUR = str(share("bags", "tour"))
+NO_OUTPUT = {*NODES, "completion", "dashboard", "doctor", "foxglove", "limits", "protocol schema", "replay", "watch"}
 ROBOT = str(share("config", "omron_i4_550l.yaml"))
 
 REFUSALS: dict[str, tuple[list[str], str]] = {
@@ -207,7 +208,8 @@ def test_interrupted_command_leaves_no_file(
                 process.wait(0.02)
         process.send_signal(number)
         output, errors = process.communicate()
-    assert (output, errors) == (b"", b"")
+    assert output == b""
+    assert errors == (b"interrupted\n" if process.returncode == 130 else b"")
     # During exec(), as in the creation of a dataclass, the signal itself ends CPython; a shell reports 130 for both.
     assert process.returncode in {code, -number}
     assert list(tmp_path.iterdir()) == []
@@ -223,3 +225,14 @@ def test_closed_pipe_gives_no_error_message() -> None:
     assert process.stderr.read() == b""
     process.stderr.close()
     assert process.wait() == 1
+
+
+@pytest.mark.parametrize("option", ["-o", "--output", "--out"])
+def test_demo_takes_its_output_folder_as_every_command(option: str) -> None:
+    assert make_parser().parse_args(["demo", option, "here"]).out == Path("here")
+
+
+@pytest.mark.parametrize("name", sorted(set(COMMANDS) - NO_OUTPUT))
+def test_every_command_that_writes_has_the_option_o(name: str) -> None:
+    options = [option for item in COMMANDS[name].options for option in (item if isinstance(item, tuple) else (item,))]
+    assert any("-o" in option.names for option in options)

@@ -2,6 +2,7 @@
 """`limits`: the printed table and speeds are those of `iso15066`."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -98,3 +99,16 @@ def test_monitor_refuses_head_and_face(region: str, refused: Refused) -> None:
     for contact in ContactType:
         words = ("-p", f"body_regions:=['{region}']", "-p", f"contact:={contact.value}")
         assert "no contact with head and face" in refused("monitor", "--ros-args", *words)
+
+
+def test_tables_fit_into_80_columns_and_keep_their_words(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "dumb")
+    assert main(["limits", "--mass", "2.77", "--mass", "0.97"]) == 0
+    tables, _, _ = capsys.readouterr().out.partition(f"{EDITION};")
+    assert max(map(len, tables.splitlines())) <= 80
+    words = set(tables.split())
+    assert {word for point in BODY_POINTS for word in f"{point.name} {point.region}".split()} <= words
