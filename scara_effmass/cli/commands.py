@@ -333,7 +333,7 @@ examples:
 """,
         Option("topics", "topics to serve (default: those that record records)", "TOPIC", nargs="*"),
         Option("--host", "address to listen on (default: 127.0.0.1)", "ADDRESS", default="127.0.0.1"),
-        Option("--port", "port to listen on; 0: any free one (default: 8765)", "PORT", int, default=8765),
+        Option("--port", "port to listen on; 0: any free one (default: 8765)", "PORT", PORT, default=8765),
     ),
     "assess": Command(
         "assess every joint state of bags offline; write a table or a bag",

@@ -61,7 +61,7 @@ def serve(
         parents = [] if topics else [resolve_topic(node, topic) for topic in FORCE_OUTPUTS]
         try:
             server = foxglove.start_server(name="scara_effmass", host=host, port=port)
-        except (RuntimeError, OSError, OverflowError) as error:
+        except (RuntimeError, OSError) as error:
             raise SettingsError(f"foxglove: {host}:{port}: cannot listen: {error}") from None
         try:
             ready(server.port)

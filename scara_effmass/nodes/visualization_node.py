@@ -119,7 +119,7 @@ class VisualizationNode(LifecycleBase):
     def _log_status(self) -> None:
         if self.active:
             viewers = self._markers.get_subscription_count()
-            self.get_logger().info(f"{self._status.verdict.name}: {len(self._shown)} markers for {viewers} viewers")
+            self.get_logger().info(f"{self._status.verdict.name}, markers: {len(self._shown)}, viewers: {viewers}")
 
     def _current(self) -> Iterator[Marker]:
         """Yield the markers of the latest states."""
