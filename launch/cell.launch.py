@@ -72,6 +72,12 @@ ARGUMENTS = (
         description="publish markers for RViz and Foxglove",
     ),
     DeclareLaunchArgument(
+        "speed_scaling",
+        default_value="",
+        description="topic of a trajectory controller's speed scaling factor, which speed_scaling_node then sends, as "
+        "/arm_controller/speed_scaling_input; empty: it is not started",
+    ),
+    DeclareLaunchArgument(
         "dashboard",
         default_value="",
         description="TCP port of the operator's page on this machine (8321); empty: no page",
@@ -91,12 +97,12 @@ def nodes(context: LaunchContext) -> list[Node]:
     ROS would start the nodes without the file, and so the monitor with the shipped robot.
     """
     arguments = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
-    params_file, robot, replay = arguments["params_file"], arguments["robot"], arguments["replay"]
+    params_file, robot = arguments["params_file"], arguments["robot"]
     if params_file and not Path(params_file).is_file():
         raise FileNotFoundError(f"params_file = {params_file}: must be an existing file")
     if robot and arguments["robot_from_topic"] == "true":
         raise ValueError(f"robot = {robot}: must be empty with robot_from_topic")
-    if replay and not arguments["use_sim_time"]:
+    if arguments["replay"] and not arguments["use_sim_time"]:
         arguments["use_sim_time"] = "true"
     model: dict[str, str | bool] = {"robot": robot} if robot else {}
     if arguments["robot_from_topic"] == "true":
@@ -107,15 +113,22 @@ def nodes(context: LaunchContext) -> list[Node]:
         actions.append(_node("validator_node", arguments, {"robot": robot} if robot else {}))
     if arguments["visualization"] == "true":
         actions.append(_node("visualization_node", arguments, model))
-    if arguments["dashboard"]:
-        page = ["dashboard", "--port", arguments["dashboard"]]
-        page += ["--params", params_file] if params_file else []
-        actions.append(_node("scara-effmass", arguments, {}, [*page, *(["--robot", robot] if robot else [])]))
-    if arguments["record"]:
-        actions.append(_node("scara-effmass", arguments, {}, ["record", "-o", arguments["record"]]))
-    if replay:
-        actions.append(_node("scara-effmass", arguments, {}, ["replay", replay]))
-    return actions
+    if arguments["speed_scaling"]:
+        actions.append(_node("speed_scaling_node", arguments, {}))
+    return [*actions, *_commands(arguments)]
+
+
+def _commands(arguments: dict[str, str]) -> list[Node]:
+    """Return the dashboard, the recorder and the replay."""
+    page = ["dashboard", "--port", arguments["dashboard"]]
+    page += ["--params", arguments["params_file"]] if arguments["params_file"] else []
+    page += ["--robot", arguments["robot"]] if arguments["robot"] else []
+    commands = {
+        "dashboard": page,
+        "record": ["record", "-o", arguments["record"]],
+        "replay": ["replay", arguments["replay"]],
+    }
+    return [_node("scara-effmass", arguments, {}, command) for name, command in commands.items() if arguments[name]]
 
 
 def end_launch(event: ProcessExited, context: LaunchContext) -> None:
@@ -144,6 +157,9 @@ def _node(
         namespace=arguments["namespace"],
         parameters=[*parameters, *([own] if own else [])],
         arguments=[*(command or []), "--ros-args", "--log-level", arguments["log_level"]],
+        remappings=[("joint_trajectory_controller/speed_scaling_input", arguments["speed_scaling"])]
+        if executable == "speed_scaling_node"
+        else [],
         output="screen",
         respawn=respawn,
         respawn_delay=1.0,

@@ -93,7 +93,12 @@ def bag(tmp_path: Path) -> Path:
 class Receiver:
     """Node in its own thread that records messages and may answer joint states as the monitor does."""
 
-    TYPES: Mapping[str, Any] = {"/clock": Clock, "/joint_states": JointStateMessage, "/remark": String}
+    TYPES: Mapping[str, Any] = {
+        "/clock": Clock,
+        "/joint_states": JointStateMessage,
+        "/left/joint_states": JointStateMessage,
+        "/remark": String,
+    }
 
     def __init__(
         self,
@@ -444,6 +449,21 @@ def test_selected_topic_is_published_as_joint_states(tmp_path: Path) -> None:
         assert same_states(receiver.states(4), [state(number) for number in range(5, 9)])
     assert report.sent == {"/joint_states": 4}
     assert report.skipped == {"/joint_states": "/arm/joint_states is published in its place"}
+
+
+def test_replay_in_a_namespace_publishes_there(tmp_path: Path) -> None:
+    """What was recorded there keeps its name, and what all cells share too."""
+    path = tmp_path / "bag"
+    with BagWriter(path) as writer:
+        writer.write_joint_states("/joint_states", [state(number) for number in range(5)])
+        for topic in ("/remark", "/left/note", "/tf"):
+            writer.write(topic, TEXT, START_NS, serialized(TEXT, {"data": topic}))
+    with Receiver("/left/remark", "/left/joint_states") as receiver:
+        report = play(path, ros_arguments=("--ros-args", "-r", "__ns:=/left"))
+        assert len(receiver.wait("/left/joint_states", 5)) == 5
+        (remark,) = receiver.wait("/left/remark", 1)
+    assert deserialize_message(remark, String).data == "/remark"
+    assert report.sent == {"/left/joint_states": 5, "/left/remark": 1, "/left/note": 1, "/tf": 1}
 
 
 def test_rate_0_without_joint_states_is_refused(bag: Path) -> None:

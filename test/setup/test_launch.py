@@ -133,6 +133,14 @@ def test_robot_is_a_file_or_the_topic(launch_file: dict[str, Any]) -> None:
         launch_file["nodes"](context(launch_file, robot_from_topic="true", robot="arm.urdf"))
 
 
+def test_speed_scaling_is_sent_to_the_topic_of_the_controller(launch_file: dict[str, Any]) -> None:
+    assert "speed_scaling_node" not in named(launch_file["nodes"](context(launch_file)))
+    nodes = named(launch_file["nodes"](context(launch_file, speed_scaling="/arm/speed_scaling_input")))
+    topic = "joint_trajectory_controller/speed_scaling_input"
+    assert nodes["speed_scaling_node"].remappings == [(topic, "/arm/speed_scaling_input")]
+    assert nodes["monitor_node"].remappings == []
+
+
 @pytest.mark.parametrize(("source", "again"), [("sim", True), ("bag", False)])
 def test_nodes_respawn_but_nothing_is_played_twice(launch_file: dict[str, Any], source: str, *, again: bool) -> None:
     cell = context(launch_file, source=source, record="bag", replay="bag", respawn="true")
