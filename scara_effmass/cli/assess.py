@@ -84,7 +84,8 @@ def run(args: argparse.Namespace) -> int:
         notes = {"losses": losses, "robot_notes": list(robot.notes), "unreadable": unreadable, "input": input_notes}
         result = {"output": str(args.output), **counts, **summary.as_dict(), **notes}
         if report:
-            result = report.write(f"{robot.name}: assessment", lines, result, paths)
+            others = f" + {len(paths) - 1}" if len(paths) > 1 else ""
+            result = report.write(f"{robot.name}: {paths[0].name}{others}", lines, result, paths)
     written = [("written", args.output), *([("open", args.report / "report.html")] if report else [])]
     print_result(result, [*lines, *written], as_json=args.json)
     return 1 if unreadable or summary.only_unknown else 0

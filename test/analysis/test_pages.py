@@ -76,6 +76,13 @@ def test_a_template_holds_no_text_outside_of_the_catalogue(name: str) -> None:
     assert words - SYMBOLS == set()
 
 
+def test_lines_of_a_run_are_translated() -> None:
+    lines = (TEMPLATES.parent / "summary.py").read_text(encoding="utf-8")
+    subjects = {subject.strip() for subject in re.findall(r'yield "([^"]+)", ', lines)}
+    assert len(subjects) >= 7
+    assert subjects <= catalogue("de").keys()
+
+
 def test_numbers_of_a_text_from_the_code_are_kept() -> None:
     assert translated("too few contacts: 2 of 3", "de") == "zu wenige Kontakte: 2 von 3"
     assert translated("correlation 0.7814 is below 0.95", "en") == "correlation 0.7814 is below 0.95"
