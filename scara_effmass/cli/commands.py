@@ -364,6 +364,41 @@ examples:
         FORCE,
         JSON,
     ),
+    "advise": Command(
+        "advise a speed factor for each segment of a recorded motion, so that no state is too fast",
+        """\
+The factors are at most 1. Without --segments every motion between two standstills is a segment; 0 makes every joint
+state one. Between segments the factor changes no faster than the largest recorded accelerations allow. DIR receives
+segments.csv, advice.json, advice.png, advice.svg, and advised.mcap: the same path with the advised timing, assessed
+again until no state is too fast. It is generated; no robot moved so.
+
+A segment with a moving state that is UNKNOWN, or at which no speed is allowed, gets no factor and is named; there is no
+advised.mcap then. Exit status 1: there is such a segment.
+
+examples:
+  scara-effmass advise bags/tour -o out/advice
+  scara-effmass advise run1 -o out/run1 --segments 20 --verdict ok --params cell.yaml
+""",
+        Option("bag", "recording of the motion", "BAG", Path),
+        output("DIR", "folder for factors, figure and the advised motion"),
+        Option(
+            "--segments",
+            "number of segments of equal time; 0: every joint state (default: the motions between standstills)",
+            "N",
+            number("a whole number from 0", lambda count: count >= 0, int),
+        ),
+        Option(
+            "--verdict",
+            "worst verdict of the advised motion: warn, or ok, below warn_ratio (default: warn)",
+            choices=["warn", "ok"],
+            default="warn",
+        ),
+        TOPIC,
+        *CELL,
+        params("monitor_node"),
+        FORCE,
+        JSON,
+    ),
     "validate": Command(
         "compare measured impacts with their predictions offline; write a report",
         """\

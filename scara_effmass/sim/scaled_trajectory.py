@@ -29,5 +29,9 @@ class ScaledTrajectory:
     def advance(self, factor: float, period: float, stamp_ns: int) -> JointState:
         """Advance by `period` [s] at `factor` times the programmed speed; return the joint state at the end of it."""
         self.time = min(self.time + factor * period, self._end)
-        velocity = np.zeros(len(self._names)) if self.ended else factor * self._velocity(self.time)
-        return JointState(stamp_ns, self._names, self._position(self.time), velocity)
+        q, qd = self.at(np.array([self.time]), np.array([0.0 if self.ended else factor]))
+        return JointState(stamp_ns, self._names, q[0], qd[0])
+
+    def at(self, times: FloatArray, factors: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return positions and velocities (m, n) at `times` of the trajectory (m,) [s], at `factors` (m,)."""
+        return self._position(times), factors[:, np.newaxis] * self._velocity(times)

@@ -1,0 +1,216 @@
+"""Advise a speed factor for each segment of a recorded path, such that no state exceeds its allowable speed.
+
+Along a path a factor scales all joint velocities, so direction and mass stay. The allowable speed still depends on the
+speed a little, through the change of pose and the tolerance of the velocities: the factors are iterated, and the
+re-timed motion is assessed as the monitor assesses it. Between segments the factor changes no faster than the largest
+recorded acceleration of each joint allows: with x = s^2 over the path time t, q'' = x q''_rec + x' q'_rec / 2.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from scara_effmass.analysis.plot_style import CYCLE, STYLE, new_figure
+from scara_effmass.errors import BagError
+from scara_effmass.sim.scaled_trajectory import ScaledTrajectory
+from scara_effmass.values import ContactAssessment, Decision, FloatArray, JointState, Verdict
+
+ITERATIONS = 30
+PRECISION = 0.99
+"""Of a factor to the smallest one that is known to be too large."""
+MIN_FACTOR = 0.02
+"""Below it a segment has no factor."""
+MAX_STEP_S = 0.02
+IntArray = NDArray[np.intp]
+
+
+class Motion:
+    """Joint states of one path, in order, with times (m,) [s] from the first, positions and velocities (m, n)."""
+
+    def __init__(self, states: Sequence[JointState], origin: str) -> None:
+        """Use `states` of `origin`. Raises BagError unless they can be re-timed."""
+        names = states[0].names
+        if not all(
+            state.names == names and len(names) == len(state.position) == len(state.velocity) for state in states
+        ):
+            raise BagError(f"{origin}: must have the same joints with positions and velocities in all joint states")
+        stamps = [state.stamp_ns for state in states]
+        if not (np.isfinite([(s.position, s.velocity) for s in states]).all() and min(np.diff(stamps)) > 0):
+            raise BagError(f"{origin}: must have finite values and increasing header stamps in all joint states")
+        self.states = states
+        self.time = np.array([state.stamp_ns - states[0].stamp_ns for state in states]) / 1e9
+        self.q, self.qd = (np.array([getattr(state, kind) for state in states]) for kind in ("position", "velocity"))
+
+    def segments(self, count: int | None, rest_speed: float) -> IntArray:
+        """Return the number of the segment of each state (m,).
+
+        None: motions and standstills, in which no joint is faster than `rest_speed` [rad/s, m/s]. 0: every state is a
+        segment. Else `count` segments of equal recorded time.
+        """
+        if count is None:
+            moves = np.abs(self.qd).max(axis=1) > rest_speed
+            changes = np.concatenate(([False], moves[1:] != moves[:-1]))
+            return np.cumsum(changes, dtype=np.intp)
+        if count == 0:
+            return np.arange(len(self.time))
+        return np.asarray(np.minimum(self.time / self.time[-1] * count, count - 1), np.intp)
+
+    def at_factors(self, factors: FloatArray) -> tuple[list[JointState], FloatArray]:
+        """Return the states of the motion at `factors` (m,) of its states and their path times [s].
+
+        States are added so that they are no further apart than 0.02 s, or than the recorded ones usually are.
+        """
+        s = self._ramped(factors)
+        step = np.diff(self.time)
+        time = np.concatenate(([0.0], np.cumsum(2.0 * step / (s[1:] + s[:-1]))))
+        parts = np.ceil(np.diff(time) / max(np.median(step), MAX_STEP_S) - 1e-6).astype(np.intp)
+        shares = [np.arange(count) / count for count in np.maximum(parts, 1)]
+        starts = zip(time[:-1], np.diff(time), shares, strict=True)
+        times = np.concatenate([*(start + length * share for start, length, share in starts), time[-1:]])
+        path_time = CubicHermiteSpline(time, self.time, s)(times)  # exact: s changes linearly in time
+        first = self.states[0]
+        q, qd = ScaledTrajectory(first.names, self.time, self.q, self.qd).at(path_time, np.interp(times, time, s))
+        stamps_ns = first.stamp_ns + np.round(times * 1e9).astype(np.int64)
+        rows = zip(stamps_ns.tolist(), q, qd, strict=True)
+        return [JointState(stamp_ns, first.names, *row) for stamp_ns, *row in rows], path_time
+
+    def _ramped(self, factors: FloatArray) -> FloatArray:
+        """Return the largest factors of at most `factors` that keep to the largest recorded accelerations."""
+        step = np.diff(self.time)[:, np.newaxis]
+        acceleration = np.diff(self.qd, axis=0) / step
+        largest = np.abs(acceleration).max(axis=0)
+        c = self.qd[:-1] / (2.0 * step)
+        a, c = acceleration * np.sign(c), np.abs(c) + 1e-12
+        ends = np.concatenate((factors[:1], factors, factors[-1:]))
+        x = np.minimum(factors, np.minimum(ends[:-2], ends[2:])) ** 2  # of both segments at a border
+        for i in range(len(step) - 1, -1, -1):  # slow down in time
+            slope = c[i] - a[i]
+            bounds = np.where(slope > 0.0, (largest + c[i] * x[i + 1]) / np.maximum(slope, 1e-12), np.inf)
+            x[i] = min(x[i], bounds.min())
+        for i in range(len(step)):
+            x[i + 1] = min(x[i + 1], (x[i] + (largest - a[i] * x[i]) / c[i]).min())
+        return np.asarray(np.sqrt(x))
+
+
+class Advice(NamedTuple):
+    """Factors (k,) of the segments, NaN where no speed can be advised, and what decides each of them.
+
+    `segment` is that of each recorded state (m,). `states`, at the `path_time` [s] of the recording, are the re-timed
+    motion; there are none without all factors. `recorded` (m,) and `advised` are speeds over allowed ones, at most 3.
+    """
+
+    segment: IntArray
+    factors: FloatArray
+    reasons: list[str]
+    states: list[JointState]
+    path_time: FloatArray
+    recorded: FloatArray
+    advised: FloatArray
+
+    def times(self, motion: Motion) -> tuple[FloatArray, FloatArray]:
+        """Return the recorded and the advised duration of each segment (k,) [s]; the latter NaN without states."""
+        advised = np.full(len(motion.time), np.nan)
+        if self.states:
+            stamps = np.array([state.stamp_ns - self.states[0].stamp_ns for state in self.states]) / 1e9
+            advised = np.interp(motion.time, self.path_time, stamps)
+        sums = [np.zeros(len(self.factors)) for _ in range(2)]
+        for total, time in zip(sums, (motion.time, advised), strict=True):
+            np.add.at(total, self.segment[:-1], np.diff(time))
+        return sums[0], sums[1]
+
+
+def advise(
+    motion: Motion,
+    recorded: Iterable[Decision],
+    decide: Callable[[Sequence[JointState]], Iterable[Decision]],
+    count: int | None,
+    rest_speed: float,
+    share: float = 1.0,
+) -> Advice:
+    """Return the largest factors, at most 1, with speeds of at most `share` of the allowable ones.
+
+    `recorded` are the decisions on the motion, `decide` gives those of a fresh monitor. For `count` and `rest_speed`
+    see `Motion.segments`. UNKNOWN at a standstill, which has no speed to scale, does not count.
+    """
+    segment = motion.segments(count, rest_speed)
+    first = last = _allowed_factors(recorded, motion.qd, share, rest_speed)
+    factors, states, path_time = np.ones(int(segment[-1]) + 1), list(motion.states), motion.time
+    good, bad, reasons = np.zeros(len(factors)), np.full(len(factors), np.inf), [""] * len(factors)
+    for _ in range(ITERATIONS):
+        before = np.clip(np.searchsorted(motion.time, path_time + 1e-9, "right") - 1, 0, len(segment) - 1)
+        after = np.clip(np.searchsorted(motion.time, path_time - 1e-9), 0, len(segment) - 1)
+        # Between two segments the smaller factor decides.
+        owner = np.where(factors[segment[before]] <= factors[segment[after]], segment[before], segment[after])
+        change, why = _smallest(last, owner, len(factors))
+        fits = change >= 1.0
+        good, bad = np.where(fits, factors, np.where(good < factors, good, 0.0)), np.where(fits, bad, factors)
+        reasons = [old if fit and old else new for fit, old, new in zip(fits, reasons, why, strict=True)]
+        is_found = (good >= np.minimum(bad * PRECISION, 1.0)) & (good > 0.0)
+        if np.all(fits & is_found):
+            break
+        # The next factor: as the allowable speed says, if that lies within what is known, else the mean.
+        guess = factors * change * (1.0 - 1e-4)
+        mean = np.sqrt(np.maximum(good, 0.2 * bad) * np.minimum(bad, 1.0))
+        factors = np.where(is_found, good, np.where((guess > good) & (guess < PRECISION * bad), guess, mean))
+        factors = np.where((change < 0.0) | (factors < MIN_FACTOR), np.nan, np.minimum(factors, 1.0))
+        if np.isnan(factors).any():
+            states = []
+            break
+        states, path_time = motion.at_factors(factors[segment])
+        last = _allowed_factors(decide(states), np.array([state.velocity for state in states]), share, rest_speed)
+    else:
+        factors, states = np.full(len(factors), np.nan), []
+    recorded_share, advised_share = (
+        np.where(allowed < 0.0, np.nan, 1.0 / np.maximum(allowed, 1.0 / 3.0)) for allowed, _ in (first, last)
+    )
+    return Advice(segment, factors, reasons, states, path_time, recorded_share, advised_share)
+
+
+def _allowed_factors(
+    decisions: Iterable[Decision], qd: FloatArray, share: float, rest_speed: float
+) -> tuple[FloatArray, list[str]]:
+    """Return the factor (m,) by which each state may change, -1 if UNKNOWN, 0 if no speed is allowed, and why."""
+    rows = [min(_allowed(contact, share) for contact in decision.contacts) for decision in decisions]
+    factors = np.array([factor for factor, _ in rows])
+    factors[(factors < 0.0) & (np.abs(qd).max(axis=1) <= rest_speed)] = np.inf
+    return factors, [text for _, text in rows]
+
+
+def _allowed(contact: ContactAssessment, share: float) -> tuple[float, str]:
+    if contact.verdict is Verdict.UNKNOWN:
+        return -1.0, f"UNKNOWN: {contact.contact_point}: {contact.reason}"
+    if contact.allowable_speed <= 0.0:
+        return 0.0, f"no speed is allowed: {contact.contact_point}: {contact.reason}"
+    limit = f"{contact.contact_point}: {contact.criterion} limit of {contact.body_region}"
+    return share * contact.allowable_speed / max(contact.speed, 1e-9), limit
+
+
+def _smallest(allowed: tuple[FloatArray, list[str]], owner: IntArray, count: int) -> tuple[FloatArray, list[str]]:
+    """Return the smallest factor and its reason of each of `count` segments, to which `owner` assigns the states."""
+    factors, texts = allowed
+    smallest, reasons = np.full(count, np.inf), [""] * count
+    np.minimum.at(smallest, owner, factors)
+    for index in np.flatnonzero(factors <= smallest[owner]):
+        reasons[owner[index]] = texts[index]
+    return smallest, reasons
+
+
+def draw_advice(motion: Motion, advice: Advice, title: str) -> Figure:
+    """Return the figure: speed over allowable speed of both motions, and the factors, over the recorded time."""
+    with mpl.rc_context(STYLE):
+        figure = new_figure(9.0, 5.5, title)
+        used, factor = figure.subplots(2, 1, sharex=True)
+        used.plot(motion.time, advice.recorded, color=CYCLE[1], label="as recorded")
+        if advice.states:
+            used.plot(advice.path_time, advice.advised, color=CYCLE[0], label="as advised")
+        used.axhline(1.0, color="0.3", linestyle="--", label="allowable speed")
+        used.set(ylabel="speed / allowable speed", ylim=(0.0, None))
+        used.legend()
+        factor.step(motion.time, advice.factors[advice.segment], where="post", color=CYCLE[0])
+        factor.set(xlabel="recorded time [s]", ylabel="factor", ylim=(0.0, 1.05))
+    return figure

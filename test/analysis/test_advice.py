@@ -1,0 +1,145 @@
+"""Advised factors: no state too fast, no slower than needed, accelerations kept, UNKNOWN never advised."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from scara_effmass.analysis.advice import Advice, Motion, advise
+from scara_effmass.errors import BagError
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.load import load_robot
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.share import share
+from scara_effmass.sim.motion import sample_moves
+from scara_effmass.sim.recordings import tour_moves
+from scara_effmass.values import Decision, FloatArray, JointState, Verdict
+
+JOINTS = ("joint1", "joint2", "joint3", "joint4")
+SETTINGS = MonitorSettings(contact_points=("tool",), release_time=0.0)
+RATE_HZ = 50
+REST = SETTINGS.speed_threshold
+
+
+def joint_states(q: FloatArray, qd: FloatArray, rate_hz: int = RATE_HZ) -> list[JointState]:
+    return [
+        JointState(10**18 + number * 10**9 // rate_hz, JOINTS, *row)
+        for number, row in enumerate(zip(q, qd, strict=True))
+    ]
+
+
+@pytest.fixture(scope="module")
+def dynamics() -> RobotDynamics:
+    return RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), SETTINGS))
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    q, qd = sample_moves(tour_moves(), RATE_HZ)
+    return Motion(joint_states(q, qd), "tour")
+
+
+class Judge:
+    """Decides as a fresh monitor."""
+
+    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings = SETTINGS) -> None:
+        self.dynamics, self.settings = dynamics, settings
+
+    def __call__(self, states: Sequence[JointState]) -> list[Decision]:
+        monitor = Monitor(self.dynamics, self.settings)
+        return [decision for state in states if (decision := monitor.assess(state, state.stamp_ns))]
+
+    def advise(self, motion: Motion, count: int | None = None, share: float = 1.0) -> Advice:
+        return advise(motion, self(motion.states), self, count, REST, share)
+
+
+def verdicts(decisions: Iterable[Decision]) -> set[Verdict]:
+    return {contact.verdict for decision in decisions for contact in decision.contacts}
+
+
+@pytest.mark.parametrize("count", [None, 7, 0])
+def test_advised_motion_has_no_violation(dynamics: RobotDynamics, motion: Motion, count: int | None) -> None:
+    judge = Judge(dynamics)
+    assert Verdict.VIOLATION in verdicts(judge(motion.states))
+    advice = judge.advise(motion, count)
+    assert Verdict.VIOLATION not in verdicts(judge(advice.states))
+    assert np.all((advice.factors > 0.0) & (advice.factors <= 1.0))
+    before, after = advice.times(motion)
+    assert np.all(after >= before * (1.0 - 1e-9))
+    assert after.sum() == pytest.approx((advice.states[-1].stamp_ns - advice.states[0].stamp_ns) / 1e9)
+    assert np.allclose(advice.states[-1].position, motion.q[-1])
+    assert advice.states[0].stamp_ns == motion.states[0].stamp_ns
+
+
+def test_ok_motion_has_no_warn(dynamics: RobotDynamics, motion: Motion) -> None:
+    judge = Judge(dynamics)
+    assert verdicts(judge(judge.advise(motion, share=SETTINGS.warn_ratio).states)) <= {Verdict.OK, Verdict.UNKNOWN}
+
+
+def test_no_segment_is_slower_than_needed(dynamics: RobotDynamics, motion: Motion) -> None:
+    """Brute force: every segment below 1 violates at each factor that is 2 % or more above the advised one."""
+    judge = Judge(dynamics)
+    advice = judge.advise(motion)
+    limited = np.flatnonzero(advice.factors < 1.0)
+    assert len(limited) >= 3
+    for excess in (1.02, 1.05, 1.1, 1.25):
+        faster = np.minimum(advice.factors * excess, 1.0)
+        states, path_time = motion.at_factors(faster[advice.segment])
+        segment = advice.segment[np.clip(np.searchsorted(motion.time, path_time, "right") - 1, 0, None)]
+        bad = np.array([decision.contacts[0].verdict is Verdict.VIOLATION for decision in judge(states)])
+        assert all(bad[segment == k].any() for k in limited if advice.factors[k] * 1.02 < 1.0)
+
+
+def test_finer_segments_are_faster_and_each_state_by_itself_is_fastest(dynamics: RobotDynamics, motion: Motion) -> None:
+    durations = [Judge(dynamics).advise(motion, count).times(motion)[1].sum() for count in (1, 5, 0)]
+    assert durations[0] > durations[1] > durations[2] > 1.0
+
+
+@settings(max_examples=15, phases=[Phase.generate])
+@given(st.lists(st.floats(0.05, 1.0), min_size=2, max_size=12), st.integers(0, 2**32 - 1))
+def test_accelerations_stay_within_the_recorded_ones(levels: list[float], seed: int) -> None:
+    t = np.linspace(0.0, 4.0, 401)
+    phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 4)
+    q, qd = np.sin(t[:, None] + phases), np.cos(t[:, None] + phases)
+    motion = Motion(joint_states(q, qd, 100), "sines")
+    factors = np.repeat(levels, -(-401 // len(levels)))[:401]
+    states, path_time = motion.at_factors(factors)
+    stamps = np.array([state.stamp_ns for state in states]) / 1e9
+    velocity = np.array([state.velocity for state in states])
+    acceleration = np.diff(velocity, axis=0) / np.diff(stamps)[:, None]
+    largest = np.abs(np.diff(qd, axis=0) * 100).max(axis=0)
+    assert np.all(np.abs(acceleration).max(axis=0) <= largest * 1.05)
+    on_recorded = np.isclose(path_time[:, None], t, rtol=0.0, atol=1e-9).argmax(axis=0)
+    s = np.linalg.norm(velocity[on_recorded], axis=1) / np.linalg.norm(qd, axis=1)
+    assert np.all(s <= factors * (1.0 + 1e-6))
+    assert np.diff(stamps).max() <= 0.02 + 1e-6
+
+
+def test_unknown_motion_and_forbidden_speed_get_no_factor(dynamics: RobotDynamics, motion: Motion) -> None:
+    states = [*motion.states]
+    middle = int(np.abs(motion.qd).max(axis=1).argmax())
+    states[middle] = states[middle]._replace(velocity=states[middle].velocity * 5.0)
+    advice = Judge(dynamics).advise(Motion(states, "lie"))
+    (missing,) = np.flatnonzero(np.isnan(advice.factors))
+    assert advice.segment[middle] == missing
+    assert advice.reasons[missing].startswith("UNKNOWN: tool: ")
+    assert not advice.states
+    walking = Judge(dynamics, SETTINGS.model_copy(update={"person_speed": 9.0}))
+    forbidden = walking.advise(motion)
+    assert np.isnan(forbidden.factors).all()
+    assert all(reason.startswith(("no speed is allowed: tool: ", "UNKNOWN")) for reason in forbidden.reasons)
+
+
+def test_states_that_cannot_be_re_timed_are_refused(motion: Motion) -> None:
+    first, second = motion.states[:2]
+    for bad in (
+        second._replace(velocity=np.zeros(0)),
+        second._replace(names=JOINTS[::-1]),
+        second._replace(position=np.full(4, np.nan)),
+        second._replace(stamp_ns=first.stamp_ns),
+    ):
+        with pytest.raises(BagError, match=r"^run: must have .* in all joint states$"):
+            Motion([first, bad], "run")

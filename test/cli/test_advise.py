@@ -1,0 +1,65 @@
+"""`advise`: factors, figure and a motion whose assessment has no VIOLATION."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from scara_effmass.analysis.assessment import generated_description
+from scara_effmass.bags.files import open_bag
+from scara_effmass.sim.motion import sample_moves
+from scara_effmass.sim.recordings import EPOCH_NS, JOINTS, tour_moves, write_recording
+from scara_effmass.values import JointState, RunInfo
+from test.cli.conftest import Cli, Refused
+
+
+@pytest.fixture(scope="module")
+def fast_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Seven fast seconds of the tour, through a stretched pose."""
+    path = tmp_path_factory.mktemp("advise") / "fast.mcap"
+    q, qd = sample_moves(tour_moves(), 50)
+    start = 780 + int(np.abs(qd[780:820]).max(axis=1).argmin())
+    rows = [(q[start], 0.0 * q[start])] * 25 + list(zip(q[start:1150], qd[start:1150], strict=True))
+    states = (JointState(EPOCH_NS + number * 20_000_000, JOINTS, *row) for number, row in enumerate(rows))
+    write_recording(path, RunInfo(stamp_ns=EPOCH_NS, simulated=True, note="test"), states, (), overwrite=False)
+    return path
+
+
+@pytest.mark.parametrize(("verdict", "absent"), [("warn", ["VIOLATION"]), ("ok", ["VIOLATION", "WARN"])])
+def test_assessing_the_advised_tour_finds_nothing_too_fast(
+    cli: Cli, fast_bag: Path, tmp_path: Path, verdict: str, absent: list[str]
+) -> None:
+    done = cli("advise", fast_bag, "-o", tmp_path / "out", "--verdict", verdict, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    advice = json.loads(done.stdout)
+    table = (tmp_path / "out" / "segments.csv").read_text(encoding="utf-8").splitlines()
+    assert len(table) == len(advice["segments"]) + 1
+    assert imread(tmp_path / "out" / "advice.png").shape[1] > 1000
+    cycle = advice["cycle_time"]
+    assert cycle["recorded_s"] == pytest.approx(7.5, abs=0.3)
+    assert cycle["advised_s"] == pytest.approx(sum(segment["advised_s"] for segment in advice["segments"]))
+    advised = tmp_path / "out" / "advised.mcap"
+    result = json.loads(cli("assess", advised, "-o", tmp_path / "advised.csv", "--json").stdout)
+    assert not [name for name in absent if result["cycles_by_verdict"][name]]
+    with open_bag(advised) as bag:
+        assert generated_description(bag).startswith(f"generated: the motion of {fast_bag}")
+
+
+def test_segment_without_a_speed_is_named_and_writes_no_motion(
+    cli: Cli, refused: Refused, fast_bag: Path, tmp_path: Path
+) -> None:
+    done = cli("advise", fast_bag, "-o", tmp_path / "out", "--person-speed", "9")
+    assert (done.returncode, done.stderr) == (1, "")
+    assert "no speed is allowed: " in done.stdout
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        *("segments.csv", "advice.json", "advice.png", "advice.svg")
+    }
+    assert "--force" in refused("advise", fast_bag, "-o", tmp_path / "out")
+
+
+def test_settings_that_cannot_be_re_timed_are_refused(refused: Refused, fast_bag: Path, tmp_path: Path) -> None:
+    assert "must be reported" in refused("advise", fast_bag, "-o", tmp_path / "out", "--velocity", "from-positions")
+    assert "must be empty" in refused("advise", fast_bag, "-o", tmp_path / "out", "--payload-topic", "payload")
+    assert "must be a whole number from 0" in refused("advise", fast_bag, "-o", tmp_path / "out", "--segments", "-1")
