@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -59,6 +59,8 @@ _ROSOUT_ACK_S = 5.0
 _SETTLE_S = 0.2
 """Time for a subscriber to discover a publisher that has discovered it."""
 _POLL_S = 0.01
+_STDERR_WAIT_S = 1.0
+"""Time at the end for a terminal to take what was logged."""
 _PUBLISHER_OVERRIDES = (
     *(QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DEADLINE),
     *(QoSPolicyKind.LIFESPAN, QoSPolicyKind.LIVELINESS, QoSPolicyKind.LIVELINESS_LEASE_DURATION),
@@ -316,7 +318,7 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
             rclpy.try_shutdown()
 
     try:
-        with _on_signal(stop):
+        with _stderr_that_never_blocks(), _on_signal(stop):
             try:
                 parameters.ARGUMENTS.set(arguments)
                 _init(arguments)
@@ -349,6 +351,33 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
         _log_refusal(name, error, ros_arguments)
         return 2
     return 0
+
+
+@contextmanager
+def _stderr_that_never_blocks() -> Iterator[None]:
+    """Pass stderr on in a thread; what a terminal that stands still (Ctrl-S) does not take is lost.
+
+    rclpy holds the interpreter while it logs, so every thread of the node would wait for that terminal.
+    """
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    terminal = os.dup(2)
+    os.environ.setdefault("RCUTILS_COLORIZED_OUTPUT", str(int(os.isatty(2))))
+    os.dup2(writer, 2)
+    os.close(writer)
+
+    def pass_on() -> None:
+        with suppress(OSError), open(terminal, "wb", buffering=0, closefd=False) as output:
+            while data := os.read(reader, 65536):
+                output.write(data)
+
+    thread = threading.Thread(target=pass_on, name="stderr", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        os.dup2(terminal, 2)
+        thread.join(_STDERR_WAIT_S)
 
 
 @contextmanager

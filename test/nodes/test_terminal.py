@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the nodes log, on the terminal and on /rosout."""
 
+import os
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,7 +17,7 @@ from sensor_msgs.msg import JointState
 
 from scara_effmass.nodes.diagnostics import status
 from scara_effmass.nodes.terminal import CHANGES, NodeLog
-from test.nodes.conftest import NodeHarness, joint_state
+from test.nodes.conftest import MONITOR_NODE, NodeHarness, joint_state
 
 ROSOUT_QOS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 COMMAND = (sys.executable, "-m", "scara_effmass")
@@ -118,6 +121,22 @@ def test_chattering_verdict_gives_a_line_a_second_with_the_number_of_changes(
     assert 3 <= len(lines) <= 6
     assert any(f"{CHANGES} since the last line" in line for line in lines)
     assert "UNKNOWN: the joint state has no names" in lines[0]
+
+
+def test_terminal_that_stands_still_does_not_stop_the_monitor(
+    new_harness: Callable[..., NodeHarness], tmp_path: Path
+) -> None:
+    fifo = tmp_path / "terminal"
+    os.mkfifo(fifo)
+    terminal = os.open(fifo, os.O_RDWR | os.O_NONBLOCK)
+    with suppress(BlockingIOError):
+        while os.write(terminal, bytes(4096)):
+            pass
+    harness = new_harness()
+    shell = ("/bin/sh", "-c", f'exec "$0" "$@" 2>{fifo}', str(MONITOR_NODE))
+    harness.start("--ros-args", "-p", "timeout:=60.0", command=shell)
+    harness.subscribe_until_ok()
+    os.close(terminal)
 
 
 def test_validator_quiet_logs_warnings_only(new_harness: Callable[..., NodeHarness]) -> None:
