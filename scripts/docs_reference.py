@@ -207,16 +207,16 @@ def _command(name: str) -> str:
 
 
 def _diagnostics() -> Iterator[str]:
-    """Yield a section for every status: the keys in the functions of nodes/*_health.py that return one."""
-    for path in sorted((ROOT / "scara_effmass/nodes").glob("*_health.py")):
-        yield f"## {path.stem.removesuffix('_health')}_node"
+    """Yield an entry for every status: the keys in the functions of nodes that return one."""
+    for path in sorted((ROOT / "scara_effmass/nodes").glob("*_*.py")):
+        node = path.stem.replace("_health", "_node")
         for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             parts = list(ast.walk(function)) if isinstance(function, ast.FunctionDef) else []
             keys = [key for part in parts if isinstance(part, ast.Dict) for key in part.keys if key]
             keys += [part.key for part in parts if isinstance(part, ast.DictComp)]
             names = dict.fromkeys(map(_pattern, sorted(keys, key=lambda key: (key.lineno, key.col_offset))))
             for call in (part for part in parts if isinstance(part, ast.Call) and ast.unparse(part.func) == "status"):
-                yield f"**{_pattern(call.args[0])}**: {', '.join(f'`{name}`' for name in names)}"
+                yield f"`{node}`: **{_pattern(call.args[0])}**: {', '.join(f'`{name}`' for name in names)}"
 
 
 def _pattern(text: ast.expr) -> str:

@@ -84,7 +84,7 @@ def test_every_command_fits_the_parser_and_runs_or_says_why_not(page: Path) -> N
 @pytest.mark.parametrize("name", COMMANDS)
 def test_examples_of_the_help_fit_the_parser(name: str) -> None:
     for line in COMMANDS[name].epilog.partition("examples:\n")[2].splitlines():
-        parse(line.strip())
+        parse(line.strip().removeprefix('eval "$(').removesuffix(')"'))
 
 
 def parse(line: str) -> None:
