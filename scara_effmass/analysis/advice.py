@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Advise a speed factor for each segment of a recorded path, such that no state exceeds its allowable speed.
 
 Along a path a factor scales all joint velocities, so direction and mass stay. The allowable speed still depends on the

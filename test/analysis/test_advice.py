@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Advised factors: no state too fast, no slower than needed, accelerations kept, UNKNOWN never advised."""
 
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`advise`: factors, figure and a motion whose assessment has no VIOLATION."""
 
 import json
