@@ -41,6 +41,7 @@ LANGUAGES = ("de",)
 SYMBOLS = {"ISO", "PAS", "RIA", "TR", "TS", "SHA", "UNKNOWN", "N", "R", "m", "s", "r", "ms"}
 """Words that are the same in every language."""
 GERMAN = PageOptions("de")
+CHROMIUM = shutil.which("chromium")
 
 
 def source(name: str) -> str:
@@ -262,7 +263,7 @@ def test_pdf_is_what_the_browser_prints(protocol_folder: Path, tmp_path: Path, m
 
 
 @pytest.mark.live
-@pytest.mark.skipif(not shutil.which("chromium"), reason="needs Chromium")
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the path: apt-get install chromium")
 def test_pdf_has_a4_pages(protocol_folder: Path, tmp_path: Path) -> None:
     pdf = print_pdf(protocol_page(protocol_folder, tmp_path, PageOptions()))
     assert pdf.startswith(b"%PDF-")
