@@ -86,6 +86,7 @@ class LifecycleBase(LifecycleNode):
         """Messages that the middleware lost, by topic."""
         self.fixed_parameters: Sequence[str] = ()
         """Parameters that can change only while the node is unconfigured."""
+        self._is_starting = False
         self._abort_error: EffmassError | None = None
         self._owned = ExitStack()
         self._transition_error: Exception | None = None
@@ -249,9 +250,11 @@ class LifecycleBase(LifecycleNode):
 
     def bring_up(self) -> None:
         """Configure and activate. Raises the error that prevented it."""
-        success = TransitionCallbackReturn.SUCCESS
+        self._is_starting, success = True, TransitionCallbackReturn.SUCCESS
         if self.trigger_configure() is not success or self.trigger_activate() is not success:
             raise self._transition_error or SettingsError(f"{self.get_name()}: could not be brought up")
+        self._is_starting = False
+        self.get_logger().info("unconfigured -> active")
 
     def _attempt(self, step: Callable[[], None], undo: Callable[[], None]) -> TransitionCallbackReturn | None:
         """Run `step`; after an error run `undo` and return FAILURE."""
@@ -267,7 +270,8 @@ class LifecycleBase(LifecycleNode):
         return None
 
     def _done(self, state: State, goal: str, result: TransitionCallbackReturn) -> TransitionCallbackReturn:
-        self.get_logger().info(f"{state.label} -> {goal}")
+        if not self._is_starting:
+            self.get_logger().info(f"{state.label} -> {goal}")
         return result
 
     def _clean_up(self) -> None:
