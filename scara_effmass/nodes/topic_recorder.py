@@ -21,6 +21,8 @@ from scara_effmass.wire.topics import STREAM_QOS
 
 _CLOCK_WARNING_AFTER = 20
 """Discoveries without /clock before a warning."""
+QUEUE_DEPTH = 5_000
+"""Messages of a topic that may wait while the recorder stands still, at most what Fast DDS holds."""
 
 
 def resolve_topic(node: Node, topic: str) -> str:
@@ -126,6 +128,7 @@ class TopicRecorder:
             self._indices[name] = self._recorder.add_topic(name, message_type, offered_qos=offered, types=definitions)
         index, self._types[name] = self._indices[name], message_type
         qos = STREAM_QOS._replace(
+            depth=QUEUE_DEPTH,
             reliable=all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers),
             latched=all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers),
         )

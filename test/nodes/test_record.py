@@ -311,6 +311,24 @@ def test_later_type_of_a_topic_is_refused_and_the_first_is_recorded(make_rig: Ca
     assert [topic for topic, _ in rig.read()] == ["/load"]
 
 
+def test_messages_that_wait_longer_than_a_second_are_recorded(rig: Rig) -> None:
+    """The middleware drops what exceeds the queue without a word."""
+    backlog = topic_recorder.QUEUE_DEPTH
+
+    def script() -> Iterator[None]:
+        publisher = rig.node.create_publisher(String, "notes", QoSProfile(depth=backlog))
+        while not have_subscribers(publisher):
+            yield
+        for number in range(backlog):  # while the recorder does not take any
+            publisher.publish(text(str(number)))
+        assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT_S))
+        while rig.recorded() < backlog:
+            yield
+
+    report = rig.record(script(), topics=("notes",)).recording.topics["/notes"]
+    assert (report.recorded, report.lost) == (backlog, LossCounts())
+
+
 def test_messages_lost_by_the_middleware_are_counted(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     subscribe = rig.node.create_subscription
     callbacks: list[SubscriptionEventCallbacks] = []
