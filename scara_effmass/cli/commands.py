@@ -747,7 +747,7 @@ examples:
         "print the script that completes commands, options and files in a shell",
         """\
 examples:
-  eval "$(scara-effmass completion bash)"
+  scara-effmass completion bash > ~/.local/share/bash-completion/completions/scara-effmass
   scara-effmass completion fish > ~/.config/fish/completions/scara-effmass.fish
 """,
         Option("shell", "bash, zsh or fish", choices=["bash", "zsh", "fish"]),

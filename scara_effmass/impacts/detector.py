@@ -278,7 +278,8 @@ class Detector:
     def _split(self, start: int) -> list[Impact]:
         """Report the finished contacts of a segment that is too long, and continue with the unfinished one."""
         contacts = self._classify(start, self._processed)
-        at_end = bool(contacts) and start + contacts[-1].last >= self._processed - self._frame_size
+        present = np.flatnonzero(np.isfinite(self._buffer.samples(start, self._processed)))
+        at_end = bool(contacts) and contacts[-1].last >= present[-1] - self._frame_size  # a gap may follow
         if not at_end or self._is_sustained(contacts[-1], start):
             return self._lose_baseline(start)
         unfinished, finished = contacts[-1], contacts[:-1]

@@ -44,7 +44,7 @@ def test_invalid_number_is_refused(refused: Callable[..., str], option: str, val
     assert f"{value}: must be a whole number from" in refused("evidence", "-o", "out", option, value)
 
 
-def test_interrupted_run_ends_quietly_and_can_be_resumed(start: Start, cli_process: Cli, tmp_path: Path) -> None:
+def test_interrupted_run_ends_with_one_line_and_can_be_resumed(start: Start, cli_process: Cli, tmp_path: Path) -> None:
     table = tmp_path / "impacts.csv"
     process = start("evidence", "-o", tmp_path, "--impacts", "100000", "--jobs", "2")
     while not (table.exists() and "\n2," in table.read_text(encoding="utf-8")):  # the workers run
@@ -52,7 +52,7 @@ def test_interrupted_run_ends_quietly_and_can_be_resumed(start: Start, cli_proce
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate(timeout=60)
-    assert (process.returncode, output, errors) == (130, "", "")
+    assert (process.returncode, output, errors) == (130, "", "interrupted\n")
     written = table.read_text(encoding="utf-8")
     count = int(written.splitlines()[-1].split(",")[0]) + 1
     result = cli_process("evidence", "-o", tmp_path, "--impacts", str(count), "--jobs", "1")

@@ -172,7 +172,7 @@ def test_interrupted_demo_ends_its_child_processes(start: Start, tmp_path: Path)
     assert len(child_pids) == 5  # monitor, visualization, force, recorder, replay
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate()
-    assert (process.returncode, errors) == (130, "")
+    assert (process.returncode, errors) == (130, "interrupted\n")
     assert not [pid for pid in child_pids if Path(f"/proc/{pid}").exists()]
     assert list(tmp_path.iterdir()) == []
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.impacts.detector import Detector
@@ -196,6 +196,7 @@ def test_a_signal_some_samples_shorter_has_the_same_impacts(
 
 
 @settings(max_examples=15)
+@example(500.0, 63, [(0.0814, 0.094)])  # a gap one second after the begin of a press
 @given(st.sampled_from(RATES), st.integers(0, 2**32), BURSTS)
 def test_a_gap_changes_only_the_impact_that_it_meets(
     make_block: MakeBlock,

@@ -21,10 +21,18 @@ PACKAGE = ROOT / "scara_effmass"
 SAFETY = sorted((PACKAGE / "safety").glob("*.py"))
 OTHERS = [
     PACKAGE / name
-    for name in ("model/robot.py", "model/inertial_check.py", "nodes/monitor_node.py", "nodes/lifecycle.py")
+    for name in (
+        "model/robot.py",
+        "model/inertial_check.py",
+        "nodes/monitor_node.py",
+        "nodes/robot_input.py",
+        "nodes/lifecycle.py",
+    )
 ] + [PACKAGE / "analysis/time_series.py"]
 """Other modules in which a reason of the monitor begins."""
-NAMES = re.compile(r"reason|masses|.*_reason|error|warning|_empty_velocity|_payload|NO_CLAMPING_FORCE|NO_JOINT_STATE")
+NAMES = re.compile(
+    r"reason|masses|.*_reason|error|warning|_empty_velocity|_payload|NO_CLAMPING_FORCE|NO_JOINT_STATE|NO_DESCRIPTION"
+)
 """Variables and attributes that hold reasons."""
 CALLS = re.compile("reject|mark_stale|_?publish_last|_?unknown|unknown_decision")
 """Functions that take a reason."""
