@@ -40,7 +40,6 @@ _STYLES = {
     Verdict.VIOLATION: "bold white on red",
     Verdict.UNKNOWN: "bold white on magenta",
 }
-_NO_MONITOR = "check that a monitor runs in this namespace and ROS domain"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -94,7 +93,7 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) 
     if status.reason:
         parts.append(Text(status.reason, style="bold"))
     if is_unknown:
-        parts.append(Text(f"remedy: {remedy(status.reason) or _NO_MONITOR}"))
+        parts.append(Text(f"remedy: {remedy(status.reason)}"))
     past = next((episode for episode in reversed(status.episodes) if episode.end_ns is not None), None)
     if past is not None and past.end_ns is not None:
         ago_s = (now_ns - past.end_ns) / 1e9

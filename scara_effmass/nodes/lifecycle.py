@@ -22,7 +22,6 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.event_handler import (
     PublisherEventCallbacks,
-    QoSMessageLostInfo,
     QoSRequestedIncompatibleQoSInfo,
     QoSSubscriptionMatchedInfo,
     SubscriptionEventCallbacks,
@@ -82,8 +81,6 @@ class LifecycleBase(LifecycleNode):
         self.active = False
         self.incompatible_qos: set[str] = set()
         """One line for each endpoint that cannot be connected, and its QoS policy that does not fit."""
-        self.lost: dict[str, int] = {}
-        """Messages that the middleware lost, by topic."""
         self.fixed_parameters: Sequence[str] = ()
         """Parameters that can change only while the node is unconfigured."""
         self._is_starting = False
@@ -165,14 +162,12 @@ class LifecycleBase(LifecycleNode):
         matched: Callable[[QoSSubscriptionMatchedInfo], None] | None = None,
         **events: Any,  # noqa: ANN401 - those of rclpy
     ) -> Subscription:
-        """Return a subscription whose QoS parameters may override and whose losses are counted in `lost`.
+        """Return a subscription whose QoS parameters may override.
 
         The loss and the return of its last publisher are logged, except of a latched topic, which outlives its sender.
-        `events` are further callbacks of rclpy's SubscriptionEventCallbacks.
+        `events` are further callbacks of rclpy's SubscriptionEventCallbacks, but not `message_lost`: taking that event
+        while another message gets lost can lock the process for ever (https://github.com/ros2/rmw_fastrtps/pull/890).
         """
-
-        def on_lost(info: QoSMessageLostInfo) -> None:
-            self.lost[topic] = info.total_count
 
         def on_matched(info: QoSSubscriptionMatchedInfo) -> None:
             if not info.current_count and not qos.latched:
@@ -190,7 +185,6 @@ class LifecycleBase(LifecycleNode):
             raw=raw,
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=partial(self._on_incompatible, f"a publisher of {topic}"),
-                message_lost=on_lost,
                 matched=on_matched,
                 **events,
             ),
@@ -280,7 +274,6 @@ class LifecycleBase(LifecycleNode):
         self.deactivate()
         self._owned.close()
         self.incompatible_qos.clear()
-        self.lost.clear()
 
     def _on_incompatible(self, endpoint: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
         line = f"{endpoint} cannot be connected: its {qos_policy_name_from_kind(event.last_policy_kind)} does not fit"

@@ -63,7 +63,6 @@ def input_status(
     publishers: int,
     unheard: str,
     received: int,
-    lost: int,
     incompatible_qos: Collection[str],
     processing_ns: Sequence[int],
 ) -> DiagnosticStatus:
@@ -77,12 +76,9 @@ def input_status(
     problem = incompatible or unheard
     if publishers > 1:
         problem = f"{publishers} publishers of joint states: only one may send the robot's joints"
-    elif lost:
-        problem = f"{lost} joint states lost"
     values = {
         "publishers": publishers,
         "received": received,
-        "lost": lost,
         "refused": monitor.rejected if monitor else 0,
         "of other devices": monitor.ignored if monitor else 0,
         "incompatible QoS": incompatible,

@@ -319,7 +319,6 @@ class MonitorNode(LifecycleBase):
             publishers=self.count_publishers(self._joint_states.topic_name),
             unheard=no_publisher(self, topics.JOINT_STATES, "sensor_msgs/msg/JointState"),
             received=self._received,
-            lost=self.lost.get(topics.JOINT_STATES, 0),
             incompatible_qos=self.incompatible_qos,
             processing_ns=processing_ns,
         )

@@ -2,7 +2,7 @@
 """Diagnostics of the validation: state of the series, and impacts and messages that are not part of it."""
 
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -25,7 +25,6 @@ def impact_text(impact: ValidatedImpact) -> str:
 def series_status(
     validator: Validator,
     undecodable: Counter[str],
-    lost: Mapping[str, int],
     incompatible_qos: Collection[str],
     *,
     contact_states: int,
@@ -34,8 +33,8 @@ def series_status(
 ) -> DiagnosticStatus:
     """Return the status of the series.
 
-    `contact_states` came since the last report, without those of the watchdog. `undecodable` counts messages by error,
-    `lost` those that the middleware lost by topic; `incompatible_qos` has a line per endpoint that cannot be connected.
+    `contact_states` came since the last report, without those of the watchdog. `undecodable` counts messages by error;
+    `incompatible_qos` has a line per endpoint that cannot be connected.
     `unheard` says that an input has no publisher.
     """
     result = validator.result()
@@ -44,8 +43,6 @@ def series_status(
     unpaired = sum(result.unpaired.values())
     if not problem and unpaired:
         problem = f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}"
-    if not problem and lost:
-        problem = ", ".join(f"{count} messages of {topic} lost" for topic, count in lost.items())
     if not problem and not contact_states:
         problem = "no contact states"
     if not problem and result.waiting:
@@ -77,7 +74,7 @@ def series_status(
         "undecodable messages": undecodable.total(),
         "incompatible QoS": "; ".join(sorted(incompatible_qos)),
     }
-    for group, counts in (("excluded:", result.excluded), ("not paired:", result.unpaired), ("lost of", lost)):
+    for group, counts in (("excluded:", result.excluded), ("not paired:", result.unpaired)):
         values |= {f"{group} {name}": count for name, count in sorted(counts.items())}
     message = f"{len(result.impacts)} impacts, {result.verdict}"
     return status("series", message, values, problem=problem, hardware_id=robot)

@@ -160,7 +160,6 @@ class ValidatorNode(LifecycleBase):
             series_status(
                 self._validator,
                 self._undecodable,
-                self.lost,
                 self.incompatible_qos,
                 unheard=next(filter(None, unheard), ""),
                 contact_states=contact_states,

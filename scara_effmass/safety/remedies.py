@@ -60,7 +60,7 @@ REMEDIES: dict[str, str] = {
     "the monitor was deactivated": "activate the monitor",
     "the node shuts down": "start the monitor again",
     "the node ends: …": "report the error with the log of the node, and start the monitor again",
-    "no monitor": "start the monitor, and name its namespace",
+    "no monitor": "check that a monitor runs in this namespace and ROS domain",
     "two monitors publish": "let one monitor alone publish in a namespace",
     "the monitor is silent": "look at the log of the monitor, and start it again if it does not answer",
     "no contact state yet": "start the monitor and the driver of the robot",

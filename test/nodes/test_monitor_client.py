@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """MonitorClient collects the contact states of a monitor in cycles."""
 
-import os
 import signal
 from collections.abc import Iterator
 
@@ -126,7 +125,7 @@ def test_interrupt_in_a_callback_ends_spinning_without_output(
 
     def interrupt(_: tuple[ContactAssessment, ...], at_ns: int) -> None:
         cycles.append(at_ns)
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)
     with MonitorClient(("tool",), interrupt) as client:

@@ -32,7 +32,7 @@ IMPACT = Impact(
 
 
 def series(validator: Validator, contact_states: int) -> DiagnosticStatus:
-    return series_status(validator, Counter(), {}, (), contact_states=contact_states, robot="arm")
+    return series_status(validator, Counter(), (), contact_states=contact_states, robot="arm")
 
 
 def test_series_without_contact_states_is_not_ok() -> None:

@@ -43,7 +43,11 @@ def test_live_validation_equals_offline_validation(new_harness: Callable[..., No
         for command in commands:
             process = running.enter_context(subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL))
             running.callback(process.terminate)
-        for status, key in (("monitor: input", "lost"), ("daq: source", "state"), ("validator: series", "accepted")):
+        for status, key in (
+            ("monitor: input", "received"),
+            ("daq: source", "state"),
+            ("validator: series", "accepted"),
+        ):
             harness.diagnostic(status, key, bool)  # the node is active
         topics = ["/joint_states", "/run_info"]
         command = [str(BIN / "scara-effmass"), "replay", str(BAG), "--rate", "0", "--topics", *topics]
