@@ -28,6 +28,7 @@ HOT_PATH = (
     "scara_effmass/iso15066/pose_change.py",
     "scara_effmass/iso15066/speed_limit.py",
     "scara_effmass/model/dynamics.py",
+    "scara_effmass/safety/contact_assessor.py",
     "scara_effmass/safety/debounce.py",
     "scara_effmass/safety/joint_state_validator.py",
     "scara_effmass/safety/monitor.py",

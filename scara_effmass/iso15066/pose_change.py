@@ -67,6 +67,12 @@ class PoseChange(NamedTuple):
         acceleration = math.sqrt(max([ax * ax + ay * ay + az * az for ax, ay, az in self.accelerations]))
         return 2.0 * (math.sqrt(square) * acceleration / self.speed + along * square * rate)
 
+    def worst_normal(self, alpha: float) -> Vector3:
+        """Return the unit normal (3,) along (alpha I + A)^-1 v; `direction` where that is singular."""
+        x, y, z = self._solve(alpha)
+        length = math.sqrt(x * x + y * y + z * z)
+        return (x / length, y / length, z / length) if 0.0 < length < math.inf else self.direction
+
     def along(self, normal: Vector3, min_speed: float) -> PoseChange:
         """Return the change for a contact with this unit `normal` (3,), at least `min_speed` [m/s] along it."""
         x, y, z = self.direction

@@ -52,7 +52,7 @@ _Bound = tuple[float, float, float, float]
 
 
 @dataclass
-class _Case:  # no tuple, because mypyc reads the attributes of a class faster
+class Case:  # no tuple, because mypyc reads the attributes of a class faster
     """One limit; `rate` is k / F^2, `lines` bound its reduced mass.
 
     `max_mu` is a bound of it for any robot. `drive_time` is the time [s] for which the pose changes, where drives push
@@ -86,7 +86,7 @@ class _Case:  # no tuple, because mypyc reads the attributes of a class faster
 class SpeedLimits:
     """Allowable speed under several `limits`."""
 
-    __slots__ = ("_cases", "_is_free", "_max_drive_time", "_min_alpha", "_min_stiffness", "limits")
+    __slots__ = ("cases", "is_free", "limits", "max_drive_time", "min_alpha", "min_stiffness")
 
     def __init__(self, limits: Iterable[Limit], settings: MonitorSettings | None = None) -> None:
         """Use drives and stiffness uncertainty of `settings`: by default free joints and none.
@@ -101,7 +101,7 @@ class SpeedLimits:
         masses = tuple(limit.obstacle_mass_kg for limit in self.limits)
         lines = contact_lines(settings.drives, settings.servo, stiffness, masses)
         cases = [
-            _Case(
+            Case(
                 limit,
                 limit.criterion,
                 limit.permissible_force_n,
@@ -115,11 +115,11 @@ class SpeedLimits:
             for limit, k, bounds in zip(self.limits, stiffness, lines, strict=True)
         ]
         # First the one that most often sets the speed: of the others the bound of the growth is then mostly enough.
-        self._cases = sorted(cases, key=lambda case: -case.rate * _TYPICAL.worst_reduced_mass(*case.lines[0]))
-        self._min_alpha = min([alpha / beta for case in cases for alpha, beta in case.lines if beta], default=0.0)
-        self._is_free = settings.drives is Drives.FREE
-        self._min_stiffness = min(stiffness)
-        self._max_drive_time = max([case.drive_time for case in cases])
+        self.cases = sorted(cases, key=lambda case: -case.rate * _TYPICAL.worst_reduced_mass(*case.lines[0]))
+        self.min_alpha = min([alpha / beta for case in cases for alpha, beta in case.lines if beta], default=0.0)
+        self.is_free = settings.drives is Drives.FREE
+        self.min_stiffness = min(stiffness)
+        self.max_drive_time = max([case.drive_time for case in cases])
 
     def speed_limit(self, effective_mass: float) -> SpeedLimit:
         """Return the smallest v_max = min(F, p A) / sqrt(mu k) of all limits for one `effective_mass` [kg].
@@ -131,39 +131,48 @@ class SpeedLimits:
         return self.worst_normal([Mobility.of_mass(effective_mass)])
 
     def worst_normal(
-        self, mobilities: Sequence[Mobility], mass_factor: float = 1.0, push: tuple[float, float] | None = None
+        self,
+        mobilities: Sequence[Mobility],
+        mass_factor: float = 1.0,
+        push: tuple[float, float] | None = None,
+        max_force: float = math.inf,
     ) -> SpeedLimit:
         """Return the smallest speed of all limits, of all `mobilities`, and of all contact normals.
 
         `mass_factor` >= 1 multiplies the masses. `push` is the acceleration [m/s2] that the effort limits of the joints
         allow at the contact point, in any direction, and the smallest eigenvalue of its mobility [1/kg]: a second
-        bound for drives that push on. The relative speed is that of robot and person towards each other.
+        bound for drives that push on. The first one holds up to `max_force` [N]. The relative speed is that of robot
+        and person towards each other.
         """
         # Plain loops: this is the hot path of the monitor.
-        alpha = mass_factor * self._min_alpha
+        alpha = mass_factor * self.min_alpha
         bounded = []
         for mobility in mobilities:
             change, max_growth = mobility.change, 0.0
-            max_mu = mass_factor * mobility.worst_reduced_mass(alpha) if self._is_free else math.inf
+            max_mu = mass_factor * mobility.worst_reduced_mass(alpha) if self.is_free else math.inf
             if change is not None:
-                time = self._max_drive_time or contact_time(max_mu, self._min_stiffness)
+                time = self.max_drive_time or contact_time(max_mu, self.min_stiffness)
                 max_growth = 0.5 * time * change.max_growth(alpha) / change.speed
             bounded.append((mobility, max_mu, max_growth))
         slowest, min_speed = None, math.inf
-        for case in self._cases:
+        for case in self.cases:
             bound: _Bound = math.inf, 0.0, 0.0, 0.0
+            rate = case.rate
+            if max_force < case.force:
+                excess = case.force / max_force if max_force > 0.0 else math.inf
+                rate *= excess * excess
             for mobility, max_mu, max_growth in bounded:
                 # Most cases can be seen not to set the speed.
                 speed = min_speed * (1.0 + max_growth * min_speed)
-                if not min(max_mu, case.max_mu) * case.rate * speed * speed <= 1.0:
+                if not min(max_mu, case.max_mu) * rate * speed * speed <= 1.0:
                     simulated = len(case.lines) == 1 or mobility.trace <= MAX_MOBILITY * mass_factor
                     lines = case.lines if simulated else ((case.obstacle_mobility, 0.0),)
-                    bound = min(bound, case.bound(mobility, mass_factor, lines, case.rate))
+                    bound = min(bound, case.bound(mobility, mass_factor, lines, rate))
             if push is not None and push[0] < math.inf:
                 bound = max(bound, _push_bound(case, mobilities, mass_factor, push))
             if bound[0] < min_speed:
                 min_speed, slowest = bound[0], (case, bound)
-        case, (_, mu, growth, case_push) = slowest or (self._cases[0], (0.0, 0.0, 0.0, 0.0))
+        case, (_, mu, growth, case_push) = slowest or (self.cases[0], (0.0, 0.0, 0.0, 0.0))
         return SpeedLimit(min_speed, case.limit, case.criterion, mu, case.stiffness, case_push, growth)
 
 
@@ -175,13 +184,14 @@ def _speed(inverse_square: float, growth: float) -> float:
     return 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed))
 
 
-def _push_bound(case: _Case, mobilities: Sequence[Mobility], mass_factor: float, push: tuple[float, float]) -> _Bound:
+def _push_bound(case: Case, mobilities: Sequence[Mobility], mass_factor: float, push: tuple[float, float]) -> _Bound:
     """Return the bound of free joints and the push of the drives.
 
     F = P + sqrt(P^2 + k mu u^2) with the push P = mu a of the acceleration a: v_max is 0 if P alone is too much.
     """
     acceleration, min_mobility = push
-    force = acceleration / (min_mobility / mass_factor + case.obstacle_mobility)
+    mobility = min_mobility / mass_factor + case.obstacle_mobility
+    force = acceleration / mobility if mobility > 0.0 else math.inf
     rest = case.force * (case.force - 2.0 * force)
     if rest <= 0.0:
         return 0.0, 0.0, 0.0, force

@@ -30,8 +30,11 @@ RANK_TOLERANCE = 1e-9
 """Fraction of the largest singular value of J_v below which a direction counts as unreachable."""
 MAX_NEGATIVE = 1e-6
 """Ratio to its trace of a negative eigenvalue of a mobility that counts as rounding."""
+EIGENVALUE_ROUNDING = 1e-12
+"""Ratio to its trace of an eigenvalue of J_v J_v^T that counts as 0: its root would be rounding."""
 MIN_LEVER_M = 1e-9
 """Lever [m] below which a joint does not move the contact point."""
+LUMPED_NOT_DEFINITE = "the lumped mass matrix is singular or not positive definite at this pose"
 _WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 _THIRD_TURN = 2.0 * math.pi / 3.0
 
@@ -115,9 +118,11 @@ class RobotDynamics:
         self._models = {name: (model, model.createData()) for name, model in models.items()}
         self._coupled_rotors = bool(robot.rotors.coupling.any())
         self._kinematics = robot.model.createData()
+        self._frame_indices = robot.frame_indices()
         self._massless_joints = () if self.lumped is None else self.lumped.massless_joints
         self._lumped_is_regular = self.lumped is None or self.lumped.is_regular
-        self._contacts = tuple((name, frame, self._rank(name, frame)) for name, frame in robot.contact_frames.items())
+        self.contacts = tuple((name, frame, self._rank(name, frame)) for name, frame in robot.contact_frames.items())
+        """Name, Pinocchio's frame and rank of each contact point."""
 
     def with_payload(self, settings: MonitorSettings) -> RobotDynamics:
         """Return the dynamics of the same robot with the load of `settings`."""
@@ -126,7 +131,7 @@ class RobotDynamics:
     @property
     def contact_points(self) -> tuple[str, ...]:
         """Names of the contact points, in the order of `effective_masses`."""
-        return tuple(name for name, _, _ in self._contacts)
+        return tuple(name for name, _, _ in self.contacts)
 
     def effective_masses(
         self,
@@ -168,7 +173,7 @@ class RobotDynamics:
             self._at_contact(
                 rates, kinematics, frame, rank, inverses, wanted, coriolis, speed_threshold, velocity_tolerance, margin
             )
-            for _, frame, rank in self._contacts
+            for _, frame, rank in self.contacts
         ]
 
     def _at_contact(
@@ -198,7 +203,7 @@ class RobotDynamics:
         full_mobility = mobilities[-1] if not self.full_reason else []
         reason = self.lumped_reason
         if not self._lumped_is_regular and not _is_definite(lumped_mobility, rank):
-            lumped_mobility, reason = [], "the lumped mass matrix is singular or not positive definite at this pose"
+            lumped_mobility, reason = [], LUMPED_NOT_DEFINITE
         if moving:
             lumped, full = effective_mass(lumped_mobility, direction), effective_mass(full_mobility, direction)
         else:
@@ -211,7 +216,7 @@ class RobotDynamics:
                 nx, ny, nz = direction
                 if not moving or abs(nx * x + ny * y + nz * z) > MIN_LEVER_M:
                     lumped = NAN
-                    reason = f"{self.robot.joint_names[joint]} moves the contact point along n, but no lumped mass"
+                    reason = massless_text(self.robot.joint_names[joint])
         if margin is not None and len(wanted) > 1:
             takes_lumped = _is_heavy_enough([] if has_massless_direction else lumped_mobility, full_mobility, margin)
             wanted = [wanted[0] and takes_lumped, wanted[1] and not takes_lumped]
@@ -225,7 +230,9 @@ class RobotDynamics:
                     rate: Matrix = (jacobian_rate - response.dot(coriolis(i))).tolist()
                     turning = [[_dot(row, column) for column in response_rows[i]] for row in rate]
                     changes[i] = PoseChange(direction, speed, mobilities[i], turning, (_times(rate, qd), held))
-        singular = math.sqrt(max(smallest_eigenvalue(_symmetric(rows, rows), rank), 0.0))
+        squares = _symmetric(rows, rows)
+        square = smallest_eigenvalue(squares, rank)
+        singular = math.sqrt(square) if square > EIGENVALUE_ROUNDING * _trace(squares) else 0.0
         # By position, because keywords cost time in the hot path.
         return EffectiveMasses(
             speed,
@@ -252,7 +259,7 @@ class RobotDynamics:
         model, lumped or full, and `masses` are those of the same joint state.
         """
         model, data = self._models[name]
-        _, frame, rank = self._contacts[contact]
+        _, frame, rank = self.contacts[contact]
         pin.computeJointJacobiansTimeVariation(self.robot.model, self._kinematics, q, qd)
         jacobian, jacobian_rate = self._jacobian(frame, self._kinematics), self._jacobian_rate(frame, self._kinematics)
         response = jacobian.T / np.diagonal(self.robot.mass_matrix(model, data, q))[:, None]
@@ -274,11 +281,11 @@ class RobotDynamics:
         model = self.robot.model
         if frame in {"", self.robot.base_frame}:
             return vector
-        if not model.existFrame(frame):
+        if frame not in self._frame_indices:
             names = ", ".join(dict.fromkeys(frame.name for frame in model.frames))
             raise RobotError(f"{self.robot.origin}: {setting} = {frame!r}: must be one of {names}")
         pin.framesForwardKinematics(model, self._kinematics, q)
-        x, y, z = (self._kinematics.oMf[model.getFrameId(frame)].rotation @ vector).tolist()
+        x, y, z = (self._kinematics.oMf[self._frame_indices[frame]].rotation @ vector).tolist()
         return x, y, z
 
     def drive_acceleration(self, q: FloatArray, contact: int) -> float:
@@ -287,12 +294,13 @@ class RobotDynamics:
         That is sum_i |J_v M^-1 e_i| (tau_max,i + |g_i(q)|) over the joints, in the model with the larger sum; infinite
         if an effort limit is unknown. `contact` is an index of `contact_points`. Gravity acts along -z of the base.
         """
-        jacobian = self.jacobian(q, self._contacts[contact][1])
+        jacobian = self.jacobian(q, self.contacts[contact][1])
         effort = self.robot.effort_limits + np.abs(self._gravity(q))
         if not np.isfinite(effort).all():
             return math.inf
         inverses = [self._inverse(model, data, q) for model, data in self._models.values()]
-        return max(float(np.linalg.norm(jacobian @ inverse, axis=0) @ effort) for inverse in inverses)
+        sums = [float(np.linalg.norm(jacobian @ inverse, axis=0) @ effort) for inverse in inverses]
+        return max(sums, default=math.inf)
 
     def clamping_force(self, q: FloatArray, contact: int, *directions: Vector3) -> float:
         """Return the largest static force [N] along one of the unit vectors `directions` that the joints can hold.
@@ -300,15 +308,27 @@ class RobotDynamics:
         J^T n F + g(q) = tau with |tau_i| <= tau_max,i: the smallest (tau_max,i - s_i g_i) / |(J^T n)_i| over the
         joints, s_i the sign of (J^T n)_i. 0 along a direction in which no joint pushes; infinite without effort limits.
         """
-        jacobian, gravity = self.jacobian(q, self._contacts[contact][1]), self._gravity(q)
-        largest = 0.0
+        return max([0.0, *self._static_forces(q, contact, directions)])
+
+    def holding_force(self, q: FloatArray, contact: int, *directions: Vector3) -> float:
+        """Return the static force [N] up to which no joint reaches its effort limit, along any of `directions`.
+
+        As `clamping_force`, but the smallest one: negative where the weight alone is too much for a joint, infinite
+        without effort limits and where no joint pushes.
+        """
+        return min(self._static_forces(q, contact, directions), default=math.inf)
+
+    def _static_forces(self, q: FloatArray, contact: int, directions: Sequence[Vector3]) -> list[float]:
+        """Return the static force [N] along each of `directions` in which a joint pushes."""
+        jacobian, gravity = self.jacobian(q, self.contacts[contact][1]), self._gravity(q)
+        forces = []
         for direction in directions:
             lever = direction @ jacobian
             loaded = np.abs(lever) > MIN_LEVER_M
             if loaded.any():
                 margin = self.robot.effort_limits - np.sign(lever) * gravity
-                largest = max(largest, float(np.min(margin[loaded] / np.abs(lever[loaded]))))
-        return largest
+                forces.append(float(np.min(margin[loaded] / np.abs(lever[loaded]))))
+        return forces
 
     def _gravity(self, q: FloatArray) -> FloatArray:
         return np.asarray(pin.computeGeneralizedGravity(self.robot.model, self._kinematics, q))
@@ -382,6 +402,10 @@ def _symmetric(left: Matrix, right: Matrix) -> Matrix:
     return [[_dot(x, u), b, c], [b, _dot(y, v), e], [c, e, _dot(z, w)]]
 
 
+def _trace(matrix: Matrix) -> float:
+    return matrix[0][0] + matrix[1][1] + matrix[2][2]
+
+
 def smallest_eigenvalue(matrix: Matrix, rank: int) -> float:
     """Return the smallest of the `rank` (1 to 3) largest eigenvalues of a symmetric (3, 3) matrix.
 
@@ -417,7 +441,7 @@ def _worst_mass(mobility: Matrix, rank: int) -> float:
 
 def _is_definite(mobility: Matrix, rank: int) -> bool:
     """Return whether no mass is negative; False for a mobility that is not finite."""
-    trace = mobility[0][0] + mobility[1][1] + mobility[2][2]
+    trace = _trace(mobility)
     return 0.0 < trace < math.inf and smallest_eigenvalue(mobility, rank) > -MAX_NEGATIVE * trace
 
 
@@ -435,6 +459,11 @@ def effective_mass(mobility: Matrix, direction: Vector3) -> float:
         return NAN
     inverse = mobility_along(mobility, direction)
     return 1.0 / inverse if inverse > 0.0 else math.inf
+
+
+def massless_text(joint: str) -> str:
+    """Return why there is no lumped mass along a direction in which `joint` moves the contact point."""
+    return f"{joint} moves the contact point along n, but no lumped mass"
 
 
 def _full_reason(robot: Robot) -> str:

@@ -97,6 +97,10 @@ class Robot:
         """Effective mass m_R of ISO/TS 15066 [kg] (Eq. 17), see `iso15066.robot_mass`."""
         return robot_mass(self.moving_mass, self.payload_mass)
 
+    def frame_indices(self) -> dict[str, int]:
+        """Return the indices of Pinocchio's frames by name: of a contact point named as its link, that of the link."""
+        return {frame.name: index for index, frame in reversed([*enumerate(self.model.frames)])}
+
     def mass_matrix(self, model: pin.Model, data: pin.Data, q: FloatArray) -> FloatArray:
         """Return the mass matrix (n, n) of `model`, this robot's or its lumped copy, rotors included."""
         return np.asarray(pin.crba(model, data, q) + self.rotors.coupling)

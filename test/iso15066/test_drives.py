@@ -134,3 +134,21 @@ def test_push_counts_the_uncertainty_and_the_heaviest_mass(masses: tuple[float, 
 def test_clamped_body_part_allows_no_speed_against_an_unbounded_push() -> None:
     for drives in ("servo", "immovable"):
         assert speed_limits(drives=drives, contact="quasi_static").speed_limit(2.0).allowable_speed == 0.0
+
+
+@given(st.floats(0.2, 20.0), st.floats(0.0, 1.5))
+@settings(max_examples=40)
+def test_servo_bound_counts_up_to_the_force_that_its_drives_hold(
+    servo: tuple[SpeedLimits, str, float], mass: float, share: float
+) -> None:
+    """The force is proportional to the speed, so that the allowable speed is, too; the push bound stays."""
+    limits, _, _ = servo
+    mobility, whole = Mobility.of_mass(mass), limits.speed_limit(mass)
+    force = share * whole.limit.permissible_force_n
+    limited = limits.worst_normal([mobility], max_force=force)
+    assert limited.allowable_speed == pytest.approx(min(share, 1.0) * whole.allowable_speed)
+    assert limited.force(limited.allowable_speed) <= force * (1.0 + 1e-9) or share > 1.0
+    push = 5.0 / mass, mobility.trace
+    both = limits.worst_normal([mobility], push=push, max_force=force).allowable_speed
+    pushed = limits.worst_normal([mobility], push=push, max_force=0.0).allowable_speed
+    assert both == pytest.approx(max(limited.allowable_speed, pushed))

@@ -218,3 +218,15 @@ def test_push_of_drives_changes_the_pose_for_the_time_of_the_body_part() -> None
     found = SpeedLimits([limit], settings).worst_normal([mobility], push=(0.5, 0.5))
     assert found.push > 0.0
     assert found.growth == pytest.approx(contact_time(limit.obstacle_mass_kg, limit.stiffness_n_m) * a / v0**2)
+
+
+@given(SEEDS, ALPHAS)
+def test_worst_normal_takes_the_most_energy(seed: int, alpha: float) -> None:
+    motion = Motion(seed)
+    normal = np.array(motion.change().worst_normal(alpha))
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    shifted = alpha * np.eye(3) + motion.mobility
+    others = np.random.default_rng(seed).normal(size=(200, 3))
+    energies = [(n @ motion.velocity) ** 2 / (n @ shifted @ n) for n in (normal, *others)]
+    assert energies[0] == pytest.approx(motion.velocity @ np.linalg.solve(shifted, motion.velocity))
+    assert max(energies) <= energies[0] * (1.0 + 1e-9)

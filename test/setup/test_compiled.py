@@ -40,7 +40,16 @@ def test_compiled_modules_decide_as_their_sources(tmp_path: Path) -> None:
                 f"{{effective_mass_model: {model}, drives: {drives}, contact: {contact}, external_force_limit: 60.0}}"
             )
             params.write_text(f"monitor:\n  ros__parameters: {settings}\n", encoding="utf-8")
-            command = ("-m", "scara_effmass", "assess", share("bags", "tour"), "-o", table, "--params", params)
+            command = (
+                "-m",
+                "scara_effmass",
+                "assess",
+                share("bags", "straight_300_200"),
+                "-o",
+                table,
+                "--params",
+                params,
+            )
             run(*command, SCARA_EFFMASS_SOURCES=sources)
             tables.append(table.read_text(encoding="utf-8"))
     assert tables[:2] == tables[2:]
