@@ -28,8 +28,15 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher
+from scara_effmass.nodes.kernel_loader import KernelLoader
 from scara_effmass.nodes.lifecycle import LifecycleBase, RCLError, run
-from scara_effmass.nodes.monitor_health import input_status, missing_models, monitor_statuses, worst_contacts
+from scara_effmass.nodes.monitor_health import (
+    Latencies,
+    input_status,
+    missing_models,
+    monitor_statuses,
+    worst_contacts,
+)
 from scara_effmass.nodes.robot_input import use_robot
 from scara_effmass.safety import Cause, Monitor, unknown_decision
 from scara_effmass.settings import MonitorSettings
@@ -76,6 +83,8 @@ class MonitorNode(LifecycleBase):
         self._encoders: dict[str, ContactStateEncoder] = {}
         self._last_answer_ns = 0
         self._monitor_lock = threading.Lock()
+        self._kernel_loader = KernelLoader(self._monitor_lock, self.get_logger().info)
+        self._kernel_fault = ""
         self._output_lock = threading.Lock()
         """Held while the messages of one decision are published."""
         self._publishing = False
@@ -87,7 +96,7 @@ class MonitorNode(LifecycleBase):
         self.own(self, MonitorNode._forget_robot)
         self._decoder = JointStateDecoder()
         self._received = 0
-        self._processing_ns: list[int] = []
+        self._latencies = Latencies()
         self._decision: Decision | None = None
         self._verdicts: list[Verdict] = []
         self._changes: list[Decision] = []
@@ -141,6 +150,8 @@ class MonitorNode(LifecycleBase):
         self._wake_watchdog.clear()
         self._watchdog = threading.Thread(target=self._watch, name="watchdog", daemon=True)
         self._watchdog.start()
+        with self._monitor_lock:
+            self._load_kernel()
 
     def deactivate(self) -> None:
         """End the watchdog and publish a last UNKNOWN."""
@@ -149,6 +160,7 @@ class MonitorNode(LifecycleBase):
             self._wake_watchdog.set()
             watchdog.join()
         self.publish_last("the monitor was deactivated")
+        self._kernel_loader.end()
 
     def publish_last(self, reason: str) -> None:
         """Publish UNKNOWN and a speed of 0, wait until subscribers have them, and publish nothing after it."""
@@ -160,13 +172,17 @@ class MonitorNode(LifecycleBase):
         for publisher in self._outputs.values():
             publisher.wait_for_all_acked(_ACK_TIMEOUT)
 
+    def _load_kernel(self) -> None:
+        if self._watchdog is not None:
+            self._kernel_loader.load(self._monitor)
+
     def _forget_robot(self) -> None:
         self._outputs.clear()
         self._drop_monitor()
 
     def _drop_monitor(self) -> None:
         if self._monitor is not None:
-            self._first_cause = self._monitor.first_cause
+            self._first_cause, self._kernel_fault = self._monitor.first_cause, self._monitor.kernel_fault
         self._monitor = None
         self._encoders = {}
 
@@ -178,18 +194,19 @@ class MonitorNode(LifecycleBase):
             monitor.expect_commands(self._settings.command_tolerance)
         with self._monitor_lock:
             self._drop_monitor()
-            monitor.first_cause = self._first_cause
+            monitor.first_cause, monitor.kernel_fault = self._first_cause, self._kernel_fault
             self._monitor = monitor
             self._pass_payload()
             self._encoders = {name: ContactStateEncoder(name, robot.base_frame) for name in dynamics.contact_points}
             self._no_robot_reason = ""
+            self._load_kernel()
         self.get_logger().info(f"monitoring {robot.name} ({robot.origin}) at {', '.join(dynamics.contact_points)}")
         self.get_logger().info(f"payload: {monitor.payload_text}")
         for line in (*robot.notes, *missing_models(dynamics)):
             if line != robot.rotors.warning:  # which the status of the model has
                 self.get_logger().info(line)
 
-    def _on_joint_state(self, data: bytes, info: dict[str, int | None]) -> None:
+    def _on_joint_state(self, data: bytes, info: dict[str, Any]) -> None:
         if not self.active:
             return
         start_ns = time.monotonic_ns()
@@ -212,7 +229,8 @@ class MonitorNode(LifecycleBase):
                     decision = monitor.reject(reason, first.stamp_ns, first.input_age)
                 self._last_answer_ns = start_ns
                 self._publish(decision)
-                self._processing_ns.append(time.monotonic_ns() - start_ns)
+                received_ns = info["received_timestamp"]
+                self._latencies.add(time.time_ns() - received_ns, decision.contacts[0].stamp_ns)
 
     def _on_command(self, data: bytes) -> None:
         with self._monitor_lock:
@@ -242,6 +260,7 @@ class MonitorNode(LifecycleBase):
             return
         before = self._monitor.payload_text
         self._monitor.take_payload(self._payload)
+        self._load_kernel()
         if (text := self._monitor.payload_text) != before:
             self.get_logger().info(f"payload: {text}")
 
@@ -286,11 +305,12 @@ class MonitorNode(LifecycleBase):
         return unknown_decision(reason, self.now_ns(), tuple(self._encoders) or ("",), watchdog=True)
 
     def _send(self, decision: Decision) -> None:
-        contact_state = self._outputs[topics.CONTACT_STATE]
+        # Without the wrappers of rclpy, which cost as much as the call: `_publishing` guards the handles.
+        contact_state = self._outputs[topics.CONTACT_STATE].handle
         for contact in decision.contacts:
-            contact_state.publish(self._encoders.get(contact.contact_point, _NO_ROBOT).encode(contact))
-        self._outputs[topics.ALLOWABLE_SPEED].publish(float64_message(decision.allowable_speed))
-        self._outputs[topics.SPEED_SCALING].publish(float64_message(decision.speed_scaling))
+            contact_state.publish_raw(self._encoders.get(contact.contact_point, _NO_ROBOT).encode(contact))
+        self._outputs[topics.ALLOWABLE_SPEED].handle.publish_raw(float64_message(decision.allowable_speed))
+        self._outputs[topics.SPEED_SCALING].handle.publish_raw(float64_message(decision.speed_scaling))
         verdicts = [contact.verdict for contact in decision.contacts]
         if verdicts != self._verdicts:
             before = {c.contact_point: c.verdict for c in self._decision.contacts} if self._decision else {}
@@ -313,14 +333,13 @@ class MonitorNode(LifecycleBase):
         self._reported_ns = time.monotonic_ns()
         with self._output_lock:
             changes, self._changes = self._changes, []
-        processing_ns, self._processing_ns = self._processing_ns, []
         joint_states = input_status(
             self._monitor,
             publishers=self.count_publishers(self._joint_states.topic_name),
             unheard=no_publisher(self, topics.JOINT_STATES, "sensor_msgs/msg/JointState"),
             received=self._received,
             incompatible_qos=self.incompatible_qos,
-            processing_ns=processing_ns,
+            latencies=self._latencies,
         )
         contacts = worst_contacts(self._decision, changes) if self._decision else ()
         return monitor_statuses(self._monitor, contacts, self._change_counts, joint_states)
@@ -370,12 +389,13 @@ class MonitorNode(LifecycleBase):
             self._settings = settings
             if self._monitor is not None:
                 self._monitor.apply(self._settings)
+                self._load_kernel()
                 if any(name.startswith("payload") for name in changed):
                     self.get_logger().info(f"payload: {self._monitor.payload_text}")
         self._wake_watchdog.set()  # else the new period starts after the old one
 
 
-def _with_info(callback: Callable[[bytes, dict[str, int | None]], None]) -> Callable[..., None]:
+def _with_info(callback: Callable[[bytes, dict[str, Any]], None]) -> Callable[..., None]:
     """Return `callback` for any executor: the EventsExecutor of rclpy 7.1 passes message and info as one tuple."""
 
     @wraps(callback)

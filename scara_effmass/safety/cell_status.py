@@ -43,13 +43,17 @@ class SpeedSample(NamedTuple):
 
 @dataclass
 class Episode:
-    """Time in which the cell was not OK without a change of its verdict; `end_ns` is None while it lasts."""
+    """Time in which the cell was not OK without a change of its verdict; `end_ns` is None while it lasts.
+
+    `simulated` is that of the cell during the episode, as `CellStatus.simulated`.
+    """
 
     verdict: Verdict
     contact_point: str
     cause: str
     start_ns: int
     end_ns: int | None = None
+    simulated: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,18 +64,12 @@ class Validation:
     predicted_force: float
     measured_force: float
     relative_error: float
-    effective_mass: float
-    reduced_mass: float
-    speed: float
     conservative: bool
     body_region: str
-    region_force: float
     limit_force: float
     exceeds_limit: bool
     count: int
     correlation: float
-    bias: float
-    rmse: float
     accepted: bool
     decidable: bool
     reason: str
@@ -139,9 +137,10 @@ class CellStatus:
         return [name for name, simulated in (("robot", robot), ("force", any(force))) if simulated]
 
     @property
-    def force_now(self) -> float | None:
-        """Largest force of the latest block [N], None without force."""
-        return float(self._force[-1].force.max()) if self._force and len(self._force[-1].force) else None
+    def deciding(self) -> ContactAssessment | None:
+        """The contact point with the smallest margin among those with the worst verdict; None without any."""
+        points = self.contacts.values()
+        return max(points, key=lambda c: (severity(c.verdict), c.speed - c.allowable_speed), default=None)
 
     def take_contact(self, contact: ContactAssessment, at_ns: int) -> None:
         """Take the state of one contact point; numbers that are not finite make it UNKNOWN."""
@@ -200,7 +199,7 @@ class CellStatus:
         self.has_monitor, self.timeout_ns = exists, timeout_ns
 
     def take_other_monitor(self, at_ns: int) -> None:
-        """Take the begin of messages of another monitor: a successor, or a second one unless the first is silent."""
+        """Note that another monitor publishes: a successor, or a second one unless the first is silent."""
         if any(at_ns - arrived_ns <= self.timeout_ns for arrived_ns in self._arrived_ns.values()):
             self._conflict_ns = at_ns
         self._forget_contacts()
@@ -219,6 +218,8 @@ class CellStatus:
             value if verdict is not Verdict.UNKNOWN and now_ns - at_ns <= self.timeout_ns else 0.0
             for value, at_ns in (self._scalars.get(name, (0.0, 0)) for name in ("allowable_speed", "speed_scaling"))
         )
+        if self.episodes and self.episodes[-1].end_ns is None:  # it may have begun before anything said so
+            self.episodes[-1].simulated = self.simulated or self.episodes[-1].simulated
         for record in self.impacts:
             if not len(record.force) and now_ns - record.at_ns < _LOST_FORCE_NS:
                 self._cut_trace(record)
@@ -229,13 +230,13 @@ class CellStatus:
             return Verdict.UNKNOWN, "", "no monitor: contact_state has no publisher"
         if now_ns - self._conflict_ns <= self.timeout_ns:
             return Verdict.UNKNOWN, "", "two monitors publish contact_state: must be one"
-        if not self.contacts:
+        deciding = self.deciding
+        if deciding is None:
             return Verdict.UNKNOWN, "", _NO_STATE
         name, silence_ns = max(((name, now_ns - at) for name, at in self._arrived_ns.items()), key=lambda pair: pair[1])
         if silence_ns > self.timeout_ns:
             return Verdict.UNKNOWN, name, f"the monitor is silent: no contact state for {silence_ns / 1e9:.1f} s"
-        worst = max(self.contacts.values(), key=lambda contact: severity(contact.verdict))
-        return worst.verdict, worst.contact_point, worst.reason
+        return deciding.verdict, deciding.contact_point, deciding.reason
 
     def _forget_contacts(self) -> None:
         self.contacts.clear()

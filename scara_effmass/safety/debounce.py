@@ -3,6 +3,8 @@
 
 from scara_effmass.values import Verdict
 
+HELD = "held after: "
+"""Prefix of the reason of a verdict that an earlier joint state had."""
 _SEVERITY = {Verdict.OK: 0, Verdict.WARN: 1, Verdict.VIOLATION: 2, Verdict.UNKNOWN: 3}
 _WORST_FIRST = (Verdict.UNKNOWN, Verdict.VIOLATION, Verdict.WARN)
 
@@ -50,6 +52,6 @@ class VerdictDebouncer:
             if entry is None:
                 continue
             if stamp_ns - entry[0] < self.release_ns:
-                return worse, f"held after: {entry[1]}"
+                return worse, f"{HELD}{entry[1]}"
             del last_seen[worse]
         return verdict, reason

@@ -59,6 +59,29 @@ class Motion(NamedTuple):
     velocity_tolerance: list[float]
 
 
+class ComparedMotion(NamedTuple):
+    """Memory of the comparison of velocities with positions, while it agrees; times in [ns].
+
+    `comparisons` (n, 6) are the entries of `_Comparison`, `lag_evidence` (2,) correlation and excitation.
+    """
+
+    last_stamp_ns: int
+    observed_ns: int
+    comparisons: FloatArray
+    lag_evidence: FloatArray
+
+
+class ComparisonLimits(NamedTuple):
+    """Bounds (n,) of positions and velocities [rad, m, per second], and the tolerances of their comparison."""
+
+    lower: FloatArray
+    upper: FloatArray
+    max_speeds: FloatArray
+    position_tolerances: FloatArray
+    velocity_tolerance: float
+    max_lag: float
+
+
 class OtherDevice(NamedTuple):
     """Result for a joint state whose `names` are none of the robot's joints: another device on the same topic."""
 
@@ -141,6 +164,32 @@ class JointStateValidator:
         self._agreed_since: list[tuple[int, float]] = []
         self._comparisons: list[_Comparison] = []
         self._lag_correlation = self._lag_excitation = 0.0
+
+    @property
+    def limits(self) -> ComparisonLimits:
+        """Bounds and tolerances of the present settings."""
+        tolerances = np.array(self._position_tolerances), self._velocity_tolerance, self._max_lag
+        return ComparisonLimits(np.array(self._lower), np.array(self._upper), np.array(self._max_speeds), *tolerances)
+
+    def agreement(self) -> ComparedMotion | None:
+        """Return the memory of the comparison; None before it has begun, and while a joint is unconfirmed."""
+        if self._unconfirmed or not self._comparisons:
+            return None
+        evidence = np.array([self._lag_correlation, self._lag_excitation])
+        return ComparedMotion(self.last_stamp_ns, self._observed_ns, np.array(self._comparisons), evidence)
+
+    def agree(self, memory: ComparedMotion) -> None:
+        """Continue after joint states that agreed, whose comparison left `memory`."""
+        self.last_stamp_ns, self._observed_ns = memory.last_stamp_ns, memory.observed_ns
+        self._comparisons = [(a, b, c, d, e, f) for a, b, c, d, e, f in memory.comparisons.tolist()]
+        self._lag_correlation, self._lag_excitation = memory.lag_evidence.tolist()
+
+    def joint_order(self, names: tuple[str, ...]) -> IndexArray | None:
+        """Return the indices of the robot's joints in `names`, None where these are refused or of another device."""
+        order = self._joint_indices(names)
+        if isinstance(order, (str, OtherDevice)):
+            return None
+        return np.arange(len(self._joints)) if order is None else order
 
     def validate(
         self, state: JointState, now_ns: int, sequence_number: int | None = None

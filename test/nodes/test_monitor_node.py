@@ -34,7 +34,6 @@ from test.nodes.conftest import NodeHarness, joint_state, stamp_ns
 MS = 1_000_000
 S = 1_000_000_000
 INFO = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-FAST = (8.0, 0.1, 0.1, 0.1)
 VECTORS = {
     "payload_com": "list of 3 numbers from -2 to 2",
     "payload_inertia": "list of 6 numbers from -10000 to 10000",

@@ -17,7 +17,7 @@ from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.joint_state_validator import METRES_PER_RADIAN, WINDOW_S
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
-from scara_effmass.values import ContactAssessment, JointState, Verdict
+from scara_effmass.values import ContactAssessment, JointState, Vector3, Verdict
 
 Variant = Callable[[Callable[[dict[str, Any]], object]], RobotDynamics]
 
@@ -582,6 +582,50 @@ def test_effort_limits_raise_the_speed_of_a_stiff_servo(scara: RobotDynamics, sc
     unlimited, limited = assess_one(scara, q, qd, **stiff), assess_one(scara_variant(limit_efforts), q, qd, **stiff)
     assert limited.allowable_speed > 1.2 * unlimited.allowable_speed
     assert limited.allowable_speed < assess_one(scara, q, qd).allowable_speed
+
+
+@pytest.mark.parametrize("speed_threshold", [0.001, 1.0])
+@pytest.mark.parametrize("normal", ["worst", "velocity", "0.6 -0.8 0"])
+def test_computed_torque_counts_up_to_the_effort_limits(
+    scara: RobotDynamics, scara_variant: Variant, normal: str, speed_threshold: float
+) -> None:
+    """A saturated joint yields while the others push on: the arm is no longer one mass on one servo."""
+    weak = scara_variant(lambda file: [joint.update(max_effort=20.0) for joint in file["joints"]])
+    q, qd, region = (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1), "chest"
+    settings: dict[str, object] = {"drives": "servo", "servo": {"computed_torque": True}, "body_regions": [region]}
+    settings |= {"contact_normal": normal, "speed_threshold": speed_threshold, "speed_uncertainty": 0.0}
+    settings |= {"position_tolerance": 0.0, "velocity_tolerance": 0.0, "max_velocity_lag": 0.0}
+    strong, limited = assess_one(scara, q, qd, **settings), assess_one(weak, q, qd, **settings)
+    normals: list[Vector3] = [strong.direction]
+    if normal == "0.6 -0.8 0":
+        normals = [(0.6, -0.8, 0.0), (-0.6, 0.8, 0.0)]
+    elif speed_threshold == 1.0:
+        normals = (
+            [(s, 0.0, 0.0) for s in (1.0, -1.0)]
+            + [(0.0, s, 0.0) for s in (1.0, -1.0)]
+            + [(0.0, 0.0, s) for s in (1.0, -1.0)]
+        )
+    force = min(weak.clamping_force(np.array(q), 0, n) for n in normals)
+    (limit,) = limits_for(settings_of(body_regions=[region]))
+    expected = force / limit.permissible_force_n * strong.allowable_speed
+    assert 0.0 < limited.allowable_speed < 0.5 * strong.allowable_speed
+    if normal == "velocity" or (normal == "worst" and speed_threshold == 1.0):
+        assert limited.allowable_speed == pytest.approx(expected)
+    else:  # the pose changes less at a lower speed, and the worst normal counts, too
+        assert limited.allowable_speed == pytest.approx(expected, rel=0.2)
+
+
+def test_computed_torque_allows_no_speed_where_the_weight_is_too_much_for_a_joint(scara_variant: Variant) -> None:
+    def with_lift(effort: float) -> RobotDynamics:
+        efforts = {"joint1": 1e4, "joint2": 1e4, "joint3": effort, "joint4": 1e4}
+        return scara_variant(lambda file: [joint.update(max_effort=efforts[joint["name"]]) for joint in file["joints"]])
+
+    weak, strong = with_lift(1.0), with_lift(1000.0)
+    q, qd, up = (0.3, 1.2, 0.1, 0.0), (1e-6, 1e-6, -0.1, 1e-6), (0.0, 0.0, 1.0)
+    assert weak.holding_force(np.array(q), 0, up) < 0.0 < strong.holding_force(np.array(q), 0, up)
+    settings: dict[str, object] = {"drives": "servo", "servo": {"computed_torque": True}, "body_regions": ["abdomen"]}
+    limited, whole = (assess_one(robot, q, qd, **settings) for robot in (weak, strong))
+    assert limited.allowable_speed == 0.0 < whole.allowable_speed
 
 
 @given(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.safety import unknown_contact
 from scara_effmass.safety.cell_status import BIN_NS, HISTORY_NS, CellStatus, Validation
-from scara_effmass.values import ContactAssessment, ForceBlock, Impact, Verdict
+from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RunInfo, Verdict
 
 MS = 1_000_000
 S = 1000 * MS
@@ -128,6 +128,16 @@ def test_episodes_have_cause_start_and_end() -> None:
         (Verdict.WARN, "tool", "close", S + 10, S + 30),
         (Verdict.VIOLATION, "tool", "too fast", S + 40, None),
     ]
+
+
+def test_an_episode_stays_simulated_when_the_simulation_has_ended() -> None:
+    status = ok_cell()
+    status.run_info = RunInfo(simulated=True)
+    status.update(3 * S)  # silent
+    status.run_info = None
+    status.update(4 * S)
+    assert status.simulated == []
+    assert status.episodes[-1].simulated == ["robot"]
 
 
 @given(st.lists(st.tuples(st.integers(0, 30 * MS), st.floats(0, 2), st.floats(0, 2)), min_size=1, max_size=60))

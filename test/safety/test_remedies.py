@@ -36,7 +36,7 @@ NAMES = re.compile(
 """Variables and attributes that hold reasons."""
 CALLS = re.compile("reject|mark_stale|_?publish_last|_?unknown|unknown_decision")
 """Functions that take a reason."""
-NO_REASONS = {"remedy", "_limit_text", "_choice", "suggested_map", "joint_map_hint"}
+NO_REASONS = {"remedy", "_disagreement", "_choice", "suggested_map", "joint_map_hint", "core"}
 """Functions of `safety` whose text is not a reason, or only a part of one."""
 PREFIXES = ("held after: ", "latched until reset: ")
 
