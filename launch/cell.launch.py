@@ -104,13 +104,12 @@ def nodes(context: LaunchContext) -> list[Node]:
         raise ValueError(f"robot = {robot}: must be empty with robot_from_topic")
     if arguments["replay"] and not arguments["use_sim_time"]:
         arguments["use_sim_time"] = "true"
-    model: dict[str, str | bool] = {"robot": robot} if robot else {}
-    if arguments["robot_from_topic"] == "true":
-        model["await_robot_description"] = True
+    file: dict[str, str | bool] = {"robot": robot} if robot else {}
+    model = {**file, **({"await_robot_description": True} if arguments["robot_from_topic"] == "true" else {})}
     actions = [_node("monitor_node", arguments, model)]
     if arguments["source"] != "none":
         actions.append(_node("daq_node", arguments, {"source": arguments["source"]}))
-        actions.append(_node("validator_node", arguments, {"robot": robot} if robot else {}))
+        actions.append(_node("validator_node", arguments, file))
     if arguments["visualization"] == "true":
         actions.append(_node("visualization_node", arguments, model))
     if arguments["speed_scaling"]:

@@ -16,9 +16,7 @@ from std_msgs.msg import Float64
 from scara_effmass.errors import DecodeError
 from scara_effmass.nodes.client import ClientNode
 from scara_effmass.nodes.qos import qos_profile
-from scara_effmass.safety import unknown_contact
 from scara_effmass.safety.cell_status import DEFAULT_TIMEOUT_NS, CellStatus, Diagnostic, Validation
-from scara_effmass.values import Verdict
 from scara_effmass.wire import topics
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.contact_state import contact_from, glance
@@ -127,12 +125,7 @@ class CellClient(ClientNode):
         self._latest[point] = data, at_ns
 
     def _take_contact(self, data: bytes, at_ns: int) -> None:
-        message = deserialize_message(data, ContactState)
-        if message.verdict in list(Verdict):
-            self.status.take_contact(contact_from(message), at_ns)
-        else:
-            reason = f"verdict = {message.verdict}: must be 0 to 3"
-            self.status.take_contact(unknown_contact(message.contact_point, reason, 0, 0.0), at_ns)
+        self.status.take_contact(contact_from(deserialize_message(data, ContactState)), at_ns)
 
     def _scalar_taker(self, topic: str) -> Take:
         return lambda message, at_ns: self.status.take_scalar(topic, message.data, at_ns)

@@ -31,8 +31,7 @@ class Diagnostics:
         self._statuses = statuses
         self._latest: list[DiagnosticStatus] = []
         self.log = NodeLog(node)
-        if status_period_s:
-            node.create_steady_timer(status_period_s, self._log_status)
+        node.create_status_timer(status_period_s, self._log_status)
         self._publisher = node.own(
             node.create_lifecycle_publisher(DiagnosticArray, DIAGNOSTICS, 10), node.destroy_lifecycle_publisher
         )
@@ -51,12 +50,12 @@ class Diagnostics:
             self._publisher.publish(array)
 
     def _log_status(self) -> None:
-        if self._node.active and self._latest:
+        if self._latest:
             self.log.status_line(self._latest)
 
 
 def no_publisher(node: Node, topic: str, type_name: str) -> str:
-    """Return that `topic` has no publisher, and a remapping to a topic of its type that has one; else nothing."""
+    """Return a warning if `topic` has no publisher, and a remapping to one of its type that has; else ""."""
     name = node.resolve_topic_name(topic)
     if node.count_publishers(name):
         return ""

@@ -36,9 +36,6 @@ class ChannelSink:
         """Send a message to the clients that have subscribed."""
         self._channels[topic].log(data, log_time=log_time_ns)
 
-    def count_lost_by_middleware(self, topic: int, count: int) -> None:
-        """No-op: a viewer shows the latest messages."""
-
 
 def serve(
     topics: Sequence[str],

@@ -2,6 +2,7 @@
 """Lifecycle of every node of the suite: start, spin, end."""
 
 import argparse
+import faulthandler
 import gc
 import os
 import signal
@@ -44,6 +45,7 @@ from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.readiness import report_readiness
+from scara_effmass.nodes.realtime import use_realtime
 from scara_effmass.wire.topics import INFO_QOS, Qos
 
 Entity = TypeVar("Entity")
@@ -76,7 +78,12 @@ class LifecycleBase(LifecycleNode):
 
     def __init__(self, name: str) -> None:
         """Create the node; the subclass declares the parameters."""
-        super().__init__(name)
+        try:
+            super().__init__(name)
+        except RCLError as error:  # such as security that the middleware does not have
+            if not rclpy.ok():  # a signal has ended ROS meanwhile
+                raise
+            raise SettingsError(f"{name}: {_reason(error)}") from None
         self.autostart = True
         self.active = False
         self.incompatible_qos: set[str] = set()
@@ -217,14 +224,20 @@ class LifecycleBase(LifecycleNode):
         timer = self.create_timer(period_s, call, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return self.own(timer, self.destroy_timer) if owned else timer
 
+    def create_status_timer(self, period_s: float, log: Callable[[], None]) -> None:
+        """Call `log` every `period_s` [s] while the node is active; 0: never."""
+        if period_s:
+            self.create_steady_timer(period_s, lambda: log() if self.active else None)
+
     def set_read_only(self, *, read_only: bool) -> None:
-        """Let the fixed parameters change, or not."""
+        """Mark the fixed parameters as read-only or writable."""
         for name in self.fixed_parameters:
             self.describe_parameter(name).read_only = read_only
 
     def now_ns(self) -> int:
         """Return the time of the node's clock [ns]."""
-        return int(self.get_clock().now().nanoseconds)
+        # Not `now()`: its Time object costs several times as much as the reading.
+        return int(self.get_clock().handle.get_now().nanoseconds)
 
     def abort(self, error: EffmassError) -> None:
         """End the process; `run` prints `error` and returns 2."""
@@ -304,6 +317,7 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
     executor: Executor | None = None
 
     stopped = False
+    spin = _Spin()
     ros_arguments: list[str] = []
 
     def stop() -> None:
@@ -312,10 +326,10 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
         try:
             _publish_last(node, "the node shuts down")
         finally:
-            rclpy.try_shutdown()
+            spin.end()
 
     try:
-        with _stderr_that_never_blocks(), _on_signal(stop):
+        with _stderr_that_never_blocks() as terminal, _on_signal(stop):
             try:
                 parameters.ARGUMENTS.set(arguments)
                 _init(arguments)
@@ -324,14 +338,15 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
                     return 0
                 node = node_class()
                 executor = EventsExecutor()
+                faulthandler.enable(terminal)  # the executor lets it write to a pipe, which a crash would not empty
                 executor.add_node(node)
                 if node.autostart:
                     node.bring_up()
                 # Exempt existing objects: a full garbage collection would stop a 1 kHz stream for milliseconds.
                 gc.collect()
                 gc.freeze()
-                while rclpy.ok():
-                    executor.spin_until_future_complete(Future(), timeout_sec=_SPIN_S)
+                _use_thread_priority(node)
+                spin.run(executor)
             except EffmassError:
                 raise
             except Exception as error:
@@ -345,14 +360,42 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
                 node.raise_abort_error()
     except EffmassError as error:
         print(error, file=sys.stderr)  # noqa: T201
-        _log_refusal(name, error, ros_arguments)
+        with suppress(RCLError):  # without ROS there is no /rosout either
+            _log_refusal(name, error, ros_arguments)
         return 2
     return 0
 
 
+class _Spin:
+    """Spinning of an executor, which another thread can end.
+
+    The context stays valid meanwhile: EventsExecutor crashes if it ends while the executor takes in its entities.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._has_begun = False
+        self._end: Future = Future()
+
+    def run(self, executor: Executor) -> None:
+        """Spin until `end` is called or the context is shut down."""
+        with self._lock:
+            self._has_begun = rclpy.ok()
+        while rclpy.ok() and not self._end.done():
+            executor.spin_until_future_complete(self._end, timeout_sec=_SPIN_S)
+
+    def end(self) -> None:
+        """End `run`; before it, shut the context down, which ends the start of the node."""
+        with self._lock:
+            if self._has_begun:
+                self._end.set_result(None)
+            else:
+                rclpy.try_shutdown()
+
+
 @contextmanager
-def _stderr_that_never_blocks() -> Iterator[None]:
-    """Pass stderr on in a thread; what a terminal that stands still (Ctrl-S) does not take is lost.
+def _stderr_that_never_blocks() -> Iterator[int]:
+    """Pass stderr on in a thread and give its descriptor; what a terminal that stands still (Ctrl-S) misses is lost.
 
     rclpy holds the interpreter while it logs, so every thread of the node would wait for that terminal.
     """
@@ -371,7 +414,7 @@ def _stderr_that_never_blocks() -> Iterator[None]:
     thread = threading.Thread(target=pass_on, name="stderr", daemon=True)
     thread.start()
     try:
-        yield
+        yield terminal
     finally:
         os.dup2(terminal, 2)
         thread.join(_STDERR_WAIT_S)
@@ -429,6 +472,14 @@ def _publish_last(node: LifecycleBase | None, reason: str) -> None:
         node.publish_last(reason)
 
 
+def _use_thread_priority(node: LifecycleBase) -> None:
+    if priority := node.get_parameter("thread_priority").value:
+        if refusal := use_realtime(priority):
+            node.get_logger().warning(f"thread_priority = {priority}: not permitted: {refusal}; goes on without")
+        else:
+            node.get_logger().info(f"SCHED_FIFO at priority {priority}, memory locked")
+
+
 def _end(node: LifecycleBase | None, executor: Executor | None) -> None:
     """Destroy what `run` created."""
     if node is not None:
@@ -438,6 +489,10 @@ def _end(node: LifecycleBase | None, executor: Executor | None) -> None:
     if node is not None:
         node.destroy_node()
     rclpy.try_shutdown()
+
+
+def _reason(error: RuntimeError) -> str:
+    return " ".join(str(error).split()).partition(", at /")[0]
 
 
 def _init(arguments: list[str]) -> None:
@@ -453,7 +508,6 @@ def _init(arguments: list[str]) -> None:
         _, unknown = parser.parse_known_args(remove_ros_args(arguments))
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        reason = " ".join(str(error).split()).partition(", at /")[0]
-        raise SettingsError(f"ROS arguments: {reason}") from None
+        raise SettingsError(f"ROS arguments: {_reason(error)}") from None
     if unknown:
         raise SettingsError(f"{unknown[0]!r}: unknown argument; ROS arguments must follow --ros-args")

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostics of the monitor: its input, its model and each contact point."""
+"""Diagnostics of the monitor: its input and latency, its model and each contact point."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Collection, Iterable, Mapping
+from itertools import pairwise
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
@@ -16,6 +18,9 @@ from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MassModel
 from scara_effmass.values import ContactAssessment, Decision, Verdict
 
+EDGES_US = (125, 250, 500, 1000, 2000, 4000, 8000, 16000)
+_MAX_RECENT = 10_000
+"""Bounds the memory where joint states come faster than reports."""
 _NO_ROBOT = "no robot"
 _LEVELS = {
     Verdict.OK: DiagnosticStatus.OK,
@@ -23,6 +28,37 @@ _LEVELS = {
     Verdict.VIOLATION: DiagnosticStatus.ERROR,
     Verdict.UNKNOWN: DiagnosticStatus.ERROR,  # STALE is the aggregator's word for a dead node
 }
+
+
+class Latencies:
+    """Times from the arrival of a joint state until its answer is published; the histogram counts since the start."""
+
+    def __init__(self) -> None:
+        self._recent: deque[int] = deque(maxlen=_MAX_RECENT)
+        self._counts = [0] * (len(EDGES_US) + 1)
+        self.missed = 0
+        self._stamp_ns = 0
+
+    def add(self, latency_ns: int, stamp_ns: int) -> None:
+        """Count an answer; one that took longer than the time since the stamp before missed its deadline."""
+        self._recent.append(latency_ns)
+        if latency_ns > stamp_ns - self._stamp_ns > 0:
+            self.missed += 1
+        self._stamp_ns = stamp_ns
+
+    def report(self) -> dict[str, float]:
+        """Return percentiles since the last call [us]; none without answers. Update `histogram`."""
+        recent, self._recent = sorted(self._recent), deque(maxlen=_MAX_RECENT)
+        below = [0, *(bisect_right(recent, 1000 * edge) for edge in EDGES_US), len(recent)]
+        self._counts = [count + b - a for count, (a, b) in zip(self._counts, pairwise(below), strict=True)]
+        shares = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0} if recent else {}
+        return {name: recent[round(share * (len(recent) - 1))] / 1e3 for name, share in shares.items()}
+
+    @property
+    def histogram(self) -> str:
+        """Number of answers by latency [us] until the last report."""
+        labels = (*(f"<={edge}" for edge in EDGES_US), f">{EDGES_US[-1]}")
+        return ", ".join(f"{label}: {count}" for label, count in zip(labels, self._counts, strict=True))
 
 
 def missing_models(dynamics: RobotDynamics) -> list[str]:
@@ -64,14 +100,12 @@ def input_status(
     unheard: str,
     received: int,
     incompatible_qos: Collection[str],
-    processing_ns: Sequence[int],
+    latencies: Latencies,
 ) -> DiagnosticStatus:
     """Return the status of the joint states.
 
-    `unheard` says that there is no publisher. `processing_ns` are the times from the start of a callback until all its
-    outputs were published.
+    `unheard` says that there is no publisher.
     """
-    processing_us = np.array(processing_ns or [0]) / 1e3
     incompatible = "; ".join(sorted(incompatible_qos))
     problem = incompatible or unheard
     if publishers > 1:
@@ -82,9 +116,9 @@ def input_status(
         "refused": monitor.rejected if monitor else 0,
         "of other devices": monitor.ignored if monitor else 0,
         "incompatible QoS": incompatible,
-        "processing p50 [us]": f"{np.percentile(processing_us, 50):.0f}",
-        "processing p99 [us]": f"{np.percentile(processing_us, 99):.0f}",
-        "processing max [us]": f"{processing_us.max():.0f}",
+        **{f"latency {name} [us]": f"{latency_us:.0f}" for name, latency_us in latencies.report().items()},
+        "latency histogram [us]": latencies.histogram,
+        "missed deadlines": latencies.missed,
     }
     return status("input", f"{received} joint states", values, problem=problem)
 
@@ -101,6 +135,8 @@ def _model_status(monitor: Monitor) -> DiagnosticStatus:
         "moving mass [kg]": f"{robot.moving_mass:.4g}",
         "payload": monitor.payload_text,
         "notes": "; ".join(robot.notes),
+        "core": monitor.core,
+        "kernel disagreements": int(bool(monitor.kernel_fault)),  # the first one is the last
         "limits": EDITION,
         "limits hash": TABLE_HASH,
         "first cause": f"{cause.verdict.name} at {cause.stamp_ns / 1e9:.6f} s: {cause.reason}" if cause else "",
@@ -109,7 +145,7 @@ def _model_status(monitor: Monitor) -> DiagnosticStatus:
     missing = missing_models(dynamics)
     if monitor.settings.effective_mass_model is MassModel.AUTO and not dynamics.full_reason:
         missing = []  # the full model decides where there is no lumped one
-    problem = monitor.payload_reason or next(iter(missing), "") or robot.rotors.warning
+    problem = monitor.payload_reason or next(iter(missing), "") or monitor.kernel_fault or robot.rotors.warning
     return status("model", "lumped and full model", values, problem=problem)
 
 

@@ -43,6 +43,9 @@ class NodeParameters(FrozenSettings):
 
     autostart: bool = fixed(default=True, description="configure and activate at start")
     status_period: float = fixed(10.0, "period of the status line in the log [s]; 0: none", ge=0.0, le=86400.0)
+    thread_priority: int = fixed(
+        0, "priority of all threads under SCHED_FIFO, with memory locked; 0: neither, as other processes", ge=0, le=99
+    )
 
 
 def declare(node: Node, settings: type[Settings]) -> Settings:
@@ -54,16 +57,16 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
     # A private attribute, because automatically_declare_parameters_from_overrides raises on an empty list.
     overrides: dict[str, Parameter] = node._parameter_overrides  # noqa: SLF001
     fields = flat_fields(settings)
-    values = {}
-    for name, parameter in sorted(overrides.items()):
-        if name in fields:
-            values[name] = from_ros(parameter)
-        elif not name.startswith(_ROS_PARAMETERS):
-            if is_foreign(name, settings) and name in _shared_names(node.get_name()):
-                node.get_logger().warning(f"parameter {name!r} of /** is not of this node: ignored")
-                continue
+    values = {name: from_ros(parameter) for name, parameter in overrides.items() if name in fields}
+    others = [name for name in sorted(overrides) if name not in fields and not name.startswith(_ROS_PARAMETERS)]
+    shared = _shared_names(node.get_name()) if others else ()
+    for name in others:
+        if name in shared and is_foreign(name, settings):
+            node.get_logger().warning(f"parameter {name!r} of /** is not of this node: ignored")
+        else:
             text = f"no parameter {name!r}: {nearest(name, fields)}"
-            raise SettingsError(f"{node.get_name()}: {former_unit(name, parameter.value, settings) or text}")
+            former = former_unit(name, overrides[name].value, settings)
+            raise SettingsError(f"{node.get_name()}: {former or text}")
     check_types(settings, values, node.get_name())
     checked_settings = checked(settings, values, node.get_name())
     for name, field in fields.items():

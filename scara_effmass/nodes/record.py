@@ -64,7 +64,7 @@ def record(
         names = [resolve_topic(node, topic) for topic in topics]
         parents = [resolve_topic(node, topic) for topic in FORCE_OUTPUTS if topics is RECORDED]
         with BagRecorder(folder, options, overwrite=overwrite, warn=warn) as recorder:
-            topic_recorder = TopicRecorder(node, recorder, names, warn, parents)
+            topic_recorder = TopicRecorder(node, recorder, names, warn, parents, recorder.count_lost_by_middleware)
             start = time.monotonic()
             seconds = 0.0
             while not client.signals and context.ok() and recorder.is_running and seconds < duration_s:

@@ -70,8 +70,7 @@ class SimNode(LifecycleBase):
         self._info = self.create_owned_publisher(RunInfo, topics.RUN_INFO, topics.INFO_QOS)
         self._sim_clock = SimClock(self) if self._settings.clock else None
         self.create_steady_timer(_PERIOD_S, self._publish_due)
-        if self._settings.status_period:
-            self.create_steady_timer(self._settings.status_period, self._log_status)
+        self.create_status_timer(self._settings.status_period, self._log_status)
 
     def activate(self) -> None:
         """Move the robot to its start."""
@@ -106,11 +105,10 @@ class SimNode(LifecycleBase):
         self._time_ns = now_ns
 
     def _log_status(self) -> None:
-        if self.active:
-            count, needed = self._joint_states.get_subscription_count(), self._settings.listeners * self._settings.clock
-            waits = f": waits for {needed}" * (count < needed)
-            simulated_s = (self._time_ns - self._start_ns) / _NS
-            self.get_logger().info(f"simulated {simulated_s:.1f} s, {count} subscribers of joint_states{waits}")
+        count, needed = self._joint_states.get_subscription_count(), self._settings.listeners * self._settings.clock
+        waits = f": waits for {needed}" * (count < needed)
+        simulated_s = (self._time_ns - self._start_ns) / _NS
+        self.get_logger().info(f"simulated {simulated_s:.1f} s, {count} subscribers of joint_states{waits}")
 
 
 class SimClock:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node says on its terminal and on /rosout: changes of its statuses, events, and a status line."""
+"""Log of a node on its terminal and /rosout: changes of its statuses, events, and a status line."""
 
 import re
 import time
@@ -25,7 +25,7 @@ _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 @dataclass(slots=True)
 class _Logged:
-    """What was logged last of one status; before anything was, an OK that is not worth a line."""
+    """Last logged state of one status; it starts as OK, so that an initial OK is not logged."""
 
     time_s: float
     key: tuple[bytes, str] = (DiagnosticStatus.OK, "")

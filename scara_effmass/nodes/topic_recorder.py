@@ -45,8 +45,13 @@ class TopicRecorder:
         topics: Collection[str],
         warn: Callable[[str], None],
         parents: Collection[str] = (),
+        count_lost: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Record `topics` and all topics below `parents`, in full names; no topics: all that are not hidden."""
+        """Record `topics` and all topics below `parents`, in full names; no topics: all that are not hidden.
+
+        `count_lost` gets the index of a topic and the number of messages that the middleware reports as lost. Who can
+        do without leaves it out: taking that event can lock the process (see `LifecycleBase`).
+        """
         self.refused: dict[str, str] = {}
         """Topics that are not recorded, or not from all publishers, and why."""
         self._node = node
@@ -55,6 +60,7 @@ class TopicRecorder:
         self._topics = frozenset(topics)
         self._parents = tuple(f"{name}/" for name in parents)
         self._warn = warn
+        self._count_lost = count_lost
         self._indices: dict[str, int] = {}
         self._types: dict[str, str] = {}
         self._subscriptions: dict[str, Any] = {}
@@ -139,7 +145,7 @@ class TopicRecorder:
             qos_profile(qos),
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(
-                message_lost=partial(self._on_message_lost, index),
+                message_lost=partial(self._on_message_lost, index, self._count_lost) if self._count_lost else None,
                 incompatible_qos=lambda _: self._incompatible.add(name),
             ),
         )
@@ -147,8 +153,9 @@ class TopicRecorder:
     def _on_message(self, index: int, data: bytes) -> None:
         self._recorder.write(index, self._clock.now().nanoseconds, data)
 
-    def _on_message_lost(self, index: int, lost: QoSMessageLostInfo) -> None:
-        self._recorder.count_lost_by_middleware(index, lost.total_count_change)
+    @staticmethod
+    def _on_message_lost(index: int, count_lost: Callable[[int, int], None], lost: QoSMessageLostInfo) -> None:
+        count_lost(index, lost.total_count_change)
 
 
 def _rosbag2_qos(publisher: TopicEndpointInfo) -> dict[str, object]:

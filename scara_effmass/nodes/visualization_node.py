@@ -86,8 +86,7 @@ class VisualizationNode(LifecycleBase):
             self.create_owned_subscription(kind, topic, partial(_keep, received), best_effort, raw=True)
         self.create_owned_subscription(RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS, raw=True)
         self.create_steady_timer(1.0 / self._settings.rate, self._publish)
-        if self._settings.status_period:
-            self.create_steady_timer(self._settings.status_period, self._log_status)
+        self.create_status_timer(self._settings.status_period, self._log_status)
 
     def _use_robot(self, robot: Robot) -> None:
         self._adapter = JointStateAdapter(robot.joint_names, self._settings)
@@ -117,9 +116,8 @@ class VisualizationNode(LifecycleBase):
         self._shown = shown
 
     def _log_status(self) -> None:
-        if self.active:
-            viewers = self._markers.get_subscription_count()
-            self.get_logger().info(f"{self._status.verdict.name}, markers: {len(self._shown)}, viewers: {viewers}")
+        viewers = self._markers.get_subscription_count()
+        self.get_logger().info(f"{self._status.verdict.name}, markers: {len(self._shown)}, viewers: {viewers}")
 
     def _current(self) -> Iterator[Marker]:
         """Yield the markers of the latest states."""

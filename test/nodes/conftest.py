@@ -15,7 +15,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
+from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -103,9 +103,12 @@ class NodeHarness:
             self._executor.shutdown()
             self._stack.close()
 
-    def start(self, *arguments: str, command: Sequence[str] = (str(MONITOR_NODE),)) -> subprocess.Popen[str]:
-        """Start the node with `arguments`, its output piped."""
+    def start(
+        self, *arguments: str, command: Sequence[str] = (str(MONITOR_NODE),), kernel: bool = False
+    ) -> subprocess.Popen[str]:
+        """Start the node with `arguments`, its output piped; without `kernel` it loads none, which takes a second."""
         environment = {**os.environ, "ROS_DOMAIN_ID": str(self.domain), "ROS_LOG_DIR": str(self.directory)}
+        environment["NUMBA_DISABLE_JIT"] = str(int(not kernel))
         self.process = subprocess.Popen(
             [*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
         )
@@ -158,8 +161,8 @@ class NodeHarness:
         sent = time.monotonic()
 
         def answer() -> Any:  # noqa: ANN401
-            # A node that has not yet discovered the client drops its answer; setting parameters twice does no harm.
-            if kind is SetParameters and time.monotonic() > sent + 5.0 * len(futures):
+            # A node that has not yet discovered the client drops its answer; these two may be asked for twice.
+            if kind in {SetParameters, GetState} and time.monotonic() > sent + 5.0 * len(futures):
                 futures.append(client.call_async(request))
             return next((future for future in futures if future.done()), None)
 

@@ -114,7 +114,8 @@ def test_every_topic_of_the_cell_arrives(node: Node) -> None:
             repeat,
         )
         poll_until(client, lambda s: any(r.validation and len(r.force) for r in s.impacts), repeat)
-        assert (status.joint_state and status.joint_state.stamp_ns, status.force_now) == (7, 1.0)
+        assert status.joint_state is not None
+        assert status.joint_state.stamp_ns == 7
         assert list(status.diagnostics) == ["/cell/monitor: input"]
         assert status.diagnostics["/cell/monitor: input"][1:4] == (1, "", {"lost": "3"})
 

@@ -65,6 +65,31 @@ def test_timer_whose_context_ends_meanwhile_logs_nothing(capfd: pytest.CaptureFi
 
 
 @pytest.mark.live
+@pytest.mark.parametrize("number", [1, 5])
+def test_sigint_while_the_executor_takes_in_its_entities_ends_it_with_0(own_domain: int, number: int) -> None:
+    script = f"""
+import os, signal, threading
+from rclpy.event_handler import EventHandler
+from scara_effmass.nodes.validator_node import main
+
+calls, add = [], EventHandler.add_to_wait_set
+
+def interrupted_add(self, wait_set):
+    calls.append(self)
+    if len(calls) == {number}:
+        os.kill(os.getpid(), signal.SIGINT)
+        threading.Event().wait(0.1)  # time in which the thread for signals could shut the context down
+    return add(self, wait_set)
+
+EventHandler.add_to_wait_set = interrupted_add
+raise SystemExit(main([]) or 3 * (len(calls) < {number}))
+"""
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(own_domain)}
+    ended = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False)
+    assert (ended.returncode, "Traceback" in ended.stderr) == (0, False), ended.stderr
+
+
+@pytest.mark.live
 @pytest.mark.parametrize("command", [("monitor_node",), ("scara-effmass", "monitor")])
 @pytest.mark.parametrize("is_caught", [False, True])
 def test_sigterm_while_a_node_starts_ends_it_with_0_or_143(

@@ -38,6 +38,22 @@ def test_stated_rotor_inertia_gives_no_warning() -> None:
     assert "rotor inertia from the setting armature: joint1 0.3, joint2 0" in values["notes"]
 
 
+def test_kernel_that_disagreed_is_a_warning_and_counted() -> None:
+    settings = MonitorSettings()
+    monitor = Monitor(RobotDynamics(load_robot(settings=settings)), settings)
+    for fault, core, count in (
+        ("", "Pinocchio: the kernel is not loaded", "0"),
+        ("the compiled kernel disagrees with Pinocchio in speed", "Pinocchio: the compiled kernel disagrees", "1"),
+    ):
+        monitor.kernel_fault = fault
+        _, status = monitor_statuses(monitor, (), {}, DiagnosticStatus())
+        values = {pair.key: pair.value for pair in status.values}
+        assert values["core"].startswith(core)
+        assert values["kernel disagreements"] == count
+        assert status.message.startswith(fault)
+        assert status.level == DiagnosticStatus.WARN
+
+
 def test_missing_lumped_model_is_a_warning_only_where_it_decides() -> None:
     panda = MonitorSettings(robot=str(share("config", "robots", "panda.urdf")), armature=("menagerie/panda",))
     for model, level in (("auto", DiagnosticStatus.OK), ("lumped", DiagnosticStatus.WARN)):

@@ -341,7 +341,8 @@ def test_messages_lost_by_the_middleware_are_counted(rig: Rig, monkeypatch: pyte
     publisher = rig.node.create_publisher(String, "notes", DEEP)
     until(lambda: rig.node.get_publishers_info_by_topic("/notes"))
     with BagRecorder(rig.bag) as recorder:
-        topic_recorder = TopicRecorder(rig.node, recorder, ["/notes"], rig.warnings.append)
+        count_lost = recorder.count_lost_by_middleware
+        topic_recorder = TopicRecorder(rig.node, recorder, ["/notes"], rig.warnings.append, count_lost=count_lost)
         topic_recorder.discover()
         on_message_lost = callbacks[0].message_lost
         assert on_message_lost is not None

@@ -63,11 +63,11 @@ FAST = ("-p", "rise_rate:=20.0")
 
 @pytest.mark.parametrize("fault", ["SIGKILL", "SIGSTOP", "SIGTERM", "no input"])
 def test_factor_is_0_without_a_monitor_rises_and_falls_with_it(cell: Start, fault: str) -> None:
-    monitor, node, factors = cell(*FAST)
+    monitor, node, factors = cell()
     node.spin_until(lambda: factors)
     assert set(factors) == {0.0}
     rises_to_1(monitor, node, factors)
-    assert np.diff(factors).max() <= 0.5
+    assert np.diff(factors).max() <= 0.5  # by 1 in a second; this process or the node may stand for a while
     assert monitor.process is not None
     if fault.startswith("SIG"):
         monitor.process_may_end = True
@@ -118,12 +118,13 @@ def test_simulated_controller_obeys_over_dds(cell: Start) -> None:
     trajectory = ScaledTrajectory(JOINTS, np.arange(300) / 100, q[1950:2250], qd[1950:2250])
     monitor.node.create_subscription(ContactState, "contact_state", monitor.on_contact_state, DEEP_QOS)
     in_force: dict[int, float] = {}
-    last_ns = time.time_ns()
+    last_ns, seen = time.time_ns(), 0
 
     def cycle() -> bool:
-        """Advance by the time that has passed, at the last received factor."""
-        nonlocal last_ns
-        node.spin_until(lambda: time.time_ns() > last_ns + 8_000_000)
+        """Advance by the time that has passed, at the last received factor; wait for one where the node is late."""
+        nonlocal last_ns, seen
+        node.spin_until(lambda: time.time_ns() > last_ns + 8_000_000 and len(factors) > seen)
+        seen = len(factors)
         now_ns = time.time_ns()
         factor = factors[-1] if factors else 0.0
         monitor.send(joint_state_message(trajectory.advance(factor, (now_ns - last_ns) / 1e9, now_ns)))

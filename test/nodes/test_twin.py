@@ -8,6 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import pytest
 from rclpy.serialization import deserialize_message
 from scara_effmass_msgs.msg import ContactState
 
@@ -34,12 +35,19 @@ def responses_when_complete(contacts: list[ContactState]) -> list[ContactState]:
     return found if len(found := responses(contacts)) >= JOINT_STATES else []
 
 
-def test_replay_and_assess_agree_on_every_joint_state(new_harness: Callable[[], NodeHarness], tmp_path: Path) -> None:
+@pytest.mark.parametrize("kernel", [False, True])
+def test_replay_and_assess_agree_on_every_joint_state(
+    new_harness: Callable[[], NodeHarness],
+    tmp_path: Path,
+    kernel: bool,  # noqa: FBT001
+) -> None:
+    """Pinocchio on both sides, then the kernel on both: the cross-check assesses short recordings with it, too."""
     recording = str(share("bags", "straight_300_200"))
     harness = new_harness()
-    harness.start("--ros-args", "-p", "use_sim_time:=true")
+    harness.start("--ros-args", "-p", "use_sim_time:=true", kernel=kernel)
     harness.subscribe()
     harness.spin_until(lambda: harness.contact_states)  # the subscription has matched
+    harness.diagnostic("model", "core", lambda core: core.startswith("compiled kernel" if kernel else "Pinocchio"))
     environment = {**os.environ, "ROS_DOMAIN_ID": str(harness.domain)}
     with subprocess.Popen([COMMAND, "replay", recording, "--rate", "0"], env=environment) as replay:
         harness.spin_until(lambda: replay.poll() is not None)
@@ -50,7 +58,8 @@ def test_replay_and_assess_agree_on_every_joint_state(new_harness: Callable[[], 
     ]
 
     assessed = tmp_path / "assessed.mcap"
-    subprocess.run([COMMAND, "assess", recording, "-o", str(assessed)], check=True, stdout=subprocess.DEVNULL)
+    assess = [COMMAND, "assess", recording, "-o", str(assessed), *["--cross-check"] * kernel]
+    subprocess.run(assess, check=True, stdout=subprocess.DEVNULL)
     with open_bag(assessed) as bag:
         offline = [deserialize_message(message.data, ContactState) for message in bag.messages(["/contact_state"])]
     for live_states, offline_states in zip(live, (offline[::2], offline[1::2]), strict=True):

@@ -169,6 +169,7 @@ def start_cell(launch_file: dict[str, Any], own_domain: int, tmp_path: Path) -> 
     """Start the processes of a cell."""
     processes: Cell = []
     environment = {**os.environ, "ROS_DOMAIN_ID": str(own_domain), "ROS_LOG_DIR": str(tmp_path)}
+    environment["NUMBA_DISABLE_JIT"] = "1"  # no kernel: loading it takes a second
 
     def start(**arguments: str) -> Cell:
         own = []
@@ -214,7 +215,7 @@ def test_two_cells_side_by_side_keep_to_their_namespaces(
         )
 
     def recorded() -> bool:
-        topics = ("contact_state", "force")
+        topics = ("contact_state", "force", "joint_states")
         return all(harness.node.count_subscribers(f"/{name}/{topic}") >= 2 for name in cells for topic in topics)
 
     harness.spin_until(lambda: recorded() and answered(), repeat=send)
@@ -227,6 +228,10 @@ def test_two_cells_side_by_side_keep_to_their_namespaces(
         return {status.name for array in arrays for status in array.status}
 
     harness.spin_until(lambda: wanted <= statuses() and reporters <= {name.split(":")[0] for name in statuses()})
+    harness.spin_until(lambda: all(sender.get_subscription_count() >= 2 for sender in senders.values()))
+    # The recorder takes what it receives some time after it has subscribed: send for some more diagnostics.
+    known = len(arrays)
+    harness.spin_until(lambda: len(arrays) > known + 12, repeat=send)
     for status in statuses():  # each belongs to one analyzer
         assert sum(any(part in status for part in group["contains"]) for group in groups) == 1, status
     info = f"/left/{topics.RECORDING_INFO}"
