@@ -25,6 +25,10 @@ class RobotError(EffmassError, ValueError):
     """Invalid robot description, or a model that the robot does not have."""
 
 
+class CrossCheckError(EffmassError):
+    """The assessment of many joint states at once differs from that of the monitor."""
+
+
 class LimitError(EffmassError, ValueError):
     """Limit that the standard does not state, or setting that would loosen one."""
 

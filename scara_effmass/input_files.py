@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read text and YAML files of limited size; an error is one line that names the place."""
+"""Read text and YAML files of limited size; an error is one line that names the place. Read tables of this package."""
 
 import hashlib
 import re
@@ -112,6 +112,12 @@ _Loader.yaml_implicit_resolvers = {
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
+
+
+def read_table(module: str, name: str) -> Any:  # noqa: ANN401 - what the file holds
+    """Return the content of the YAML file `name` of this package, beside the file `module`."""
+    with Path(module).with_name(name).open(encoding="utf-8") as stream:
+        return yaml.load(stream, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # noqa: S506 - both are safe
 
 
 def digest(path: Path, error: type[EffmassError]) -> str:

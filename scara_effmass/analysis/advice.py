@@ -23,9 +23,9 @@ from scara_effmass.values import ContactAssessment, Decision, FloatArray, JointS
 
 ITERATIONS = 30
 PRECISION = 0.99
-"""Of a factor to the smallest one that is known to be too large."""
+"""Minimum ratio of an accepted factor to the smallest factor that is known to be too large."""
 MIN_FACTOR = 0.02
-"""Below it a segment has no factor."""
+"""Minimum factor; a segment that needs less gets none."""
 MAX_STEP_S = 0.02
 IntArray = NDArray[np.intp]
 

@@ -12,7 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from scara_effmass.analysis.assessed_states import BATCH, AssessedStates, states_of
 from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.batches import IntArray
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.run_info import first_run_info
 from scara_effmass.errors import BagError, SettingsError
@@ -106,6 +108,11 @@ def assess_joint_states(
                 now_ns = clock_ns = max(clock_ns, state.stamp_ns)  # a stamp that goes back is refused, as live
             decision = monitor.assess(state, now_ns)
             yield AssessedState(log_time_ns, recorded._replace(names=names), decision)
+    require_own_joints(bag, topic, monitor, count)
+
+
+def require_own_joints(bag: Bag, topic: str, monitor: Monitor, count: int) -> None:
+    """Raise BagError if `monitor` ignored all of `count` joint states on `topic` as those of other devices."""
     if monitor.ignored == count > 0:
         joints = ", ".join(monitor.dynamics.robot.joint_names)
         problem = f"none of its joint states names a joint of the robot ({joints})"
@@ -168,12 +175,11 @@ class ClockSkew:
     def __init__(self) -> None:
         self.min_s, self.max_s = np.inf, -np.inf
 
-    def add(self, item: AssessedState) -> AssessedState:
-        """Count a joint state, unless it has no stamp, and return it."""
-        if item.state is not None and item.state.stamp_ns > 0:
-            lead_s = (item.state.stamp_ns - item.log_time_ns) / 1e9
-            self.min_s, self.max_s = min(self.min_s, lead_s), max(self.max_s, lead_s)
-        return item
+    def add(self, stamp_ns: IntArray, log_time_ns: IntArray) -> None:
+        """Count joint states (m,), but those without a stamp."""
+        lead_s = (stamp_ns - log_time_ns)[stamp_ns > 0] / 1e9
+        if len(lead_s):
+            self.min_s, self.max_s = min(self.min_s, float(lead_s.min())), max(self.max_s, float(lead_s.max()))
 
     def lines(self, settings: MonitorSettings, time: Time) -> Iterator[tuple[str, str]]:
         """Yield the lead with `Time.HEADER`, or if no header stamp is valid at its log time."""
@@ -216,3 +222,29 @@ def generated_description(bag: Bag) -> str:
     """Return the description of a generated motion; empty if `bag` has no run information or was measured."""
     info = first_run_info(bag)
     return info.note.partition("\n")[0] if info is not None and info.simulated else ""
+
+
+def one_by_one(assessed: Iterator[AssessedState], skew: ClockSkew) -> Iterator[AssessedStates]:
+    """Yield the decisions of a monitor in batches, as columns; count the clocks in `skew`."""
+    items: list[AssessedState] = []
+    count = 0
+    for item in assessed:
+        items.append(item)
+        count += item.decision is not None
+        if count == BATCH:
+            yield from _as_columns(items, skew)
+            items, count = [], 0
+    yield from _as_columns(items, skew)
+
+
+def _as_columns(items: list[AssessedState], skew: ClockSkew) -> Iterator[AssessedStates]:
+    stamps = [(item.state.stamp_ns, item.log_time_ns) for item in items if item.state is not None]
+    skew.add(*np.array(stamps, np.int64).reshape(-1, 2).T)
+    rows = [(item, item.decision.contacts) for item in items if item.decision is not None]
+    if rows:
+
+        def positions(row: int) -> dict[str, float]:
+            state = rows[row][0].state
+            return {} if state is None else dict(zip(state.names, state.position.tolist(), strict=False))
+
+        yield states_of([item.log_time_ns for item, _ in rows], [contacts for _, contacts in rows], positions)

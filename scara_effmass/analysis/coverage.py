@@ -88,7 +88,10 @@ class Coverage(BaseModel):
             values = json.loads(path.read_text(encoding="utf-8"))["coverage"]
         except (OSError, ValueError, KeyError, TypeError):
             raise SettingsError(f"{path}: cannot be read: must be a coverage.json") from None
-        other = checked(Coverage, values, str(path))
+        self.extend(checked(Coverage, values, str(path)), path)
+
+    def extend(self, other: Coverage, path: Path) -> None:
+        """Add the coverage `other` of `path`. Raises SettingsError as `merge`."""
         for text, own, its in (
             ("robot and ranges", (self.robot, self.ranges), (other.robot, other.ranges)),
             ("bins", *({name: len(bins) for name, bins in one.counts.items()} for one in (self, other))),

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 from pyarrow import compute, csv
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 from scara_effmass import __version__
 from scara_effmass.analysis.pages import render
@@ -84,12 +83,11 @@ class Evidence:
         ratios = self.ratios(**{column: value for column, value in chosen.items() if value})
         if not len(ratios):
             return None
-        count, above, tail = len(ratios), int(np.sum(ratios > 1.0)), 0.5 * (1.0 - CONFIDENCE)
-        # Clopper and Pearson.
-        low = float(beta.ppf(tail, above, count - above + 1)) if above else 0.0
-        high = float(beta.ppf(1.0 - tail, above + 1, count - above)) if above < count else 1.0
+        count, above = len(ratios), int(np.sum(ratios > 1.0))
+        ends = binomtest(above, count).proportion_ci(CONFIDENCE)  # Clopper and Pearson
+        interval = float(ends.low), float(ends.high)
         return Group(
-            setting, drives, plate, robot, count, above, (low, high), float(ratios.max()), float(np.median(ratios))
+            setting, drives, plate, robot, count, above, interval, float(ratios.max()), float(np.median(ratios))
         )
 
     def groups(self, plates: tuple[str, ...] = (*PLATES,), robots: tuple[str, ...] = ("",)) -> list[Group]:
@@ -182,6 +180,6 @@ def write_evidence(folder: Path, seed: int, *, overwrite: bool) -> Evidence:
         plates=PLATES,
         version=__version__,
     )
-    summary = json.dumps({"seed": seed} | evidence.as_dict(), indent=2)
+    summary = {"seed": seed} | evidence.as_dict()
     write_report_files(folder, {PAGE: page, SUMMARY: summary}, [figure], overwrite=overwrite)
     return evidence

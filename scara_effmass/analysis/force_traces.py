@@ -37,8 +37,10 @@ class ForceTrace(NamedTuple):
     @property
     def duration(self) -> float | None:
         """Time above `LOW_SHARE` of the peak [s], None if a flank is missing."""
-        peak = int(self.force.argmax()) if self.force.size else 0
-        low = np.flatnonzero(self.force < LOW_SHARE * self.force[peak]) if self.force.size else np.empty(0, np.intp)
+        if not self.force.size:
+            return None
+        peak = int(self.force.argmax())
+        low = np.flatnonzero(self.force < LOW_SHARE * self.force[peak])
         rise, fall = low[low < peak], low[low > peak]
         return float(self.time[fall[0]] - self.time[rise[-1]]) if rise.size and fall.size else None
 
@@ -164,5 +166,7 @@ def shown(
     speed: float | None = None,
 ) -> list[ShownTrace]:
     """Return the trace of an impact as a report shows it, nothing for an empty one."""
-    drawing = [draw_trace(trace, predicted)] if trace.time.size else []
-    return [ShownTrace(title, iso_time(stamp_ns), item, simulated, peak, predicted, speed) for item in drawing]
+    if not trace.time.size:
+        return []
+    drawing = draw_trace(trace, predicted)
+    return [ShownTrace(title, iso_time(stamp_ns), drawing, simulated, peak, predicted, speed)]

@@ -5,8 +5,10 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from scara_effmass.errors import OutputError
+from scara_effmass.url import Url
 
 
 def check_output_path(path: Path, *, overwrite: bool) -> None:
@@ -32,6 +34,16 @@ def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     Missing parent folders are created. Raises OutputError.
     """
     check_output_path(path, overwrite=overwrite)
+    if isinstance(path, Url):
+        with TemporaryDirectory() as folder:
+            unfinished = Path(folder) / path.name
+            unfinished.touch()
+            yield unfinished
+            try:
+                path.upload(unfinished)
+            except OSError as error:
+                raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+        return
     unfinished = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -102,8 +102,9 @@ def environment(language: str) -> Environment:
         "t": t,
         "iso_time": time,
         "css": css_string,
+        "capital": lambda text: text[:1].upper() + text[1:],
+        "percent": lambda share: f"{share:.1%}",
     }
-    made.filters |= {"capital": lambda text: text[:1].upper() + text[1:], "percent": lambda share: f"{share:.1%}"}
     return made
 
 

@@ -169,6 +169,10 @@ class ContactTest(FrozenSettings):
     motion: Motion = Motion()
     results: Results = Results()
 
+    def with_results(self, **changes: object) -> "ContactTest":
+        """Return the test with `changes` of its results."""
+        return self.model_copy(update={"results": self.results.model_copy(update=changes)})
+
 
 class Protocol(FrozenSettings):
     """Measurement protocol of contact forces (ISO/PAS 5672, RIA TR R15.806)."""

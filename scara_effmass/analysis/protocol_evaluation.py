@@ -4,7 +4,7 @@
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -67,13 +67,13 @@ def evaluate(protocol: Protocol, test: ContactTest, folder: Path) -> Evaluation:
     instrument = protocol.device(test)
     values = _values(test, instrument) if instrument else {}
     ratio, relative = values.get("ratio"), values.get("uncertainty")
-    doubts = list(_doubts(protocol, test, instrument, folder))
+    reasons = list(_unknown_reasons(protocol, test, instrument, folder))
     if ratio is None or relative is None:
-        return Evaluation(verdict=Verdict.UNKNOWN.name, reasons=doubts or ("no force",), **values)
+        return Evaluation(verdict=Verdict.UNKNOWN.name, reasons=reasons or ("no force",), **values)
     verdict = Verdict.OK if ratio * (1.0 + relative) <= 1.0 else Verdict.WARN if ratio <= 1.0 else Verdict.VIOLATION
     return Evaluation(
-        verdict=(Verdict.UNKNOWN if doubts else verdict).name,
-        reasons=(f"{ratio:.0%} of the limit, ±{ratio * relative:.0%}", *doubts),
+        verdict=(Verdict.UNKNOWN if reasons else verdict).name,
+        reasons=(f"{ratio:.0%} of the limit, ±{ratio * relative:.0%}", *reasons),
         **values,
     )
 
@@ -83,7 +83,14 @@ def overall(protocol: Protocol) -> Verdict:
     return worst(Verdict[test.results.evaluation.verdict] for test in protocol.tests if test.results.evaluation)
 
 
-def _doubts(protocol: Protocol, test: ContactTest, instrument: Instrument | None, folder: Path) -> Iterator[str]:
+def record(protocol: Protocol) -> dict[str, Any]:
+    """Return the verdict on `protocol` and its content, for JSON."""
+    return {"verdict": overall(protocol).name, **protocol.model_dump(mode="json")}
+
+
+def _unknown_reasons(
+    protocol: Protocol, test: ContactTest, instrument: Instrument | None, folder: Path
+) -> Iterator[str]:
     """Yield what makes the verdict UNKNOWN."""
     repetitions, identity, motion = test.results.repetitions, protocol.identity, test.motion
     if any(item.simulated for item in repetitions):
@@ -99,7 +106,7 @@ def _doubts(protocol: Protocol, test: ContactTest, instrument: Instrument | None
     if len(set(times)) < len(times):
         yield "the same contact twice: results.repetitions.time must differ"
     if instrument:
-        yield from _instrument_doubts(instrument, protocol, test)
+        yield from _instrument_reasons(instrument, protocol, test)
     elif test.instrument:
         yield f"unknown instrument: {test.instrument}"
     for number, item in enumerate(repetitions, start=1):
@@ -109,7 +116,7 @@ def _doubts(protocol: Protocol, test: ContactTest, instrument: Instrument | None
     yield from (f"photo not found: {name}" for name in test.results.photos or () if not (folder / name).is_file())
 
 
-def _instrument_doubts(instrument: Instrument, protocol: Protocol, test: ContactTest) -> Iterator[str]:
+def _instrument_reasons(instrument: Instrument, protocol: Protocol, test: ContactTest) -> Iterator[str]:
     day, due, done = protocol.identity.test_date, instrument.calibration_due, instrument.calibration_date
     if instrument.fixed is False and instrument.moving_mass_kg is None:
         yield f"missing: instruments.{instrument.id}.moving_mass_kg"

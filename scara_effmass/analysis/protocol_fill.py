@@ -98,7 +98,6 @@ def evaluated(protocol: Protocol, folder: Path) -> Protocol:
             else item
             for item in test.results.repetitions
         )
-        hashed = test.model_copy(update={"results": test.results.model_copy(update={"repetitions": items})})
-        results = hashed.results.model_copy(update={"evaluation": evaluate(protocol, hashed, folder)})
-        protocol = protocol.replaced(hashed.model_copy(update={"results": results}))
+        hashed = test.with_results(repetitions=items)
+        protocol = protocol.replaced(hashed.with_results(evaluation=evaluate(protocol, hashed, folder)))
     return protocol

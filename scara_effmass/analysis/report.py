@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of a report: self-contained page, figures as PNG and SVG, PDF."""
 
+import json
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -62,7 +63,7 @@ def figure_files(names: Iterable[str]) -> list[str]:
 
 def write_report_files(
     folder: Path,
-    texts: Mapping[str, str | bytes],
+    texts: Mapping[str, str | bytes | dict[str, Any]],
     figures: Sequence[ReportFigure],
     *,
     overwrite: bool,
@@ -70,9 +71,13 @@ def write_report_files(
 ) -> None:
     """Write `texts` by file name, `figures`, and the page `pdf_of` as PDF into `folder`, all or none.
 
-    Raises OutputError.
+    A dictionary is written as JSON. Raises OutputError, and ValueError for NaN and infinity, which JSON does not have.
     """
-    files = {name: text if isinstance(text, bytes) else text.encode() for name, text in texts.items()}
+    files: dict[str, bytes] = {}
+    for name, text in texts.items():
+        if isinstance(text, dict):
+            text = json.dumps(text, indent=2, ensure_ascii=False, allow_nan=False) + "\n"  # noqa: PLW2901
+        files[name] = text if isinstance(text, bytes) else text.encode()
     if pdf_of:
         files[PDF] = print_pdf(files[pdf_of].decode())
     for figure in figures:

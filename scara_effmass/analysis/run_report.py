@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The report of a run, live or offline: a figure and the episodes of each contact point, a page, and a summary."""
 
-import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain
@@ -15,7 +14,7 @@ from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.pages import PageOptions, file_hashes, render, setting_rows
 from scara_effmass.analysis.recorded_run import RecordedForce
 from scara_effmass.analysis.report import ReportFigure, figure_files, report_figure, write_report_files
-from scara_effmass.analysis.summary import worst
+from scara_effmass.analysis.summary import WORST_FIRST, worst
 from scara_effmass.analysis.time_series import Episode, TimeSeries, intervals
 from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.safety.remedies import remedy
@@ -32,7 +31,6 @@ MAX_MODELS_LENGTH = 180
 """Length of the line with the mass models that decided, and why."""
 MAX_ROWS = 100
 """Most episodes in a table of the page; the summary lists all."""
-_SEVERITY = (Verdict.VIOLATION, Verdict.UNKNOWN, Verdict.WARN)
 
 
 class RunReport:
@@ -57,7 +55,6 @@ class RunReport:
         check_output_files(folder, [PAGE, SUMMARY, *options.files(), *figure_files(names)], overwrite=overwrite)
         self._names = iter(names)
         self._sections: list[tuple[ReportFigure, int, list[Episode], int]] = []
-        self._all_episodes: list[Episode] = []
         self._traces: dict[str, list[ShownTrace]] = {}
         self._period = [2**63, 0]
         self._is_simulated = False
@@ -87,10 +84,10 @@ class RunReport:
         name, head = next(self._names), f"{run} · contact point: {contact_point}"
         figure = report_figure(name, head, CAPTION, drawing, self._options.language)
         episodes = [item for item in intervals(series, settings.timeout) if item.verdict is not Verdict.OK]
-        serious = sorted(episodes, key=lambda item: (_SEVERITY.index(item.verdict), item.start - item.stop))[:MAX_ROWS]
+        by_severity = sorted(episodes, key=lambda item: (WORST_FIRST.index(item.verdict), item.start - item.stop))
+        serious = by_severity[:MAX_ROWS]
         shown_episodes = sorted(serious, key=lambda item: item.start)
         self._sections.append((figure, series.start_ns, shown_episodes, len(episodes) - len(serious)))
-        self._all_episodes += episodes
         end_ns = series.start_ns + round(float(series.time[-1]) * 1e9)
         self._period = [min(self._period[0], series.start_ns), max(self._period[1], end_ns)]
         self._is_simulated |= generated or bool(forces and forces.simulated)
@@ -145,7 +142,7 @@ class RunReport:
             files=file_hashes([*paths, settings.robot_path]),
             setting_rows=list(setting_rows("monitor", settings, changed_only=True)),
         )
-        texts = {PAGE: page, SUMMARY: f"{json.dumps(summary, indent=2, allow_nan=False)}\n"}
+        texts: dict[str, str | bytes | dict[str, Any]] = {PAGE: page, SUMMARY: summary}
         pdf_of = PAGE * self._options.pdf
         write_report_files(self._folder, texts, figures, overwrite=self._overwrite, pdf_of=pdf_of)
         return summary
@@ -153,7 +150,7 @@ class RunReport:
     def _regions(self) -> Iterator[tuple[Limit, int, float | None, str]]:
         """Yield each limit with the intervals that it governs, their smallest margin [m/s] and worst verdict."""
         for limit in limits_for(self._settings):
-            own = [item for item in self._all_episodes if item.body_region == limit.region]
-            margins = [item.min_margin for item in own if not math.isnan(item.min_margin)]
-            verdict = worst(item.verdict for item in own).name if own else ""
+            own = [item for item in self._episodes if item["body_region"] == limit.region]
+            margins = [item["min_margin_m_s"] for item in own if item["min_margin_m_s"] is not None]
+            verdict = worst(Verdict[item["verdict"]] for item in own).name if own else ""
             yield limit, len(own), min(margins, default=None), verdict

@@ -1,16 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Summary of a run: cycles and time per verdict, the tightest margin, and the reasons of UNKNOWN."""
 
+from __future__ import annotations
+
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from datetime import datetime, timezone
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import TypedDict
+
+from scara_effmass.analysis.assessed_states import AssessedStates
 from scara_effmass.analysis.time_series import NO_JOINT_STATE
+from scara_effmass.bags.batches import IntArray
 from scara_effmass.safety.debounce import severity
 from scara_effmass.safety.remedies import remedy
-from scara_effmass.values import ContactAssessment, JointState, Verdict
+from scara_effmass.values import ContactAssessment, Verdict
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
 """Numbers in a reason, except digits in names; reasons are counted without them."""
@@ -22,7 +30,10 @@ MAX_UNKNOWN_SHARE = 0.05
 """Share of UNKNOWN above which the summary states a remedy."""
 
 
-_ORDER = (Verdict.OK, Verdict.WARN, Verdict.UNKNOWN, Verdict.VIOLATION)
+SEVERITIES = np.array([severity(verdict) for verdict in Verdict])
+"""Severity of each verdict by its number."""
+WORST_FIRST = (Verdict.VIOLATION, Verdict.UNKNOWN, Verdict.WARN, Verdict.OK)
+"""Verdicts on several intervals or tests; of one joint state UNKNOWN outweighs VIOLATION (`severity`)."""
 
 
 def iso_time(stamp_ns: int) -> str:
@@ -33,8 +44,8 @@ def iso_time(stamp_ns: int) -> str:
 
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
-    """Return the verdict on several intervals or tests: one VIOLATION outweighs what is UNKNOWN. None is UNKNOWN."""
-    return max(verdicts, key=_ORDER.index, default=Verdict.UNKNOWN)
+    """Return the verdict on several intervals or tests: one VIOLATION outweighs what is UNKNOWN. Of none: UNKNOWN."""
+    return min(verdicts, key=WORST_FIRST.index, default=Verdict.UNKNOWN)
 
 
 class TightestMargin(NamedTuple):
@@ -77,6 +88,22 @@ class TightestMargin(NamedTuple):
         }
 
 
+class SummaryState(TypedDict):
+    """What a summary has counted, for JSON."""
+
+    timeout_ns: int
+    last: tuple[int, Verdict] | None
+    cycles: dict[Verdict, int]
+    time_ns: dict[Verdict, int]
+    reasons: dict[str, int]
+    numbers: dict[str, list[tuple[float, float]]]
+    mass_models: dict[str, int]
+    gaps: int
+    max_gap_ns: int
+    gaps_ns: int
+    tightest: TightestMargin | None
+
+
 class Summary:
     """Counts cycles in bounded memory. The verdict of a cycle is the worst of its contact points.
 
@@ -96,34 +123,32 @@ class Summary:
         self.max_gap_ns = self._gaps_ns = 0
         self.tightest: TightestMargin | None = None
 
-    def add(
-        self, contacts: Sequence[ContactAssessment], at_ns: int, state: JointState | None = None, source: str = ""
-    ) -> None:
-        """Count one cycle, assessed at `at_ns`; `state` is its joint state and `source` its recording, if known."""
-        worst = contacts[0]
-        for contact in contacts:
-            if severity(contact.verdict) > severity(worst.verdict):
-                worst = contact
-            if contact.verdict is not Verdict.UNKNOWN and (
-                self.tightest is None or contact.margin < self.tightest.contact.margin
-            ):
-                positions = {} if state is None else dict(zip(state.names, state.position.tolist(), strict=True))
-                self.tightest = TightestMargin(contact, source, positions)
-        self.cycles[worst.verdict] += 1
-        if worst.verdict is Verdict.UNKNOWN:
-            reason = NUMBER.sub("…", worst.reason)
-            if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
-                reason = OTHER_REASONS
-            self.reasons[reason] += 1
-            numbers = [float(number.group()) for number in NUMBER.finditer(worst.reason)]
-            ranges = self._numbers.setdefault(reason, [(number, number) for number in numbers])
-            if reason != OTHER_REASONS:
-                pairs = zip(ranges, numbers, strict=True)
-                self._numbers[reason] = [(min(low, number), max(high, number)) for (low, high), number in pairs]
-        elif worst.mass_model:
-            self.mass_models[worst.mass_model_text] += 1
-        self._pass_time(at_ns)
-        self._last = (at_ns, worst.verdict)
+    def add(self, states: AssessedStates, source: str = "") -> None:
+        """Count `states` of the recording `source`, if known."""
+        verdicts = np.array([contact.verdict for contact in states.contacts])
+        deciding = SEVERITIES[verdicts].argmax(axis=0)  # the first of equal ones
+        shown = verdicts[deciding, np.arange(len(states))]
+        self.cycles.update({verdict: count for verdict in Verdict if (count := int((shown == verdict).sum()))})
+        self._find_tightest(states, verdicts, source)
+        for point, contact in enumerate(states.contacts):
+            decides = deciding == point
+            for index, count in _counts(states.reasons[point][decides & (shown == Verdict.UNKNOWN)]):
+                text = states.reason_texts[point][index]
+                numbers = [float(number.group()) for number in NUMBER.finditer(text)]
+                self._count_reason(NUMBER.sub("…", text), count, [(number, number) for number in numbers])
+            decides &= shown != Verdict.UNKNOWN
+            pairs = contact.mass_model * len(contact.mass_model_reasons) + contact.mass_model_reason
+            for pair, count in _counts(pairs[decides]):
+                model, reason = divmod(pair, len(contact.mass_model_reasons))
+                if contact.mass_models[model]:
+                    self.mass_models[f"{contact.mass_models[model]}: {contact.mass_model_reasons[reason]}"] += count
+        self._pass_time(states.log_time_ns, shown)
+
+    def _find_tightest(self, states: AssessedStates, verdicts: NDArray[np.int8], source: str) -> None:
+        margins = np.where(verdicts == Verdict.UNKNOWN, np.inf, [contact.margin for contact in states.contacts])
+        row, point = divmod(int(np.argmin(margins.T)), len(states.contacts))
+        if margins[point, row] < (self.tightest.contact.margin if self.tightest else np.inf):
+            self.tightest = TightestMargin(states.contact(point, row), source, dict(states.positions(row)))
 
     @property
     def only_unknown(self) -> bool:
@@ -151,9 +176,41 @@ class Summary:
             counts[first + "".join(map(str.__add__, ends, others))] = count
         return counts
 
-    def new_recording(self) -> None:
-        """Start a new recording; the time since the last cycle is not counted."""
-        self._last = None
+    def state(self) -> SummaryState:
+        """Return all that was counted, for `of_state`."""
+        return cast("SummaryState", {name.lstrip("_"): value for name, value in vars(self).items()})
+
+    @classmethod
+    def of_state(cls, state: SummaryState) -> Summary:
+        """Return the summary that had `state`."""
+        summary = cls(state["timeout_ns"])
+        for name, own in vars(summary).items():
+            value = state[name.lstrip("_")]  # type: ignore[literal-required]
+            setattr(summary, name, Counter(value) if isinstance(own, Counter) else value)
+        return summary
+
+    def merge(self, other: Summary) -> None:
+        """Add the counts of another recording; the time between the two is not counted."""
+        self.cycles += other.cycles
+        self.time_ns += other.time_ns
+        self.mass_models += other.mass_models
+        for reason, count in other.reasons.items():
+            self._count_reason(reason, count, other._numbers[reason])
+        self.gaps += other.gaps
+        self.max_gap_ns = max(self.max_gap_ns, other.max_gap_ns)
+        self._gaps_ns += other._gaps_ns
+        margins = [tightest for tightest in (self.tightest, other.tightest) if tightest is not None]
+        self.tightest = min(margins, key=lambda tightest: tightest.contact.margin, default=None)
+
+    def _count_reason(self, reason: str, count: int, ranges: list[tuple[float, float]]) -> None:
+        """Count a `reason` of UNKNOWN, without its numbers, which lie in `ranges`."""
+        if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
+            reason = OTHER_REASONS
+        self.reasons[reason] += count
+        before = self._numbers.setdefault(reason, ranges if reason != OTHER_REASONS else [])
+        if reason != OTHER_REASONS:
+            pairs = zip(before, ranges, strict=True)
+            self._numbers[reason] = [(min(a, c), max(b, d)) for (a, b), (c, d) in pairs]
 
     def as_dict(self) -> dict[str, Any]:
         """Return all counts for JSON, units in the names."""
@@ -191,15 +248,28 @@ class Summary:
         if self.remedy:
             yield "remedy", self.remedy
 
-    def _pass_time(self, at_ns: int) -> None:
-        if self._last is None:
-            return
-        last_ns, verdict = self._last
+    def _pass_time(self, at_ns: IntArray, verdicts: NDArray[np.int8]) -> None:
+        if self._last is not None:
+            at_ns, verdicts = np.append(self._last[0], at_ns), np.append(self._last[1], verdicts)
+        self._last = int(at_ns[-1]), Verdict(verdicts[-1])
         # Stamps may be out of order; no time is counted twice.
-        elapsed_ns = max(0, at_ns - last_ns)
-        self.time_ns[verdict] += min(elapsed_ns, self._timeout_ns)
-        if elapsed_ns > self._timeout_ns:
-            self.time_ns[Verdict.UNKNOWN] += elapsed_ns - self._timeout_ns
-            self.gaps += 1
-            self._gaps_ns += elapsed_ns - self._timeout_ns
-            self.max_gap_ns = max(self.max_gap_ns, elapsed_ns)
+        elapsed_ns = np.maximum(np.diff(at_ns), 0)
+        counted_ns = np.minimum(elapsed_ns, self._timeout_ns)
+        gaps_ns = int((elapsed_ns - counted_ns).sum())
+        for verdict in Verdict:
+            self.time_ns[verdict] += int(counted_ns[verdicts[:-1] == verdict].sum())
+        self.time_ns[Verdict.UNKNOWN] += gaps_ns
+        self._gaps_ns += gaps_ns
+        is_gap = elapsed_ns > self._timeout_ns
+        self.gaps += int(is_gap.sum())
+        self.max_gap_ns = max(self.max_gap_ns, int(elapsed_ns[is_gap].max(initial=0)))
+
+
+def _counts(values: NDArray[Any]) -> Iterator[tuple[int, int]]:
+    """Yield each of `values` and how often it occurs, in the order of the first ones."""
+    if len(values) and (values == values[0]).all():  # mostly: no need to sort
+        yield int(values[0]), len(values)
+        return
+    unique, first, counts = np.unique(values, return_index=True, return_counts=True)
+    for index in np.argsort(first).tolist():
+        yield int(unique[index]), int(counts[index])

@@ -9,23 +9,27 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
+import numpy as np
 import pyarrow as pa
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
 from pyarrow import csv, parquet
 
 from scara_effmass import __version__
+from scara_effmass.analysis.assessed_states import AssessedStates
 from scara_effmass.analysis.output import atomic_file
+from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
+from scara_effmass.kernel.contact_columns import LABELS, NUMBERS
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import ContactAssessment, RunInfo
+from scara_effmass.values import RunInfo, Verdict
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.message_types import CONTACT_STATE, RUN_INFO
 from scara_effmass.wire.run_info import run_info_message
 
-ROW_GROUP_SIZE = 16_384
-"""Rows of a Parquet row group, which are held in memory."""
 SUFFIXES = (".parquet", ".csv", ".mcap")
 
 _UNITS = {
@@ -57,24 +61,34 @@ _MOBILITIES = {
     model: [f"{model}_{entry}_1_kg" for entry in ("xx", "xy", "xz", "yy", "yz", "zz")]
     for model in ("lumped_mobility", "full_mobility")
 }
-_VECTORS = ("direction", "test_direction")
+_ENTRIES = {name: [f"{name}_{axis}" for axis in "xyz"] for name in ("direction", "test_direction")} | _MOBILITIES
 _FLAGS = ("worst_direction_used", "mass_capped", "watchdog")
 
 SCHEMA = pa.schema(
     [("bag", pa.string()), ("log_time_ns", pa.int64()), ("stamp_ns", pa.int64())]
     + [(name, pa.string()) for name in _LABELS]
-    + [(f"{name}_{axis}", pa.float64()) for name in _VECTORS for axis in "xyz"]
+    + [(f"{name}_{axis}", pa.float64()) for name in ("direction", "test_direction") for axis in "xyz"]
     + [(name, pa.float64()) for name in (*_UNITS.values(), *chain(*_MOBILITIES.values()))]
     + [(name, pa.bool_()) for name in _FLAGS]
 )
 """Columns of a table: recording, log time, and the fields of ContactState with their units."""
+_TEXT = pa.dictionary(pa.int32(), pa.string())
+_ENCODED = pa.schema([field.with_type(_TEXT) if field.type == pa.string() else field for field in SCHEMA])
+"""SCHEMA with an index for each text."""
+
+
+ROW_GROUP = 2
+"""Batches in a row group of Parquet."""
 
 
 class AssessmentWriter(Protocol):
     """Writes assessments."""
 
-    def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
-        """Write the contact points of one joint state."""
+    def add(self, bag: str, states: AssessedStates) -> None:
+        """Write the contact points of each joint state of the recording `bag`."""
+
+    def extend(self, bag: str, part: Path) -> None:
+        """Write what the writer of `part`, a file, wrote of `bag`."""
 
 
 def provenance(settings: MonitorSettings, robot: str, bags: Sequence[Path]) -> dict[str, str]:
@@ -104,11 +118,11 @@ def open_writer(path: Path, origin: Mapping[str, str], frame: str, *, overwrite:
     with (
         atomic_file(path, overwrite=overwrite) as unfinished,
         unfinished.open("wb") as file,
-        open_table(file, path.suffix, SCHEMA, origin) as table,
+        open_table(file, path.suffix, SCHEMA if path.suffix == ".csv" else _ENCODED, origin) as table,
     ):
-        rows = _TableWriter(table)
-        yield rows
-        rows.flush()
+        writer = _TableWriter(table)
+        yield writer
+        writer.flush()
 
 
 def open_table(
@@ -119,7 +133,20 @@ def open_table(
     Parquet carries `origin` as metadata of its schema, CSV in lines that begin with #, above its header.
     """
     if suffix == ".parquet":
-        return parquet.ParquetWriter(file, schema.with_metadata(dict(origin)), compression="zstd")
+        texts = [field.name for field in schema if not pa.types.is_primitive(field.type)]
+        bounds = [field.name for field in schema if field.type != pa.float64()] + [_UNITS["margin"]]
+        # Dictionaries of numbers cost three times as much as all else. Without Arrow's schema, texts are read as texts.
+        writer = parquet.ParquetWriter(
+            file,
+            schema,
+            compression="zstd",
+            compression_level=-7,
+            use_dictionary=texts,
+            write_statistics=bounds,
+            store_schema=False,
+        )
+        writer.add_key_value_metadata(dict(origin))
+        return writer
     file.writelines(f"# {name}: {value}\n".encode() for name, value in origin.items())
     return csv.CSVWriter(file, schema)
 
@@ -127,32 +154,72 @@ def open_table(
 class _TableWriter:
     def __init__(self, writer: parquet.ParquetWriter | csv.CSVWriter) -> None:
         self._writer = writer
-        self._rows: list[tuple[str, int, ContactAssessment]] = []
+        self._tables: list[pa.Table] = []
 
-    def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
-        self._rows += [(bag, log_time_ns, contact) for contact in contacts]
-        if len(self._rows) >= ROW_GROUP_SIZE:
+    def add(self, bag: str, states: AssessedStates) -> None:
+        self._tables.append(pa.table(_columns(bag, states)))
+        if len(self._tables) == ROW_GROUP:
             self.flush()
 
     def flush(self) -> None:
-        """Write the buffered rows."""
-        if self._rows:
-            self._writer.write_table(pa.table(_columns(self._rows), SCHEMA))
-            self._rows.clear()
+        """Write the batches since the last call."""
+        if self._tables:
+            table = pa.concat_tables(self._tables)
+            self._writer.write_table(table.cast(SCHEMA) if isinstance(self._writer, csv.CSVWriter) else table)
+            self._tables.clear()
+
+    def extend(self, bag: str, part: Path) -> None:  # noqa: ARG002 - the rows state it
+        self.flush()
+        with parquet.ParquetFile(part) as file:
+            for batch in file.iter_batches():
+                table = pa.Table.from_batches([batch])
+                self._writer.write_table(table.cast(SCHEMA if isinstance(self._writer, csv.CSVWriter) else _ENCODED))
 
 
-def _columns(rows: list[tuple[str, int, ContactAssessment]]) -> dict[str, Sequence[Any]]:
-    bags, times, contacts = zip(*rows, strict=True)
-    fields = dict(zip(contacts[0]._fields, zip(*contacts, strict=True), strict=True))
-    columns: dict[str, Sequence[Any]] = {"bag": bags, "log_time_ns": times, "stamp_ns": fields["stamp_ns"]}
-    columns |= {name: fields[name] for name in (*_LABELS, *_FLAGS)}
-    columns["verdict"] = [verdict.name for verdict in fields["verdict"]]
-    for name in _VECTORS:
-        for axis, values in zip("xyz", zip(*fields[name], strict=True), strict=True):
-            columns[f"{name}_{axis}"] = values
-    for field, names in _MOBILITIES.items():
-        columns |= dict(zip(names, zip(*fields[field], strict=True), strict=True))
-    return columns | {name: fields[field] for field, name in _UNITS.items()}
+def _columns(bag: str, states: AssessedStates) -> dict[str, pa.Array]:
+    """Return the columns of SCHEMA, texts as dictionaries; the rows of one joint state follow each other."""
+    contacts, count = states.contacts, len(states.contacts)
+
+    def together(values: Sequence[NDArray[Any]]) -> pa.Array:
+        size = values[0].itemsize
+        places = [value.__array_interface__["data"][0] - place * size for place, value in enumerate(values)]
+        if values[0].strides == (count * size,) and len({*places}) == 1:  # as the kernel writes them: no copy
+            return pa.array(as_strided(values[0], (count * len(states),), (size,)))
+        return pa.array(np.stack(values, axis=1).reshape(-1))
+
+    def labels(indices: Sequence[NDArray[Any]], texts: Sequence[Sequence[str]]) -> pa.Array:
+        """Return texts of all contact points, given their indices (m,) in those of each."""
+        starts = np.cumsum([0, *map(len, texts)])
+        choices = pa.array(list(chain(*texts)), pa.string()).dictionary_encode()  # no text twice
+        own = [start + index for start, index in zip(starts, indices, strict=False)]
+        unique = choices.indices.to_numpy()[np.stack(own, axis=1).reshape(-1)]
+        return pa.DictionaryArray.from_arrays(unique, choices.dictionary)
+
+    same = [np.zeros(len(states), np.int32)] * count
+    columns: dict[str, pa.Array] = {"bag": labels(same, [[bag]] * count)}
+    for name in ("log_time_ns", "stamp_ns"):
+        columns[name] = pa.array(np.repeat(getattr(states, name), count))
+    columns |= {
+        "contact_point": labels(same, [[contact.contact_point] for contact in contacts]),
+        "verdict": labels([contact.verdict for contact in contacts], [Verdict._member_names_] * count),
+        "reason": labels(states.reasons, states.reason_texts),
+        "contact_normal": labels(
+            [states.refused.astype(np.int32)] * count, [[contact.contact_normal, ""] for contact in contacts]
+        ),
+        "watchdog": pa.array(np.zeros(count * len(states), np.bool_)),
+    }
+    for name, texts in LABELS.items():
+        columns[name] = labels(*([getattr(contact, field) for contact in contacts] for field in (name, texts)))
+    for name in ("input_age", "velocity_delay"):
+        columns[_UNITS[name]] = pa.array(np.repeat(getattr(states, name), count))
+    for name in NUMBERS[:-1]:
+        values = [getattr(contact, name) for contact in contacts]
+        if name in _ENTRIES:
+            for index, column in enumerate(_ENTRIES[name]):
+                columns[column] = together([value[:, index] for value in values])
+        else:
+            columns[_UNITS.get(name, name)] = together(values)
+    return {name: columns[name] for name in SCHEMA.names}
 
 
 class _BagWriter:
@@ -164,7 +231,13 @@ class _BagWriter:
         self._encoders: dict[str, ContactStateEncoder] = {}
         self._single = len(json.loads(origin["bags"])) == 1
 
-    def add(self, bag: str, log_time_ns: int, contacts: Sequence[ContactAssessment]) -> None:
+    def extend(self, bag: str, part: Path) -> None:
+        with open_bag(part) as source:
+            for message in source.messages(["/contact_state"]):
+                self._begin(bag, message.log_time_ns)
+                self._writer.write(self._topics[bag], CONTACT_STATE, message.log_time_ns, message.data)
+
+    def _begin(self, bag: str, log_time_ns: int) -> None:
         if not self._topics:
             info = RunInfo(stamp_ns=log_time_ns, note=self._note)
             self._writer.write(f"/{topics.RUN_INFO}", RUN_INFO, log_time_ns, run_info_message(info))
@@ -172,7 +245,11 @@ class _BagWriter:
             # One topic per recording: their times may overlap.
             name = re.sub(r"\W", "_", Path(bag).stem)
             self._topics[bag] = "/contact_state" if self._single else f"/bag_{len(self._topics)}_{name}/contact_state"
-        for contact in contacts:
-            name = contact.contact_point
-            encoder = self._encoders.setdefault(name, ContactStateEncoder(name, self._frame))
-            self._writer.write(self._topics[bag], CONTACT_STATE, log_time_ns, encoder.encode(contact))
+
+    def add(self, bag: str, states: AssessedStates) -> None:
+        self._begin(bag, int(states.log_time_ns[0]))
+        for log_time_ns, contacts in zip(states.log_time_ns.tolist(), states.rows(), strict=True):
+            for contact in contacts:
+                name = contact.contact_point
+                encoder = self._encoders.setdefault(name, ContactStateEncoder(name, self._frame))
+                self._writer.write(self._topics[bag], CONTACT_STATE, log_time_ns, encoder.encode(contact))

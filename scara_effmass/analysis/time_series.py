@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from array import array
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
@@ -13,7 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.values import NAN, ContactAssessment, FloatArray, JointState, Verdict
+from scara_effmass.analysis.assessed_states import AssessedStates
+from scara_effmass.bags.batches import IntArray
+from scara_effmass.values import NAN, FloatArray, Verdict
 
 NO_JOINT_STATE = "no joint state"
 """Reason of the episodes in which no joint state arrived."""
@@ -81,43 +82,47 @@ class TimeSeriesBuilder:
 
     def __init__(self) -> None:
         """Start empty."""
-        self._stamps_ns = array("q")
-        self._verdicts = array("q")
-        self._values = array("d")
+        self._stamps_ns: list[IntArray] = []
+        self._verdicts: list[NDArray[np.int8]] = []
+        self._values: list[FloatArray] = []
+        self._count = 0
         self._reasons: dict[int, str] = {}
         self._places: dict[int, tuple[str, dict[str, float]]] = {}
         self._mass_models: Counter[str] = Counter()
 
-    def add(self, contact: ContactAssessment, at_ns: int, state: JointState | None = None) -> None:
-        """Add an assessment of `state` made at `at_ns`; it is placed at its own stamp where that stamp is valid."""
-        known = contact.effective_mass > 0.0
-        decided = contact.verdict is not Verdict.UNKNOWN
-        if not self._verdicts or contact.verdict != self._verdicts[-1]:
-            self._reasons[len(self._verdicts)] = contact.reason
-            positions = {} if state is None else dict(zip(state.names, state.position.tolist(), strict=False))
-            self._places[len(self._verdicts)] = contact.body_region, positions
-        if contact.mass_model:
-            self._mass_models[contact.mass_model_text] += 1
-        self._stamps_ns.append(contact.stamp_ns if known else at_ns)
+    def add(self, states: AssessedStates, point: int) -> None:
+        """Add contact point number `point`, each assessment at its own stamp where that is valid, else the log time."""
+        contact = states.contacts[point]
+        known, decided = contact.effective_mass > 0.0, contact.verdict != Verdict.UNKNOWN
+        before = self._verdicts[-1][-1] if self._verdicts else -1
+        for row in np.flatnonzero(np.diff(contact.verdict, prepend=np.int8(before))).tolist():
+            index = self._count + row
+            self._reasons[index] = states.reason_texts[point][int(states.reasons[point][row])]
+            self._places[index] = contact.body_regions[contact.body_region[row]], dict(states.positions(row))
+        for model, name in enumerate(contact.mass_models):
+            counts = np.bincount(contact.mass_model_reason[contact.mass_model == model])
+            for reason in np.flatnonzero(counts).tolist() if name else ():
+                self._mass_models[f"{name}: {contact.mass_model_reasons[reason]}"] += int(counts[reason])
+        self._count += len(states)
+        self._stamps_ns.append(np.where(known, states.stamp_ns, states.log_time_ns))
         self._verdicts.append(contact.verdict)
-        self._values.extend(
-            (
-                contact.speed if known else NAN,
-                contact.allowable_speed if decided else NAN,
-                contact.margin if decided else NAN,
-                contact.effective_mass if known else NAN,
-                contact.lumped_mass,
-                contact.full_mass,
-                contact.iso_mass if contact.iso_mass > 0.0 else NAN,
-            )
+        columns = (
+            np.where(known, contact.speed, NAN),
+            np.where(decided, contact.allowable_speed, NAN),
+            np.where(decided, contact.margin, NAN),
+            np.where(known, contact.effective_mass, NAN),
+            contact.lumped_mass,
+            contact.full_mass,
+            np.where(contact.iso_mass > 0.0, contact.iso_mass, NAN),
         )
+        self._values.append(np.array(columns))
 
     def build(self) -> TimeSeries:
         """Return the assessments so far, in order of time."""
-        stamps_ns = np.array(self._stamps_ns)
+        stamps_ns = np.concatenate([*self._stamps_ns, np.empty(0, np.int64)])
         order = np.argsort(stamps_ns, kind="stable")
         stamps_ns = stamps_ns[order]
-        columns = np.array(self._values).reshape(-1, len(_VALUES))[order].T
+        columns = np.concatenate([*self._values, np.empty((len(_VALUES), 0))], axis=1)[:, order]
         start_ns = int(stamps_ns[0]) if len(stamps_ns) else 0
         rank = np.empty(len(order), np.int64)
         rank[order] = np.arange(len(order))
@@ -127,7 +132,7 @@ class TimeSeriesBuilder:
             places={int(rank[index]): place for index, place in self._places.items()},
             mass_models=self._mass_models,
             time=(stamps_ns - start_ns) / 1e9,
-            verdict=np.array(self._verdicts)[order],
+            verdict=np.concatenate([*self._verdicts, np.empty(0, np.int64)])[order],
             **dict(zip(_VALUES, columns, strict=True)),
         )
 

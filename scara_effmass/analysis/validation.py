@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from heapq import merge
 from itertools import repeat
@@ -129,17 +129,37 @@ def validate(
     Calls `advance` with the fraction of a recording processed since the last call. Raises BagError, SettingsError,
     LimitError.
     """
+    pairs = zip(paths, settings.force_from or repeat(None), strict=False)
+    return joined([validate_recording(*pair, dynamics, settings, advance) for pair in pairs], settings)
+
+
+def validate_recording(
+    path: Path,
+    force_path: Path | None,
+    dynamics: RobotDynamics,
+    settings: ValidationSettings,
+    advance: Callable[[float], object],
+) -> tuple[ValidatedRecording, Validator]:
+    """Return the recording at `path` with its force, in `force_path` if given, and its validator, for `joined`.
+
+    Raises as `validate`.
+    """
     validator = Validator(settings.validator)
+    with open_bag(path) as bag:
+        recording = _feed(bag, force_path, dynamics, validator, settings, advance)
+    validator.begin_recording()
+    return recording, validator
+
+
+def joined(parts: Iterable[tuple[ValidatedRecording, Validator]], settings: ValidationSettings) -> Validation:
+    """Return the validation of recordings as one series."""
+    series = Validator(settings.validator)
     recordings: list[ValidatedRecording] = []
     ends = [(0, 0)]
-    for path, force_path in zip(paths, settings.force_from or repeat(None), strict=False):
-        validator.begin_recording()
-        with open_bag(path) as bag:
-            recordings.append(_feed(bag, force_path, dynamics, validator, settings, advance))
-        validator.finish()
-        result = validator.result()
-        ends.append((len(result.impacts), len(result.refused)))
-    result = validator.result()
+    for recording, validator in parts:
+        recordings.append(recording)
+        ends.append(series.extend(validator))
+    result = series.result()
     for recording, start, stop in zip(recordings, ends, ends[1:], strict=False):
         recording.impacts = result.impacts[start[0] : stop[0]]
         recording.refused = result.refused[start[1] : stop[1]]

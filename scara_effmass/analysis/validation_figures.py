@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 
 from scara_effmass.analysis.plot_style import INK, ISO_RED, new_figure
 from scara_effmass.impacts.validator import ModelResult, Result
+from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import force_per_root_stiffness
 from scara_effmass.values import ValidatedImpact
 
@@ -198,34 +199,14 @@ def draw_masses(result: Result) -> Figure:
     return figure
 
 
-PLOTS = (
-    Plot(
-        "force_over_root_mu",
-        "Force over v√μ.",
-        "All models on the same impacts and axes. The line through the origin has the slope √k; points on the line "
-        "agree with the model.",
-        draw_forces,
-    ),
-    Plot(
-        "force_over_obstacle_mass",
-        "Force over the mass of the obstacle.",
-        "Lines: mean force by configuration, with the robot's mean effective mass. Pale points: single impacts.",
-        draw_masses,
-    ),
-    Plot(
-        "bland_altman",
-        "Bland-Altman plot.",
-        "Selected model; the limits contain 95 % of normally distributed differences.",
-        draw_differences,
-    ),
-    Plot(
-        "exponent",
-        "Exponent of the law.",
-        "Logarithms of force and of impulse up to the peak times speed; no model takes part. Damping, friction or a "
-        "non-linear contact change the exponent from 0.5.",
-        draw_exponent,
-    ),
-)
+_DRAW = {
+    "force_over_root_mu": draw_forces,
+    "force_over_obstacle_mass": draw_masses,
+    "bland_altman": draw_differences,
+    "exponent": draw_exponent,
+}
+_TEXTS = read_table(__file__, "validation_figures.yaml")
+PLOTS = tuple(Plot(name, **_TEXTS[name], draw=draw) for name, draw in _DRAW.items())
 
 
 def _points(model: str, result: Result) -> list[tuple[ValidatedImpact, float]]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
@@ -70,9 +69,8 @@ def write_report(
             drawing = plot.draw(validation.result)
             figures.append(report_figure(plot.name, plot.title, plot.caption, drawing, options.language))
     results = record(validation, settings, robot)
-    numbers = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False)
-    texts = {PAGE: _page(validation, figures, settings, robot, options.language), RECORD: f"{numbers}\n"}
-    write_report_files(folder, texts, figures, overwrite=overwrite, pdf_of=PAGE * options.pdf)
+    page = _page(validation, figures, settings, robot, options.language)
+    write_report_files(folder, {PAGE: page, RECORD: results}, figures, overwrite=overwrite, pdf_of=PAGE * options.pdf)
     return results
 
 
@@ -220,7 +218,7 @@ def _page(
         trace for recording in validation.recordings for trace in force_traces(recording, settings.force, AFTER_S)
     ]
     stamps = sorted(impact.stamp_ns for impact in result.impacts)
-    losses = [trace.sampling_loss for trace in traces if trace.sampling_loss is not None]
+    losses = [loss for trace in traces if (loss := trace.sampling_loss) is not None]
     return render(
         "validation.html",
         language,

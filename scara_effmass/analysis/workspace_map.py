@@ -8,8 +8,10 @@ worst of the sampled configurations that reach it; one between them may be worse
 from __future__ import annotations
 
 import math
+import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -17,19 +19,25 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
+from scara_effmass.analysis.assessed_states import BATCH, AssessedStates
 from scara_effmass.analysis.plot_style import ISO_RED, STYLE, new_figure
 from scara_effmass.errors import RobotError
+from scara_effmass.kernel.contact_columns import LABELS, ContactColumns, joined
+from scara_effmass.model.many_poses import ManyPoses
+from scara_effmass.model.robot import Robot
 from scara_effmass.safety import Monitor
-from scara_effmass.values import BoolArray, ContactAssessment, FloatArray, JointState, Vector3, Verdict
+from scara_effmass.safety.joint_state_validator import WINDOW_S
+from scara_effmass.values import BoolArray, ContactAssessment, FloatArray, Vector3, Verdict
 
 CELLS = 40
 """Approximate number of cells along the longer side of a map."""
-NOW_NS = 1_000_000_000
+MANY = 5_000
+"""Configurations from which on it is faster to assess many at once, the start of numba included."""
 SPEED_RATIO = 2.0
 """Speed of the motion over the `speed_threshold`; masses and allowable speed do not depend on it."""
-TINY = 1e-9
-"""Velocity of joints at rest [rad/s, m/s]: one of exactly zero has to be confirmed first."""
-PLANE_STEPS, PLANE_TOLERANCE_M = 20, 1e-4
+DAMPING = 1e-14
+"""Share of J J^T that is added to it: well above its rounding, and too little to matter where joints move slowly."""
+PLANE_STEPS, PLANE_TOLERANCE_M = 19, 1e-4
 """Newton steps onto a plane, and the distance from it that is close enough."""
 AS_SAMPLED: dict[str, Any] = {"velocity_source": "reported", "velocity_window": 0.0}
 """Settings of a monitor for single joint states, whose velocities no filter has seen before."""
@@ -61,75 +69,112 @@ class Plane(NamedTuple):
 class WorkspaceSample(NamedTuple):
     """Configurations `q` (m, n) [rad, m], positions (m, 3) [m], and the assessment of a motion along `direction`.
 
-    `left_out` configurations cannot move along it.
+    `left_out` configurations cannot move along it. `slow_reason` tells why they were
+    assessed one by one, if that was slower.
     """
 
     plane: Plane
     direction: Vector3
     q: FloatArray
     positions: FloatArray
-    contacts: tuple[ContactAssessment, ...]
+    contacts: ContactColumns
     left_out: int
+    slow_reason: str = ""
 
     @property
     def unknown(self) -> BoolArray:
         """Whether there is no verdict (m,)."""
-        return np.array([contact.verdict is Verdict.UNKNOWN for contact in self.contacts])
+        return np.asarray(self.contacts.verdict == Verdict.UNKNOWN)
 
     def masses(self, field: str) -> FloatArray:
         """Return a mass of the assessments (m,) [kg], NaN without a verdict."""
-        return np.where(self.unknown, np.nan, [getattr(contact, field) for contact in self.contacts])
+        return np.where(self.unknown, np.nan, getattr(self.contacts, field))
+
+    def assessments(self) -> list[ContactAssessment]:
+        """Return the assessments one by one, without reasons."""
+        count = len(self.q)
+        none, zeros, is_refused = np.zeros(count, np.int64), np.zeros(count), np.zeros(count, np.bool_)
+        states = AssessedStates(none, none, zeros, zeros, is_refused, (self.contacts,), (none,), (("",),), lambda _: {})
+        return states.assessments(0, slice(None))
 
 
 def sample_workspace(
-    monitor: Monitor, direction: Vector3, frame: str, plane: Plane, count: int, advance: Callable[[], object]
+    monitor: Monitor, direction: Vector3, frame: str, plane: Plane, count: int, advance: Callable[[int], object]
 ) -> WorkspaceSample:
     """Return `count` configurations of the first contact point of `monitor`, or fewer if few reach `plane`.
 
-    `direction` is a unit vector in `frame` of the robot. Raises RobotError where no configuration reaches the plane,
-    moves along the direction, or has a verdict.
+    `direction` is a unit vector in `frame` of the robot; `advance` takes the number of configurations since the last
+    call. Raises RobotError where no configuration reaches the plane, moves along the direction, or has a verdict.
     """
-    dynamics, speed = monitor.dynamics, SPEED_RATIO * monitor.settings.speed_threshold
+    dynamics, assessor = monitor.dynamics, monitor.assessor
     robot, point = dynamics.robot, dynamics.contact_points[0]
-    index, max_speeds = robot.contact_frames[point], robot.model.velocityLimit
-    rows: list[tuple[FloatArray, FloatArray, ContactAssessment]] = []
-    left_out = 0
-    for drawn in robot.sample_configurations(count if math.isnan(plane.value) else MAX_DRAWS * count):
-        q = _onto_plane(monitor, drawn, index, plane)
-        if q is None:
-            continue
-        normal, jacobian = np.array(dynamics.in_base(q, direction, frame)), dynamics.jacobian(q, index)
-        qd = speed * np.linalg.pinv(jacobian, rcond=1e-9) @ normal + TINY
-        too_fast = np.any((max_speeds > 0.0) & (np.abs(qd) > max_speeds))
-        if too_fast or np.linalg.norm(jacobian @ qd - speed * normal) > 1e-3 * speed:
-            left_out += 1
-            continue
-        monitor.clear_history()
-        decision = monitor.assess(JointState(NOW_NS, robot.joint_names, q, qd), NOW_NS)
-        rows += [(q, dynamics.position(q, index), contact) for contact in (decision.contacts[:1] if decision else ())]
-        advance()
-        if len(rows) == count:
-            break
-    if not rows:
+    drawn = robot.sample_configurations(count if math.isnan(plane.value) else MAX_DRAWS * count)
+    slow_reason = assessor.load_kernel() if count >= MANY else ""
+    is_fast = count >= MANY and not slow_reason
+    compute = assessor.compute if is_fast else assessor.compute_reference
+    tolerance = monitor.validator.limits.position_tolerances / WINDOW_S  # of the first joint state, the smallest
+    parts: list[tuple[FloatArray, FloatArray, Future[tuple[ContactColumns, ...]]]] = []
+    taken = left_out = 0
+    # Pinocchio's buffers are for one thread; the kernel has none.
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0)) if is_fast else 1) as pool:
+        for first in range(0, len(drawn), BATCH):
+            q, places, qd, moves = _motions(monitor, drawn[first : first + BATCH], direction, frame, plane)
+            rows = np.flatnonzero(moves)[: count - taken]
+            taken += len(rows)
+            left_out += int(np.count_nonzero(~moves[: rows[-1]] if taken == count else ~moves))
+            if len(rows):
+                columns = pool.submit(compute, q[rows], qd[rows], np.tile(tolerance, (len(rows), 1)))
+                parts.append((q[rows], places[rows], columns))
+            if taken == count:
+                break
+        computed = []
+        for q, _, columns in parts:
+            computed.append(columns.result()[0])
+            advance(len(q))
+    if not parts:
         problem = f"cannot move along {direction}" if left_out else f"does not reach the {plane}"
         raise RobotError(f"{robot.origin}: contact point {point} {problem}")
-    q_all, positions, contacts = zip(*rows, strict=True)
-    sample = WorkspaceSample(plane, direction, np.array(q_all), np.array(positions), contacts, left_out)
+    q, positions = (np.concatenate([part[column] for part in parts]) for column in range(2))
+    sample = WorkspaceSample(plane, direction, q, positions, joined(computed), left_out, slow_reason)
     if sample.unknown.all():
-        raise RobotError(f"{robot.origin}: {contacts[0].reason}")
+        raise RobotError(f"{robot.origin}: {sample.contacts.reason_at(0)}")
     return sample
 
 
-def _onto_plane(monitor: Monitor, q: FloatArray, index: int, plane: Plane) -> FloatArray | None:
-    """Return the configuration near `q` (n,) with frame `index` in `plane`, None where Newton's method finds none."""
-    model = monitor.dynamics.robot.model
-    for _ in range(PLANE_STEPS):
-        error = plane.value - monitor.dynamics.position(q, index)[plane.axis]
-        if not abs(error) > PLANE_TOLERANCE_M:  # also without a plane
-            return q
-        row = monitor.dynamics.jacobian(q, index)[plane.axis]
-        q = np.clip(q + row * error / max(float(row @ row), 1e-6), model.lowerPositionLimit, model.upperPositionLimit)
-    return None
+def _motions(
+    monitor: Monitor, q: FloatArray, direction: Vector3, frame: str, plane: Plane
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Return the configurations near `q` (k, n) that reach `plane`, their positions (k, 3) and velocities (k, n).
+
+    The last array tells which of them can move along the direction.
+    """
+    dynamics, speed = monitor.dynamics, SPEED_RATIO * monitor.settings.speed_threshold
+    robot, index = dynamics.robot, dynamics.contacts[0][1]
+    q, poses = _onto_plane(robot, q, index, plane)
+    max_speeds, normal, jacobian = robot.model.velocityLimit, poses.in_base(direction, frame), poses.jacobian(index)
+    square = jacobian @ jacobian.swapaxes(1, 2)
+    # Some points move in a plane only, and perhaps one in no pose at all.
+    square += (DAMPING * np.trace(square, axis1=1, axis2=2) + 1e-30)[:, None, None] * np.eye(3)
+    qd = speed * (jacobian.swapaxes(1, 2) @ np.linalg.solve(square, normal[:, :, None]))[:, :, 0]
+    too_fast = np.any((max_speeds > 0.0) & (np.abs(qd) > max_speeds), axis=1)
+    error = (jacobian @ qd[:, :, None])[:, :, 0] - speed * normal
+    return q, poses.position(index), qd, ~too_fast & (np.linalg.norm(error, axis=1) <= 1e-3 * speed)
+
+
+def _onto_plane(robot: Robot, q: FloatArray, index: int, plane: Plane) -> tuple[FloatArray, ManyPoses]:
+    """Return the configurations near `q` (k, n) with frame `index` in `plane`, without those that do not get there."""
+    lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
+    poses = ManyPoses(robot, q)
+    for _ in range(0 if math.isnan(plane.value) else PLANE_STEPS):
+        error = plane.value - poses.position(index)[:, plane.axis]
+        row = poses.jacobian(index)[:, plane.axis]
+        steps = np.where(np.abs(error) > PLANE_TOLERANCE_M, error, 0.0) / np.maximum(np.sum(row * row, axis=1), 1e-6)
+        if not steps.any():
+            break
+        q = np.clip(q + row * steps[:, None], lower, upper)
+        poses = ManyPoses(robot, q)
+    away = np.abs(plane.value - poses.position(index)[:, plane.axis]) > PLANE_TOLERANCE_M  # never without a plane
+    return (q[~away], ManyPoses(robot, q[~away])) if away.any() else (q, poses)
 
 
 class Cells:
@@ -143,8 +188,11 @@ class Cells:
         digit = 10.0 ** math.floor(math.log10(extent))
         self.size = digit * math.ceil(extent / digit)
         self.sample = sample
-        self._corners, inverse = np.unique(np.floor(points / self.size).astype(int), axis=0, return_inverse=True)
-        self.of = inverse.reshape(-1)
+        corners = np.floor(points / self.size).astype(int)
+        first, shape = corners.min(axis=0), np.ptp(corners, axis=0) + 1
+        # Of one number each, which sorts five times as fast as rows.
+        numbers, self.of = np.unique(np.ravel_multi_index((corners - first).T, shape), return_inverse=True)
+        self._corners = first + np.column_stack(np.unravel_index(numbers, shape))
         self.centres = np.round((self._corners + 0.5) * self.size, 9)
 
     def largest(self, values: FloatArray) -> FloatArray:
@@ -184,10 +232,11 @@ class Cells:
 
 def map_table(cells: Cells, joints: Sequence[str]) -> pa.Table:
     """Return a row for each cell: centre, worst values, and the configuration with the smallest allowable speed."""
-    sample, speed = cells.sample, np.array([contact.allowable_speed for contact in cells.sample.contacts])
+    sample, contacts = cells.sample, cells.sample.contacts
+    speed = contacts.allowable_speed
     order = np.lexsort((speed, cells.of))
     slowest = order[np.unique(cells.of[order], return_index=True)[1]]
-    contacts = [sample.contacts[row] for row in slowest]
+    labels = {name: np.array(getattr(contacts, LABELS[name])) for name in ("body_region", "mass_model")}
     return pa.table(
         {
             **{f"{AXES[axis]}_m": column for axis, column in zip(cells.axes, cells.centres.T, strict=True)},
@@ -195,7 +244,7 @@ def map_table(cells: Cells, joints: Sequence[str]) -> pa.Table:
             "unknown": np.bincount(cells.of, sample.unknown).astype(int),
             **{f"{name}_kg": cells.largest(sample.masses(name)) for name in MASSES},
             "allowable_speed_m_s": speed[slowest],
-            **{name: [getattr(contact, name) for contact in contacts] for name in ("body_region", "mass_model")},
+            **{name: texts[getattr(contacts, name)[slowest]] for name, texts in labels.items()},
             **{f"{joint}_position": sample.q[slowest, i] for i, joint in enumerate(joints)},
         }
     )
@@ -223,8 +272,9 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
         "plane": str(sample.plane),
         "configurations": len(bound),
         "left_out": sample.left_out,
+        "one_by_one": sample.slow_reason,
         "unknown": int(sample.unknown.sum()),
-        "mass_models": Counter(item.mass_model_text for item in sample.contacts if item.mass_model).most_common(),
+        "mass_models": Counter(f"{model}: {why}" for *_, model, why in sample.contacts.labels() if model).most_common(),
         "cells": table.num_rows,
         "cell_m": cells.size,
         **{name: _percentiles(table[name].to_numpy()) for name in columns},

@@ -17,6 +17,7 @@ from scara_effmass.bags.mcap_copy import MAGIC
 from scara_effmass.bags.rosbags_bag import RosbagsBag
 from scara_effmass.errors import BagError
 from scara_effmass.input_files import YAML_ERRORS
+from scara_effmass.url import Url, local_file
 
 SUFFIXES = {".mcap", ".db3", ".bag"}
 METADATA = "metadata.yaml"
@@ -25,8 +26,8 @@ SPLIT_NAME = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?P<suffix>mcap|db3)")
 
 FORMATS: dict[bytes, Callable[[Path, Sequence[Path], LossLog], Bag]] = {
     MAGIC: McapBag,
-    b"SQLite format 3\0": lambda path, paths, losses: RosbagsBag(path, paths, losses, Ros2Reader),
-    b"#ROSBAG V": lambda path, paths, losses: RosbagsBag(path, paths, losses, Ros1Reader),
+    b"SQLite format 3\0": lambda path, paths, losses: RosbagsBag(path, [*map(local_file, paths)], losses, Ros2Reader),
+    b"#ROSBAG V": lambda path, paths, losses: RosbagsBag(path, [*map(local_file, paths)], losses, Ros1Reader),
 }
 """Readers by the first bytes of a file."""
 
@@ -86,6 +87,12 @@ def bag_files(folder: Path) -> list[Path]:
     return sorted((path for path in folder.iterdir() if path.suffix in SUFFIXES and path.is_file()), key=order)
 
 
+def bag_bytes(bag: Path) -> int:
+    """Return the size of a bag that `find_bags` found."""
+    paths = bag_files(bag) if bag.is_dir() else [bag]
+    return sum(path.size() if isinstance(path, Url) else path.stat().st_size for path in paths)
+
+
 def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog) -> Bag:
     formats = set()
     for path in paths:
@@ -106,6 +113,8 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
     metadata = _read_metadata(folder, losses)
     present = bag_files(folder)
     if metadata.get("compression_mode"):
+        if isinstance(folder, Url):
+            raise BagError(f"{folder}: is compressed by rosbag2: must be a local folder, or MCAP")
         return RosbagsBag(folder, [folder], losses, Ros2Reader)
     # Older recorders prefixed the names with the folder.
     named = [folder / Path(str(name)).name for name in metadata.get("relative_file_paths") or ()]

@@ -197,7 +197,7 @@ class McapFile:
         batch, torn_bytes = locate_messages(data)
         if torn_bytes:
             self._losses.add(f"{origin}: its last {torn_bytes} bytes are not a record")
-        for channel in sorted({*np.unique(batch.topic).tolist()} - self._summary.channels.keys()):
+        for channel in sorted({*np.flatnonzero(np.bincount(batch.topic)).tolist()} - self._summary.channels.keys()):
             self._losses.add(f"{self.path}: messages of channel {channel}, which the file does not define, are lost")
         if np.any(batch.log_time_ns < chunk.message_start_time):
             self._losses.add(f"{origin}: log times before the start of the chunk")
@@ -236,13 +236,14 @@ class McapBag(Bag):
             if chunk.message_end_time >= start_ns and chunk.message_start_time < stop_ns
         ]
         horizons_ns = [*[chunk.message_start_time for chunk, _ in chunks], stop_ns][1:]
-        topic_indices = np.array(sorted(topics), np.int64)
+        is_wanted = np.zeros(len(self.topics) + 1, np.bool_)  # the last one is for channels without a topic, -1
+        is_wanted[[*topics]] = True
 
         def read() -> Iterator[tuple[MessageBatch, int]]:
             for (chunk, file), horizon_ns in zip(chunks, horizons_ns, strict=True):
                 batch = file.read(chunk)
-                inside = (batch.log_time_ns >= start_ns) & (batch.log_time_ns < stop_ns)
-                yield batch.select(inside & np.isin(batch.topic, topic_indices)), horizon_ns
+                inside = (batch.log_time_ns >= start_ns) & (batch.log_time_ns < stop_ns) & is_wanted[batch.topic]
+                yield batch if inside.all() else batch.select(inside), horizon_ns
 
         return in_log_time_order(read())
 

@@ -37,9 +37,6 @@ class MessageSink(Protocol):
     def write(self, topic: int, log_time_ns: int, data: bytes) -> object:
         """Take a message (CDR bytes) of the topic with this index."""
 
-    def count_lost_by_middleware(self, topic: int, count: int) -> None:
-        """Count messages that the middleware reports as lost."""
-
 
 @final
 class BagRecorder:

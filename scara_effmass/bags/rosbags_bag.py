@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
 from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
@@ -73,7 +74,11 @@ class RosbagsBag(Bag):
         if not connections:
             return
         try:
-            for connection, log_time_ns, stored in reader.messages(connections, start_ns, stop_ns):
+            rows: Iterator[tuple[Connection, Any, Any]] = reader.messages(connections, start_ns, stop_ns)
+            for connection, log_time_ns, stored in rows:
+                if not isinstance(log_time_ns, int) or not isinstance(stored, bytes):  # SQLite checks no types
+                    self._losses.add(f"{path}: {connection.topic}: left out messages without a time or data")
+                    continue
                 data = self._cdr(path, connection, stored)
                 if data:
                     yield log_time_ns, self._topic_indices[connection.topic, connection.msgtype], data

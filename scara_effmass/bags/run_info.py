@@ -30,7 +30,7 @@ def run_infos(bag: Bag) -> Iterator[tuple[int, RunInfo]]:
                 info = decode_run_info(message.data)
             except DecodeError as error:
                 raise BagError(f"{bag.path}: {message.topic}: {error}") from None
-        elif message.topic.endswith(RECORDING_INFO):
+        else:
             with suppress(DecodeError, AttributeError):
                 info = run_info_from_json(str(bag.deserialize(message).data))
         if info is not None:

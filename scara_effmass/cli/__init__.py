@@ -11,8 +11,8 @@ from types import FrameType
 from typing import NoReturn
 
 from scara_effmass import __version__
-from scara_effmass.cli.commands import ALIASES, COMMANDS, GROUPS, MODULES, ROS_COMMANDS
-from scara_effmass.cli.options import Option, former_options
+from scara_effmass.cli.commands import COMMANDS, GROUPS, MODULES, ROS_COMMANDS
+from scara_effmass.cli.options import ALIASES, Option, former_options
 from scara_effmass.errors import EffmassError
 
 BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143

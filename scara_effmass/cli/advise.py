@@ -3,7 +3,6 @@
 
 import argparse
 import csv
-import json
 from collections.abc import Iterator, Sequence
 from io import StringIO
 from typing import Any
@@ -17,12 +16,12 @@ from scara_effmass.analysis.report import figure_files, report_figure, write_rep
 from scara_effmass.analysis.tables import provenance
 from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_result, progress_bar, tracked
-from scara_effmass.cli.settings import load_dynamics, monitor_settings
+from scara_effmass.cli.settings import load_dynamics, monitor_settings, require_no_payload_topic
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import VelocitySource
 from scara_effmass.sim.recordings import write_recording
-from scara_effmass.values import Decision, JointState, RunInfo
+from scara_effmass.values import Decision, JointState, RunInfo, Verdict
 
 NAME, TABLE, SUMMARY, BAG = "advice", "segments.csv", "advice.json", "advised.mcap"
 
@@ -30,8 +29,7 @@ NAME, TABLE, SUMMARY, BAG = "advice", "segments.csv", "advice.json", "advised.mc
 def run(args: argparse.Namespace) -> int:
     """Assess the recording, write factors, figure and re-timed motion, and print them."""
     settings = monitor_settings(args, latch=False, release_time=0.0)  # each state by itself
-    if settings.payload_topic:
-        raise SettingsError(f"payload_topic = {settings.payload_topic!r}: must be empty: give --payload-topic ''")
+    require_no_payload_topic(settings, "advice")
     if settings.velocity_source is not VelocitySource.REPORTED or settings.velocity_window:
         raise SettingsError("velocity_source: must be reported, with velocity_window 0, for a motion to re-time")
     check_output_files(args.output, [*figure_files([NAME]), TABLE, SUMMARY, BAG], overwrite=args.force)
@@ -53,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     advice = advise(motion, recorded, decide, args.segments, settings.speed_threshold, share)
     rows, (before, after) = list(_rows(motion, advice)), advice.times(motion)
     missing = [row for row in rows if row["factor"] is None]
-    unknown = sum(contact.verdict == 0 for decision in recorded for contact in decision.contacts[:1])
+    unknown = sum(any(contact.verdict is Verdict.UNKNOWN for contact in decision.contacts) for decision in recorded)
     cycle = {"recorded_s": float(before.sum()), "advised_s": None if missing else float(after.sum())}
     result = {"output": str(args.output), "verdict": args.verdict, "cycle_time": cycle, "unknown": unknown}
     origin = provenance(settings, dynamics.robot.origin, [args.bag])
@@ -63,8 +61,8 @@ def run(args: argparse.Namespace) -> int:
     writer.writerows(rows)
     title = f"{dynamics.robot.name}: {args.bag.name}, advised speed"
     figure = report_figure(NAME, title, "", draw_advice(motion, advice, title))
-    text = json.dumps({**result, "segments": rows, "provenance": origin}, indent=2, allow_nan=False)
-    write_report_files(args.output, {TABLE: table.getvalue(), SUMMARY: f"{text}\n"}, [figure], overwrite=args.force)
+    summary = {**result, "segments": rows, "provenance": origin}
+    write_report_files(args.output, {TABLE: table.getvalue(), SUMMARY: summary}, [figure], overwrite=args.force)
     if missing:
         (args.output / BAG).unlink(missing_ok=True)  # of an earlier run
     else:

@@ -3,103 +3,167 @@
 
 import argparse
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
+from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import ModuleType
+from typing import NamedTuple
 
-from scara_effmass.analysis.assessment import (
-    ClockSkew,
-    Time,
-    assess_joint_states,
-    generated_description,
-    input_lines,
-    joint_state_topic,
-    open_velocities,
-)
-from scara_effmass.analysis.pages import PageOptions
-from scara_effmass.analysis.recorded_run import read_force
+from scara_effmass.analysis.assessment import Time, input_lines
+from scara_effmass.analysis.bag_assessment import BagResult, BagTask, assess_bag
+from scara_effmass.analysis.dataset import assess_part, cell_of
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.analysis.tables import open_writer, provenance
-from scara_effmass.analysis.time_series import TimeSeriesBuilder
-from scara_effmass.bags.files import find_bags, open_bag
-from scara_effmass.cli.console import print_result, progress_bar, tracked
+from scara_effmass.bags.files import bag_bytes, find_bags
+from scara_effmass.cli.console import print_result
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
-from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.cli.tasks import SMALL_BYTES, Advance, Run, open_run, sound
+from scara_effmass.errors import CrossCheckError, EffmassError, SettingsError
+from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
+from scara_effmass.url import Url
 
 
 def run(args: argparse.Namespace) -> int:
     """Assess the recordings, write table and report, and print the summary."""
+    try:
+        return _assess(args)
+    except CrossCheckError as error:
+        print(error, file=sys.stderr)  # noqa: T201 - a negative result, not invalid input
+        return 1
+
+
+def _assess(args: argparse.Namespace) -> int:
+    properties = _load_properties() if args.properties else None
     settings = monitor_settings(args)
     dynamics = load_dynamics(settings)
     robot = dynamics.robot
     Monitor(dynamics, settings)  # raises for missing limits before any file is written
     paths = [path for folder in args.bags for path in find_bags(folder)]
+    task = BagTask(settings, Time(args.time), args.topic, args.velocity_bag, bool(args.report), args.cross_check)
     summary = Summary(round(settings.timeout * 1e9))
     counts = dict.fromkeys(("joint_states", "foreign", "refused"), 0)
     losses: list[str] = []
     unreadable: list[str] = []
-    time = Time(args.time)
-    input_notes = _input_notes(settings, time, args.velocity_bag, len(paths))
+    input_notes = _input_notes(settings, task.time, args.velocity_bag, len(paths))
+    if not args.output.suffix and (args.report or args.properties):
+        raise SettingsError(f"--report, --properties: must be left out for a dataset, {args.output}")
     report = None
     if args.report:
+        from scara_effmass.analysis.pages import PageOptions  # noqa: PLC0415 - loads jinja2
         from scara_effmass.analysis.run_report import RunReport  # noqa: PLC0415 - loads matplotlib
 
         figures, page = len(paths) * len(dynamics.contact_points), PageOptions(args.language, args.pdf)
         report = RunReport(args.report, figures, settings, page, overwrite=args.force)
     with ExitStack() as stack:
         origin = provenance(settings, robot.origin, paths) | {"input": json.dumps(input_notes)}
-        table = stack.enter_context(open_writer(args.output, origin, robot.base_frame, overwrite=args.force))
-        progress = stack.enter_context(progress_bar())
-        for path in paths:
-            with (
-                _noted(unreadable, len(paths)),
-                open_bag(path) as bag,
-                open_velocities(args.velocity_bag, args.topic, settings) as velocities,
-            ):
-                topic = joint_state_topic(bag, args.topic)
-                series = {point: TimeSeriesBuilder() for point in dynamics.contact_points} if report else {}
-                monitor, name = Monitor(dynamics, settings), str(bag.path)
-                summary.new_recording()
-                skew = ClockSkew()
-                assessed = assess_joint_states(bag, topic, monitor, time, velocities)
-                for log_time_ns, state, decision in map(skew.add, tracked(progress, bag, topic, assessed)):
-                    counts["joint_states"] += 1
-                    if decision is not None:
-                        table.add(name, log_time_ns, decision.contacts)
-                        summary.add(decision.contacts, log_time_ns, state, name)
-                        for contact in decision.contacts if series else ():
-                            series[contact.contact_point].add(contact, log_time_ns, state)
-                counts["foreign"] += monitor.ignored
-                counts["refused"] += monitor.rejected
-                losses += bag.losses
-                input_notes += skew.lines(settings, time)
-                if report:
-                    forces, generated = read_force(bag), bool(generated_description(bag))
-                    for point, builder in series.items():
-                        title = f"{robot.name}: {bag.path.name}"
-                        report.add(builder.build(), point, title, generated=generated, forces=forces)
+        is_small = sum(map(bag_bytes, paths)) < SMALL_BYTES
+        run_tasks = stack.enter_context(open_run(args, "recordings", is_small=is_small))
+        if not args.output.suffix:
+            folder = args.output if isinstance(args.output, Url) else args.output.absolute()
+            job = partial(_assess_part, task, folder, args.cell, args.force)
+            outcomes = run_tasks(job, paths)
+        else:
+            outcomes = stack.enter_context(_into_file(args, task, dynamics, origin, paths, run_tasks))
+        for path, result in sound(paths, outcomes, unreadable):
+            summary.merge(result.summary)
+            counts = {name: count + result.counts[name] for name, count in counts.items()}
+            losses += result.losses
+            input_notes += [note for note in result.notes if note not in input_notes]
+            if report:
+                for point, series in result.series.items():
+                    title = f"{robot.name}: {path.name}"
+                    report.add(series, point, title, generated=result.generated, forces=result.force)
         lines = list(_lines(counts, input_notes, summary, robot.rotors.warning, losses, unreadable))
         notes = {"losses": losses, "robot_notes": list(robot.notes), "unreadable": unreadable, "input": input_notes}
-        result = {"output": str(args.output), **counts, **summary.as_dict(), **notes}
+        printed = {"output": str(args.output), **counts, **summary.as_dict(), **notes}
         if report:
             others = f" + {len(paths) - 1}" if len(paths) > 1 else ""
-            result = report.write(f"{robot.name}: {paths[0].name}{others}", lines, result, paths)
+            printed = report.write(f"{robot.name}: {paths[0].name}{others}", lines, printed, paths)
+    checks = properties.check_assessment(args.output, paths, settings) if properties else []
+    lines += [("property", str(check)) for check in checks]
+    printed["properties"] = [check._asdict() for check in checks]
     written = [("written", args.output), *([("open", args.report / "report.html")] if report else [])]
-    print_result(result, [*lines, *written], as_json=args.json)
-    return 1 if unreadable or summary.only_unknown else 0
+    print_result(printed, [*lines, *written], as_json=args.json)
+    return 1 if unreadable or summary.only_unknown or any(check.violations for check in checks) else 0
+
+
+def _load_properties() -> ModuleType:
+    """Return the module that checks properties. Raises SettingsError without its library."""
+    try:
+        return import_module("scara_effmass.analysis.properties")
+    except ModuleNotFoundError as error:
+        raise SettingsError(f"{error}: must be installed: pip install 'scara_effmass[properties]'") from None
+
+
+def _assess_part(
+    task: BagTask,
+    folder: Path,
+    cell: str | None,
+    overwrite: bool,  # noqa: FBT001
+    path: Path,
+    advance: Advance,
+) -> BagResult:
+    """Assess the recording at `path` into the dataset `folder`."""
+    dynamics, cell = load_dynamics(task.settings), cell or cell_of(path)
+    return assess_part(folder, path, cell, task, dynamics, _by_share(advance), overwrite=overwrite)
+
+
+def _by_share(advance: Advance) -> Callable[[int, int], object]:
+    return lambda count, total: advance(count / total)
+
+
+class _Part(NamedTuple):
+    """A recording, and the file for its states."""
+
+    path: Path
+    file: Path
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+
+def _assess_file(task: BagTask, origin: Mapping[str, str], part: _Part, advance: Advance) -> BagResult:
+    """Assess a recording into a file of its own."""
+    dynamics = load_dynamics(task.settings)
+    with open_writer(part.file, origin, dynamics.robot.base_frame, overwrite=False) as table:
+        return assess_bag(part.path, task, dynamics, table, _by_share(advance))
 
 
 @contextmanager
-def _noted(errors: list[str], recordings: int) -> Iterator[None]:
-    """Add a BagError to `errors`: the other recordings are assessed. Raises BagError if there are none."""
-    try:
-        yield
-    except BagError as error:
-        errors.append(str(error))
-        if len(errors) == recordings:
-            raise BagError("; ".join(errors)) from None
+def _into_file(
+    args: argparse.Namespace,
+    task: BagTask,
+    dynamics: RobotDynamics,
+    origin: Mapping[str, str],
+    paths: Sequence[Path],
+    run_tasks: Run,
+) -> Iterator[Iterator[BagResult | EffmassError]]:
+    """Give the results of the recordings, whose states become one file; each of several has its own until then."""
+    with ExitStack() as stack:
+        table = stack.enter_context(open_writer(args.output, origin, dynamics.robot.base_frame, overwrite=args.force))
+        if len(paths) == 1 and args.scheduler is None:
+            yield run_tasks(lambda path, advance: assess_bag(path, task, dynamics, table, _by_share(advance)), paths)
+            return
+        beside = None if isinstance(args.output, Url) else args.output.absolute().parent
+        folder = stack.enter_context(TemporaryDirectory(prefix=".", dir=beside))
+        suffix = ".mcap" if args.output.suffix == ".mcap" else ".parquet"
+        parts = [_Part(path, Path(folder) / f"{number}{suffix}") for number, path in enumerate(paths)]
+        single = dict(origin) | {"bags": json.dumps([""])}
+
+        def extended() -> Iterator[BagResult | EffmassError]:
+            for part, outcome in zip(parts, run_tasks(partial(_assess_file, task, single), parts), strict=True):
+                if not isinstance(outcome, EffmassError):
+                    table.extend(str(part.path), part.file)
+                    part.file.unlink()
+                yield outcome
+
+        yield extended()
 
 
 def _input_notes(

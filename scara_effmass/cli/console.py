@@ -96,6 +96,12 @@ def tracked(progress: Progress, bag: Bag, topic: str, items: Iterable[Item]) -> 
         yield item
 
 
+def advances(progress: Progress, name: str) -> Callable[[int, int], None]:
+    """Return a function that shows a number of further items done in `name`, and their total."""
+    task = progress.add_task(name)
+    return lambda count, total: progress.update(task, advance=count, total=total)
+
+
 ShowStatus = Callable[[tuple[ContactAssessment, ...], float, float], None]
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from scara_effmass.analysis.assessed_states import states_of
 from scara_effmass.analysis.assessment import (
     generated_description,
     input_lines,
@@ -66,6 +67,17 @@ class LiveRun:
     watchdog_messages: int = 0
     replayed: dict[str, Any] = field(default_factory=dict)
     recorded: dict[str, Any] = field(default_factory=dict)
+    cycles: list[tuple[int, tuple[ContactAssessment, ...]]] = field(default_factory=list)
+
+    def count_cycles(self) -> None:
+        """Add the cycles to summary and series."""
+        if self.cycles:
+            times_ns, contacts = zip(*self.cycles, strict=True)
+            states = states_of(times_ns, contacts)
+            self.cycles.clear()
+            self.summary.add(states)
+            for point, builder in enumerate(self.series.values()):
+                builder.add(states, point)
 
     @property
     def sent(self) -> int:
@@ -177,9 +189,7 @@ def _run_live(
     def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
         nonlocal first_ns
         first_ns = at_ns if first_ns is None else first_ns
-        live.summary.add(contacts, at_ns)
-        for contact in contacts:
-            live.series[contact.contact_point].add(contact, at_ns)
+        live.cycles.append((at_ns, contacts))
         show_status(contacts, (at_ns - first_ns) / 1e9, client.speed_scaling)
 
     processes.isolate_ros_domain()
@@ -198,8 +208,10 @@ def _run_live(
         show_status = stack.enter_context(live_status(printer(), visible=not args.json))
         processes.spin_until(lambda: replay.ended, client, nodes, math.inf)
         live.replayed = json.loads(replay.output())
+        live.count_cycles()
         live.read_back(bag, args.duration, Monitor(dynamics, settings))
         client.spin(ANSWER_TIMEOUT_S, lambda: client.cycles >= live.sent - live.foreign)
+        live.count_cycles()
         live.answered, live.watchdog_messages = client.cycles, client.watchdog_decisions
         if force:
             client.spin(FORCE_END_TIMEOUT_S, lambda: force.ended)

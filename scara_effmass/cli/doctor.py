@@ -99,6 +99,12 @@ def _installation() -> Iterator[CheckResult]:
         yield CheckResult("note", "core", f"Python sources, not compiled or changed since: {hint}")
     else:
         yield CheckResult("ok", "core", "compiled by mypyc")
+    why_not = import_module("scara_effmass.kernel.jit").WHY_NOT
+    yield CheckResult(
+        "note" if why_not else "ok",
+        "kernel",
+        why_not or "compiled by numba, for the live monitor and for many joint states at once",
+    )
 
 
 def _version(module: str, wheel: str) -> str:

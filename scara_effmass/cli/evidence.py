@@ -2,11 +2,9 @@
 """`scara-effmass evidence`."""
 
 import argparse
-import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
-
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from scara_effmass.analysis.evidence import (
     DRIVES,
@@ -19,8 +17,10 @@ from scara_effmass.analysis.evidence import (
 )
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import figure_files
-from scara_effmass.cli.console import print_result, progress_bar
-from scara_effmass.sim.impact_table import extend_table
+from scara_effmass.cli.console import print_result
+from scara_effmass.cli.tasks import Advance, Run, open_run, raised
+from scara_effmass.sim.impact_table import Simulate, extend_table
+from scara_effmass.sim.random_impacts import Row
 
 
 def run(args: argparse.Namespace) -> int:
@@ -30,16 +30,23 @@ def run(args: argparse.Namespace) -> int:
         table.unlink(missing_ok=True)
     elif not table.exists():
         check_output_files(args.output, [PAGE, SUMMARY, *figure_files([FIGURE])], overwrite=False)
-    jobs = args.jobs or len(os.sched_getaffinity(0))
-    columns = TextColumn("simulated impacts"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with progress_bar(*columns) as progress:
-        task = progress.add_task("", total=args.impacts)
-        for count in extend_table(table, args.seed, args.impacts, jobs):
-            progress.update(task, completed=count)
+    with open_run(args, "simulated impacts") as run_tasks:
+        for _ in extend_table(table, args.seed, args.impacts, partial(_rows, run_tasks)):
+            pass
     evidence = write_evidence(args.output, args.seed, overwrite=True)
     result = {"output": str(args.output), "seed": args.seed, **evidence.as_dict()}
     print_result(result, _lines(evidence, args.output), as_json=args.json)
     return 0
+
+
+def _rows(run_tasks: Run, simulate: Simulate, indices: Sequence[int]) -> Iterator[list[Row]]:
+    return map(raised, run_tasks(partial(_impact, simulate), indices))
+
+
+def _impact(simulate: Simulate, index: int, advance: Advance) -> list[Row]:
+    rows = simulate(index)
+    advance(1.0)
+    return rows
 
 
 def _lines(evidence: Evidence, output: Path) -> Iterator[tuple[str, str]]:

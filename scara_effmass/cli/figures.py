@@ -3,6 +3,7 @@
 
 import argparse
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from scara_effmass.analysis.workspace_map import AS_SAMPLED
@@ -39,7 +40,7 @@ def _other_robot(args: argparse.Namespace) -> int:
     monitor = Monitor(load_dynamics(settings), settings)
     with progress_bar() as progress:
         task = progress.add_task("configurations", total=SAMPLES)
-        summary = make_figures(monitor, args.output, overwrite=args.force, advance=lambda: progress.advance(task))
+        summary = make_figures(monitor, args.output, overwrite=args.force, advance=partial(progress.advance, task))
     lines = [("figures", ", ".join(summary["figures"])), ("model", summary["model"])]
     lines += [("left out", f"{part}: {reason}") for part, reason in summary["left_out"].items()]
     print_result(summary, [*lines, ("written", args.output / PAGE)], as_json=args.json)

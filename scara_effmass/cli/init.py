@@ -13,13 +13,13 @@ import yaml
 from pydantic import BaseModel
 
 from scara_effmass import __version__
-from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
+from scara_effmass.analysis.assessment import ClockSkew, assess_joint_states, joint_state_topic, one_by_one
 from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
-from scara_effmass.cli.console import print_lines, progress_bar, tracked
+from scara_effmass.cli.console import advances, print_lines, progress_bar
 from scara_effmass.cli.doctor import cell_results
-from scara_effmass.cli.options import BAG, CELL, ROBOT, Option
+from scara_effmass.cli.options import Option, options_of
 from scara_effmass.cli.settings import monitor_settings
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.iso15066 import BODY_REGIONS
@@ -74,7 +74,7 @@ def _interview(
     args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics
 ) -> tuple[MonitorSettings, RobotDynamics]:
     """Ask for every option that was not given, until it fits; return as `_checked`."""
-    for option in (ROBOT[0], BAG, *CELL[1:]):
+    for option in options_of("robot", "bag", "situation"):
         name = option.dest
         is_load = name in {"payload_com", "payload_inertia"}
         if name in UNASKED or getattr(args, name) is not None or (is_load and not args.payload_mass):
@@ -124,10 +124,11 @@ def _recording(args: argparse.Namespace, settings: MonitorSettings, dynamics: Ro
     summary = Summary(round(settings.timeout * 1e9))
     with open_bag(args.bag) as bag, progress_bar() as progress:
         topic = joint_state_topic(bag, args.topic)
+        advance, total = advances(progress, bag.path.name), next(t.count for t in bag.topics if t.name == topic)
         assessed = assess_joint_states(bag, topic, Monitor(dynamics, settings))
-        for log_time_ns, state, decision in tracked(progress, bag, topic, assessed):
-            if decision is not None:
-                summary.add(decision.contacts, log_time_ns, state)
+        for states in one_by_one(assessed, ClockSkew()):
+            summary.add(states)
+            advance(len(states), total)
     return topic, summary
 
 
@@ -135,7 +136,7 @@ def _cell(settings: MonitorSettings, notes: Sequence[str]) -> str:
     """Return the file: `notes`, and a section per node with each parameter below its description."""
     values = settings.model_dump(mode="json")
     values["sensor.sensitivity"] = DaqSettings().sensor.sensitivity
-    cell = [option.dest for option in CELL]
+    cell = [option.dest for option in options_of("cell")]
     sections: dict[str, tuple[type[BaseModel], list[str]]] = {
         "monitor": (MonitorSettings, [*cell, "tool_links", "armature", "drives"]),
         "validator": (ValidatorSettings, ["robot", *(name for name in cell if name in ValidatorSettings.model_fields)]),

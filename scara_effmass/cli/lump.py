@@ -2,7 +2,6 @@
 """`scara-effmass lump`."""
 
 import argparse
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
@@ -45,8 +44,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output and lumped:
         figures.append(report_figure(NAME, "Lumped masses", robot.name, draw_masses(robot, lumped)))
     if args.output:
-        text = json.dumps(result, indent=2, allow_nan=False)
-        write_report_files(args.output, {RESULT: f"{text}\n"}, figures, overwrite=args.force)
+        write_report_files(args.output, {RESULT: result}, figures, overwrite=args.force)
     if args.json:
         print_json(result)
         return 0 if lumped else 1

@@ -5,10 +5,11 @@ import argparse
 import json
 from collections.abc import Iterator
 from io import BytesIO
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from scara_effmass.analysis.output import check_output_files
-from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
+from scara_effmass.analysis.report import ReportFigure, figure_files, report_figure, write_report_files
 from scara_effmass.analysis.tables import open_table, provenance
 from scara_effmass.analysis.workspace_map import (
     AS_SAMPLED,
@@ -20,55 +21,101 @@ from scara_effmass.analysis.workspace_map import (
     sample_workspace,
     summarize,
 )
-from scara_effmass.cli.console import print_result, progress_bar
-from scara_effmass.cli.settings import load_dynamics, monitor_settings
-from scara_effmass.errors import SettingsError
+from scara_effmass.cli.console import print_result
+from scara_effmass.cli.settings import load_dynamics, monitor_settings, require_no_payload_topic
+from scara_effmass.cli.tasks import Advance, open_run, sound
+from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.safety import Monitor
+from scara_effmass.settings import MonitorSettings
 
 NAME, SUMMARY = "map", "map.json"
+SMALL_SAMPLES = 200_000
+"""Number of configurations of all maps below which the start of local processes takes longer than they save."""
 ALONG_X = (1.0, 0.0, 0.0)
 
 
+class _Map(NamedTuple):
+    """A map to make: `settings` of one robot, and where its files go."""
+
+    settings: MonitorSettings
+    plane: Plane
+    samples: int
+    table: str
+    folder: Path
+
+    def __str__(self) -> str:
+        return str(self.settings.robot)
+
+
+class _Made(NamedTuple):
+    """A made map."""
+
+    texts: dict[str, str | bytes]
+    figure: ReportFigure
+    summary: dict[str, Any]
+    where: str
+
+
 def run(args: argparse.Namespace) -> int:
-    """Sample the workspace, write figure, table and summary, and print the summary."""
-    settings = monitor_settings(args, **AS_SAMPLED)
-    if settings.payload_topic:
-        raise SettingsError(
-            f"payload_topic = {settings.payload_topic!r}: must be empty for a map: give --payload-topic ''"
-        )
-    if args.test_direction and settings.fixed_test_direction is None:
-        raise SettingsError("--direction = 0 0 0: must not be 0")
-    table_name = f"{NAME}.{args.table}"
-    check_output_files(args.output, [*figure_files([NAME]), table_name, SUMMARY], overwrite=args.force)
+    """Sample the workspace of each robot, write figure, table and summary, and print the summaries."""
+    tasks = list(_tasks(args))
+    maps: list[tuple[_Map, _Made]] = []
+    errors: list[str] = []
+    with open_run(args, "maps", is_small=len(tasks) * args.samples < SMALL_SAMPLES) as run_tasks:
+        for task, made in sound(tasks, run_tasks(_made, tasks), errors, EffmassError):
+            write_report_files(task.folder, made.texts, [made.figure], overwrite=args.force)
+            maps.append((task, made))
+    lines = [line for task, made in maps for line in _lines(task, made)]
+    results = [{"output": str(task.folder), **made.summary} for task, made in maps]
+    result = results[0] if len(tasks) == 1 else {"output": str(args.output), "maps": results, "not_mapped": errors}
+    print_result(result, [*lines, *(("not mapped", error) for error in errors)], as_json=args.json)
+    return 1 if errors else 0
+
+
+def _tasks(args: argparse.Namespace) -> Iterator[_Map]:
+    """Yield a task for each robot. Raises SettingsError, and OutputError for files that must not be replaced."""
+    robots, table = args.robot or [None], f"{NAME}.{args.table}"
+    folders = [args.output / Path(robot or "").stem if len(robots) > 1 else args.output for robot in robots]
+    for robot, folder in zip(robots, folders, strict=True):
+        if folders.count(folder) > 1:
+            raise SettingsError(f"{robot}: must have a file name of its own: it names the folder of its map")
+        settings = monitor_settings(args, robot=robot, **AS_SAMPLED)
+        require_no_payload_topic(settings, "a map")
+        if args.test_direction and settings.fixed_test_direction is None:
+            raise SettingsError("--direction = 0 0 0: must not be 0")
+        check_output_files(folder, [*figure_files([NAME]), table, SUMMARY], overwrite=args.force)
+        yield _Map(settings, Plane(*args.plane), args.samples, args.table, folder)
+
+
+def _made(task: _Map, advance: Advance) -> _Made:
+    """Return the map of one robot. Raises EffmassError."""
+    settings, share = task.settings, 1.0 / task.samples
     dynamics = load_dynamics(settings)
-    monitor = Monitor(dynamics, settings)
     direction, frame = settings.fixed_test_direction, settings.test_direction_frame
-    with progress_bar() as progress:
-        task = progress.add_task("configurations", total=args.samples)
-        plane, advance = Plane(*args.plane), lambda: progress.advance(task)
-        sample = sample_workspace(monitor, direction or ALONG_X, frame, plane, args.samples, advance)
+    sampled = Monitor(dynamics, settings), direction or ALONG_X, frame, task.plane, task.samples
+    sample = sample_workspace(*sampled, lambda count: advance(count * share))
     robot, point, cells = dynamics.robot, dynamics.contact_points[0], Cells(sample)
     table, origin = map_table(cells, robot.joint_names), provenance(settings, robot.origin, [])
     axes = " ".join(f"{component:.3g}" for component in sample.direction)
-    where = f"n = [{axes}]{' of ' * bool(frame)}{frame}, {plane}"
+    where = f"n = [{axes}]{' of ' * bool(frame)}{frame}, {task.plane}"
     title = f"{robot.name}, contact point {point}, {settings.effective_mass_model.value} mass, {where}"
     caption = f"Each cell shows the worst of the sampled configurations that reach it. {title}"
     figure = report_figure(NAME, title, caption, draw_map(cells, table, title, robot.iso_mass))
     summary = {"robot": robot.origin, "contact_point": point, "frame": frame, **summarize(cells, table, robot.iso_mass)}
     file = BytesIO()
-    with open_table(file, f".{args.table}", table.schema, origin) as writer:
+    with open_table(file, f".{task.table}", table.schema, origin) as writer:
         writer.write_table(table)
     text = json.dumps({**summary, "provenance": origin}, indent=2, allow_nan=False)
-    texts: dict[str, str | bytes] = {table_name: file.getvalue(), SUMMARY: f"{text}\n"}
-    write_report_files(args.output, texts, [figure], overwrite=args.force)
-    result = {"output": str(args.output), **summary}
-    lines = [("robot", f"{robot.origin}, contact point {point}"), ("map", where), *_lines(summary)]
-    print_result(result, [*lines, ("written", args.output / f"{NAME}.png")], as_json=args.json)
-    return 0
+    return _Made({f"{NAME}.{task.table}": file.getvalue(), SUMMARY: f"{text}\n"}, figure, summary, where)
 
 
-def _lines(summary: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _lines(task: _Map, made: _Made) -> Iterator[tuple[str, object]]:
+    summary = made.summary
+    yield "robot", f"{summary['robot']}, contact point {summary['contact_point']}"
+    yield "map", made.where
     yield "sample", f"{summary['configurations']} configurations; {summary['left_out']} left out: cannot move along n"
+    if summary["one_by_one"]:
+        yield "one by one", f"slower than many configurations at once: {summary['one_by_one']}"
     if summary["unknown"]:
         yield "UNKNOWN", f"{summary['unknown']} configurations; their cells allow 0 m/s"
     for model, count in summary["mass_models"]:
@@ -79,3 +126,4 @@ def _lines(summary: dict[str, Any]) -> Iterator[tuple[str, str]]:
         yield name.removesuffix("_reduced_mass").replace("_", " "), f"{values} {unit.replace('_', '/')}"
     rise = "{p50:.1%} (median), {p95:.1%} (P95)".format(**summary["rise_by_second_half"])
     yield "completeness", f"its second half raised the bound of a cell by {rise}"
+    yield "written", task.folder / f"{NAME}.png"

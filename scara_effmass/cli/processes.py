@@ -17,7 +17,6 @@ from typing_extensions import Self
 
 from scara_effmass.cli import dashboard
 from scara_effmass.cli.nodes import node_arguments
-from scara_effmass.cli.options import CELL
 from scara_effmass.cli.settings import selected
 from scara_effmass.errors import EffmassError
 from scara_effmass.nodes.monitor_client import MonitorClient
@@ -115,7 +114,7 @@ def monitor_command(args: argparse.Namespace, settings: MonitorSettings) -> list
     """Return the command that runs the monitor with the settings of the demo."""
     params = ["--params", str(args.params)] if args.params else []
     chosen = {"robot": str(settings.robot_path), "effective_mass_model": settings.effective_mass_model.value}
-    return ["monitor", *params, *node_arguments(None, selected(args, *CELL) | chosen, SIM_TIME)]
+    return ["monitor", *params, *node_arguments(None, selected(args, "cell") | chosen, SIM_TIME)]
 
 
 def visualization_command(settings: MonitorSettings) -> list[str]:

@@ -4,6 +4,7 @@
 import argparse
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,15 @@ from scara_effmass.analysis.assessment import assess_joint_states, joint_state_t
 from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.pages import PageOptions
 from scara_effmass.analysis.protocol import Protocol, Repetition, protocol_yaml, read_protocol
-from scara_effmass.analysis.protocol_evaluation import overall
+from scara_effmass.analysis.protocol_evaluation import record
 from scara_effmass.analysis.protocol_fill import AFTER_S, device_of, evaluated, repetitions
 from scara_effmass.analysis.protocol_plan import Plan
 from scara_effmass.analysis.protocol_report import PAGE, check_report_folder, write_report
-from scara_effmass.analysis.validation import validate
 from scara_effmass.analysis.workspace_map import AS_SAMPLED, Plane, sample_workspace
 from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_json, print_result, progress_bar, tracked
-from scara_effmass.cli.settings import load_dynamics, monitor_settings, override
-from scara_effmass.cli.validate import recordings, validation_settings
+from scara_effmass.cli.settings import load_dynamics, monitor_settings, override, require_no_payload_topic
+from scara_effmass.cli.validate import validated, validation_settings
 from scara_effmass.errors import RobotError, SettingsError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety import Monitor
@@ -45,6 +45,8 @@ def _schema(_: argparse.Namespace) -> int:
 def _init(args: argparse.Namespace) -> int:
     check_output_path(args.output, overwrite=args.force)
     settings = monitor_settings(args)
+    if args.map:
+        require_no_payload_topic(settings, "a map")
     plan = Plan(settings, args.points)
     dynamics = load_dynamics(settings)
     if args.recording:
@@ -79,24 +81,25 @@ def _add_workspace(plan: Plan, args: argparse.Namespace, settings: MonitorSettin
     with progress_bar() as progress:
         task = progress.add_task("configurations", total=len(BASE_AXES) * args.samples)
         for axis in BASE_AXES:
-            monitor, advance = Monitor(dynamics, settings), lambda: progress.advance(task)
+            monitor, advance = Monitor(dynamics, settings), partial(progress.advance, task)
             with suppress(RobotError):  # a robot need not move along every axis
                 samples.append(sample_workspace(monitor, axis, "", Plane(), args.samples, advance))
     if not samples:
         raise RobotError(f"{dynamics.robot.origin}: must move along an axis of the base")
     for sample in samples:
-        for q, contact in zip(sample.q.tolist(), sample.contacts, strict=True):
+        for q, contact in zip(sample.q.tolist(), sample.assessments(), strict=True):
             plan.add(contact, dict(zip(dynamics.robot.joint_names, q, strict=True)), at_limit=True)
 
 
 def _fill(args: argparse.Namespace) -> int:
     target, folder = args.output or args.protocol, args.protocol.parent
-    check_output_path(target, overwrite=args.force or target == args.protocol)
+    overwrite = args.force or target == args.protocol
+    check_output_path(target, overwrite=overwrite)
     protocol = read_protocol(args.protocol)
     if args.bags:
         protocol = _filled(args, protocol)
     protocol = evaluated(protocol, folder)
-    with atomic_file(target, overwrite=args.force or target == args.protocol) as path:
+    with atomic_file(target, overwrite=overwrite) as path:
         path.write_text(protocol_yaml(protocol), encoding="utf-8")
     return _printed(protocol, {"output": str(target)}, target, as_json=args.json)
 
@@ -111,14 +114,13 @@ def _report(args: argparse.Namespace) -> int:
 
 def _printed(protocol: Protocol, result: dict[str, Any], written: Path, *, as_json: bool) -> int:
     """Print the verdicts; return the exit status."""
-    verdict = overall(protocol)
-    lines: list[tuple[str, object]] = [("verdict", verdict.name)]
+    content = record(protocol)
+    lines: list[tuple[str, object]] = [("verdict", content["verdict"])]
     for test in protocol.tests:
         if evaluation := test.results.evaluation:
             lines += [(evaluation.verdict, f"{test.id}: {reason}") for reason in evaluation.reasons]
-    content = {**result, "verdict": verdict.name, **protocol.model_dump(mode="json")}
-    print_result(content, [*lines, ("written", written)], as_json=as_json)
-    return 0 if verdict is Verdict.OK else NOT_OK
+    print_result({**result, **content}, [*lines, ("written", written)], as_json=as_json)
+    return 0 if content["verdict"] == Verdict.OK.name else NOT_OK
 
 
 def _filled(args: argparse.Namespace, protocol: Protocol) -> Protocol:
@@ -143,10 +145,5 @@ def _filled(args: argparse.Namespace, protocol: Protocol) -> Protocol:
     if test.point.contact_point in dynamics.contact_points:
         validator = override(settings.validator, {"contact_point": test.point.contact_point})
         settings = replace(settings, validator=validator)
-    paths = recordings(args)
-    with progress_bar() as progress:
-        task = progress.add_task("recordings", total=len(paths))
-        validation = validate(paths, dynamics, settings, lambda share: progress.advance(task, share))
-    contacts = repetitions(validation, settings.force, args.protocol.parent)
-    results = test.results.model_copy(update={"repetitions": contacts})
-    return protocol.replaced(test.model_copy(update={"results": results}))
+    contacts = repetitions(validated(args, settings), settings.force, args.protocol.parent)
+    return protocol.replaced(test.with_results(repetitions=contacts))

@@ -7,7 +7,8 @@ import argparse
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
-from scara_effmass.cli.options import Option
+from scara_effmass.cli.options import options_of
+from scara_effmass.errors import SettingsError
 from scara_effmass.settings import MonitorSettings, checked, load_settings
 from scara_effmass.settings.loading import Settings
 
@@ -28,14 +29,14 @@ def monitor_settings(
     return override(settings, {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | overrides)
 
 
-def selected(args: argparse.Namespace, *options: Option) -> dict[str, Any]:
-    """Return the values of `options` by the setting that each of them sets."""
-    return {option.dest: getattr(args, option.dest) for option in options}
+def selected(args: argparse.Namespace, *groups: str) -> dict[str, Any]:
+    """Return the values of the options in `groups` by the setting that each of them sets."""
+    return {option.dest: getattr(args, option.dest) for option in options_of(*groups)}
 
 
-def override(settings: Settings, options: dict[str, Any]) -> Settings:
-    """Return `settings` with those `options` that are not None. Raises SettingsError."""
-    changes = {name: value for name, value in options.items() if value is not None}
+def override(settings: Settings, chosen: dict[str, Any]) -> Settings:
+    """Return `settings` with those `chosen` that are not None. Raises SettingsError."""
+    changes = {name: value for name, value in chosen.items() if value is not None}
     return checked(type(settings), {**settings.model_dump(), **changes}, "options")
 
 
@@ -45,3 +46,10 @@ def load_dynamics(settings: MonitorSettings) -> RobotDynamics:
     from scara_effmass.model.load import load_robot  # noqa: PLC0415
 
     return RobotDynamics(load_robot(settings.robot_path, settings))
+
+
+def require_no_payload_topic(settings: MonitorSettings, purpose: str) -> None:
+    """Raise SettingsError if the payload comes by topic; `purpose` is what needs to know it beforehand."""
+    if settings.payload_topic:
+        rule = f"must be empty for {purpose}: give --payload-topic ''"
+        raise SettingsError(f"payload_topic = {settings.payload_topic!r}: {rule}")

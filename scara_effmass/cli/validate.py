@@ -3,17 +3,25 @@
 
 import argparse
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 from scara_effmass.analysis.assessment import Time, input_lines
 from scara_effmass.analysis.pages import PageOptions
-from scara_effmass.analysis.validation import ValidationSettings, validate
+from scara_effmass.analysis.validation import (
+    ValidatedRecording,
+    Validation,
+    ValidationSettings,
+    joined,
+    validate_recording,
+)
 from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
-from scara_effmass.bags.files import find_bags
-from scara_effmass.cli.console import print_result, progress_bar
-from scara_effmass.cli.options import IMPORT, JOINTS, LIMITS, PAYLOAD, ROBOT
+from scara_effmass.bags.files import bag_bytes, find_bags
+from scara_effmass.cli.console import print_result
 from scara_effmass.cli.settings import load_dynamics, override, selected
-from scara_effmass.errors import SettingsError
+from scara_effmass.cli.tasks import SMALL_BYTES, Advance, open_run, sound
+from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.impacts.validator import Validator
 from scara_effmass.settings import DaqSettings, ImportSettings, MonitorSettings, ValidatorSettings, load_settings
 from scara_effmass.settings.loading import Settings
 
@@ -27,10 +35,7 @@ def run(args: argparse.Namespace) -> int:
     dynamics = load_dynamics(settings.monitor)
     page = PageOptions(args.language, args.pdf)
     check_report_folder(args.output, page, overwrite=args.force)
-    paths = recordings(args)
-    with progress_bar() as progress:
-        task = progress.add_task("recordings", total=len(paths))
-        validation = validate(paths, dynamics, settings, lambda share: progress.advance(task, share))
+    validation = validated(args, settings)
     result = write_report(validation, settings, dynamics.robot, args.output, page, overwrite=args.force)
     notes = list(input_lines(settings.monitor, settings.time))
     lines = [*summary_lines(validation), *notes, ("written", args.output / PAGE)]
@@ -38,7 +43,26 @@ def run(args: argparse.Namespace) -> int:
     return 0 if validation.result.accepted and not validation.result.exceedances else NOT_ACCEPTED
 
 
-def recordings(args: argparse.Namespace) -> list[Path]:
+def validated(args: argparse.Namespace, settings: ValidationSettings) -> Validation:
+    """Validate the recordings of `args` as one series. Raises EffmassError, which names all recordings that are bad."""
+    paths = _recordings(args)
+    force_of = dict(zip(paths, settings.force_from, strict=False))
+    unreadable: list[str] = []
+    with open_run(args, "recordings", is_small=sum(map(bag_bytes, paths)) < SMALL_BYTES) as run_tasks:
+        outcomes = run_tasks(partial(_validated, settings, force_of), paths)
+        parts = [part for _, part in sound(paths, outcomes, unreadable)]
+    if unreadable:  # a series without them is another one
+        raise BagError("; ".join(unreadable))
+    return joined(parts, settings)
+
+
+def _validated(
+    settings: ValidationSettings, force_of: dict[Path, Path], path: Path, advance: Advance
+) -> tuple[ValidatedRecording, Validator]:
+    return validate_recording(path, force_of.get(path), load_dynamics(settings.monitor), settings, advance)
+
+
+def _recordings(args: argparse.Namespace) -> list[Path]:
     """Return the recordings, each with a force of its own. Raises BagError, SettingsError."""
     paths = [path for argument in args.bags for path in find_bags(argument)]
     counts = Counter(path.resolve() for path in paths)
@@ -60,15 +84,15 @@ def validation_settings(args: argparse.Namespace) -> ValidationSettings:
 
     # The limits are those of the measured forces: a clamping monitor could give no prediction.
     names = ("stiffness_n_m", "obstacle_mass", "obstacle_fixed", "plate_normal", "effective_mass_model")
-    options = selected(args, *LIMITS) | {name: getattr(args, name) for name in names}
+    options = selected(args, "limits") | {name: getattr(args, name) for name in names}
     return ValidationSettings(
-        monitor=override(section(MonitorSettings, "monitor"), selected(args, *ROBOT, *JOINTS, *PAYLOAD)),
+        monitor=override(section(MonitorSettings, "monitor"), selected(args, "robot", "model", "joints", "payload")),
         validator=override(section(ValidatorSettings, "validator"), options),
         detection=section(DaqSettings, "daq").detection,
         obstacle_mass=args.obstacle_mass,
         topic=args.topic,
         time=Time(args.time),
-        force=override(ImportSettings(topic=args.force_topic or ""), selected(args, *IMPORT)),
+        force=override(ImportSettings(topic=args.force_topic or ""), selected(args, "import")),
         force_from=tuple(args.force_from),
         force_offset=args.force_offset,
     )

@@ -19,7 +19,7 @@ from rich.text import Text
 from scara_effmass.errors import SettingsError
 from scara_effmass.safety.debounce import severity
 from scara_effmass.safety.remedies import remedy
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:
     from scara_effmass.safety.cell_status import CellStatus
@@ -82,7 +82,7 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) 
         Text(fill, no_wrap=True),
     )
     parts: list[RenderableType] = [header, Padding(banner, 0, style=style)]
-    worst = _deciding(status)
+    worst = status.deciding
     figures = Table.grid(expand=True)
     for _ in range(2):
         figures.add_column(justify="center", ratio=1)
@@ -110,11 +110,6 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) 
         parts.append(Text(text))
     parts.append(_points(status))
     return Group(*parts)
-
-
-def _deciding(status: CellStatus) -> ContactAssessment | None:
-    """Return the contact point with the smallest margin among those with the worst verdict; None without any."""
-    return max(status.contacts.values(), key=lambda c: (severity(c.verdict), c.speed - c.allowable_speed), default=None)
 
 
 def _points(status: CellStatus) -> Table:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.errors import DecodeError
+from scara_effmass.input_files import read_table
 
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 BYTE_ORDERS: dict[bytes, Literal["<", ">"]] = {b"\x00\x00": ">", b"\x00\x01": "<"}
@@ -64,14 +65,17 @@ _PACK = {kind: (struct.Struct(f"<{layout}").pack, size) for kind, (layout, size)
 DTYPES = {"float64[]": "<f8", "uint32[]": "<u4"}
 
 
-def encode(fields: Mapping[str, str], values: Mapping[str, Any]) -> bytes:
-    """Return the CDR bytes of a message.
+MESSAGES: Mapping[str, Mapping[str, str]] = read_table(__file__, "messages.yaml")
+"""Kinds of the fields of each message, in their order."""
 
-    `fields` gives the kind of each field in the order of the message: a key of `FORMATS`, "text", "float64[]",
-    "uint32[]" or "text[]".
+
+def encode(message_type: str, values: Mapping[str, Any]) -> bytes:
+    """Return the CDR bytes of a message of `MESSAGES`.
+
+    The kind of a field is a key of `FORMATS`, "text", "float64[]", "uint32[]" or "text[]".
     """
     data = bytearray()
-    for name, kind in fields.items():
+    for name, kind in MESSAGES[message_type].items():
         _append(data, kind, values[name])
     return LITTLE_ENDIAN + bytes(data)
 
@@ -95,9 +99,10 @@ def _append(data: bytearray, kind: str, value: Any) -> None:  # noqa: ANN401 - a
             data += items.tobytes()
 
 
-def decode(data: bytes, message_type: str, fields: Mapping[str, str]) -> dict[str, Any]:
+def decode(data: bytes, message_type: str) -> dict[str, Any]:
     """Return the fields of a message, CDR of either byte order; see `encode`. Raises DecodeError."""
     cursor = Cursor(data, message_type)
+    fields = MESSAGES[message_type]
     values = {name: cursor.read(name, kind) for name, kind in fields.items()}
     cursor.end(list(fields)[-1])
     return values

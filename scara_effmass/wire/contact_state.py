@@ -11,12 +11,14 @@ import struct
 from typing import TYPE_CHECKING, Any
 
 from scara_effmass.errors import DecodeError
+from scara_effmass.safety import unknown_contact
 from scara_effmass.values import ContactAssessment, Vector3, Verdict
 from scara_effmass.wire.cdr import COUNT, FRAME_AT, LITTLE_ENDIAN, NS, ORIGIN, padded, sec_and_nanosec, with_text
 
 if TYPE_CHECKING:
     from scara_effmass_msgs.msg import ContactState
 
+_VERDICTS = frozenset(map(int, Verdict))
 _DOUBLES = 15
 """From direction.x to margin."""
 _FLOAT64 = struct.Struct("<4sd")
@@ -29,10 +31,12 @@ _TAIL = struct.Struct("<5d")
 
 
 def contact_from(message: ContactState) -> ContactAssessment:
-    """Return the assessment in `message`."""
-    stamp = message.header.stamp
+    """Return the assessment in `message`; UNKNOWN without numbers for a verdict that is none."""
+    stamp_ns = message.header.stamp.sec * NS + message.header.stamp.nanosec
+    if message.verdict not in _VERDICTS:
+        return unknown_contact(message.contact_point, f"verdict = {message.verdict}: must be 0 to 3", stamp_ns, 0.0)
     converted = {
-        "stamp_ns": stamp.sec * NS + stamp.nanosec,
+        "stamp_ns": stamp_ns,
         "direction": _vector(message.direction),
         "test_direction": _vector(message.test_direction),
         "verdict": Verdict(message.verdict),

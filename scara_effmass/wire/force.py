@@ -10,46 +10,11 @@ from scara_effmass.errors import DecodeError
 from scara_effmass.values import MAX_LOST_SAMPLES, ForceBlock, Impact
 from scara_effmass.wire.cdr import decode, encode
 
-_FORCE_BLOCK = {
-    "stamp_ns": "time",
-    "frame_id": "text",
-    "first_sample": "uint64",
-    "sample_rate": "float64",
-    "force": "float64[]",
-    "lost_samples": "uint32",
-    "saturated": "bool",
-    "saturated_samples": "uint32[]",
-    "clock_residual": "float64",
-    "filter_delay": "float64",
-    "source": "text",
-    "simulated": "bool",
-    "tare": "float64",
-    "tare_stamp_ns": "time",
-    "relative_uncertainty": "float64",
-}
-_IMPACT = {
-    "stamp_ns": "time",
-    "frame_id": "text",
-    "peak_force": "float64",
-    "duration": "float64",
-    "impulse": "float64",
-    "onset_sample": "float64",
-    "clipped": "bool",
-    "incomplete": "bool",
-    "rebound": "uint32",
-    "baseline": "float64",
-    "noise": "float64",
-    "clock_residual": "float64",
-    "source": "text",
-    "simulated": "bool",
-    "compression_impulse": "float64",
-}
-
 
 def force_block_message(block: ForceBlock) -> bytes:
     """Return the CDR bytes of a ForceBlock; `lost_samples` is limited to the range of its field."""
     lost_samples, saturated = min(block.lost_samples, MAX_LOST_SAMPLES), bool(len(block.saturated_samples))
-    return encode(_FORCE_BLOCK, {**block._asdict(), "lost_samples": lost_samples, "saturated": saturated})
+    return encode("ForceBlock", {**block._asdict(), "lost_samples": lost_samples, "saturated": saturated})
 
 
 def decode_force_block(data: bytes) -> ForceBlock:
@@ -57,7 +22,7 @@ def decode_force_block(data: bytes) -> ForceBlock:
 
     If `saturated` is true without `saturated_samples`, all samples count as saturated.
     """
-    values = decode(data, "ForceBlock", _FORCE_BLOCK)
+    values = decode(data, "ForceBlock")
     saturated, count = values.pop("saturated"), len(values["force"])
     indices = values["saturated_samples"]
     if len(indices):
@@ -73,9 +38,9 @@ def decode_force_block(data: bytes) -> ForceBlock:
 
 def impact_message(impact: Impact) -> bytes:
     """Return the CDR bytes of an Impact."""
-    return encode(_IMPACT, impact._asdict())
+    return encode("Impact", impact._asdict())
 
 
 def decode_impact(data: bytes) -> Impact:
     """Return the Impact in `data`, CDR of either byte order. Raises DecodeError."""
-    return Impact(**decode(data, "Impact", _IMPACT))
+    return Impact(**decode(data, "Impact"))

@@ -9,15 +9,6 @@ import numpy as np
 from scara_effmass.values import JointState
 from scara_effmass.wire.cdr import FRAME_AT, NS, Cursor, encode
 
-_JOINT_STATE = {
-    "stamp_ns": "time",
-    "frame_id": "text",
-    "names": "text[]",
-    "position": "float64[]",
-    "velocity": "float64[]",
-    "effort": "float64[]",
-}
-
 MAX_NAMES = 1000
 """Maximum number of names in a JointState; decoding many more would delay the next message."""
 
@@ -77,7 +68,7 @@ def joint_state_layout(data: bytes) -> JointStateLayout:
 
 def joint_state_message(state: JointState, frame_id: str = "") -> bytes:
     """Return the CDR bytes of a JointState without effort."""
-    return encode(_JOINT_STATE, {**state._asdict(), "frame_id": frame_id, "effort": ()})
+    return encode("JointState", {**state._asdict(), "frame_id": frame_id, "effort": ()})
 
 
 class JointStateDecoder:

@@ -5,13 +5,11 @@ from scara_effmass.errors import DecodeError
 from scara_effmass.values import Payload
 from scara_effmass.wire.cdr import decode
 
-_INERTIA = {"m": "float64", "com": "vector"} | dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "float64")
-
 
 def decode_payload(data: bytes) -> Payload | str:
     """Return the payload in the Inertia `data`, CDR of either byte order, or why it is unknown. No value is checked."""
     try:
-        m, com, ixx, ixy, ixz, iyy, iyz, izz = decode(data, "Inertia", _INERTIA).values()
+        m, com, ixx, ixy, ixz, iyy, iyz, izz = decode(data, "Inertia").values()
     except DecodeError as error:
         return f"the payload is unknown: {error}"
     return Payload(m, com, (ixx, iyy, izz, ixy, ixz, iyz))

@@ -12,35 +12,15 @@ LATEST_NS = 2**63 - 1
 UNUSABLE_NS = LATEST_NS + 1
 """Replaces an invalid time in JSON."""
 
-_RUN_INFO = {
-    "stamp_ns": "time",
-    "frame_id": "text",
-    "configuration": "text",
-    "obstacle_mass": "float64",
-    "impact_position": "vector",
-    "plate_normal": "vector",
-    "guide_direction": "vector",
-    "simulated": "bool",
-    "note": "text",
-    "contact_stiffness": "float64",
-    "contact_exponent": "float64",
-    "true_onset_ns": "time",
-    "true_speed": "float64",
-    "true_effective_mass": "float64",
-    "true_peak_force": "float64",
-    "true_duration": "float64",
-    "true_impulse": "float64",
-}
-
 
 def run_info_message(info: RunInfo) -> bytes:
     """Return the CDR bytes of a RunInfo."""
-    return encode(_RUN_INFO, info._asdict())
+    return encode("RunInfo", info._asdict())
 
 
 def decode_run_info(data: bytes) -> RunInfo:
     """Return the RunInfo in `data`, CDR of either byte order, with unchecked values. Raises DecodeError."""
-    return RunInfo(**decode(data, "RunInfo", _RUN_INFO))
+    return RunInfo(**decode(data, "RunInfo"))
 
 
 def run_info_from_json(text: str) -> RunInfo | None:

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+from scara_effmass.analysis.assessed_states import states_of
 from scara_effmass.analysis.figure import draw_run
 from scara_effmass.analysis.recorded_run import RecordedForce
 from scara_effmass.analysis.report import report_figure
@@ -85,7 +86,7 @@ def test_missing_mass_model_is_not_in_the_legend() -> None:
 
 def test_single_unknown_cycle_is_drawn() -> None:
     builder = TimeSeriesBuilder()
-    builder.add(unknown_contact("tool", "the header stamp is zero", 0, 0.0), 1)
+    builder.add(states_of([1], [[unknown_contact("tool", "the header stamp is zero", 0, 0.0)]]), 0)
     figure = report_figure("run", "", "", draw(builder.build()))
     height, width, _ = imread(BytesIO(figure.png)).shape
     assert width > 1500

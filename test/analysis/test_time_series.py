@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scara_effmass.analysis.assessed_states import states_of
 from scara_effmass.analysis.time_series import (
     NO_JOINT_STATE,
     TimeSeries,
@@ -16,7 +17,7 @@ from scara_effmass.analysis.time_series import (
     intervals,
 )
 from scara_effmass.safety import unknown_contact
-from scara_effmass.values import JointState, Verdict
+from scara_effmass.values import Verdict
 
 OK, WARN, VIOLATION, UNKNOWN = Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN
 TIMEOUT = 0.2
@@ -31,14 +32,16 @@ def series(times: list[float], verdicts: list[Verdict]) -> TimeSeries:
     for number, (time, verdict) in enumerate(zip(times, verdicts, strict=True)):
         stamp_ns = 10**12 + round(time * 1e9)
         row = assessed._replace(stamp_ns=stamp_ns, verdict=verdict, reason=f"row {number}", margin=0.1 - time)
-        builder.add(row, stamp_ns)
+        builder.add(states_of([stamp_ns], [[row]]), 0)
     return builder.build()
 
 
 def test_assessments_are_in_order_of_their_stamps() -> None:
     builder = TimeSeriesBuilder()
-    builder.add(assessed._replace(speed=0.5, stamp_ns=3_000_000_000, reason="late"), 3_004_000_000)
-    builder.add(assessed._replace(stamp_ns=1_000_000_000, verdict=WARN, reason="early"), 1_001_000_000)
+    builder.add(states_of([3_004_000_000], [[assessed._replace(speed=0.5, stamp_ns=3_000_000_000, reason="late")]]), 0)
+    builder.add(
+        states_of([1_001_000_000], [[assessed._replace(stamp_ns=1_000_000_000, verdict=WARN, reason="early")]]), 0
+    )
     kept = builder.build()
     assert kept.time.tolist() == [0.0, 2.0]
     assert kept.speed.tolist() == [0.2, 0.5]
@@ -49,9 +52,9 @@ def test_assessments_are_in_order_of_their_stamps() -> None:
 
 def test_unknown_values_are_nan() -> None:
     builder = TimeSeriesBuilder()
-    builder.add(unknown_contact("tool", "the header stamp is zero", 0, 0.0), 1_000_000_000)
+    builder.add(states_of([1_000_000_000], [[unknown_contact("tool", "the header stamp is zero", 0, 0.0)]]), 0)
     held = assessed._replace(verdict=UNKNOWN, reason="held after: stale", allowable_speed=0.0)
-    builder.add(held._replace(stamp_ns=2_000_000_000), 2_001_000_000)
+    builder.add(states_of([2_001_000_000], [[held._replace(stamp_ns=2_000_000_000)]]), 0)
     kept = builder.build()
     assert kept.time.tolist() == [0.0, 1.0]
     assert np.isnan(kept.speed[0])
@@ -113,9 +116,9 @@ def test_intervals_have_verdict_margin_and_reason_and_silence_is_unknown() -> No
 def test_an_interval_has_the_region_and_the_pose_of_its_start() -> None:
     builder = TimeSeriesBuilder()
     for number, verdict in enumerate((OK, WARN, WARN, VIOLATION)):
-        state = JointState(1, ("joint1", "joint2"), np.array([0.1, 0.2]) * number, np.zeros(2))
+        positions = [{"joint1": 0.1 * number, "joint2": 0.2 * number}]
         row = assessed._replace(stamp_ns=10**9 + 10**8 * number, verdict=verdict, body_region=f"region {number}")
-        builder.add(row, row.stamp_ns, state)
+        builder.add(states_of([row.stamp_ns], [[row]], positions.__getitem__), 0)
     rows = list(intervals(builder.build(), TIMEOUT))
     assert [(row.verdict, row.body_region) for row in rows] == [
         (OK, "region 0"),

@@ -7,7 +7,7 @@ import sqlite3
 import struct
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from itertools import pairwise
 from pathlib import Path
 
@@ -479,6 +479,20 @@ class TestUnreadableInput:
         messages, warnings = readable(path)
         assert messages == []
         assert "cannot be read" in warnings
+
+    @pytest.mark.parametrize("data", [None, "text", 7])
+    def test_sqlite_message_without_data_is_left_out(self, tmp_path: Path, data: str | int | None) -> None:
+        path = single_db3(tmp_path, MIXED)
+        with closing(sqlite3.connect(path)) as database:
+            (definition,) = database.execute("SELECT sql FROM sqlite_master WHERE name = 'messages'").fetchone()
+            database.execute("ALTER TABLE messages RENAME TO before")
+            database.execute(definition.replace("NOT NULL", ""))
+            database.execute("INSERT INTO messages SELECT * FROM before")
+            database.execute("UPDATE messages SET data = ? WHERE id = 5", (data,))
+            database.commit()
+        with open_bag(path) as bag:
+            assert len(list(bag.messages())) == len(MIXED) - 1
+            assert any("left out messages without a time or data" in loss for loss in bag.losses)
 
     def test_damaged_sqlite_is_refused(self, tmp_path: Path) -> None:
         path = single_db3(tmp_path, MIXED)

@@ -12,6 +12,7 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import Inertia, Vector3
@@ -19,21 +20,26 @@ from pyarrow import parquet
 from rclpy.serialization import serialize_message
 
 from scara_effmass import __version__
+from scara_effmass.analysis import bag_assessment
+from scara_effmass.analysis.properties import PROPERTIES
 from scara_effmass.analysis.tables import SCHEMA
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
+from scara_effmass.kernel import jit
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.debounce import severity
+from scara_effmass.safety.monitor import unknown_contact
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share
-from scara_effmass.values import ContactAssessment, Verdict
-from scara_effmass.wire.joint_state import JointStateDecoder
-from scara_effmass.wire.message_types import INERTIA
+from scara_effmass.values import ContactAssessment, JointState, Verdict
+from scara_effmass.wire.contact_state import ContactStateEncoder
+from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
+from scara_effmass.wire.message_types import CONTACT_STATE, INERTIA
 from test.cli.conftest import Cli, Refused
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -70,14 +76,47 @@ def assert_equal(rows: list[dict[str, Any]], contacts: list[ContactAssessment]) 
     for row, contact in zip(rows, contacts, strict=True):
         for field, value in contact._asdict().items():
             if field in {"direction", "test_direction"}:
-                assert tuple(row[f"{field}_{axis}"] for axis in "xyz") == value
+                assert [row[f"{field}_{axis}"] for axis in "xyz"] == pytest.approx(value, rel=1e-10, abs=1e-10)
             elif field == "verdict":
                 assert row["verdict"] == value.name
             elif field.endswith("_mobility"):
                 entries = ("xx", "xy", "xz", "yy", "yz", "zz")
-                assert tuple(row[f"{field}_{entry}_1_kg"] for entry in entries) == value
+                assert [row[f"{field}_{entry}_1_kg"] for entry in entries] == pytest.approx(value, rel=1e-10, abs=1e-10)
+            elif isinstance(value, float) and not math.isnan(value):
+                assert row[column_of(field)] == pytest.approx(value, rel=1e-10, abs=1e-10), field
             else:
                 assert is_equal(row[column_of(field)], value), field
+
+
+def test_cross_check_compares_with_a_monitor(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+    out = tmp_path / "swing.parquet"
+    done = cli("assess", swing_bag, "-o", out, "--cross-check")
+    if not jit.WHY_NOT:
+        assert (done.returncode, done.stderr) == (0, "")
+        assert_equal(parquet.read_table(out).to_pylist(), core_assessments(swing_bag))
+    done = cli("assess", swing_bag, "-o", tmp_path / "new.parquet", "--cross-check", "--velocity", "from-positions")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("--cross-check: must compare with many joint states at once: ")
+    assert list(tmp_path.iterdir()) == ([] if jit.WHY_NOT else [out])
+
+
+def test_difference_found_by_the_cross_check_leaves_no_file(
+    swing_bag: Path, cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bag_assessment, "one_by_one", lambda *_: iter(()))
+    done = cli("assess", swing_bag, "-o", tmp_path / "swing.parquet", "--cross-check")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "cross-check: the number of joint states differs" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_reason_for_one_by_one_is_printed(
+    swing_bag: Path, cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bag_assessment, "MANY", 1)
+    done = cli("assess", swing_bag, "-o", tmp_path / "swing.parquet", "--velocity", "from-positions")
+    (line,) = (line for line in done.stdout.splitlines() if line.startswith("one by one"))
+    assert line.endswith("[fast]'" if jit.WHY_NOT else "velocity_source from_positions")
 
 
 def test_parquet_contains_the_assessments(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
@@ -391,3 +430,56 @@ def test_memory_does_not_grow_with_the_recording(suffix: str, swing_bag: Path, l
     assert long_mb < 400.0
     # 30 times as many rows: what grows is one row group, not the recording.
     assert long_mb - short_mb < 80.0
+
+
+@pytest.mark.live
+def test_memory_does_not_grow_with_the_recording_where_many_are_assessed_at_once(tmp_path: Path) -> None:
+    paths = [tmp_path / "short.mcap", tmp_path / "long.mcap"]
+    for path, count in zip(paths, (bag_assessment.MANY, 4 * bag_assessment.MANY), strict=True):
+        phases = np.arange(count) / 1000.0
+        with BagWriter(path) as writer:
+            for number, (sine, cosine) in enumerate(zip(np.sin(phases), np.cos(phases), strict=True)):
+                position, velocity = (
+                    np.array([sine, 0.5 * sine, 0.2, sine]),
+                    np.array([cosine, 0.5 * cosine, 0.0, cosine]),
+                )
+                state = JointState(10**9 + 10**6 * number, ("joint1", "joint2", "joint3", "joint4"), position, velocity)
+                writer.write("/joint_states", JOINT_STATE, state.stamp_ns, joint_state_message(state))
+    command = [sys.executable, "-c", MEMORY, str(tmp_path / "a.parquet"), *map(str, paths)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    short_mb, long_mb = map(float, done.stderr.split())
+    assert long_mb - short_mb < 80.0
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "csv", "mcap"])
+def test_verdicts_of_the_shipped_bags_have_all_properties(suffix: str, tmp_path: Path, cli: Cli) -> None:
+    table = tmp_path / f"tour.{suffix}"
+    done = cli("assess", share("bags", "tour"), "-o", table, "--properties", "--json")
+    checks = json.loads(done.stdout)["properties"]
+    assert (done.returncode, [check["violations"] for check in checks]) == (0, [0] * (len(PROPERTIES) - 1))
+    assert {check["evaluated"] for check in checks} == {2 * 7625}
+
+
+def test_recorded_verdicts_that_violate_a_property_give_exit_code_1(swing_bag: Path, tmp_path: Path, cli: Cli) -> None:
+    encoder = ContactStateEncoder("tool", "base_link")
+    with open_bag(swing_bag) as swing, BagWriter(tmp_path / "live") as live:
+        for message in swing.messages():
+            live.write(message.topic, message.type, message.log_time_ns, message.data)
+            state = unknown_contact("tool", "no reason", message.log_time_ns, 0.0)._replace(allowable_speed=0.1)
+            live.write("/contact_state", CONTACT_STATE, message.log_time_ns, encoder.encode(state))
+    done = cli("assess", tmp_path / "live", "-o", "live.parquet", "--properties")
+    assert done.returncode == 1
+    assert (
+        f"{tmp_path / 'live'}: UNKNOWN implies speed 0: violated 1 times, first in /contact_state: tool, at 17672"
+        in (" ".join(done.stdout.split()))
+    )
+
+
+def test_missing_library_of_the_properties_is_named(
+    swing_bag: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(sys.modules, "scara_effmass.analysis.properties", raising=False)
+    monkeypatch.setitem(sys.modules, "rtamt", None)
+    line = refused("assess", swing_bag, "-o", "swing.csv", "--properties")
+    assert "rtamt" in line
+    assert line.endswith("must be installed: pip install 'scara_effmass[properties]'")

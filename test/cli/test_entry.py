@@ -13,7 +13,7 @@ import pytest
 from scara_effmass import __version__
 from scara_effmass.cli import main, make_parser
 from scara_effmass.cli.commands import COMMANDS, NODES
-from scara_effmass.cli.options import CELL, Option
+from scara_effmass.cli.options import Option, options_of
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from test.cli.conftest import Cli, Refused
@@ -187,10 +187,10 @@ def test_options_override_the_parameter_file(cli: Cli, tmp_path: Path) -> None:
 @pytest.mark.parametrize("command", ["assess", "demo", "doctor", "init", "map", "monitor", "validate"])
 def test_every_command_that_assesses_has_the_options_of_the_cell(command: str) -> None:
     """A person who approaches changes no measured impact, so `validate` has no speed of a person."""
-    options = {option.dest for option in COMMANDS[command].options if isinstance(option, Option)}
-    cell = {option.dest for option in CELL}
+    own = {option.dest for option in COMMANDS[command].options if isinstance(option, Option)}
+    cell = {option.dest for option in options_of("cell")}
     assert cell <= set(MonitorSettings.model_fields)
-    assert cell - options == ({"person_speed"} if command == "validate" else set())
+    assert cell - own == ({"person_speed"} if command == "validate" else set())
 
 
 @pytest.mark.live

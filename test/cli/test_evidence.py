@@ -44,7 +44,7 @@ def test_invalid_number_is_refused(refused: Callable[..., str], option: str, val
     assert f"{value}: must be a whole number from" in refused("evidence", "-o", "out", option, value)
 
 
-def test_interrupted_run_ends_with_one_line_and_can_be_resumed(start: Start, cli_process: Cli, tmp_path: Path) -> None:
+def test_interrupted_run_ends_with_one_line_and_can_be_resumed(start: Start, cli: Cli, tmp_path: Path) -> None:
     table = tmp_path / "impacts.csv"
     process = start("evidence", "-o", tmp_path, "--impacts", "100000", "--jobs", "2")
     while not (table.exists() and "\n2," in table.read_text(encoding="utf-8")):  # the workers run
@@ -55,7 +55,7 @@ def test_interrupted_run_ends_with_one_line_and_can_be_resumed(start: Start, cli
     assert (process.returncode, output, errors) == (130, "", "interrupted\n")
     written = table.read_text(encoding="utf-8")
     count = int(written.splitlines()[-1].split(",")[0]) + 1
-    result = cli_process("evidence", "-o", tmp_path, "--impacts", str(count), "--jobs", "1")
+    result = cli("evidence", "-o", tmp_path, "--impacts", str(count), "--jobs", "1")
     assert (result.returncode, result.stderr) == (0, "")
     assert table.read_text(encoding="utf-8").startswith(written)
     assert (tmp_path / "report.html").exists()

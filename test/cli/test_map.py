@@ -24,6 +24,9 @@ def test_map_of_a_plane_of_a_six_axis_arm(cli: Cli, refused: Refused, tmp_path: 
     assert (result["configurations"], result["plane"]) == (300, "plane z = 0.3 m")
     assert result["mass_models"] == [["full: effective_mass_model full", 300]]
     assert result["direction"] == [0.0, 0.0, -1.0]
+    framed = cli(*words, "--samples", "100", "--direction-frame", "ee_link", "--force", "--json")
+    assert json.loads(framed.stdout)["frame"] == "ee_link"  # a link and a contact point
+    done = cli(*words, "--samples", "300", "--force", "--json")
     assert {path.name for path in out.iterdir()} == {"map.png", "map.svg", "map.csv", "map.json"}
     assert imread(out / "map.png").shape[1] > 1000
     lines = (out / "map.csv").read_text(encoding="utf-8").splitlines()
@@ -38,12 +41,20 @@ def test_map_of_a_plane_of_a_six_axis_arm(cli: Cli, refused: Refused, tmp_path: 
     assert "--force" in refused(*words, "--samples", "300")
 
 
-def test_parquet_carries_the_provenance(cli: Cli, tmp_path: Path) -> None:
+def test_parquet_carries_the_provenance_and_without_numba_it_is_said_to_be_slower(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # A filter of the cell's velocities does not concern sampled ones.
     params = tmp_path / "cell.yaml"
     params.write_text("monitor: {ros__parameters: {velocity_source: from_positions, velocity_window: 0.05}}")
-    done = cli("map", "-o", tmp_path / "map", "--samples", "100", "--table", "parquet", "--params", params)
+    words = ("map", "-o", tmp_path / "map", "--samples", "100", "--table", "parquet", "--params", params)
+    monkeypatch.setattr("scara_effmass.analysis.workspace_map.MANY", 100)
+    done = cli(*words)
     assert "every z, seen along z" in done.stdout
+    assert "one by one" not in done.stdout
+    monkeypatch.setattr("scara_effmass.kernel.jit.WHY_NOT", "numba is not installed")
+    slow = " ".join(cli(*words, "--force").stdout.split())
+    assert "one by one slower than many configurations at once: numba is not installed" in slow
     metadata = parquet.read_schema(tmp_path / "map" / "map.parquet").metadata
     assert metadata[b"scara_effmass_version"].decode() == __version__
 
@@ -64,3 +75,21 @@ def test_refusals(refused: Refused, words: tuple[str, ...], rule: str) -> None:
     model = () if "--model" in words else ("--model", "full")
     samples = () if "--samples" in words else ("--samples", "100")
     assert rule in refused("map", UR5, "-o", "out", *model, *samples, *words)
+
+
+def test_maps_of_several_robots_have_folders_and_a_robot_without_one_is_reported(
+    cli: Cli, refused: Refused, tmp_path: Path
+) -> None:
+    (tmp_path / "bad.urdf").write_text("<robot/>")
+    robots, options = (UR5, share("config", "omron_i4_550l.yaml")), ("--samples", "100", "--jobs", "1")
+    done = cli("map", *robots, "bad.urdf", "-o", "maps", *options, "--model", "full", "--json")
+    assert done.returncode == 1
+    result = json.loads(done.stdout)
+    assert [found["output"] for found in result["maps"]] == ["maps/ur5_robot", "maps/omron_i4_550l"]
+    assert [line.split(":")[0] for line in result["not_mapped"]] == ["bad.urdf"]
+    assert {path.name for path in (tmp_path / "maps").iterdir()} == {"ur5_robot", "omron_i4_550l"}
+    for robot in robots:
+        cli("map", robot, "-o", robot.stem, *options, "--model", "full")
+        for path in (tmp_path / robot.stem).iterdir():
+            assert path.read_bytes() == (tmp_path / "maps" / robot.stem / path.name).read_bytes()
+    assert "must have a file name of its own" in refused("map", UR5, UR5, "-o", "twice")

@@ -15,7 +15,7 @@ from std_msgs.msg import Float64
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.errors import DecodeError
 from scara_effmass.values import ContactAssessment, ForceBlock, Impact, Mobility6, RunInfo, Vector3, Verdict
-from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message, glance
+from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from, float64_message, glance
 from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message, impact_message
 from scara_effmass.wire.message_types import CONTACT_STATE, FORCE_BLOCK, IMPACT, RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
@@ -231,3 +231,9 @@ def test_contact_states_are_read_by_rclpy_and_rosbags(contacts: list[ContactAsse
 @given(NUMBER)
 def test_number_is_decoded(value: float) -> None:
     assert repr(deserialize_message(float64_message(value), Float64).data) == repr(value)
+
+
+def test_contact_state_with_a_verdict_that_is_none_is_unknown_without_numbers() -> None:
+    contact = contact_from(msg.ContactState(contact_point="tool", verdict=99, allowable_speed=5.0, speed=1.0))
+    assert (contact.verdict, contact.reason) == (Verdict.UNKNOWN, "verdict = 99: must be 0 to 3")
+    assert (contact.contact_point, contact.allowable_speed, contact.speed) == ("tool", 0.0, 0.0)

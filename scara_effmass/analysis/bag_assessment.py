@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Assess one recording: verdicts into a table, and what a summary and a report need of it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from scara_effmass.analysis.assessed_states import AssessedStates
+from scara_effmass.analysis.assessment import (
+    ClockSkew,
+    RecordedVelocities,
+    Time,
+    assess_joint_states,
+    generated_description,
+    joint_state_topic,
+    one_by_one,
+    open_velocities,
+)
+from scara_effmass.analysis.cross_check import cross_checked
+from scara_effmass.analysis.recorded_run import RecordedForce, read_force
+from scara_effmass.analysis.summary import Summary
+from scara_effmass.analysis.tables import AssessmentWriter
+from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
+from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.files import open_bag
+from scara_effmass.errors import SettingsError
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import MonitorSettings
+
+MANY = 50_000
+"""Joint states from which on it is faster to assess many at once, the start of numba included."""
+
+MAX_WAITING = 2
+"""Most batches that wait for the writer."""
+
+
+@dataclass(frozen=True, slots=True)
+class BagTask:
+    """What to do with each recording; can be pickled. `topic` None: the only one with joint states.
+
+    `velocity_bag` holds the velocities, if given; `report` keeps the time series and the force; `cross_check` compares
+    with the decisions of a second monitor.
+    """
+
+    settings: MonitorSettings
+    time: Time = Time.LIVE
+    topic: str | None = None
+    velocity_bag: Path | None = None
+    report: bool = False
+    cross_check: bool = False
+
+
+@dataclass(slots=True)
+class BagResult:
+    """Result of one recording; can be pickled. `series` by contact point and `force` are for the report."""
+
+    summary: Summary
+    counts: dict[str, int]
+    losses: tuple[str, ...]
+    notes: list[tuple[str, str]]
+    generated: bool = False
+    force: RecordedForce | None = None
+    series: Mapping[str, TimeSeries] = field(default_factory=dict)
+
+
+def assess_bag(
+    path: Path, task: BagTask, dynamics: RobotDynamics, table: AssessmentWriter, advance: Callable[[int, int], object]
+) -> BagResult:
+    """Assess the joint states of the bag at `path` with a fresh monitor and write them to `table`.
+
+    `dynamics` is the robot of the settings. `advance` is called with a number of further joint states and their total.
+    Raises BagError, SettingsError and CrossCheckError.
+    """
+    settings, counts = task.settings, dict.fromkeys(("joint_states", "foreign", "refused"), 0)
+    with (
+        open_bag(path) as bag,
+        open_velocities(task.velocity_bag, task.topic, settings) as velocities,
+        ExitStack() as stack,
+    ):
+        topic = joint_state_topic(bag, task.topic)
+        total = next(t.count for t in bag.topics if t.name == topic)
+        series = [TimeSeriesBuilder() for _ in dynamics.contact_points] if task.report else []
+        monitor, name = Monitor(dynamics, settings), str(bag.path)
+        summary, skew = Summary(round(settings.timeout * 1e9)), ClockSkew()
+        second = stack.enter_context(open_bag(path)) if task.cross_check else None
+        batches, slow = _batches(bag, second, topic, monitor, skew, task, velocities)
+        with ThreadPoolExecutor(1) as writer:
+            written: deque[Future[None]] = deque()
+            for states in batches:
+                advance(len(states), total)
+                counts["joint_states"] += len(states)
+                if len(written) == MAX_WAITING:
+                    written.popleft().result()
+                written.append(writer.submit(table.add, name, states))
+                summary.add(states, name)
+                for point, builder in enumerate(series):
+                    builder.add(states, point)
+            for add in written:
+                add.result()
+        counts["joint_states"] += monitor.ignored
+        counts["foreign"], counts["refused"] = monitor.ignored, monitor.rejected
+        notes = [("one by one", f"slower than many joint states at once: {slow}")] if slow else []
+        result = BagResult(summary, counts, (), [*notes, *skew.lines(settings, task.time)])
+        if task.report:
+            builds = (builder.build() for builder in series)
+            result.series = dict(zip(dynamics.contact_points, builds, strict=True))
+            result.force, result.generated = read_force(bag), bool(generated_description(bag))
+        result.losses = bag.losses
+    return result
+
+
+def _batches(
+    bag: Bag,
+    second: Bag | None,
+    topic: str,
+    monitor: Monitor,
+    skew: ClockSkew,
+    task: BagTask,
+    velocities: RecordedVelocities | None,
+) -> tuple[Iterator[AssessedStates], str]:
+    """Return the assessments, and why they are made one by one; empty where that is no slower.
+
+    They are compared with those of the `second` reader of the same bag, if given. Raises SettingsError.
+    """
+    slow = ""
+    if second or sum(t.count for t in bag.topics if t.name == topic) >= MANY:
+        from scara_effmass.analysis import archive  # noqa: PLC0415 - numba takes a second
+
+        slow = archive.slow_reason(monitor, velocities)
+        if not slow:
+            batches = archive.many_at_once(bag, topic, monitor, skew, task.time)
+            if second:
+                decisions = assess_joint_states(second, topic, Monitor(monitor.dynamics, task.settings), task.time)
+                batches = cross_checked(str(bag.path), batches, one_by_one(decisions, ClockSkew()))
+            return batches, ""
+        if second:
+            raise SettingsError(f"--cross-check: must compare with many joint states at once: {slow}")
+    return one_by_one(assess_joint_states(bag, topic, monitor, task.time, velocities), skew), slow

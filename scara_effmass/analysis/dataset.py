@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A dataset of assessments: a Parquet file for each recording, by cell and day, which is not assessed twice."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from pydantic import TypeAdapter
+
+from scara_effmass import __version__
+from scara_effmass.analysis.bag_assessment import BagResult, BagTask, assess_bag
+from scara_effmass.analysis.output import atomic_file
+from scara_effmass.analysis.summary import Summary, SummaryState, iso_time
+from scara_effmass.analysis.tables import open_writer, provenance
+from scara_effmass.bags.files import open_bag
+from scara_effmass.errors import BagError, OutputError
+from scara_effmass.input_files import digest
+from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.url import Url
+
+RECORDS = "_results"
+"""Folder of the results of the recordings; readers of datasets skip names that begin with _."""
+UNKNOWN_CELL = "unknown"
+
+
+class Record(NamedTuple):
+    """Result of one recording, `key` of what it depends on, and the `part` of the dataset that holds its states."""
+
+    key: str
+    part: str
+    summary: SummaryState
+    counts: dict[str, int]
+    losses: tuple[str, ...]
+    notes: list[tuple[str, str]]
+
+
+_RECORD = TypeAdapter(Record, config={"ser_json_inf_nan": "constants"})
+
+
+def cell_of(path: Path) -> str:
+    """Return the cell of a recording, from a folder `cell=NAME` above it."""
+    return next((part[5:] for part in reversed(path.parts) if part.startswith("cell=")), UNKNOWN_CELL)
+
+
+def assess_part(
+    folder: Path,
+    path: Path,
+    cell: str,
+    task: BagTask,
+    dynamics: RobotDynamics,
+    advance: Callable[[int, int], object],
+    *,
+    overwrite: bool,
+) -> BagResult:
+    """Assess the bag at `path` into `folder`/cell=`cell`/day=DAY/, unless that was done; return the result.
+
+    It was done if bag, settings, robot and version are the same, by their hashes. Raises BagError, SettingsError, and
+    OutputError where one of the last three differs, unless `overwrite`.
+    """
+    content = _hash_of(path)
+    inputs = [content, task.settings.model_dump_json(), digest(Path(task.settings.robot_path), BagError), __version__]
+    inputs += [task.time.value, str(task.topic), _hash_of(task.velocity_bag) if task.velocity_bag else ""]
+    key = hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
+    file = folder / RECORDS / f"{content[:16]}.json"
+    if file.exists():
+        with file.open("rb") as stream:
+            record: Record = _RECORD.validate_json(stream.read())
+        if record.key == key and not task.cross_check and (folder / record.part).exists():
+            advance(1, 1)
+            summary = Summary.of_state(record.summary)
+            return BagResult(summary, dict(record.counts), record.losses, list(record.notes))
+        if not overwrite:
+            raise OutputError(
+                f"{folder / record.part}: is of other settings, robot or version; use --force to replace it"
+            )
+        if (folder / record.part).exists() and not isinstance(folder, Url):
+            (folder / record.part).unlink()
+    with open_bag(path) as bag:
+        day = iso_time(bag.start_ns)[:10]
+    part = f"cell={cell}/day={day}/{path.stem}-{content[:16]}.parquet"
+    origin = provenance(task.settings, dynamics.robot.origin, [path])
+    with open_writer(folder / part, origin, dynamics.robot.base_frame, overwrite=True) as table:
+        result = assess_bag(path, task, dynamics, table, advance)
+    record = Record(key, part, result.summary.state(), result.counts, result.losses, result.notes)
+    with atomic_file(file, overwrite=True) as unfinished:
+        unfinished.write_bytes(_RECORD.dump_json(record))
+    return result
+
+
+def _hash_of(bag: Path) -> str:
+    """Return the SHA-256 of a bag; of one elsewhere, of what its file system states of it. Raises BagError."""
+    if not isinstance(bag, Url):
+        return digest(bag, BagError)
+    try:
+        files = sorted(bag.rglob("*")) if bag.is_dir() else [bag]
+        return hashlib.sha256("".join(file.checksum() for file in files).encode()).hexdigest()
+    except OSError as error:
+        raise BagError(f"{error.filename or bag}: cannot be read: {error.strerror}") from None
