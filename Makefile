@@ -15,6 +15,8 @@ WORKERS ?= auto
 ROOM ?=
 N ?= 60
 SEED ?= 1
+# Seconds of `make soak`.
+DURATION ?= 3600
 PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist worksteal
 
 # Keep DDS traffic on this machine, and keep a sourced ROS or another environment out.
@@ -25,6 +27,8 @@ endif
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHONPATH VIRTUAL_ENV
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Containers often set it; without bytecode every process start takes twice the CPU time.
+unexport PYTHONDONTWRITEBYTECODE
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
@@ -56,6 +60,18 @@ mutants: setup  ## test mutants of the pure rooms; ROOM, N and SEED choose the s
 bench: setup  ## measure the speed of core, nodes, bag reader, assess and recorder
 	$(BIN)/python benchmarks/run.py
 
+fuzz: setup  ## damaged input through core, live node and file parsers; N sequences (a tenth messages, a 500th of each file) and SEED
+	$(BIN)/python benchmarks/fuzz.py --number $(if $(filter command line environment,$(origin N)),$(N),1000000) --seed $(SEED)
+
+faults: setup  ## inject faults into live nodes one by one and write docs/faults.md; takes about 6 minutes
+	$(BIN)/pytest --numprocesses 0 test/nodes/faults.py
+
+soak: setup  ## run all nodes at 1 kHz for DURATION seconds and write docs/soak.md
+	$(BIN)/python benchmarks/soak.py --duration $(DURATION) --write
+
+scale: setup  ## assess many recordings with 1 and 2 worker processes, end some of them, and write the table of docs/scale.md
+	$(BIN)/python benchmarks/scale.py --write
+
 bags: setup  ## generate the shipped recordings again
 	$(BIN)/python -m scara_effmass.sim -o bags --force
 
@@ -79,7 +95,7 @@ lock: setup  ## update the locked requirements
 clean:  ## remove all generated files
 	rm -rf .venv .venv-colcon .venv-tools build out .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup demo test check lint coverage mutants bench bags docs dist sbom colcon lock clean
+.PHONY: help setup demo test check lint coverage mutants bench fuzz faults soak scale bags docs dist sbom colcon lock clean
 
 # The stamps are written last, so that an interrupted set-up starts over.
 .venv/.requirements: requirements.lock
@@ -97,4 +113,5 @@ clean:  ## remove all generated files
 .venv/.installed: .venv/.requirements pyproject.toml package.xml setup.py $(shell find cmake msg_schemas scripts -type f)
 	@echo "building the messages and installing this tree"
 	@$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@$(BIN)/python scripts/compile_kernel.py
 	@touch $@

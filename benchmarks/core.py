@@ -33,6 +33,20 @@ def compiled() -> bool:
     return not monitor_module.__file__.endswith(".py")
 
 
+def new_monitor(robot: Robot, settings: MonitorSettings) -> Monitor:
+    """Return a monitor as the node has it once it has loaded the kernel."""
+    monitor = Monitor(RobotDynamics(robot), settings)
+    monitor.assessor.load_kernel()
+    return monitor
+
+
+def kind() -> str:
+    """Return what computes in a cycle."""
+    settings = MonitorSettings()
+    core = new_monitor(load_robot(settings=settings), settings).core
+    return f"{core}, {'compiled' if compiled() else 'NOT compiled, see doctor'}"
+
+
 def measure() -> tuple[float, float]:
     """Return the median CPU time per cycle [us] of the core and of the direct computation, timed in turn."""
     settings = MonitorSettings(contact_points=("tool",))
@@ -65,7 +79,7 @@ def measure_chain(joints: int, points: int = 1) -> tuple[float, float]:
 
 
 def _beside_pinocchio(robot: Robot, settings: MonitorSettings, states: list[JointState]) -> tuple[float, float]:
-    monitor = Monitor(RobotDynamics(robot), settings)
+    monitor = new_monitor(robot, settings)
     data = robot.model.createData()
 
     def direct(state: JointState) -> list[float]:
@@ -102,7 +116,7 @@ def measure_contact_points() -> tuple[float, float]:
     monitors = []
     for points in ("tool", "elbow", "rim=link4: 0.05 0 0", "fore=link2: 0.1 0 0"), ("tool",):
         settings = MonitorSettings(contact_points=points)
-        monitors.append(Monitor(RobotDynamics(load_robot(settings=settings)), settings))
+        monitors.append(new_monitor(load_robot(settings=settings), settings))
     for block in range(BLOCKS):
         chunk = states[block * CYCLES_PER_BLOCK : (block + 1) * CYCLES_PER_BLOCK]
         times.append(

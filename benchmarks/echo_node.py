@@ -1,7 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bare node for comparison: the monitor's message types in and out, without any computation."""
+"""Bare node for comparison: the monitor's message types in and out, without any computation.
+
+With the argument "verdict_qos" it offers what the monitor does: deadline, lease and lifespan, which cost Fast DDS
+timers at each message.
+"""
 
 from __future__ import annotations
+
+import sys
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -13,8 +19,15 @@ from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.wire.topics import SCALAR_LIFESPAN_S, verdict_qos
+
 IN = QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=200)
-OUT = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=200)
+OUT = SCALARS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=200)
+if "verdict_qos" in sys.argv:
+    qos = verdict_qos(MonitorSettings().timeout)
+    OUT, SCALARS = qos_profile(qos), qos_profile(qos._replace(lifespan_s=SCALAR_LIFESPAN_S))
 
 
 class EchoNode(Node):
@@ -23,8 +36,8 @@ class EchoNode(Node):
     def __init__(self) -> None:
         super().__init__("echo")
         self._contact_state = self.create_publisher(ContactState, "contact_state", OUT)
-        self._allowable_speed = self.create_publisher(Float64, "allowable_speed", OUT)
-        self._speed_scaling = self.create_publisher(Float64, "speed_scaling", OUT)
+        self._allowable_speed = self.create_publisher(Float64, "allowable_speed", SCALARS)
+        self._speed_scaling = self.create_publisher(Float64, "speed_scaling", SCALARS)
         self._message = ContactState(contact_point="tool", body_region="lower_leg", criterion="force", verdict=1)
         self._message.header.frame_id = "base_link"
         self._number = Float64(data=1.0)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""(b) The live monitor at 1 kHz against a bare node that publishes the same message types."""
+"""(b) The live monitor at 1 kHz against a bare node that publishes the same message types.
+
+As a program: the same at the rates given [Hz], to see where each of them breaks.
+"""
 
 from __future__ import annotations
 
@@ -17,25 +20,28 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
+from rich.console import Console
+from rich.table import Table
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
 from usage import cpu_s, resident_mb
 
-PERIOD_S = 0.001
-WARM_UP_S = 2.0
+RATE_HZ = 1000.0
+WARM_UP_S = 5.0  # the monitor loads its kernel meanwhile
 RUN_S = 10.0
 SETTLE_S = 0.5
-ROUNDS = 3
+ROUNDS = 5
 DISCOVERY_S = 20.0
 TARGETS = {
     # One contact point: one answer to each joint state, as of the bare node.
     "monitor": [str(Path(sys.executable).with_name("monitor_node")), "--ros-args", "-p", "contact_points:=['tool']"],
     "bare": [sys.executable, str(Path(__file__).with_name("echo_node.py"))],
+    "bare, verdict QoS": [sys.executable, str(Path(__file__).with_name("echo_node.py")), "verdict_qos"],
 }
 
 
 class Run(NamedTuple):
-    """One run at 1 kHz: message counts, latency from stamp to answer [us], CPU [share of a core], memory [MB]."""
+    """One run: message counts, latency from stamp to answer [us], CPU [share of a core], memory [MB]."""
 
     sent: int
     answered: int
@@ -45,7 +51,7 @@ class Run(NamedTuple):
 
 
 def measure() -> dict[str, list[Run]]:
-    """Return the runs of both targets, taken in turn."""
+    """Return the runs of all targets, taken in turn."""
     runs: dict[str, list[Run]] = {name: [] for name in TARGETS}
     for _ in range(ROUNDS):
         for name, command in TARGETS.items():
@@ -56,17 +62,17 @@ def measure() -> dict[str, list[Run]]:
 class Sender(Node):
     """Publish joint states of a sweeping arm and measure the time to each answer."""
 
-    def __init__(self) -> None:
+    def __init__(self, rate_hz: float = RATE_HZ) -> None:
         super().__init__("sender")
         self._publisher = self.create_publisher(JointState, "joint_states", QoSProfile(depth=200))
         self._state = JointState(name=["joint1", "joint2", "joint3", "joint4"])
-        self._motion = _motion()
+        self._motion = _motion(1.0 / rate_hz)
         self._step = 0
         self.sent = 0
         self.latencies_ns: list[int] = []
         self._first_ns = 0
         self.create_subscription(ContactState, "contact_state", self._on_answer, QoSProfile(depth=200))
-        self._timer = self.create_timer(PERIOD_S, self._send)
+        self._timer = self.create_timer(1.0 / rate_hz, self._send)
 
     def connected(self) -> bool:
         """Return whether the target has subscribed to the joint states and publishes contact states."""
@@ -98,19 +104,19 @@ class Sender(Node):
             self.latencies_ns.append(now_ns - stamp_ns)
 
 
-def _motion() -> list[tuple[array[float], array[float]]]:
-    """Return the positions and velocities of one period of a sweep at 1 kHz."""
-    t = np.arange(0.0, 2.0 * np.pi, PERIOD_S)
+def _motion(period_s: float) -> list[tuple[array[float], array[float]]]:
+    """Return the positions and velocities of one sweep, `period_s` apart."""
+    t = np.arange(0.0, 2.0 * np.pi, period_s)
     still, slow = np.full_like(t, 0.2), np.full_like(t, 1e-6)
     q = np.column_stack([np.sin(t), 1.0 + 0.8 * np.sin(t), still, np.sin(t)])
     qd = np.column_stack([np.cos(t), 0.8 * np.cos(t), slow, np.cos(t)])
     return [(array("d", a), array("d", b)) for a, b in zip(q, qd, strict=True)]
 
 
-def _run(command: list[str]) -> Run:
+def _run(command: list[str], rate_hz: float = RATE_HZ) -> Run:
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)  # noqa: S603  a fixed command
     rclpy.init()
-    sender = Sender()
+    sender = Sender(rate_hz)
     executor = EventsExecutor()
     executor.add_node(sender)
     try:
@@ -138,3 +144,29 @@ def _run(command: list[str]) -> Run:
 
 def _spin(executor: EventsExecutor, seconds: float) -> None:
     executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+
+
+def main(rates_hz: list[float]) -> None:
+    """Print a table of what each target answers at `rates_hz`, medians of ROUNDS runs."""
+    table = Table(title=f"live at {', '.join(f'{rate:g}' for rate in rates_hz)} Hz")
+    for column in ("rate [Hz]", "node", "sent [1/s]", "lost", "CPU [%]", "p50 [us]", "p99 [us]", "p99.9 [us]"):
+        table.add_column(column, justify="left" if column == "node" else "right")
+    for rate in rates_hz:
+        runs: dict[str, list[Run]] = {name: [] for name in TARGETS}
+        for _ in range(ROUNDS):
+            for name, command in TARGETS.items():
+                runs[name].append(_run(command, rate))
+        for name, of in runs.items():
+            lost, sent = (
+                np.median([value(run) for run in of]) for value in (lambda r: r.sent - r.answered, lambda r: r.sent)
+            )
+            latencies = np.median([np.percentile(run.latency_us, (50, 99, 99.9)) for run in of], axis=0)
+            cpu = 100.0 * np.median([run.cpu for run in of])
+            table.add_row(
+                f"{rate:g}", name, f"{sent / RUN_S:.0f}", f"{lost:.0f}", f"{cpu:.1f}", *(f"{x:.0f}" for x in latencies)
+            )
+    Console(width=100).print(table)
+
+
+if __name__ == "__main__":
+    main([float(rate) for rate in sys.argv[1:]] or [RATE_HZ])
