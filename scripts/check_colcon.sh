@@ -8,7 +8,8 @@ work=$PWD/$2
 export PATH="$venv/bin:$PATH"
 
 build() {
-    rm -rf "$work"
+    # The second build keeps the compiled messages, except for the Python package, which it installs in another way.
+    rm -rf "$work/install" "$work/log" "$work/build/scara_effmass" "$work/build/scara_effmass_msgs/ament_cmake_python"
     colcon --log-base "$work/log" build --base-paths . msg_schemas "$@" \
         --build-base "$work/build" --install-base "$work/install" --event-handlers console_stderr- \
         --cmake-args -Wno-dev -DBUILD_TESTING=OFF \
@@ -61,6 +62,7 @@ rclpy.shutdown()
 PYTHON
 )
 
+rm -rf "$work"
 mkdir -p "$(dirname "$work")"
 for option in "" --symlink-install; do
     build $option

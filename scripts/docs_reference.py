@@ -196,7 +196,7 @@ def _command(name: str) -> str:
             words = option.keywords
             value = words.get("metavar") or "|".join(words.get("choices") or ()) or option.dest.upper()
             value = " ".join(value) if isinstance(value, tuple) else value
-            takes_value = "metavar" in words and option.names[0].startswith("-")
+            takes_value = words.get("action") != "store_true" and option.names[0].startswith("-")
             names = ", ".join(option.names) if option.names[0].startswith("-") else value
             required = "required" if words.get("required") else f"one of these {len(group)}" * (len(group) > 1)
             entries.append(_entry(f"{names}{f' {value}' * takes_value}", (required,), words["help"]))

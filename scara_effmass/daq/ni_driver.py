@@ -5,17 +5,13 @@ Only this module imports NI's Python client, which can be imported without the d
 """
 
 import math
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
-from scara_effmass.errors import (
-    DaqError,
-    DeviceLostError,
-    DeviceMissingError,
-    DeviceReservedError,
-    DriverMissingError,
-    OverrunError,
-)
+import scara_effmass.errors
+from scara_effmass.errors import DaqError, DeviceMissingError, DriverMissingError
+from scara_effmass.input_files import read_table
 
 try:
     from nidaqmx import Task, constants, errors
@@ -25,7 +21,6 @@ except ImportError as error:
     raise DriverMissingError(
         f"the Python client of NI-DAQmx cannot be used: install it with pip install nidaqmx ({error})"
     ) from error
-from collections.abc import Iterator
 
 __all__ = [
     "SAMPLES_NOT_YET_AVAILABLE",
@@ -43,54 +38,21 @@ __all__ = [
 
 SAMPLES_NOT_YET_AVAILABLE = -200284
 """A read timed out; its buffer holds the samples so far."""
-UNKNOWN_CHANNEL = (-200220, -200170)
-"""No device or no channel has this name."""
 INVALID_VALUE = -200077
 """The device does not support a value; the message names the property."""
 
 
 class _Meaning(NamedTuple):
+    codes: Sequence[int]
     error: type[DaqError]
     advice: str
 
 
-_LOST = _Meaning(DeviceLostError, "the device was disconnected; check cable and power")
 _MEANINGS = {
-    # Not accessible, not responding or removed; network device not found or its connection lost
-    (-201003, -200175, -200045, -201390, -201253, -201252, -201251, -201250): _LOST,
-    # Task aborted or no longer valid, as after a reset; transfer aborted, often by the power of the USB port
-    (-201452, -200088, -88710, -88709, -50405): _Meaning(
-        DeviceLostError, "the device was reset or its connection failed; check cable and power"
-    ),
-    # Reserved by a task, with conflicting settings, or by another host
-    (-50103, -200022, -201105, -201352, -201420, -201273): _Meaning(
-        DeviceReservedError, "another program uses the device; end it or close its test panel"
-    ),
-    # Samples overwritten in the buffer of the host, of the device or of the transfer; stopped before that
-    (-200279, -200010, -200361, -209829, -200222, -200613, -200283, -200019, -50410): _Meaning(
-        OverrunError,
-        "samples were overwritten before they were read; reduce the load of this computer or ni9230.sample_rate",
-    ),
-    UNKNOWN_CHANNEL: _Meaning(DeviceMissingError, "no such channel; correct the name or connect the device"),
-    # No channel, syntax of a range, channel named twice, too many channels, devices that cannot be synchronized
-    (-200099, -200086, -200489, -200371, -200620, -200072, -200071, -201426, -201425): _Meaning(
-        DeviceMissingError, "these channels cannot be measured together; correct ni9230.channels"
-    ),
-    # Not an analog input, measurement not supported, no internal excitation
-    (-200430, -200431, -200161): _Meaning(
-        DeviceMissingError,
-        "this module cannot supply an IEPE force sensor; use a channel of an NI 9230, 9232 or 9234",
-    ),
-    # Sample rate, conversion rate or sample clock out of range, also for the number of channels
-    (-200332, -200331, -200335, -200081, -201093): _Meaning(
-        DeviceMissingError, "the device does not support this sample rate; correct ni9230.sample_rate"
-    ),
-    # IEPE with DC coupling, AC coupling without IEPE
-    (-201172, -201498): _Meaning(
-        DeviceMissingError,
-        "the device does not support this coupling of an IEPE sensor; correct ni9230.coupling or ni9230.current",
-    ),
+    name: _Meaning(values["codes"], getattr(scara_effmass.errors, values["error"]), values["advice"])
+    for name, values in read_table(__file__, "ni_errors.yaml").items()
 }
+_LOST, UNKNOWN_CHANNEL = _MEANINGS["lost"], _MEANINGS["unknown_channel"].codes
 
 _KEYS = {
     "SampClk_Rate": "ni9230.sample_rate",
@@ -187,16 +149,16 @@ def explain(code: int, message: str, subject: str, *, was_connected: bool = Fals
 
     A device that does not answer is lost if it `was_connected` before, else missing; likewise an unknown name.
     """
-    meaning = next((meaning for codes, meaning in _MEANINGS.items() if code in codes), None)
+    meaning = next((meaning for meaning in _MEANINGS.values() if code in meaning.codes), None)
     if meaning is None:
-        meaning = _Meaning(DaqError, "see this code at ni.com")
+        meaning = _Meaning((), DaqError, "see this code at ni.com")
         if code == INVALID_VALUE:
             key = next((key for part, key in _KEYS.items() if part in message), "the property")
-            meaning = _Meaning(DeviceMissingError, f"the device does not support this setting; correct {key}")
+            meaning = _Meaning((), DeviceMissingError, f"the device does not support this setting; correct {key}")
     if was_connected and code in UNKNOWN_CHANNEL:
         meaning = _LOST
     elif not was_connected and meaning is _LOST:
-        meaning = _Meaning(DeviceMissingError, "the device does not answer; connect and power it")
+        meaning = _Meaning((), DeviceMissingError, "the device does not answer; connect and power it")
     # The first line of the message, and those that state the property and its possible values.
     lines = [line.strip() for line in message.splitlines() if line.strip()]
     text = "; ".join([*lines[:1], *(line for line in lines[1:] if line.startswith(_DETAILS))]) or "no description"

@@ -129,6 +129,7 @@ class Page:
         advice = remedy(status.reason)
         self._remedy.text = f"Remedy: {advice}.".replace("`", "") if advice else ""
         self._now.content = _now(status)
+        self._contacts.content = _table(*_contact_rows(status))
         self._simulated.text = f"SIMULATED {' AND '.join(status.simulated).upper()}" if status.simulated else ""
         self._scene.update(status, now_ns)
         self._scene_note.text = self._scene.note
@@ -139,7 +140,6 @@ class Page:
         """Show charts and tables."""
         now_ns, status = time.monotonic_ns(), self._client.status
         _show(self._speeds, *_speed_lines(status, now_ns))
-        self._contacts.content = _table(*_contact_rows(status))
         records = list(status.impacts)
         traces: list[list[list[float]]] = [[], [], []]
         for record, index in zip(reversed(records), (0, 2), strict=False):
@@ -171,7 +171,7 @@ class Page:
         )
         episodes = [
             [
-                self._clock(episode.start_ns),
+                self._clock(episode.start_ns) + " (simulated)" * bool(episode.simulated),
                 episode.verdict.name,
                 f"{((episode.end_ns or now_ns) - episode.start_ns) / 1e9:.1f} s"
                 + ", lasting" * (episode.end_ns is None),
@@ -198,18 +198,19 @@ def csv_of(client: CellClient) -> str:
             for at_ns in (episode.start_ns, episode.end_ns)
         )
         duration = "" if episode.end_ns is None else f"{(episode.end_ns - episode.start_ns) / 1e9:.3f}"
-        simulated = " and ".join(client.status.simulated)
         # A leading apostrophe keeps a spreadsheet from computing a text of a message.
         cause = f"'{episode.cause}" if episode.cause.startswith(("=", "+", "-", "@")) else episode.cause
-        writer.writerow([episode.verdict.name, start, end, duration, episode.contact_point, cause, simulated])
+        writer.writerow(
+            [episode.verdict.name, start, end, duration, episode.contact_point, cause, " and ".join(episode.simulated)]
+        )
     return text.getvalue()
 
 
 def _now(status: CellStatus) -> str:
-    """Return speed and allowable speed of the tightest contact point, and the speed scaling."""
-    if status.verdict is Verdict.UNKNOWN or not status.speeds:
-        return "<b>0 m/s</b><br>allowed, as nothing is known"
-    contact = min(status.contacts.values(), key=lambda contact: contact.allowable_speed - contact.speed)
+    """Return speed and allowable speed of the contact point that decides, and the speed scaling."""
+    contact = status.deciding
+    if status.verdict is Verdict.UNKNOWN or contact is None:
+        return "<b>0 m/s</b><br>allowed while the verdict is UNKNOWN"
     share = min(contact.speed / contact.allowable_speed, 1.0) if contact.allowable_speed > 0.0 else 1.0
     return (
         f"<b>{contact.speed:.2f}</b> of <b>{contact.allowable_speed:.2f} m/s</b> allowed"

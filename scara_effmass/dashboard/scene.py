@@ -75,6 +75,8 @@ class RobotScene:
                 continue
             if not is_current or status.verdict is Verdict.UNKNOWN or contact.verdict is Verdict.UNKNOWN:
                 continue
+            if not np.isfinite((*contact.direction, *contact.mobility)).all():
+                continue
             at = np.array(point)
             direction = np.array(contact.direction)
             if contact.direction != ZERO_VECTOR:

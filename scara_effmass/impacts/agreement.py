@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtri, stdtrit  # scipy.stats takes a second to import
+import scipy  # loads scipy.special at its first use; scipy.stats takes a second to import
 
 from scara_effmass.impacts.impact_matcher import MatchedImpact
 from scara_effmass.impacts.mass_fit import CONFIDENCE, Interval, MassFit, fit_masses
@@ -215,7 +215,7 @@ def _correlation_interval(r: float, count: int) -> Interval | None:
 
 def _quantile(degrees: float) -> float:
     """Return the two-sided CONFIDENCE quantile of Student's t; infinite `degrees`: of the normal distribution."""
-    return float(stdtrit(degrees, 0.5 + CONFIDENCE / 2.0))
+    return float(scipy.special.stdtrit(degrees, 0.5 + CONFIDENCE / 2.0))
 
 
 def _mean(values: FloatArray) -> float:
@@ -227,4 +227,4 @@ def _max_rmse_ratio(count: int) -> float:
 
     Snedecor's F assumes independent errors; errors on the same impacts correlate, so their ratio is smaller.
     """
-    return math.sqrt(fdtri(count - 1, count - 1, (1.0 + CONFIDENCE) / 2.0))
+    return math.sqrt(scipy.special.fdtri(count - 1, count - 1, (1.0 + CONFIDENCE) / 2.0))

@@ -30,7 +30,6 @@ _FLAT_RUN_PROBABILITY = 1e-12
 """Less probable runs of equal samples are dropouts; about 1e-4 false ones an hour at 12.8 kS/s."""
 _ZERO_RUN_PROBABILITY = 1e-6
 """The same for exact zeros, the output of converters without a signal; they are searched near contacts only."""
-
 _FINE_SHARE = 0.1
 """Maximum share of equal consecutive samples at rest of a sensor with fine resolution; dropouts included."""
 

@@ -242,10 +242,10 @@ class Detector:
     def _process(self, frame: Frame) -> list[Impact]:
         """Process the next frame."""
         quiet = self._baseline.is_quiet(frame)
-        level = float(np.median(frame.samples)) - self._baseline.force if frame.is_present else 0.0
         if quiet and self._segment_start is None:
             self._update_baseline(frame)
             return []
+        level = float(np.median(frame.samples)) - self._baseline.force if frame.is_present else 0.0
         self._quiet_frames = 0
         if self._segment_start is None:
             self._segment_start = max(self._processed - 2 * self._frame_size, self._buffer.first)

@@ -14,8 +14,7 @@ from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import stdtrit  # scipy.stats takes a second to import
+import scipy  # loads scipy.optimize and scipy.special at their first use
 
 from scara_effmass.values import FloatArray
 
@@ -126,7 +125,7 @@ def fit_masses(
         log_gain, log_scale = parameters
         return np.asarray(y - log_gain + np.log(np.exp(-log_scale) / m + mobility))
 
-    solution = least_squares(residuals, (0.0, 0.0), bounds=(-_LOG_BOUND, _LOG_BOUND))
+    solution = scipy.optimize.least_squares(residuals, (0.0, 0.0), bounds=(-_LOG_BOUND, _LOG_BOUND))
     log_gain, log_scale = solution.x.tolist()
     gain, scale = math.exp(log_gain), math.exp(log_scale)
     rest = -solution.fun
@@ -136,8 +135,8 @@ def fit_masses(
     error = max(scatter, MIN_IMPULSE_ERROR)
     scale_error = error / math.sqrt(spread) if spread > 0.0 else math.inf
     gain_error = error * math.sqrt(1.0 / counts.size + (share**2 / spread if spread > 0.0 else math.inf))
-    quantile = float(stdtrit(degrees, (1.0 + CONFIDENCE) / 2.0))
-    detectable = (quantile + float(stdtrit(degrees, CONFIDENCE))) * scale_error
+    quantile = float(scipy.special.stdtrit(degrees, (1.0 + CONFIDENCE) / 2.0))
+    detectable = (quantile + float(scipy.special.stdtrit(degrees, CONFIDENCE))) * scale_error
     deviations = {float(k): float(-solution.fun[mobility == k].mean()) for k in np.unique(mobility)}
     worst = max(deviations, key=lambda k: abs(deviations[k]))
     return fit._replace(
@@ -162,7 +161,7 @@ def _exponent(energy: FloatArray, force: FloatArray) -> tuple[float, Interval]:
     slope = float(x @ y) / spread
     rest = y - slope * x
     error = max(math.sqrt(float(rest @ rest) / degrees), MIN_IMPULSE_ERROR) / math.sqrt(spread)
-    half = float(stdtrit(degrees, (1.0 + CONFIDENCE) / 2.0)) * error
+    half = float(scipy.special.stdtrit(degrees, (1.0 + CONFIDENCE) / 2.0)) * error
     return slope, Interval(slope - half, slope + half)
 
 

@@ -204,6 +204,24 @@ class Validator:
         self._earlier = len(self._matches)
         return validated
 
+    def extend(self, other: "Validator") -> tuple[int, int]:
+        """Add the finished recordings of a validator with the same settings; return how many impacts and refused ones.
+
+        The result is that of recordings which this validator saw itself.
+        """
+        mine, its = self._matcher, other._matcher  # noqa: SLF001 - of the same class
+        self._matches += other._matches  # noqa: SLF001
+        self._earlier = len(self._matches)
+        mine.seen += its.seen
+        mine.refused += its.refused
+        mine.states.late += its.states.late
+        self._contact_point = self._contact_point or other._contact_point  # noqa: SLF001
+        self._other_contact_points |= other._other_contact_points  # noqa: SLF001
+        self._stated_uncertainty = max(self._stated_uncertainty, other._stated_uncertainty)  # noqa: SLF001
+        (clock, sign), (its_clock, its_sign) = self._problems(), other._problems()  # noqa: SLF001
+        self._clear_problems(clock or its_clock, sign or its_sign)
+        return len(self._matches), len(mine.refused)
+
     def reset(self) -> None:
         """Begin a new series with the same settings, in the current run."""
         self._matcher.reset()

@@ -15,6 +15,7 @@ from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.pages import render
 from scara_effmass.analysis.plot_style import STYLE
 from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
+from scara_effmass.input_files import read_table
 from scara_effmass.paper.claims import Claim, Outcome, all_claims
 from scara_effmass.paper.density import figure_8
 from scara_effmass.paper.experiment import figure_17, figure_18, figure_19
@@ -35,56 +36,13 @@ PAGE, CLAIMS = "index.html", "claims.json"
 
 
 DrawFigure = Callable[[FigureInputs], Figure]
-GRID_NOTE = "50 by 50 angles over the joint ranges, as in the paper."
-FIGURES: dict[DrawFigure, str] = {
-    figure_6: (
-        "Effective mass of the simplified model (Eq. 28) over the workspace (a) and over q₁ and q₂ (b). Red: contour "
-        f"of the standard's m_R. {GRID_NOTE} The mass is unbounded towards the stretched arm along n; the colours end "
-        "at 6 kg."
-    ),
-    figure_7: (
-        "A pose of smallest effective mass (a), and one of largest effective mass at its q₂ (b), with M₂ at the elbow "
-        "and M₃ at the tool. The angles are chosen here."
-    ),
-    figure_8: (
-        "Effective mass at 2500 positions that each represent the same area of the workspace; the line is the whole "
-        "workspace. The mean depends on the few largest values, hence on the number of positions."
-    ),
-    figure_9: (
-        f"Error of the simplified model (Eq. 28) against the full one (Eq. 27) in effective mass. {GRID_NOTE} The full "
-        "model's inertias are fitted to the paper's numbers, so the pattern is one of several possible."
-    ),
-    figure_10: (
-        "Reduced mass of the simplified model, one slice per obstacle mass, evenly spaced. Red: µ_ISO. The colours end "
-        "at 4 kg; µ itself ends at m_H."
-    ),
-    figure_11: "Error of the simplified model against the full one in reduced mass, one slice per obstacle mass.",
-    figure_12: (
-        "Reduced mass along y (a) and along (0.6, 0.8, 0) (b). Red: µ_ISO. The values turn with the normal, the "
-        "outline of the workspace does not."
-    ),
-    figure_14: (
-        "Reduced mass of the left arm: the right arm's, mirrored in the x axis. The paper's text does not give m_H "
-        "here; 2.39 kg is its representative case."
-    ),
-    figure_15: (
-        "The smaller reduced mass of both arms; where only one arm reaches, that of this arm, hence the edges in the "
-        "colours. Positions on 200 circles and 721 rays."
-    ),
-    figure_17: (
-        "Position and velocity of the tool along x around the impact. The velocity drops again "
-        "where the robot, which follows its planned path, catches up with the cart and hits it again."
-    ),
-    figure_18: "Force over time in each configuration, one line per repetition, from the first contact of each run.",
-    figure_19: (
-        "Mean peak force (a) and √µ of the simplified model (b) by configuration, one curve per obstacle mass. Of the "
-        "three impact points only (300, 200) mm is in the paper's text; the others are chosen here."
-    ),
-}
-"""Captions by the functions that draw the figures, whose names are those of the files.
-
-Parts (a) and (b) are in one figure. Figs. 1 to 5, 13 and 16 of the paper are drawings and photographs.
-"""
+_DRAW = (
+    *(figure_6, figure_7, figure_8, figure_9, figure_10, figure_11),
+    *(figure_12, figure_14, figure_15, figure_17, figure_18, figure_19),
+)
+_CAPTIONS = read_table(__file__, "captions.yaml")
+FIGURES: dict[DrawFigure, str] = {draw: _CAPTIONS[draw.__name__] for draw in _DRAW}
+"""Captions by the functions that draw the figures, whose names are those of the files."""
 STEPS = len(FIGURES) + 1
 """Number of calls of `advance` in `make_figure_set`."""
 

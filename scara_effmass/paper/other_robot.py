@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's maps and distribution of the masses for any other robot, from configurations over its joint ranges."""
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,12 +17,10 @@ from scara_effmass.analysis.tables import provenance
 from scara_effmass.analysis.workspace_map import Cells, Plane, sample_workspace
 from scara_effmass.errors import RobotError
 from scara_effmass.iso15066 import reduced_mass
-from scara_effmass.iso15066.mobility_matrix import matrix_of
-from scara_effmass.model.dynamics import effective_mass
 from scara_effmass.paper.figure_set import PAGE
 from scara_effmass.paper.scara import OBSTACLES_KG, SHOWN_OBSTACLE_KG, relative_error
 from scara_effmass.safety import Monitor
-from scara_effmass.values import FloatArray, Mobility6, Vector3
+from scara_effmass.values import FloatArray, Vector3
 
 SUMMARY = "figures.json"
 NUMBERS = (6, 8, 9, 10, 11, 12, 15)
@@ -44,7 +41,9 @@ LEFT_OUT = {
 class RobotMasses:
     """Masses of a robot in sampled configurations, by the simplified model if there is one, and by the full one."""
 
-    def __init__(self, monitor: Monitor, advance: Callable[[], object] = lambda: None, samples: int = SAMPLES) -> None:
+    def __init__(
+        self, monitor: Monitor, advance: Callable[[int], object] = lambda _: None, samples: int = SAMPLES
+    ) -> None:
         """Take `samples` configurations. Raises RobotError without any mass that depends on the direction."""
         self.robot = monitor.dynamics.robot
         self.sample = sample_workspace(monitor, ALONG_X, "", Plane(), samples, advance)
@@ -57,9 +56,12 @@ class RobotMasses:
 
     def _along(self, n: Vector3, model: str) -> FloatArray:
         """Return the mass of `model` along `n` (m,) [kg]; NaN without it."""
-        rows: list[Mobility6] = [getattr(contact, f"{model}_mobility") for contact in self.sample.contacts]
-        matrices = (matrix_of(row) if row[0] + row[3] + row[5] > 0.0 else [] for row in rows)
-        return np.array([effective_mass(matrix, n) for matrix in matrices])
+        x, y, z = n
+        rows = getattr(self.sample.contacts, f"{model}_mobility")
+        mobility = rows @ [x * x, 2.0 * x * y, 2.0 * x * z, y * y, 2.0 * y * z, z * z]
+        with np.errstate(divide="ignore"):
+            masses = np.where(mobility > 0.0, 1.0 / mobility, np.inf)
+        return np.where(rows[:, 0] + rows[:, 3] + rows[:, 5] > 0.0, masses, np.nan)
 
     def figures(self) -> Iterator[tuple[int, Figure]]:
         """Yield number and figure, in order."""
@@ -110,7 +112,7 @@ class RobotMasses:
 
 
 def make_figures(
-    monitor: Monitor, folder: Path, *, overwrite: bool, advance: Callable[[], object], samples: int = SAMPLES
+    monitor: Monitor, folder: Path, *, overwrite: bool, advance: Callable[[int], object], samples: int = SAMPLES
 ) -> dict[str, Any]:
     """Write the figures of the robot of `monitor`, a page and a summary into `folder`; return the summary.
 
@@ -134,5 +136,5 @@ def make_figures(
         "provenance": provenance(monitor.settings, masses.robot.origin, []),
     }
     page = render("robot.html", robot=masses.robot, figures=made, left_out=left_out)
-    write_report_files(folder, {PAGE: page, SUMMARY: json.dumps(summary, indent=2) + "\n"}, made, overwrite=overwrite)
+    write_report_files(folder, {PAGE: page, SUMMARY: summary}, made, overwrite=overwrite)
     return summary

@@ -10,15 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.analysis.assessment import joint_state_topic
-from scara_effmass.analysis.recorded_run import read_force, run_infos
+from scara_effmass.analysis.recorded_run import detected_impacts, read_force, run_infos
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError
-from scara_effmass.impacts.detector import Detector
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.paper.scara import ALONG_X, SHOWN_OBSTACLE_KG, Scara, scara_of
-from scara_effmass.settings import DetectionSettings
 from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
 from scara_effmass.values import FloatArray, Impact
 from scara_effmass.wire.message_types import FORCE_BLOCK
@@ -151,10 +149,8 @@ def _point_and_mass(bag: Bag) -> tuple[Point, float]:
 
 
 def _impact(bag: Bag) -> Impact:
-    detector = Detector(DetectionSettings())
     topic = next(topic.name for topic in bag.topics if topic.type == FORCE_BLOCK)
-    impacts = [impact for block in bag.force_blocks(topic) for impact in detector.feed(block)] + detector.finish()
-    first = [impact for impact in impacts if not impact.rebound]
+    first = [impact for impact in detected_impacts(bag.force_blocks(topic)) if not impact.rebound]
     if len(first) != 1 or first[0].clipped or first[0].incomplete:
         raise BagError(f"{bag.path}: {topic}: {len(first)} impacts without rebounds: must be 1, complete, not clipped")
     return first[0]

@@ -23,7 +23,7 @@ READ_ONLY: dict[str, Any] = {"read_only": True}
 
 NODE_ONLY = frozenset(
     {"robot", "autostart", "status_period", "command_tolerance", "use_sim_time", "stop_at_end", "find_impacts"}
-    | {"report_folder"}
+    | {"report_folder", "thread_priority"}
 )
 """Parameters of nodes alone: a shared file may hold them, offline commands ignore them."""
 

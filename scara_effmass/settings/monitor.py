@@ -60,7 +60,8 @@ class ServoSettings(FrozenSettings):
     damping: float = tunable(0.7, "damping ratio of the position control", ge=0.05, le=5.0)
     computed_torque: bool = tunable(
         default=False,
-        description="the position control decouples the joints by the mass matrix; false: a controller per joint",
+        description="the position control decouples the joints by the mass matrix, up to their effort limits; "
+        "false: a controller per joint",
     )
 
 

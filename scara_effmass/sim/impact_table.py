@@ -1,25 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of random impacts: a CSV file that grows impact by impact, so that an interrupted run can be resumed."""
 
-import os
-import signal
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 from scara_effmass.errors import OutputError
-from scara_effmass.parent import end_with_parent
 from scara_effmass.sim.random_impacts import Row, simulate
 
+Simulate = Callable[[int], list[Row]]
 
-def extend_table(path: Path, seed: int, impacts: int, jobs: int = 1) -> Iterator[int]:
+
+def extend_table(
+    path: Path,
+    seed: int,
+    impacts: int,
+    run: Callable[[Simulate, Sequence[int]], Iterable[list[Row]]] = map,
+) -> Iterator[int]:
     """Append random impacts of the series `seed` to the CSV file `path` until it has `impacts`; yield their number.
 
     The last impact of an existing table is simulated again and must be the same: the result is that of a run without
-    interruption. `jobs` processes simulate; call it in the main thread. Raises OutputError where the table is of
-    another seed or version, or cannot be written.
+    interruption. `run` yields the rows of impacts in their order. Raises OutputError where the table is of another seed
+    or version, or cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -37,7 +39,7 @@ def extend_table(path: Path, seed: int, impacts: int, jobs: int = 1) -> Iterator
             file.write(again if kept else header + again)
             file.flush()
             yield last + 1
-            for index, rows in enumerate(_simulated(seed, range(last + 1, impacts), jobs), start=last + 1):
+            for index, rows in enumerate(run(partial(simulate, seed), range(last + 1, impacts)), start=last + 1):
                 file.write(_lines(rows))
                 file.flush()
                 yield index + 1
@@ -47,19 +49,3 @@ def extend_table(path: Path, seed: int, impacts: int, jobs: int = 1) -> Iterator
 
 def _lines(rows: Iterable[Row]) -> str:
     return "".join(",".join(map(str, row.values())) + "\n" for row in rows)
-
-
-def _simulated(seed: int, indices: Iterable[int], jobs: int) -> Iterator[list[Row]]:
-    """Yield the rows of each impact, in order."""
-    task = partial(simulate, seed)
-    if jobs == 1:
-        yield from map(task, indices)
-        return
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more threads make small matrices of several processes slow
-    with ProcessPoolExecutor(jobs, get_context("spawn"), end_with_parent) as pool:
-        # The workers inherit that they ignore Ctrl-C, because this process ends them. Each first task starts one.
-        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-        for _ in range(jobs):
-            pool.submit(int)
-        signal.signal(signal.SIGINT, handler)
-        yield from pool.map(task, indices)

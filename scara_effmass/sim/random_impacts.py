@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.iso15066.drives import servo_reduced_masses
 from scara_effmass.model.dynamics import RobotDynamics
@@ -43,22 +44,10 @@ NORMALS = 24
 MIN_LEVER = 1e-3
 """Ratio of the speeds of contact point and joints [m] below which a motion is drawn again."""
 
-NO_MARGINS: Mapping[str, Any] = {
-    "mass_uncertainty": 0.0,
-    "velocity_tolerance": 0.0,
-    "max_velocity_lag": 0.0,
-    "position_tolerance": 0.0,
-}
-SETTINGS: Mapping[str, Mapping[str, Any]] = {
-    "paper": {**NO_MARGINS, "effective_mass_model": "lumped", "contact_normal": "velocity"},
-    "iso": {**NO_MARGINS, "effective_mass_model": "iso"},
-    "default": {},
-    "servo": {"drives": "servo"},
-}
-"""Settings of the monitor that are compared, beside its defaults; `servo` knows bandwidth and damping.
-
-Neither the paper nor the standard's fixed mass has margins.
-"""
+_TABLES = read_table(__file__, "random_impacts.yaml")
+NO_MARGINS: Mapping[str, Any] = _TABLES["no_margins"]
+SETTINGS: Mapping[str, Mapping[str, Any]] = _TABLES["settings"]
+"""Settings of the monitor that are compared, beside its defaults."""
 
 
 class RobotCase(NamedTuple):
@@ -69,11 +58,9 @@ class RobotCase(NamedTuple):
     armature: float = 0.0
 
 
-ROBOTS: Mapping[str, RobotCase] = {
-    "i4-550L": RobotCase(("omron_i4_550l.yaml",), ("tool", "elbow")),
-    "UR5": RobotCase(("robots", "ur5_robot.urdf"), ("ee_link", "elbow=forearm_link", "wrist=wrist_2_link")),
-    "UR10": RobotCase(("robots", "ur10_robot.urdf"), ("ee_link", "elbow=forearm_link", "wrist=wrist_2_link"), 0.1),
-    "Panda": RobotCase(("robots", "panda.urdf"), ("panda_hand_tcp", "elbow=panda_link4", "wrist=panda_link6"), 0.1),
+ROBOTS = {
+    name: RobotCase(tuple(case["file"]), tuple(case["contact_points"]), case.get("armature", 0.0))
+    for name, case in _TABLES["robots"].items()
 }
 """The robots: a SCARA, two arms with six axes and one with seven."""
 

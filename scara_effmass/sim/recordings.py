@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from scara_effmass.bags.writer import BagWriter
+from scara_effmass.input_files import read_table
 from scara_effmass.sim.measurement import quantize
 from scara_effmass.sim.motion import (
     ElbowConfig,
@@ -119,64 +120,24 @@ class Waypoint(NamedTuple):
     seconds: float
     x: float
     y: float
-    elbow_config: ElbowConfig = ElbowConfig.RIGHT
+    elbow: str = "RIGHT"
     q3: float = 0.236
     linear: bool = True
 
+    @property
+    def elbow_config(self) -> ElbowConfig:
+        """Right or left arm."""
+        return ElbowConfig[self.elbow]
 
-TOUR = (
-    Waypoint(0.0, 0.30, 0.20),
-    Waypoint(0.5, 0.30, 0.20),
-    Waypoint(2.5, 0.30, -0.20),
-    Waypoint(1.0, 0.45, -0.10),
-    Waypoint(0.9, 0.45, 0.20),
-    Waypoint(0.6, 0.25, 0.25),
-    # Pick and place.
-    Waypoint(0.5, 0.25, 0.25, q3=0.05, linear=False),
-    Waypoint(1.4, -0.20, 0.35, q3=0.05, linear=False),
-    Waypoint(0.5, -0.20, 0.35, q3=0.20, linear=False),
-    Waypoint(0.3, -0.20, 0.35, q3=0.20),
-    Waypoint(0.5, -0.20, 0.35, q3=0.05, linear=False),
-    Waypoint(2.2, 0.20, -0.30, q3=0.05, linear=False),
-    Waypoint(1.0, 0.35, 0.00, q3=0.15, linear=False),
-    # To the stretched arm and back, slowly, then fast: the mass along the arm is unbounded there.
-    Waypoint(2.5, 0.5495, 0.00, q3=0.15),
-    Waypoint(1.6, 0.30, 0.00, q3=0.15),
-    Waypoint(0.6, 0.545, 0.00, q3=0.15),
-    Waypoint(0.8, 0.35, 0.00, q3=0.15),
-    # Through the stretched pose to the left arm, and its half of the workspace.
-    Waypoint(1.5, 0.35, 0.00, ElbowConfig.LEFT, q3=0.15, linear=False),
-    Waypoint(0.3, 0.35, 0.00, ElbowConfig.LEFT, q3=0.15),
-    Waypoint(0.7, 0.30, 0.20, ElbowConfig.LEFT, q3=0.15),
-    Waypoint(0.8, 0.30, -0.20, ElbowConfig.LEFT, q3=0.15),
-    Waypoint(1.0, -0.05, -0.35, ElbowConfig.LEFT, q3=0.15),
-    Waypoint(1.0, 0.35, -0.25, ElbowConfig.LEFT, q3=0.15),
-    # Almost folded around the base, then a long swing of the stretched arm.
-    Waypoint(1.2, 0.16, -0.05, ElbowConfig.LEFT, q3=0.15, linear=False),
-    Waypoint(1.0, 0.11, 0.12, ElbowConfig.LEFT, q3=0.15, linear=False),
-    Waypoint(1.2, 0.35, 0.42, ElbowConfig.LEFT, q3=0.236, linear=False),
-    Waypoint(1.9, 0.40, -0.37, ElbowConfig.LEFT, q3=0.236, linear=False),
-    # Back to the start through the stretched pose.
-    Waypoint(2.0, 0.30, 0.20, linear=False),
-    Waypoint(0.5, 0.30, 0.20),
-)
 
-TOUR_PULSES = (
-    Pulse(1.75003, 120.0, 2.5e-3),
-    Pulse(4.45001, 310.0, 1.8e-3),
-    Pulse(9.80005, 85.0, 3.9e-3),
-    Pulse(13.10002, 220.0, 2.2e-3),
-    Pulse(16.30004, 540.0, 1.1e-3),
-    Pulse(16.32506, 210.0, 1.1e-3, rebound=1),
-    Pulse(20.30002, 700.0, 0.8e-3),
-)
-"""Chosen at times when the tool moves; not the force that such an impact would have."""
+_TOUR = read_table(__file__, "tour.yaml")
+TOUR_PULSES = tuple(Pulse(*values) for values in _TOUR["pulses"])
 
 
 def tour_moves() -> tuple[Move, ...]:
     """Return the moves between the waypoints of the tour."""
     moves: list[Move] = []
-    for start, end in pairwise(TOUR):
+    for start, end in pairwise(Waypoint(**values) for values in _TOUR["waypoints"]):
         time_scaling = QuinticScaling(end.seconds)
         if end.linear:
             moves.append(LinearMove((start.x, start.y), (end.x, end.y), end.elbow_config, end.q3, time_scaling))

@@ -10,7 +10,7 @@ from scara_effmass.values import FloatArray, JointState
 
 
 class ScaledTrajectory:
-    """A simulated controller that obeys: each cycle advances the time of the trajectory by factor x period."""
+    """Simulated controller: each cycle advances the time of the trajectory by factor x period."""
 
     def __init__(self, names: Sequence[str], times: FloatArray, q: FloatArray, qd: FloatArray) -> None:
         """Follow positions `q` and velocities `qd` (m, n) at the increasing `times` (m,) [s], from the first one on."""

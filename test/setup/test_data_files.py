@@ -32,11 +32,11 @@ def test_shipped_files_keep_their_folders(folder: str) -> None:
     assert {(target, path) for target, path in installed_files() if path.startswith(f"{folder}/")} == in_tree
 
 
-def test_every_template_is_package_data() -> None:
+def test_every_template_and_table_is_package_data() -> None:
     config = ConfigParser(delimiters=("=",))
     config.read(ROOT / "setup.cfg", encoding="utf-8")
     package = ROOT / "scara_effmass"
     patterns = config["options.package_data"]["scara_effmass"].split()
-    templates = set(package.rglob("*.html"))
-    assert templates
-    assert templates <= {path for pattern in patterns for path in package.glob(pattern)}
+    files = {*package.rglob("*.html"), *package.rglob("*.yaml")}
+    assert len(files) > 3
+    assert files <= {path for pattern in patterns for path in package.glob(pattern)}

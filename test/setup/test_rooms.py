@@ -11,9 +11,10 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "scara_effmass"
 
 FLOORS = (
-    {"errors", "input_files", "parent", "share", "values", "settings"},
+    {"errors", "input_files", "parent", "share", "url", "values", "settings"},
     {"iso15066"},
     {"model"},
+    {"kernel"},
     {"safety", "impacts"},
     {"wire"},
     {"bags"},
@@ -27,12 +28,15 @@ FLOORS = (
 )
 """The rooms from the bottom up. Rooms on one floor do not import each other, except on the bottom floor."""
 
-PURE = {"values", "settings", "model", "iso15066", "safety", "impacts"}
+PURE = {"values", "settings", "model", "iso15066", "kernel", "safety", "impacts"}
 IMPURE = {"rclpy", "logging", "threading", "time", "datetime", "asyncio"}
 """Libraries that pure rooms do not import: ROS, loggers, threads, clocks. Time is an argument."""
 
 IMPORTERS = {
     "rclpy": {"nodes", "cli"},
+    "dask": {"cli"},
+    "distributed": {"cli"},
+    "fsspec": {"url"},
     "pinocchio": {"model"},
     "mcap": {"bags"},
     "rosbags": {"bags"},
@@ -43,7 +47,9 @@ IMPORTERS = {
     "jinja2": {"analysis"},
     "nicegui": {"dashboard"},
     "matplotlib": {"analysis", "paper"},
+    "numba": {"kernel"},
     "pyarrow": {"analysis", "bags"},
+    "rtamt": {"analysis"},
     "scipy": {"daq", "analysis", "impacts", "iso15066", "paper", "sim"},
 }
 """The rooms that may import a library."""

@@ -20,19 +20,26 @@ TOLERANCE = 1.005
 REGIONS = ["lower_leg", "chest", "hand_fingers"]
 
 
+def nominal(robot: str) -> MonitoredArm:
+    """Return the arm without the mass errors of the random impact that came last."""
+    arm = arm_of(robot)
+    arm.sim.scale_masses(np.ones(arm.sim.n))
+    return arm
+
+
 @pytest.fixture(params=["i4-550L", "UR5", "UR10"])
 def arm(request: pytest.FixtureRequest) -> MonitoredArm:
-    return arm_of(request.param)
+    return nominal(request.param)
 
 
 @pytest.fixture
 def scara() -> MonitoredArm:
-    return arm_of("i4-550L")
+    return nominal("i4-550L")
 
 
 @pytest.fixture
 def ur5() -> MonitoredArm:
-    return arm_of("UR5")
+    return nominal("UR5")
 
 
 @pytest.mark.parametrize("region", REGIONS)

@@ -10,7 +10,16 @@ from scara_effmass.errors import OutputError
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.sim.impact_table import extend_table
-from scara_effmass.sim.random_impacts import FREE, NOW_NS, ROBOTS, arm_of, draw_impact, settings_of, simulate
+from scara_effmass.sim.random_impacts import (
+    COMPUTED_TORQUE,
+    FREE,
+    NOW_NS,
+    ROBOTS,
+    arm_of,
+    draw_impact,
+    settings_of,
+    simulate,
+)
 from scara_effmass.values import JointState
 
 SEED = 3
@@ -58,6 +67,14 @@ def test_worst_normal_gives_a_larger_force_than_a_random_one() -> None:
     assert np.median(peaks["worst"]) > np.median(peaks["random"])
 
 
+@pytest.mark.parametrize("index", [1643, 1657])
+def test_arm_whose_joints_would_saturate_keeps_the_limit(index: int) -> None:
+    """Where the arm hit again, up to 2.2 times too hard: its saturated joints had run away from their reference."""
+    assert draw_impact(1, index).drives == COMPUTED_TORQUE
+    (ratio,) = [row["ratio"] for row in simulate(1, index) if row["setting"] == "servo"]
+    assert 0.0 < float(ratio) < 1.0
+
+
 def test_rows_do_not_depend_on_what_was_simulated_before(table: str) -> None:
     rows = [line for line in table.splitlines() if line.startswith("0,")]
     simulate(SEED, 4)
@@ -69,12 +86,6 @@ def test_resumed_table_is_that_of_one_run(table: str, tmp_path: Path, size: floa
     path = tmp_path / "impacts.csv"
     path.write_text(table[: size if isinstance(size, int) else int(size * len(table))], encoding="utf-8")
     assert list(extend_table(path, SEED, 5))[-1] == 5
-    assert path.read_text(encoding="utf-8") == table
-
-
-def test_two_processes_write_the_same_table(table: str, tmp_path: Path) -> None:
-    path = tmp_path / "impacts.csv"
-    assert list(extend_table(path, SEED, 5, jobs=2)) == [1, 2, 3, 4, 5]
     assert path.read_text(encoding="utf-8") == table
 
 
