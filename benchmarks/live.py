@@ -50,19 +50,19 @@ class Run(NamedTuple):
     resident_mb: float
 
 
-def measure() -> dict[str, list[Run]]:
-    """Return the runs of all targets, taken in turn."""
+def measure(rate_hz: float = RATE_HZ) -> dict[str, list[Run]]:
+    """Return the runs of all targets at `rate_hz`, taken in turn."""
     runs: dict[str, list[Run]] = {name: [] for name in TARGETS}
     for _ in range(ROUNDS):
         for name, command in TARGETS.items():
-            runs[name].append(_run(command))
+            runs[name].append(_run(command, rate_hz))
     return runs
 
 
 class Sender(Node):
     """Publish joint states of a sweeping arm and measure the time to each answer."""
 
-    def __init__(self, rate_hz: float = RATE_HZ) -> None:
+    def __init__(self, rate_hz: float) -> None:
         super().__init__("sender")
         self._publisher = self.create_publisher(JointState, "joint_states", QoSProfile(depth=200))
         self._state = JointState(name=["joint1", "joint2", "joint3", "joint4"])
@@ -113,7 +113,7 @@ def _motion(period_s: float) -> list[tuple[array[float], array[float]]]:
     return [(array("d", a), array("d", b)) for a, b in zip(q, qd, strict=True)]
 
 
-def _run(command: list[str], rate_hz: float = RATE_HZ) -> Run:
+def _run(command: list[str], rate_hz: float) -> Run:
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)  # noqa: S603  a fixed command
     rclpy.init()
     sender = Sender(rate_hz)
@@ -152,11 +152,7 @@ def main(rates_hz: list[float]) -> None:
     for column in ("rate [Hz]", "node", "sent [1/s]", "lost", "CPU [%]", "p50 [us]", "p99 [us]", "p99.9 [us]"):
         table.add_column(column, justify="left" if column == "node" else "right")
     for rate in rates_hz:
-        runs: dict[str, list[Run]] = {name: [] for name in TARGETS}
-        for _ in range(ROUNDS):
-            for name, command in TARGETS.items():
-                runs[name].append(_run(command, rate))
-        for name, of in runs.items():
+        for name, of in measure(rate).items():
             lost, sent = (
                 np.median([value(run) for run in of]) for value in (lambda r: r.sent - r.answered, lambda r: r.sent)
             )

@@ -143,7 +143,7 @@ def many_at_once(
     monitor.assessor.load_kernel()  # before there are threads
     debouncers = [_Debouncer(monitor) for _ in monitor.dynamics.contact_points]
     waiting: deque[tuple[_Batch, Future[tuple[ContactColumns, ...]]]] = deque()
-    threads = os.cpu_count() or 1
+    threads = len(os.sched_getaffinity(0))
     with ThreadPoolExecutor(threads) as pool:
         for batch in _admitted(bag, topic, monitor, skew, time):
             waiting.append((batch, pool.submit(batch.compute, monitor.assessor.compute)))
@@ -247,7 +247,8 @@ class _Debouncer:
         seen = np.array([text_code(own + i) if self._seen_texts[i] else sequence.NO_REASON for i in range(5)])
         rows = slice(batch.count)
         flags, times = (batch.valid[rows], batch.cleared[rows], batch.stale[rows]), batch.stamp_ns[rows]
-        shown, codes, held = sequence.debounced(whole.verdict, *flags, times, self._release_ns, self._seen_ns, seen)
+        shown, codes, held = np.empty_like(whole.verdict), np.empty_like(times), np.zeros_like(valid)
+        sequence.debounce(whole.verdict, *flags, times, self._release_ns, self._seen_ns, seen, shown, codes, held)
         is_stricter = (shown == Verdict.UNKNOWN) & (whole.verdict != Verdict.UNKNOWN)
         if is_stricter.any():
             whole = whole._replace(

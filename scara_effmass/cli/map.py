@@ -2,7 +2,6 @@
 """`scara-effmass map`."""
 
 import argparse
-import json
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -50,7 +49,7 @@ class _Map(NamedTuple):
 class _Made(NamedTuple):
     """A made map."""
 
-    texts: dict[str, str | bytes]
+    files: dict[str, bytes | dict[str, Any]]
     figure: ReportFigure
     summary: dict[str, Any]
     where: str
@@ -63,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     errors: list[str] = []
     with open_run(args, "maps", is_small=len(tasks) * args.samples < SMALL_SAMPLES) as run_tasks:
         for task, made in sound(tasks, run_tasks(_made, tasks), errors, EffmassError):
-            write_report_files(task.folder, made.texts, [made.figure], overwrite=args.force)
+            write_report_files(task.folder, made.files, [made.figure], overwrite=args.force)
             maps.append((task, made))
     lines = [line for task, made in maps for line in _lines(task, made)]
     results = [{"output": str(task.folder), **made.summary} for task, made in maps]
@@ -105,8 +104,11 @@ def _made(task: _Map, advance: Advance) -> _Made:
     file = BytesIO()
     with open_table(file, f".{task.table}", table.schema, origin) as writer:
         writer.write_table(table)
-    text = json.dumps({**summary, "provenance": origin}, indent=2, allow_nan=False)
-    return _Made({f"{NAME}.{task.table}": file.getvalue(), SUMMARY: f"{text}\n"}, figure, summary, where)
+    files: dict[str, bytes | dict[str, Any]] = {
+        f"{NAME}.{task.table}": file.getvalue(),
+        SUMMARY: {**summary, "provenance": origin},
+    }
+    return _Made(files, figure, summary, where)
 
 
 def _lines(task: _Map, made: _Made) -> Iterator[tuple[str, object]]:

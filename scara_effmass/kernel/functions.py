@@ -338,17 +338,16 @@ def respond(k: int, n: int, work: Work) -> Mobility6:
             y -= factor * responses[1, j]
             z -= factor * responses[2, j]
         responses[0, i], responses[1, i], responses[2, i] = x, y, z
-    return mobility(k, n, work)
+    return symmetric(n, jacobian, responses)
 
 
 @compiled
-def mobility(k: int, n: int, work: Work) -> Mobility6:
-    """Return xx, xy, xz, yy, yz, zz of the product of J_v and `responses` k."""
-    jacobian, responses = work.jacobian, work.responses[k]
+def symmetric(n: int, left: FloatArray, right: FloatArray) -> Mobility6:
+    """Return xx, xy, xz, yy, yz, zz of the product of `left` and the transpose of `right`, both (3, n)."""
     a = b = c = d = e = f = 0.0
     for i in range(n):
-        x, y, z = jacobian[0, i], jacobian[1, i], jacobian[2, i]
-        u, v, w = responses[0, i], responses[1, i], responses[2, i]
+        x, y, z = left[0, i], left[1, i], left[2, i]
+        u, v, w = right[0, i], right[1, i], right[2, i]
         a += x * u
         b += x * v
         c += x * w
@@ -395,21 +394,6 @@ def fill_jacobian(point: Point, setup: Setup, work: Work) -> Vector3:
         rate[2, j] = s[11] + s[6] * ry - s[7] * rx + s[0] * vy - s[1] * vx
         j = setup.parent[j]
     return vx, vy, vz
-
-
-@compiled
-def squared(n: int, jacobian: FloatArray) -> Mobility6:
-    """Return J J^T."""
-    a = b = c = d = e = f = 0.0
-    for i in range(n):
-        x, y, z = jacobian[0, i], jacobian[1, i], jacobian[2, i]
-        a += x * x
-        b += x * y
-        c += x * z
-        d += y * y
-        e += y * z
-        f += z * z
-    return a, b, c, d, e, f
 
 
 @compiled
@@ -981,7 +965,7 @@ def add_held(
     for j in range(setup.joints):
         for a in range(3):
             work.responses[HELD, a, j] = work.jacobian[a, j] / work.matrices[k, j, j]
-    m = mobility(HELD, setup.joints, work)
+    m = symmetric(setup.joints, work.jacobian, work.responses[HELD])
     worst = inverse(smallest_eigenvalue(m, rank))
     out[_CHANGES], out[_RANK] = 0.0, rank
     if is_moving and setup.normal != VELOCITY:
@@ -1054,7 +1038,7 @@ def assess_point(
     row.speed, row.iso_mass = speed, setup.iso_mass
     row.lumped_mass = min(work.masses[LUMPED], cap)
     row.full_mass = min(work.masses[FULL], cap)
-    squares = squared(size, work.jacobian)
+    squares = symmetric(size, work.jacobian, work.jacobian)
     square = smallest_eigenvalue(squares, rank)
     is_regular = square > EIGENVALUE_ROUNDING * (squares[0] + squares[3] + squares[5])
     row.smallest_singular_value = math.sqrt(square) if is_regular else 0.0

@@ -140,7 +140,8 @@ class JointStateAdapter:
 def _slope(times: FloatArray, values: FloatArray) -> FloatArray:
     """Return the slope (n,) of the least-squares line through `values` (m, n) at `times` (m,)."""
     centred = times - times.mean()
-    return np.asarray(centred @ values / (centred @ centred))
+    # Values that rest have the slope 0 exactly, however the processor rounds the sum.
+    return np.asarray(centred @ (values - values[-1]) / (centred @ centred))
 
 
 def suggested_map(reported: Sequence[str], joints: Sequence[str]) -> str:

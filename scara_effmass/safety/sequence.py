@@ -114,29 +114,8 @@ def _agreeing(
     return len(stamps)
 
 
-def debounced(
-    verdicts: NDArray[np.int8],
-    valid: BoolArray,
-    cleared: BoolArray,
-    stale: IntArray,
-    stamps: IntArray,
-    release_ns: int,
-    seen_ns: IntArray,
-    seen: IntArray,
-) -> tuple[NDArray[np.int8], IntArray, BoolArray]:
-    """Debounce as `VerdictDebouncer`; return verdicts, the codes of their reasons, and whether these are held.
-
-    All arrays are (m,). A code is the number of a row whose own reason it is, NO_REASON, or that in `stale` of the
-    reason from which UNKNOWN is held. `seen_ns` and `seen` (5,) hold time and code of the last verdict of each number,
-    and of the reason that makes the next valid row stale; they are updated.
-    """
-    results = np.empty(len(verdicts), np.int8), np.empty(len(verdicts), np.int64), np.zeros(len(verdicts), np.bool_)
-    _debounce(verdicts, valid, cleared, stale, stamps, release_ns, seen_ns, seen, *results)
-    return results
-
-
 @compiled
-def _debounce(  # noqa: C901 - one loop, as in VerdictDebouncer
+def debounce(  # noqa: C901 - one loop, as in VerdictDebouncer
     verdicts: NDArray[np.int8],
     valid: BoolArray,
     cleared: BoolArray,
@@ -149,7 +128,12 @@ def _debounce(  # noqa: C901 - one loop, as in VerdictDebouncer
     codes: IntArray,
     held: BoolArray,
 ) -> None:
-    """Write the results of `debounced`."""
+    """Debounce as `VerdictDebouncer`: write verdicts, the codes of their reasons, and whether these are held.
+
+    All arrays are (m,); `held` comes as zeros. A code is the number of a row whose own reason it is, NO_REASON, or
+    that in `stale` of the reason from which UNKNOWN is held. `seen_ns` and `seen` (5,) hold time and code of the last
+    verdict of each number, and of the reason that makes the next valid row stale; they are updated.
+    """
     for row in range(len(verdicts)):
         if cleared[row]:
             for number in range(len(seen)):

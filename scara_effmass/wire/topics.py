@@ -76,8 +76,8 @@ class Qos(NamedTuple):
     """Time after which a publisher without a sign of life counts as lost [s]."""
 
 
-STREAM_QOS = Qos(1000)
-"""1 s of messages at 1 kHz."""
+STREAM_QOS = Qos(5000)
+"""5 s of messages at 1 kHz: Fast DDS notices a lost message by the heartbeat, which comes every 3 s."""
 SCALAR_LIFESPAN_S = 2.0
 """For allowable_speed and speed_scaling, whose messages have no stamp that shows their age."""
 _DEADLINE_PER_TIMEOUT = 2.0

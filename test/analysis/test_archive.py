@@ -109,7 +109,7 @@ def test_every_robot_is_assessed_as_by_a_monitor(path: Path, tmp_path: Path) -> 
 def test_table_is_the_same_for_every_number_of_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, tables = write(tmp_path / "bag.mcap", messages(SCARA, 2000, 4, [("jump", 900)])), []
     for threads in (1, 5):
-        monkeypatch.setattr(os, "cpu_count", lambda threads=threads: threads)
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _, threads=threads: range(threads))
         table = tmp_path / f"{threads}.parquet"
         with open_bag(path) as bag, open_writer(table, {}, "base", overwrite=False) as writer:
             for states in many_at_once(bag, "/joint_states", Monitor(SCARA, MonitorSettings()), ClockSkew()):

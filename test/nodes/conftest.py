@@ -71,6 +71,12 @@ def ros_node(name: str, namespace: str = "/", domain: int | None = None) -> Iter
         context.try_shutdown()
 
 
+def node_environment(domain: int, directory: Path, *, kernel: bool = False) -> dict[str, str]:
+    """Return the environment of a node; without `kernel` it loads none, which takes a second."""
+    own = {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(directory), "NUMBA_DISABLE_JIT": str(int(not kernel))}
+    return {**os.environ, **own}
+
+
 @final
 class NodeHarness:
     """A node process in its own ROS domain, and a test node that talks to it."""
@@ -106,9 +112,8 @@ class NodeHarness:
     def start(
         self, *arguments: str, command: Sequence[str] = (str(MONITOR_NODE),), kernel: bool = False
     ) -> subprocess.Popen[str]:
-        """Start the node with `arguments`, its output piped; without `kernel` it loads none, which takes a second."""
-        environment = {**os.environ, "ROS_DOMAIN_ID": str(self.domain), "ROS_LOG_DIR": str(self.directory)}
-        environment["NUMBA_DISABLE_JIT"] = str(int(not kernel))
+        """Start the node with `arguments`, its output piped; `kernel` as in `node_environment`."""
+        environment = node_environment(self.domain, self.directory, kernel=kernel)
         self.process = subprocess.Popen(
             [*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
         )
@@ -225,7 +230,11 @@ class NodeHarness:
 
         def all_refused() -> bool:
             """Return whether the latest message of each topic answers the invalid joint state that was sent last."""
-            return not any([self.contact_states[-1].allowable_speed, *(values[-1] for values in self.scalars.values())])
+            latest = [
+                self.contact_states[-1].allowable_speed,
+                *(value for v in self.scalars.values() for value in v[-1:]),
+            ]
+            return len(latest) == 1 + len(self.scalars) and not any(latest)
 
         self.spin_until(all_refused)
         self._clear()

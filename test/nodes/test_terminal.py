@@ -110,7 +110,7 @@ def test_chattering_verdict_gives_a_line_a_second_with_the_number_of_changes(
     harness.start("--ros-args", "-p", "release_time:=0.0", "-p", "timeout:=60.0", "-p", "contact_points:=[tool]")
     harness.subscribe_until_ok()
     rosout.line(Log.INFO, "contact tool: OK", repeat=lambda: harness.send(joint_state()))
-    harness.contact_states.clear()
+    harness.synchronize()
     end = time.monotonic() + 3.5
     while time.monotonic() < end:
         harness.response_to(joint_state(names=()))

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare a recorded impact replayed to the three live nodes with `validate` offline, bit for bit."""
 
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,7 +14,7 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
-from test.nodes.conftest import NodeHarness, stamp_ns
+from test.nodes.conftest import NodeHarness, node_environment, stamp_ns
 
 BIN = Path(sys.executable).parent
 BAG = share("bags", "campaign", "300_0_2390g_1")
@@ -33,8 +32,8 @@ def test_live_validation_equals_offline_validation(new_harness: Callable[..., No
     node.create_subscription(ImpactValidation, "impact_validation", validations.append, 100)
     node.create_subscription(ForceBlock, "force", lambda _: None, 100)
     harness.subscribe()
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(harness.domain), "ROS_LOG_DIR": str(tmp_path)}
-    environment["NUMBA_DISABLE_JIT"] = "1"  # Pinocchio on both sides: the kernel differs in the last digits
+    # Pinocchio on both sides: the kernel differs in the last digits.
+    environment = node_environment(harness.domain, tmp_path)
     commands = (
         [str(BIN / "monitor_node"), *SIM_TIME],
         [str(BIN / "daq_node"), *SIM_TIME, *FORCE],

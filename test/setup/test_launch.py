@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The launch file, against small fakes of the launch API, because `launch` has no wheel."""
 
-import os
 import runpy
 import subprocess
 import sys
@@ -18,7 +17,7 @@ from sensor_msgs.msg import JointState
 
 from scara_effmass.bags.files import open_bag
 from scara_effmass.wire import topics
-from test.nodes.conftest import DEEP_QOS, JOINTS, QD, NodeHarness, Q, joint_state
+from test.nodes.conftest import DEEP_QOS, JOINTS, QD, NodeHarness, Q, joint_state, node_environment
 
 Cell = list["subprocess.Popen[str]"]
 ROOT = Path(__file__).parents[2]
@@ -168,8 +167,7 @@ def command_of(node: Any, folder: Path, number: int) -> list[str]:  # noqa: ANN4
 def start_cell(launch_file: dict[str, Any], own_domain: int, tmp_path: Path) -> Iterator[Callable[..., Cell]]:
     """Start the processes of a cell."""
     processes: Cell = []
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(own_domain), "ROS_LOG_DIR": str(tmp_path)}
-    environment["NUMBA_DISABLE_JIT"] = "1"  # no kernel: loading it takes a second
+    environment = node_environment(own_domain, tmp_path)
 
     def start(**arguments: str) -> Cell:
         own = []
