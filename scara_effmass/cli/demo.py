@@ -2,7 +2,6 @@
 """`scara-effmass demo`: run all nodes on the simulated cell, and report its impacts, or on a recording."""
 
 import argparse
-import json
 import math
 import os
 import time
@@ -84,7 +83,7 @@ def _run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monito
     lines = [
         ("impacts", f"{len(live)} validated live, {len(offline)} offline, {len(live & offline)} the same"),
         *summary_lines(validation),
-        ("recorded", f"{recorded['messages']} messages, {recorded['lost']} lost: {recorded['bag']}"),
+        ("recorded", processes.recorded_line(recorded)),
         ("open", args.out / PAGE),
     ]
     print_result({**counts, "recording": recorded, **results}, lines, as_json=args.json)
@@ -148,9 +147,7 @@ def _run_live(
         # The recorder subscribes once it receives the first /clock message, which the simulation publishes.
         children.append(stack.enter_context(processes.ChildProcess(sim_command)))
         processes.spin_until(finished, client, children, processes.START_TIMEOUT_S + MAX_SLOWDOWN * duration_s)
-        recorder = children[0]
-        recorder.interrupt()
-        recorded: dict[str, Any] = json.loads(recorder.output())
+        recorded = children[0].recording()
     if not stamps_ns:
         raise EffmassError("no impact was validated: this machine may be too busy for the simulation")
     return stamps_ns, recorded

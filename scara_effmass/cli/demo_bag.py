@@ -105,7 +105,7 @@ class LiveRun:
 
     def lines(self) -> Iterator[tuple[str, str]]:
         """Yield subject and text of each line about recorder and replay."""
-        yield "recorded", f"{self.recorded['messages']} messages, {self.recorded['lost']} lost: {self.recorded['bag']}"
+        yield "recorded", processes.recorded_line(self.recorded)
         for name, topic in self.recorded["topics"].items():
             yield "", f"{name}: {topic['recorded']}"
         if self.replayed["late"]:
@@ -217,8 +217,7 @@ def _run_live(
             client.spin(FORCE_END_TIMEOUT_S, lambda: force.ended)
             force.interrupt()
             force.output()
-        recorder.interrupt()
-        live.recorded = json.loads(recorder.output())
+        live.recorded = recorder.recording()
     return live
 
 

@@ -2,6 +2,7 @@
 """Child processes of a demo: commands of the suite in a ROS domain of their own."""
 
 import argparse
+import json
 import os
 import shutil
 import signal
@@ -12,6 +13,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from typing_extensions import Self
 
@@ -78,6 +80,18 @@ class ChildProcess:
         """Wait for the end of the process and return its stdout. Raises EffmassError if it failed."""
         if self._process.wait() != 0:
             self.fail()
+        return self._read_output()
+
+    def recording(self) -> dict[str, Any]:
+        """End `record --json` and return its report, with lost messages or not. Raises EffmassError if it failed."""
+        self.interrupt()
+        text = self._read_output()
+        report: dict[str, Any] = json.loads(text) if text else {}
+        if not report or report["stopped_by_disk"]:
+            self.fail()
+        return report
+
+    def _read_output(self) -> str:
         self._output.seek(0)
         return self._output.read().decode()
 
@@ -126,6 +140,14 @@ def visualization_command(settings: MonitorSettings) -> list[str]:
 def record_command(args: argparse.Namespace) -> list[str]:
     """Return the command that records the topics of the suite."""
     return ["record", "-o", str(args.out / RECORDING), "--json", *(["--force"] if args.force else []), *SIM_TIME]
+
+
+def recorded_line(recorded: dict[str, Any]) -> str:
+    """Return how many messages a `recording` has, how many were lost of which topics, and where it is."""
+    losses = [(name, sum(topic["lost"].values())) for name, topic in recorded["topics"].items()]
+    of = ", ".join(f"{count} of {name}" for name, count in losses if count)
+    lost = f"{recorded['lost']} lost{f' ({of})' * bool(of)}"
+    return f"{recorded['messages']} messages, {lost}: {recorded['bag']}"
 
 
 def dashboard_command(args: argparse.Namespace) -> tuple[list[str], str]:

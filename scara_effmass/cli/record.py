@@ -10,7 +10,7 @@ from dataclasses import asdict
 from rich.console import Console
 from rich.status import Status
 
-from scara_effmass.bags.recording_report import RecordingReport
+from scara_effmass.bags.recording_report import RecordingReport, TopicReport
 from scara_effmass.bags.repair import RepairReport, repair
 from scara_effmass.bags.split_writer import RecorderOptions
 from scara_effmass.cli.console import print_result
@@ -70,7 +70,8 @@ def _record(args: argparse.Namespace) -> int:
     lines = _lines(recording, [*report.refused.items(), *absent], report.seconds)
     print_result(result, lines, as_json=args.json)
     if recording.lost:
-        console.print(f"record: {recording.lost} of {recording.lost + recording.recorded} messages were lost")
+        lost = ", ".join(f"{name}: {_causes(topic)}" for name, topic in recording.topics.items() if topic.lost.total)
+        console.print(f"record: {recording.lost} of {recording.lost + recording.recorded} messages were lost: {lost}")
     return 1 if recording.lost or recording.stopped_by_disk else 0
 
 
@@ -78,8 +79,7 @@ def _lines(
     recording: RecordingReport, not_recorded: list[tuple[str, str]], seconds: float
 ) -> Iterator[tuple[str, str]]:
     for name, topic in recording.topics.items():
-        causes = ", ".join(f"{count} by the {cause}" for cause, count in asdict(topic.lost).items() if count)
-        lost = f", lost {causes}" if causes else ""
+        lost = f", lost {_causes(topic)}" if topic.lost.total else ""
         yield "recorded", f"{name}: {topic.recorded} messages{lost}"
     for name, reason in not_recorded:
         yield "not recorded", f"{name}: {reason}"
@@ -88,6 +88,10 @@ def _lines(
     total = f"{recording.recorded} messages, {recording.lost} lost, {recording.size_bytes / MB:.1f} MB"
     files = f"{len(recording.files)} file{'s' if len(recording.files) != 1 else ''}"
     yield "total", f"{total} in {files}, {seconds:.1f} s: {recording.folder}"
+
+
+def _causes(topic: TopicReport) -> str:
+    return ", ".join(f"{count} by the {cause}" for cause, count in asdict(topic.lost).items() if count)
 
 
 def _repair(args: argparse.Namespace) -> int:

@@ -39,7 +39,9 @@ def test_every_live_impact_is_in_the_recording(cli_process: Cli, tmp_path: Path,
     assert 1 <= result["live"] == result["both"] <= result["offline"]
     assert result["accepted"] == (result["offline"] >= 3)
     assert done.returncode == (not result["accepted"])
-    assert result["recording"]["lost"] == 0
+    # The scalars live 2 s and the markers are the last 10: on a busy machine the recorder can be later than that.
+    lost = {name for name, topic in result["recording"]["topics"].items() if any(topic["lost"].values())}
+    assert lost <= {"/allowable_speed", "/speed_scaling", "/effective_mass_markers"}
     impact = result["impacts"][0]
     assert impact["simulated"] is True
     assert (impact["configuration"], impact["obstacle_mass"]) == ("300_200", 0.5)
