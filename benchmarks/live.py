@@ -62,7 +62,7 @@ def measure(rate_hz: float = RATE_HZ) -> dict[str, list[Run]]:
 class Sender(Node):
     """Publish joint states of a sweeping arm and measure the time to each answer."""
 
-    def __init__(self, rate_hz: float) -> None:
+    def __init__(self, rate_hz: float = RATE_HZ) -> None:
         super().__init__("sender")
         self._publisher = self.create_publisher(JointState, "joint_states", QoSProfile(depth=200))
         self._state = JointState(name=["joint1", "joint2", "joint3", "joint4"])
