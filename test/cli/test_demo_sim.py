@@ -35,9 +35,9 @@ def test_every_live_impact_is_in_the_recording(cli_process: Cli, tmp_path: Path,
     done = cli_process("demo", "--duration", "6", "--out", tmp_path / "out", "--json")
     assert done.stderr == ""
     result = json.loads(done.stdout)
-    # At least one impact in 6 s, more if the nodes end late; an accepted series needs three.
+    # At least one impact in 6 s, more if the nodes end late; an accepted series needs six.
     assert 1 <= result["live"] == result["both"] <= result["offline"]
-    assert result["accepted"] == (result["offline"] >= 3)
+    assert not result["accepted"] or result["offline"] >= 6
     assert done.returncode == (not result["accepted"])
     # The scalars live 2 s and the markers are the last 10: on a busy machine the recorder can be later than that.
     lost = {name for name, topic in result["recording"]["topics"].items() if any(topic["lost"].values())}
