@@ -115,7 +115,7 @@ def _run_live(
     def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
         nonlocal assessed_s
         assessed_s = at_ns / 1e9
-        show_status(contacts, at_ns / 1e9 - start_s, client.speed_scaling)
+        show_status(contacts, assessed_s - start_s, client.speed_scaling)
 
     def on_validation(message: ImpactValidation) -> None:
         stamp = message.header.stamp
