@@ -19,7 +19,8 @@ class PoseChange(NamedTuple):
 
     `direction` is the unit vector n of the velocity, or of a fixed contact normal, and `speed` [m/s] the velocity
     along it. `mobility` is A [1/kg], and `mobility_rate` Z [1/(kg s)] with dA/dt = Z + Z^T. `accelerations` [m/s2] are
-    those of the contact point with free joints, and with joints that keep their velocities.
+    those of the contact point with free joints, and with joints that keep their velocities. The point moves in `rank`
+    dimensions, in which n is.
     """
 
     direction: Vector3
@@ -27,6 +28,7 @@ class PoseChange(NamedTuple):
     mobility: Matrix
     mobility_rate: Matrix
     accelerations: tuple[Vector3, ...]
+    rank: int = 3
 
     def growth(self, alpha: float, beta: float) -> float:
         """Return d/dt ln(v^T (alpha I + beta A)^-1 v) [1/s], without what lessens it.
@@ -85,14 +87,23 @@ class PoseChange(NamedTuple):
         return PoseChange((nx, ny, nz), max(speed, min_speed), mobility, self.mobility_rate, self.accelerations)
 
     def _solve(self, s: float) -> Vector3:
-        """Return (s I + A)^-1 n (3,) [kg], with the adjugate."""
+        """Return (s I + A)^-1 n (3,) [kg], with the adjugate in `rank` dimensions: in more, the others would cancel."""
         (a, b, c), (_, d, e), (_, _, f) = self.mobility
         x, y, z = self.direction
-        s = max(s, CLAMPED_TOLERANCE * (a + d + f))
-        a, d, f = a + s, d + s, f + s
-        p, q, r = d * f - e * e, a * f - c * c, a * d - b * b
-        t, u, v = c * e - b * f, b * e - c * d, b * c - a * e
-        determinant = a * p + b * t + c * u
+        trace = a + d + f
+        s = max(s, CLAMPED_TOLERANCE * trace)
+        if self.rank == 1:
+            p = q = r = 1.0
+            t = u = v = 0.0
+            determinant = s + trace
+        elif self.rank == 2:
+            p, q, r, t, u, v = s + d + f, s + a + f, s + a + d, -b, -c, -e
+            determinant = a * d - b * b + a * f - c * c + d * f - e * e + s * (s + trace)
+        else:
+            a, d, f = a + s, d + s, f + s
+            p, q, r = d * f - e * e, a * f - c * c, a * d - b * b
+            t, u, v = c * e - b * f, b * e - c * d, b * c - a * e
+            determinant = a * p + b * t + c * u
         if determinant <= 0.0:
             return math.inf, math.inf, math.inf
         return (

@@ -70,97 +70,78 @@ from scara_effmass.values import FloatArray, Mobility6, Vector3
 
 _THIRD_TURN = 2.0 * math.pi / 3.0
 # Columns of a mobility: scalars of `iso15066.Mobility`, then of `PoseChange` (direction, speed, A, Z, accelerations).
+# `_CHANGES` is the rank of its change of pose, 0 without one.
 _ALONG, _ADJUGATE, _TRACE, _MINORS, _DETERMINANT, _RANK, _CHANGES = range(7)
 _N, _SPEED, _A, _Z, _FREE, _HELD = 7, 10, 11, 17, 26, 29
 CASE, POINT, SETUP, WORK = dtype_of(Case), dtype_of(Point), dtype_of(Setup), dtype_of(Work)
 
 
 @compiled
-def cross(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
-    """Write a x b (3,)."""
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@compiled
 def place_joints(q: FloatArray, setup: Setup, work: Work) -> None:
     """Write the poses of the joints, and in `motions` (n, 18) each joint's S, dS/dt and the velocity of its link."""
     rotations, places, motions = work.rotations, work.places, work.motions
-    moved, part = work.half, work.force
     for j in range(setup.joints):
-        parent, rotation, local, at = setup.parent[j], setup.rotation[j], setup.axis[j], setup.place[j]
+        parent, rotation, at = setup.parent[j], setup.rotation[j], setup.place[j]
         place, motion = places[j], motions[j]
+        x, y, z = setup.axis[j, 0], setup.axis[j, 1], setup.axis[j, 2]
+        s, c = math.sin(q[j]), math.cos(q[j])
         for a in range(3):
-            if parent < 0:
-                place[a] = at[a]
-                for b in range(3):
-                    moved[a, b] = rotation[a, b]
-            else:
-                pose = rotations[parent]
-                place[a] = places[parent, a]
-                for b in range(3):
-                    place[a] += pose[a, b] * at[b]
-                    moved[a, b] = (
-                        pose[a, 0] * rotation[0, b] + pose[a, 1] * rotation[1, b] + pose[a, 2] * rotation[2, b]
-                    )
-        for a in range(3):
-            motion[a] = moved[a, 0] * local[0] + moved[a, 1] * local[1] + moved[a, 2] * local[2]
-        if setup.is_revolute[j]:
-            x, y, z = local[0], local[1], local[2]
-            s, c = math.sin(q[j]), math.cos(q[j])
-            d = 1.0 - c
-            for a in range(3):
-                r0, r1, r2, along_axis = moved[a, 0], moved[a, 1], moved[a, 2], d * motion[a]
+            r0, r1, r2, origin = rotation[a, 0], rotation[a, 1], rotation[a, 2], at[a]
+            if parent >= 0:
+                u, v, w = rotations[parent, a, 0], rotations[parent, a, 1], rotations[parent, a, 2]
+                r0 = u * rotation[0, 0] + v * rotation[1, 0] + w * rotation[2, 0]
+                r1 = u * rotation[0, 1] + v * rotation[1, 1] + w * rotation[2, 1]
+                r2 = u * rotation[0, 2] + v * rotation[1, 2] + w * rotation[2, 2]
+                origin = places[parent, a] + u * at[0] + v * at[1] + w * at[2]
+            axis = r0 * x + r1 * y + r2 * z
+            if setup.is_revolute[j]:
+                place[a], motion[a], motion[3 + a] = origin, axis, 0.0
+                along_axis = (1.0 - c) * axis
                 rotations[j, a, 0] = c * r0 + along_axis * x + s * (r1 * z - r2 * y)
                 rotations[j, a, 1] = c * r1 + along_axis * y + s * (r2 * x - r0 * z)
                 rotations[j, a, 2] = c * r2 + along_axis * z + s * (r0 * y - r1 * x)
-            motion[3] = motion[4] = motion[5] = 0.0
-        else:
-            for a in range(3):
-                place[a] += motion[a] * q[j]
-                motion[3 + a], motion[a] = motion[a], 0.0
-                for b in range(3):
-                    rotations[j, a, b] = moved[a, b]
-        if parent < 0:
-            for a in range(6, 18):
-                motion[a] = 0.0
-        else:
-            before = motions[parent, 12:18]
-            for a in range(3):
-                part[a] = place[a] - places[parent, a]
-            cross(before[:3], part, motion[15:18])
-            for a in range(3):
-                motion[12 + a], motion[15 + a] = before[a], motion[15 + a] + before[3 + a]
-            cross(before[:3], motion[:3], motion[6:9])
-            cross(before[:3], motion[3:6], part)
-            cross(motion[15:18], motion[:3], motion[9:12])
-            for a in range(3):
-                motion[9 + a] += part[a]
-        for a in range(6):
-            motion[12 + a] += motion[a] * work.qd[j]
+            else:
+                place[a], motion[a], motion[3 + a] = origin + axis * q[j], 0.0, axis
+                rotations[j, a, 0], rotations[j, a, 1], rotations[j, a, 2] = r0, r1, r2
+        wx = wy = wz = vx = vy = vz = 0.0
+        if parent >= 0:
+            before = motions[parent]
+            wx, wy, wz = before[12], before[13], before[14]
+            dx, dy, dz = place[0] - places[parent, 0], place[1] - places[parent, 1], place[2] - places[parent, 2]
+            vx, vy, vz = before[15] + wy * dz - wz * dy, before[16] + wz * dx - wx * dz, before[17] + wx * dy - wy * dx
+        x, y, z, u, v, w = motion[0], motion[1], motion[2], motion[3], motion[4], motion[5]
+        motion[6], motion[7], motion[8] = wy * z - wz * y, wz * x - wx * z, wx * y - wy * x
+        motion[9] = wy * w - wz * v + vy * z - vz * y
+        motion[10] = wz * u - wx * w + vz * x - vx * z
+        motion[11] = wx * v - wy * u + vx * y - vy * x
+        rate = work.qd[j]
+        motion[12], motion[13], motion[14] = wx + rate * x, wy + rate * y, wz + rate * z
+        motion[15], motion[16], motion[17] = vx + rate * u, vy + rate * v, vz + rate * w
 
 
 @compiled
 def place_bodies(k: int, setup: Setup, work: Work) -> None:
     """Write in `inertias` (n, 10) mass, first moments, and moments xx, xy, xz, yy, yz, zz about its place."""
-    half = work.half
     for j in range(setup.joints):
         r, out, lever, inertia = work.rotations[j], work.inertias[k, j], setup.lever[k, j], setup.inertia[k, j]
         m = setup.mass[k, j]
-        for a in range(3):
-            out[1 + a] = 0.0
-            for b in range(3):
-                out[1 + a] += r[a, b] * lever[b]
-                half[a, b] = r[a, 0] * inertia[0, b] + r[a, 1] * inertia[1, b] + r[a, 2] * inertia[2, b]
-        x, y, z = out[1], out[2], out[3]
+        a, b, c, d, e, f = inertia[0, 0], inertia[0, 1], inertia[0, 2], inertia[1, 1], inertia[1, 2], inertia[2, 2]
+        r0, r1, r2 = r[0, 0], r[0, 1], r[0, 2]
+        s0, s1, s2 = r[1, 0], r[1, 1], r[1, 2]
+        t0, t1, t2 = r[2, 0], r[2, 1], r[2, 2]
+        x = r0 * lever[0] + r1 * lever[1] + r2 * lever[2]
+        y = s0 * lever[0] + s1 * lever[1] + s2 * lever[2]
+        z = t0 * lever[0] + t1 * lever[1] + t2 * lever[2]
         out[0], out[1], out[2], out[3] = m, m * x, m * y, m * z
-        out[4] = half[0, 0] * r[0, 0] + half[0, 1] * r[0, 1] + half[0, 2] * r[0, 2] + m * (y * y + z * z)
-        out[5] = half[0, 0] * r[1, 0] + half[0, 1] * r[1, 1] + half[0, 2] * r[1, 2] - m * x * y
-        out[6] = half[0, 0] * r[2, 0] + half[0, 1] * r[2, 1] + half[0, 2] * r[2, 2] - m * x * z
-        out[7] = half[1, 0] * r[1, 0] + half[1, 1] * r[1, 1] + half[1, 2] * r[1, 2] + m * (x * x + z * z)
-        out[8] = half[1, 0] * r[2, 0] + half[1, 1] * r[2, 1] + half[1, 2] * r[2, 2] - m * y * z
-        out[9] = half[2, 0] * r[2, 0] + half[2, 1] * r[2, 1] + half[2, 2] * r[2, 2] + m * (x * x + y * y)
+        u, v, w = r0 * a + r1 * b + r2 * c, r0 * b + r1 * d + r2 * e, r0 * c + r1 * e + r2 * f
+        out[4] = u * r0 + v * r1 + w * r2 + m * (y * y + z * z)
+        out[5] = u * s0 + v * s1 + w * s2 - m * x * y
+        out[6] = u * t0 + v * t1 + w * t2 - m * x * z
+        u, v, w = s0 * a + s1 * b + s2 * c, s0 * b + s1 * d + s2 * e, s0 * c + s1 * e + s2 * f
+        out[7] = u * s0 + v * s1 + w * s2 + m * (x * x + z * z)
+        out[8] = u * t0 + v * t1 + w * t2 - m * y * z
+        u, v, w = t0 * a + t1 * b + t2 * c, t0 * b + t1 * d + t2 * e, t0 * c + t1 * e + t2 * f
+        out[9] = u * t0 + v * t1 + w * t2 + m * (x * x + y * y)
 
 
 @compiled
@@ -184,15 +165,26 @@ def shift_inertia(inertia: FloatArray, total: FloatArray, place: FloatArray, to:
 
 
 @compiled
-def power(motion: FloatArray, force: FloatArray, place: FloatArray, at: FloatArray) -> float:
-    """Return the power of a spatial `force` about `place` on a `motion` about `at`."""
-    x, y, z = place[0] - at[0], place[1] - at[1], place[2] - at[2]
-    total: float = (
-        motion[0] * (force[0] + y * force[5] - z * force[4])
-        + motion[1] * (force[1] + z * force[3] - x * force[5])
-        + motion[2] * (force[2] + x * force[4] - y * force[3])
+def momentum_of(c: FloatArray, motion: FloatArray) -> Mobility6:
+    """Return the momentum of an inertia `c`, as in `inertias`, on a spatial `motion` about the same place."""
+    x, y, z, u, v, w = motion[0], motion[1], motion[2], motion[3], motion[4], motion[5]
+    return (
+        c[4] * x + c[5] * y + c[6] * z + c[2] * w - c[3] * v,
+        c[5] * x + c[7] * y + c[8] * z + c[3] * u - c[1] * w,
+        c[6] * x + c[8] * y + c[9] * z + c[1] * v - c[2] * u,
+        c[0] * u + y * c[3] - z * c[2],
+        c[0] * v + z * c[1] - x * c[3],
+        c[0] * w + x * c[2] - y * c[1],
     )
-    total += motion[3] * force[3] + motion[4] * force[4] + motion[5] * force[5]
+
+
+@compiled
+def power(motion: FloatArray, at: FloatArray, force: Mobility6, place: Vector3) -> float:
+    """Return the power of a spatial `force` about `place` on a `motion` about `at`."""
+    a, b, c, d, e, f = force
+    x, y, z = place[0] - at[0], place[1] - at[1], place[2] - at[2]
+    total: float = motion[0] * (a + y * f - z * e) + motion[1] * (b + z * d - x * f) + motion[2] * (c + x * e - y * d)
+    total += motion[3] * d + motion[4] * e + motion[5] * f
     return total
 
 
@@ -206,19 +198,15 @@ def fill_mass_matrix(k: int, setup: Setup, work: Work) -> None:
         for a in range(10):
             composites[i, a] = work.inertias[k, i, a]
     for i in range(n - 1, -1, -1):
-        c, s, u = composites[i], motions[i], work.momenta[k, i]
-        parent = setup.parent[i]
+        c, s, place, parent = composites[i], motions[i], work.places[i], setup.parent[i]
         if parent >= 0:
-            shift_inertia(c, composites[parent], work.places[i], work.places[parent])
-        u[0] = c[4] * s[0] + c[5] * s[1] + c[6] * s[2] + c[2] * s[5] - c[3] * s[4]
-        u[1] = c[5] * s[0] + c[7] * s[1] + c[8] * s[2] + c[3] * s[3] - c[1] * s[5]
-        u[2] = c[6] * s[0] + c[8] * s[1] + c[9] * s[2] + c[1] * s[4] - c[2] * s[3]
-        u[3] = c[0] * s[3] + s[1] * c[3] - s[2] * c[2]
-        u[4] = c[0] * s[4] + s[2] * c[1] - s[0] * c[3]
-        u[5] = c[0] * s[5] + s[0] * c[2] - s[1] * c[1]
-        j = i
+            shift_inertia(c, composites[parent], place, work.places[parent])
+        momentum = momentum_of(c, s[:6])
+        for a in range(6):
+            work.momenta[k, i, a] = momentum[a]
+        at, j = (place[0], place[1], place[2]), i
         while j >= 0:
-            entry = power(motions[j, :6], u, work.places[i], work.places[j])
+            entry = power(motions[j], work.places[j], momentum, at)
             matrix[i, j] += entry
             if i != j:
                 matrix[j, i] += entry
@@ -233,7 +221,7 @@ def fill_coriolis_matrix(k: int, setup: Setup, work: Work) -> None:
     A link with the velocity field w x r + v adds the force w' x p, with its momentum p, and the torque N w' to the
     motion (w', v') of a joint: N = (h.v) 1 - v h^T - w x P, with the first moment h and P, the sum of m r r^T.
     """
-    n, motions, composites, matrix, force = setup.joints, work.motions, work.composites[k], work.coriolis[k], work.force
+    n, motions, composites, matrix = setup.joints, work.motions, work.composites[k], work.coriolis[k]
     for i in range(n):
         for j in range(n):
             matrix[i, j] = 0.0
@@ -276,25 +264,25 @@ def fill_coriolis_matrix(k: int, setup: Setup, work: Work) -> None:
             d[19] += c[19] - c[12] * x
             d[20] += c[20] - c[12] * y
             d[21] += c[21] + x * c[10] + y * c[11]
-        r = s[6:12]
-        force[0] = c[4] * r[0] + c[5] * r[1] + c[6] * r[2] + c[2] * r[5] - c[3] * r[4]
-        force[1] = c[5] * r[0] + c[7] * r[1] + c[8] * r[2] + c[3] * r[3] - c[1] * r[5]
-        force[2] = c[6] * r[0] + c[8] * r[1] + c[9] * r[2] + c[1] * r[4] - c[2] * r[3]
-        force[0] += c[13] * s[0] + c[14] * s[1] + c[15] * s[2]
-        force[1] += c[16] * s[0] + c[17] * s[1] + c[18] * s[2]
-        force[2] += c[19] * s[0] + c[20] * s[1] + c[21] * s[2]
-        force[3] = c[0] * r[3] + r[1] * c[3] - r[2] * c[2] + s[1] * c[12] - s[2] * c[11]
-        force[4] = c[0] * r[4] + r[2] * c[1] - r[0] * c[3] + s[2] * c[10] - s[0] * c[12]
-        force[5] = c[0] * r[5] + r[0] * c[2] - r[1] * c[1] + s[0] * c[11] - s[1] * c[10]
+        force = momentum_of(c, s[6:12])
+        force = (
+            force[0] + c[13] * s[0] + c[14] * s[1] + c[15] * s[2],
+            force[1] + c[16] * s[0] + c[17] * s[1] + c[18] * s[2],
+            force[2] + c[19] * s[0] + c[20] * s[1] + c[21] * s[2],
+            force[3] + s[1] * c[12] - s[2] * c[11],
+            force[4] + s[2] * c[10] - s[0] * c[12],
+            force[5] + s[0] * c[11] - s[1] * c[10],
+        )
         product_x = c[11] * s[5] - c[12] * s[4] + c[13] * s[0] + c[16] * s[1] + c[19] * s[2]
         product_y = c[12] * s[3] - c[10] * s[5] + c[14] * s[0] + c[17] * s[1] + c[20] * s[2]
         product_z = c[10] * s[4] - c[11] * s[3] + c[15] * s[0] + c[18] * s[1] + c[21] * s[2]
-        j = i
+        momentum = u[0], u[1], u[2], u[3], u[4], u[5]
+        at, j = (work.places[i, 0], work.places[i, 1], work.places[i, 2]), i
         while j >= 0:
             t = motions[j]
-            matrix[j, i] += power(t[:6], force, work.places[i], work.places[j])
+            matrix[j, i] = power(t, work.places[j], force, at)
             if i != j:
-                matrix[i, j] += power(t[6:12], u, work.places[i], work.places[j])
+                matrix[i, j] = power(t[6:12], work.places[j], momentum, at)
                 matrix[i, j] += t[0] * product_x + t[1] * product_y + t[2] * product_z
             j = setup.parent[j]
 
@@ -487,7 +475,7 @@ def set_change(out: FloatArray, m: Mobility6, n: Vector3, speed: float, k: int, 
         out[_Z + 3 * a], out[_Z + 3 * a + 1], out[_Z + 3 * a + 2] = x, y, z
     for a in range(6):
         out[_A + a] = m[a]
-    out[_SPEED], out[_CHANGES] = speed, 1.0
+    out[_SPEED], out[_CHANGES] = speed, out[_RANK]
 
 
 @compiled
@@ -500,7 +488,7 @@ def turn_change(out: FloatArray, normal: Vector3, min_speed: float) -> None:
     m[0], m[1], m[2], m[3], m[4], m[5] = mobility, 0.0, 0.0, mobility, 0.0, mobility
     for a in range(3):
         out[_N + a] = sign * normal[a]
-    out[_SPEED] = max(sign * speed, min_speed)
+    out[_SPEED], out[_CHANGES] = max(sign * speed, min_speed), 3.0
 
 
 @compiled
@@ -528,14 +516,22 @@ def worst_reduced_mass(m: FloatArray, alpha: float, beta: float) -> float:
 
 @compiled
 def solve_mobility(change: FloatArray, s: float) -> Vector3:
-    """Return (s I + A)^-1 n [kg], with the adjugate."""
+    """Return (s I + A)^-1 n [kg], with the adjugate in as many dimensions as the point moves in."""
     a, b, c, d, e, f = change[_A], change[_A + 1], change[_A + 2], change[_A + 3], change[_A + 4], change[_A + 5]
     x, y, z = change[_N], change[_N + 1], change[_N + 2]
-    s = max(s, CLAMPED_TOLERANCE * (a + d + f))
-    a, d, f = a + s, d + s, f + s
-    p, q, r = d * f - e * e, a * f - c * c, a * d - b * b
-    t, u, v = c * e - b * f, b * e - c * d, b * c - a * e
-    determinant = a * p + b * t + c * u
+    trace = a + d + f
+    s = max(s, CLAMPED_TOLERANCE * trace)
+    if change[_CHANGES] == 1.0:
+        mass = inverse(s + trace)
+        return mass * x, mass * y, mass * z
+    if change[_CHANGES] == 2.0:
+        p, q, r, t, u, v = s + d + f, s + a + f, s + a + d, -b, -c, -e
+        determinant = a * d - b * b + a * f - c * c + d * f - e * e + s * (s + trace)
+    else:
+        a, d, f = a + s, d + s, f + s
+        p, q, r = d * f - e * e, a * f - c * c, a * d - b * b
+        t, u, v = c * e - b * f, b * e - c * d, b * c - a * e
+        determinant = a * p + b * t + c * u
     if determinant <= 0.0:
         return math.inf, math.inf, math.inf
     return (
@@ -817,12 +813,14 @@ def fill_change(work: Work, setup: Setup, k: int, m: Mobility6, n: Vector3, spee
     if not work.has_coriolis[k]:
         fill_coriolis_matrix(k, setup, work)
         work.has_coriolis[k] = 1
-    for a in range(3):
-        for j in range(size):
-            total = work.jacobian_rate[a, j]
-            for i in range(size):
-                total -= work.responses[k, a, i] * work.coriolis[k, i, j]
-            work.rate[a, j] = total
+    for j in range(size):
+        x, y, z = work.jacobian_rate[0, j], work.jacobian_rate[1, j], work.jacobian_rate[2, j]
+        for i in range(size):
+            c = work.coriolis[k, i, j]
+            x -= work.responses[k, 0, i] * c
+            y -= work.responses[k, 1, i] * c
+            z -= work.responses[k, 2, i] * c
+        work.rate[0, j], work.rate[1, j], work.rate[2, j] = x, y, z
     set_change(out, m, n, speed, k, size, work)
 
 
@@ -1101,3 +1099,27 @@ def assess(
                 )
         for p in range(len(points)):
             assess_point(setup, cases, work, points[p], states[i, 2], rows[p, i, 0])
+
+
+@compiled
+def assess_columns(
+    states: FloatArray,
+    robot: ByteArray,
+    at: ByteArray,
+    limits: ByteArray,
+    columns: FloatArray,
+    rows: FloatArray,
+    scratch: ByteArray,
+) -> None:
+    """Write in `columns` (fields, N, P) what `assess` writes; `rows` (P, B, fields) hold B joint states at a time.
+
+    In one call, because a thread that comes back to Python waits for the others.
+    """
+    points, block, fields = rows.shape
+    for first in range(0, len(states), block):
+        last = min(first + block, len(states))
+        assess(states[first:last], robot, at, limits, rows, scratch)
+        for p in range(points):
+            for field in range(fields):
+                for i in range(last - first):
+                    columns[field, first + i, p] = rows[p, i, field]

@@ -14,7 +14,6 @@ from scara_effmass.settings import MassModel
 from scara_effmass.values import FloatArray
 
 Vector = Annotated[FloatArray, (3,)]
-Matrix3 = Annotated[FloatArray, (3, 3)]
 ByteArray = NDArray[np.uint8]
 IntArray = NDArray[np.int64]
 MIN_NORMAL_COMPONENT = 0.1
@@ -199,8 +198,6 @@ class Work:
     mobilities: Annotated[FloatArray, (MAX_MOBILITIES, WIDTH)]
     max_masses: Annotated[FloatArray, (MAX_MOBILITIES,)]
     growths: Annotated[FloatArray, (MAX_MOBILITIES,)]
-    half: Matrix3
-    force: Annotated[FloatArray, (6,)]
 
 
 def dtype_of(record: type) -> np.dtype[np.void]:

@@ -229,7 +229,8 @@ class RobotDynamics:
                     # K = dJ/dt - J M^-1 C: K qd accelerates the point of free joints, and dA/dt = Z + Z^T.
                     rate: Matrix = (jacobian_rate - response.dot(coriolis(i))).tolist()
                     turning = [[_dot(row, column) for column in response_rows[i]] for row in rate]
-                    changes[i] = PoseChange(direction, speed, mobilities[i], turning, (_times(rate, qd), held))
+                    accelerations = _times(rate, qd), held
+                    changes[i] = PoseChange(direction, speed, mobilities[i], turning, accelerations, rank)
         squares = _symmetric(rows, rows)
         square = smallest_eigenvalue(squares, rank)
         singular = math.sqrt(square) if square > EIGENVALUE_ROUNDING * _trace(squares) else 0.0
@@ -270,7 +271,7 @@ class RobotDynamics:
         coriolis = np.diagonal(pin.computeCoriolisMatrix(model, data, q, qd))
         rate = ((jacobian_rate - response.T * coriolis) @ response).tolist()
         x, y, z = (jacobian_rate @ qd).tolist()
-        change = PoseChange(masses.direction, masses.speed, mobility, rate, ((x, y, z),))
+        change = PoseChange(masses.direction, masses.speed, mobility, rate, ((x, y, z),), rank)
         return ModelMass(name, effective_mass(mobility, masses.direction), worst_mass, mobility, change)
 
     def in_base(self, q: FloatArray, vector: Vector3, frame: str, setting: str = "contact_normal_frame") -> Vector3:

@@ -39,7 +39,7 @@ from scara_effmass.values import (
 TRIALS = 24
 """Number of joint states at which the kernel must agree with the reference before it is used."""
 AGREEMENT = 1e-10
-"""Tolerance of that agreement; not met where the reference cancels, as for tiny inertias, or rank 1 with a servo."""
+"""Tolerance of that agreement; not met where the reference cancels, as for tiny inertias."""
 CHECK_INTERVAL = 2000
 """Number of joint states of which one is assessed by kernel and reference.
 

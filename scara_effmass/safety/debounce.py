@@ -1,8 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Debounce verdicts: a worse one shows at once, a better one after the release time."""
 
+from typing import Final
+
 from scara_effmass.values import Verdict
 
+OK: Final = Verdict.OK
+"""The verdicts of the hot path are constants: mypyc looks up an attribute of another module in dictionaries."""
+UNKNOWN: Final = Verdict.UNKNOWN
+VIOLATION: Final = Verdict.VIOLATION
 HELD = "held after: "
 """Prefix of the reason of a verdict that an earlier joint state had."""
 _SEVERITY = {Verdict.OK: 0, Verdict.WARN: 1, Verdict.VIOLATION: 2, Verdict.UNKNOWN: 3}
@@ -41,7 +47,7 @@ class VerdictDebouncer:
         if self._stale_reason:
             last_seen[Verdict.UNKNOWN] = (stamp_ns, self._stale_reason)
             self._stale_reason = ""
-        if verdict is not Verdict.OK:
+        if verdict is not OK:
             last_seen[verdict] = (stamp_ns, reason)
         elif not last_seen:
             return verdict, reason

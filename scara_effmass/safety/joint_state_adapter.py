@@ -57,7 +57,7 @@ class JointStateAdapter:
         self._from_positions = settings.velocity_source is VelocitySource.FROM_POSITIONS
         self._window_ns = round(settings.velocity_window * 1e9)
         self._timeout_ns = round(settings.timeout * 1e9)
-        self._filters = self._from_positions or self._window_ns > 0
+        self._filters = settings.filters_velocity
         self.is_needed = self._filters or bool(self._map or self._joint_names)
         self.reset()
 

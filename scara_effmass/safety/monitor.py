@@ -15,7 +15,7 @@ from scara_effmass.iso15066 import (
 )
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety.contact_assessor import ContactAssessor
-from scara_effmass.safety.debounce import VerdictDebouncer, severity
+from scara_effmass.safety.debounce import UNKNOWN, VIOLATION, VerdictDebouncer, severity
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter, suggested_map
 from scara_effmass.safety.joint_state_validator import NANOSECONDS, JointStateValidator, Motion, OtherDevice
 from scara_effmass.settings import MonitorSettings
@@ -274,14 +274,14 @@ class Monitor:
             verdict, allowable_speed = contact.verdict, contact.allowable_speed
             min_allowable_speed = min(min_allowable_speed, allowable_speed)
             reference_speed = self._reference_speed or contact.speed
-            if verdict is Verdict.UNKNOWN or allowable_speed <= 0.0:
+            if verdict is UNKNOWN or allowable_speed <= 0.0:
                 min_scaling = 0.0
             elif reference_speed > allowable_speed:
                 min_scaling = min(min_scaling, allowable_speed / reference_speed)
             self._counts[verdict] += 1
-            if verdict is not Verdict.UNKNOWN:
+            if verdict is not UNKNOWN:
                 self._had_valid_input = True
-                if verdict is not Verdict.VIOLATION:
+                if verdict is not VIOLATION:
                     continue
             if self._had_valid_input and self.first_cause is None:
                 self.first_cause = Cause(contact.stamp_ns, contact.contact_point, verdict, contact.reason)
@@ -336,10 +336,11 @@ def unknown_contact(name: str, reason: str, stamp_ns: int, age: float) -> Contac
 
 def _debounced(contact: ContactAssessment, debouncer: VerdictDebouncer) -> ContactAssessment:
     """Return `contact` with its debounced verdict and reason, and nothing allowed under UNKNOWN."""
-    verdict, reason = debouncer.update(contact.verdict, contact.reason, contact.stamp_ns)
-    if verdict is contact.verdict:
+    own = contact.verdict
+    verdict, reason = debouncer.update(own, contact.reason, contact.stamp_ns)
+    if verdict is own:
         return contact
-    if verdict is Verdict.UNKNOWN:
+    if verdict is UNKNOWN:
         return contact._replace(verdict=verdict, reason=reason, allowable_speed=0.0, margin=-contact.speed)
     return contact._replace(verdict=verdict, reason=reason)
 

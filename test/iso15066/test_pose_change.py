@@ -49,6 +49,24 @@ class Motion:
         return mobility, self.velocity + faster * t * self.accelerations[0]
 
 
+@given(SEEDS, st.sampled_from([1, 2]))
+def test_change_of_a_point_that_moves_in_fewer_dimensions_is_exact(seed: int, rank: int) -> None:
+    """Against a clamped body part, where in three dimensions the mobility across would be rounding alone."""
+    rng = np.random.default_rng(seed)
+    basis = np.linalg.qr(rng.normal(size=(3, 3)))[0][:, :rank]
+    mobility = basis @ np.diag(10.0 ** rng.uniform(-1.5, 1.0, rank)) @ basis.T
+    velocity = basis @ rng.normal(size=rank)
+    speed = float(np.linalg.norm(velocity))
+    accelerations = tuple(vector(a) for a in rng.normal(size=(2, 3)))
+    change = PoseChange(vector(velocity / speed), speed, mobility.tolist(), np.eye(3).tolist(), accelerations, rank)
+    w = np.linalg.pinv(mobility) @ velocity / speed
+    np.testing.assert_allclose(change.worst_normal(0.0), w / np.linalg.norm(w), atol=1e-7)
+    along = w @ velocity / speed
+    expected = 2.0 * max(0.0, *(np.array(accelerations) @ w)) / speed / along
+    np.testing.assert_allclose(change.growth(0.0, 1.0), expected, rtol=1e-6)
+    assert change.max_growth(0.0) >= expected
+
+
 @given(SEEDS, ALPHAS, st.floats(0.1, 2.0))
 def test_growth_is_the_derivative_of_the_worst_force(seed: int, alpha: float, beta: float) -> None:
     motion = Motion(seed)
