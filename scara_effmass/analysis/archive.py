@@ -31,7 +31,6 @@ from scara_effmass.kernel.contact_columns import LABELS, NUMBERS, ContactColumns
 from scara_effmass.safety import Admitted, Monitor, sequence
 from scara_effmass.safety.debounce import HELD
 from scara_effmass.safety.joint_state_validator import NANOSECONDS
-from scara_effmass.settings import VelocitySource
 from scara_effmass.values import NAN, BoolArray, FloatArray, JointState, Verdict
 
 MIN_MANY, MAX_SINGLES = 16, 64
@@ -44,8 +43,6 @@ def slow_reason(monitor: Monitor, velocities: RecordedVelocities | None) -> str:
     settings = monitor.settings
     slow = {
         "latch": settings.latch,
-        "velocity_source from_positions": settings.velocity_source is VelocitySource.FROM_POSITIONS,
-        "velocity_window": settings.velocity_window > 0.0,
         "--velocity-bag": velocities is not None,
         "payload_topic": bool(settings.payload_topic),
     }
@@ -71,7 +68,8 @@ class _Batch:
         self.texts: list[str] = []
         self._sources: list[_Source] = []
         self.log_time_ns, self.stamp_ns, self.stale = (np.full(BATCH, sequence.NO_REASON) for _ in range(3))
-        self.age, self.valid, self.cleared = np.zeros(BATCH), np.ones(BATCH, np.bool_), np.zeros(BATCH, np.bool_)
+        self.age, self.delay = np.zeros(BATCH), np.zeros(BATCH)
+        self.valid, self.cleared = np.ones(BATCH, np.bool_), np.zeros(BATCH, np.bool_)
         self.q, self.qd, self.tolerance = (np.zeros((BATCH, joints)) for _ in range(3))
 
     def add(self, block: JointStateBlock | None, block_row: int, count: int = 1) -> slice:
@@ -104,10 +102,10 @@ class _Batch:
 
     def add_admitted(self, block: JointStateBlock | None, block_row: int, log_time_ns: int, admitted: Admitted) -> None:
         """Add one joint state, None in `block` for a message that cannot be decoded."""
-        (motion, reason, stamp_ns, age, _), row = admitted, self.add(block, block_row).start
+        (motion, reason, stamp_ns, age, delay), row = admitted, self.add(block, block_row).start
         self.log_time_ns[row], self.stamp_ns[row], self.age[row], self.valid[row] = log_time_ns, stamp_ns, age, False
         if motion is not None:
-            self.valid[row] = True
+            self.valid[row], self.delay[row] = True, delay
             self.q[row], self.qd[row], self.tolerance[row] = motion
         if reason:
             self.stale[row] = text_code(len(self.texts))
@@ -175,13 +173,17 @@ def _admitted(bag: Bag, topic: str, monitor: Monitor, skew: ClockSkew, time: Tim
 
 
 class _Admission:
-    """Fills batches with joint states; those that may be doubtful are judged by `Monitor.admit`, one by one."""
+    """Fills batches with joint states; `Monitor.admit` judges, one by one, those that may be doubtful.
+
+    It does so with all of them if their velocities are filtered or computed from positions.
+    """
 
     def __init__(self, monitor: Monitor) -> None:
         self._monitor = monitor
         self._joints = len(monitor.dynamics.robot.joint_names)
         self.batch = _Batch(self._joints)
         self._singles = self._next_singles = 1
+        self._filters = monitor.settings.filters_velocity
 
     def refuse(self, log_time_ns: int, reason: str) -> Iterator[_Batch]:
         """Add a message that cannot be decoded; yield a full batch."""
@@ -192,7 +194,8 @@ class _Admission:
     def admit(self, block: JointStateBlock, stamps: IntArray, clocks: IntArray) -> Iterator[_Batch]:
         """Add the joint states of `block` with these stamps and receive times; yield full batches."""
         names, order, row = self._monitor.names_of(block.names), None, 0
-        if len(block) >= MIN_MANY and block.position.shape[1] == block.velocity.shape[1] == len(names):
+        is_whole = block.position.shape[1] == block.velocity.shape[1] == len(names)
+        if is_whole and len(block) >= MIN_MANY and not self._filters:
             order = self._monitor.validator.joint_order(names)
         q, qd = (values[:, () if order is None else order] for values in (block.position, block.velocity))
         while row < len(block):
@@ -294,7 +297,7 @@ def _finished(
         log_time_ns=batch.log_time_ns[rows],
         stamp_ns=batch.stamp_ns[rows],
         input_age=batch.age[rows],
-        velocity_delay=np.zeros(batch.count),
+        velocity_delay=batch.delay[rows],
         refused=~batch.valid[rows],
         contacts=contacts,
         reasons=reasons,

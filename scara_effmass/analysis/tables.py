@@ -139,8 +139,7 @@ def open_table(
         writer = parquet.ParquetWriter(
             file,
             schema,
-            compression="zstd",
-            compression_level=-7,
+            compression="snappy",
             use_dictionary=texts,
             write_statistics=bounds,
             store_schema=False,

@@ -292,6 +292,11 @@ class MonitorSettings(FrozenSettings):
         return text
 
     @property
+    def filters_velocity(self) -> bool:
+        """Whether velocities are computed from positions or filtered, and depend on earlier joint states."""
+        return self.velocity_source is VelocitySource.FROM_POSITIONS or self.velocity_window > 0.0
+
+    @property
     def fixed_normal(self) -> Vector3 | None:
         """Unit vector of a fixed contact normal in `contact_normal_frame`, or None."""
         return unit_vector(self.contact_normal)

@@ -63,13 +63,20 @@ def compare(path: Path, dynamics: RobotDynamics, time: Time = Time.LIVE, **chang
     return states
 
 
-@settings(max_examples=12)
+@settings(max_examples=16)
 @given(
     st.lists(st.tuples(st.sampled_from(FAULTS), st.integers(0, 400)), max_size=6),
     st.integers(0, 1000),
     st.sampled_from(Time),
     st.sampled_from(
-        [{}, {"release_time": 0.0}, {"release_time": 0.02, "timeout": 0.05}, {"joint_map": ("o_(.*)=\\1",)}]
+        [
+            {},
+            {"release_time": 0.0},
+            {"release_time": 0.02, "timeout": 0.05},
+            {"joint_map": ("o_(.*)=\\1",)},
+            {"velocity_source": "from_positions", "velocity_window": 0.02},
+            {"velocity_window": 0.01},
+        ]
     ),
 )
 def test_every_joint_state_is_assessed_as_by_a_monitor(
@@ -139,7 +146,7 @@ def test_a_difference_is_named_with_its_joint_state() -> None:
 
 @pytest.mark.parametrize(
     ("changes", "reason"),
-    [({"latch": True}, "latch"), ({"velocity_source": "from_positions"}, "from_positions"), ({}, "")],
+    [({"latch": True}, "latch"), ({"payload_topic": "payload"}, "payload_topic"), ({}, "")],
 )
 def test_settings_that_need_one_by_one_are_named(changes: dict[str, Any], reason: str) -> None:
     assert reason in slow_reason(Monitor(SCARA, MonitorSettings(**changes)), None)
