@@ -134,7 +134,10 @@ def _monitors() -> list[tuple[Monitor, tuple[str, ...]]]:
     for file, values in choices.items():
         settings = MonitorSettings(release_time=0.0, **values)
         robot = load_robot(share("config", "robots", file) if file else None, settings)
-        monitors.append((Monitor(RobotDynamics(robot), settings), tuple(robot.joint_names)))
+        monitor = Monitor(RobotDynamics(robot), settings)
+        if why_not := monitor.assessor.load_kernel():
+            show(f"{robot.name} without the kernel: {why_not}")
+        monitors.append((monitor, tuple(robot.joint_names)))
     return monitors
 
 
@@ -177,6 +180,7 @@ def core(count: int, seed: int) -> list[str]:
         texts = _sequence(monitor, joints, (1_700_000_000 + number) * NS, rng, counts)
         findings += [f"core, sequence {number}: {text}" for text in texts]
     findings += _growth("core", before_mb, resident_mb(os.getpid()))
+    findings += [f"core: {monitor.kernel_fault}" for monitor, _ in monitors if monitor.kernel_fault]
     show(f"core: {count} sequences of 1 to {MAX_LENGTH}: {dict(counts)}, {len(findings)} findings")
     return findings
 
@@ -337,7 +341,7 @@ def _read_all(path: Path) -> None:
         bag.close()
 
 
-def _parsers(folder: Path) -> dict[str, tuple[str, bytes, Callable[[Path], object]]]:
+def parsers(folder: Path) -> dict[str, tuple[str, bytes, Callable[[Path], object]]]:
     """Return for each parser the name of its file, a valid content and the call."""
     mapping = folder / "map.yaml"
     mapping.write_text("time: t\njoints:\n  joint1: {position: q1, velocity: v1}\n", encoding="utf-8")
@@ -450,7 +454,7 @@ def files(count: int, seed: int) -> list[str]:
 
     signal.signal(signal.SIGALRM, too_long)
     with TemporaryDirectory() as name:
-        for parser, (file, content, read) in _parsers(Path(name)).items():
+        for parser, (file, content, read) in parsers(Path(name)).items():
             rng, refused, kinds = random.Random(f"{seed} {parser}"), 0, set[str]()
             path, before_mb = Path(name, f"x{file}"), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
             for case in range(count):

@@ -114,7 +114,8 @@ def _motion(period_s: float) -> list[tuple[array[float], array[float]]]:
 
 
 def _run(command: list[str], rate_hz: float) -> Run:
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)  # noqa: S603  a fixed command
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(command, **quiet)  # noqa: S603 - a fixed command
     rclpy.init()
     sender = Sender(rate_hz)
     executor = EventsExecutor()

@@ -6,8 +6,6 @@ from __future__ import annotations
 import os
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_DOMAIN_ID", "71")
@@ -23,11 +21,11 @@ import bags
 
 
 def main() -> None:
-    """Run every benchmark and print the table."""
-    table = Table("what", "ours", "compared with", "theirs", "ratio", "goal", title="scara_effmass benchmarks")
+    """Run every benchmark and print each row when it is measured: all take 10 minutes."""
+    show("what", "ours", "compared with", "theirs", "ratio", "goal")
 
     def row(what: str, ours: float, against: str, theirs: float, unit: str, goal: str) -> None:
-        table.add_row(what, f"{ours:,.1f} {unit}", against, f"{theirs:,.1f} {unit}", f"{ours / theirs:.2f}", goal)
+        show(what, f"{ours:,.1f} {unit}", against, f"{theirs:,.1f} {unit}", f"{ours / theirs:.2f}", goal)
 
     pinocchio = "CRBA + J + solve, one mass"
     row(f"core, one cycle ({core.kind()})", *_around(pinocchio, core.measure()), "us", "<= 1.2")
@@ -63,18 +61,22 @@ def main() -> None:
     row("resident memory", a, "bare node", b, "MB", "<= 1.6")
     lost, bare_lost = (sum(run.sent - run.answered for run in side) for side in (monitor, bare))
     sent = sum(run.sent for run in monitor)
-    table.add_row("joint states lost", f"{lost} of {sent}", "bare node", str(bare_lost), "", "0")
+    show("joint states lost", f"{lost} of {sent}", "bare node", str(bare_lost), "", "0")
     for rate, (node, loop) in daq.measure().items():
         what = f"{daq.CHANNELS} force channels at {rate / 1e3:g} kS/s"
         row(f"CPU, {what}", 100.0 * node.cpu, "bare loop", 100.0 * loop.cpu, "%", "<= 2")
         row(f"memory after a minute, {what}", node.memory_after_mb, "before", node.memory_before_mb, "MB", "1.0")
-        table.add_row(f"samples lost, {what}", f"{node.lost} of {node.samples}", "bare loop", str(loop.lost), "", "0")
+        show(f"samples lost, {what}", f"{node.lost} of {node.samples}", "bare loop", str(loop.lost), "", "0")
     row("recorder, joint states", *_around("mcap's writer", recorder.measure()), "1/s", "")
     run = recorder.measure_live()
     lost = run.sent - run.recorded
-    table.add_row("recorder, live: lost", f"{lost} of {run.sent}", "", "", "", "0")
-    table.add_row("recorder, live: CPU", f"{100.0 * run.cpu:.1f} %", "a core", "100 %", f"{run.cpu:.2f}", "<= 0.5")
-    Console(width=140).print(table)
+    show("recorder, live: lost", f"{lost} of {run.sent}", "", "", "", "0")
+    show("recorder, live: CPU", f"{100.0 * run.cpu:.1f} %", "a core", "100 %", f"{run.cpu:.2f}", "<= 0.5")
+
+
+def show(what: str, ours: str, against: str, theirs: str, ratio: str, goal: str) -> None:
+    """Print one row of the table."""
+    print(f"{what:<56} {ours:>14}  {against:<27} {theirs:>13} {ratio:>6}  {goal}", flush=True)  # noqa: T201
 
 
 def _around(against: str, pair: tuple[float, float]) -> tuple[float, str, float]:
