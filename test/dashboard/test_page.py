@@ -164,7 +164,7 @@ def test_the_page_shows_what_holds_and_never_an_old_ok(monitor: NodeHarness, bro
         assert "\r\nVIOLATION," in table
 
         page.set_viewport_size({"width": 390, "height": 844})
-        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        page.wait_for_function("document.documentElement.scrollWidth == 390")  # the plots follow their observers
 
         process.kill()
         expect_verdict(page, "UNKNOWN", 5e3)

@@ -357,12 +357,13 @@ class TestTime:
 
         harness.node.create_timer(1 / 40, tick)
         harness.node.create_timer(1 / 250, lambda: harness.send(joint_state()))
-        harness.spin_until(lambda: len(harness.contact_states) > 500)  # the step of the clock is known by then
-        harness.spin_until(lambda: harness.contact_states[-1].verdict == ContactState.OK)
-        harness.contact_states.clear()
-        harness.spin_until(lambda: len(harness.contact_states) > 250)
-        verdicts = [contact.verdict for contact in harness.contact_states]
-        assert verdicts.count(ContactState.OK) > 0.9 * len(verdicts), {c.reason for c in harness.contact_states}
+
+        def verdicts() -> list[int]:
+            return [contact.verdict for contact in harness.contact_states[-250:]]
+
+        # A second in which the sender was not held up by a busy machine. Without the tolerance for the step of the
+        # clock there never is an OK.
+        harness.spin_until(lambda: len(verdicts()) == 250 and verdicts().count(ContactState.OK) > 0.9 * 250)
 
     def test_without_a_clock_every_stamp_lies_in_the_future(self, new_harness: Callable[..., NodeHarness]) -> None:
         harness = new_harness("--ros-args", "-p", "use_sim_time:=true")
