@@ -12,6 +12,11 @@ import yaml
 
 from scara_effmass.errors import EffmassError
 
+try:  # ten times as fast, where PyYAML was built with libyaml
+    from yaml import CSafeLoader as SafeLoader
+except ImportError:
+    from yaml import SafeLoader  # type: ignore[assignment]
+
 MAX_TEXT_BYTES = 5_000_000
 MAX_YAML_BYTES = 500_000
 _MAX_YAML_DEPTH, _MAX_YAML_VALUES = 20, 20_000
@@ -44,6 +49,7 @@ def read_yaml(path: Path, error: type[EffmassError]) -> Any:  # noqa: ANN401 - w
     """Return the content of the YAML file at `path`, numbers and text read as ROS reads them. Raises `error`."""
     text = read_text(path, error, MAX_YAML_BYTES)
     try:
+        _check_size(text)
         return yaml.load(text, _Loader)  # noqa: S506 - derived from SafeLoader
     except yaml.MarkedYAMLError as problem:
         mark = problem.problem_mark or problem.context_mark
@@ -53,34 +59,34 @@ def read_yaml(path: Path, error: type[EffmassError]) -> Any:  # noqa: ANN401 - w
         raise error(f"{path}: not YAML: {' '.join(str(problem).split())}") from None
 
 
-class _Loader(yaml.SafeLoader):
-    """Bounds depth and size, aliases written out; refuses keys stated twice and values that are not of their tag."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self._depth = self._values = self._open_anchors = 0
-        self._sizes: dict[str | None, int] = {}
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        event = self.peek_event()  # type: ignore[no-untyped-call]
-        is_alias, anchor, before = isinstance(event, yaml.AliasEvent), getattr(event, "anchor", None), self._values
-        self._depth += 1
-        self._values += self._sizes.get(anchor, 1) if is_alias else 1
+def _check_size(text: str) -> None:
+    """Raise MarkedYAMLError beyond the bounds of depth and size, aliases written out."""
+    values = 0
+    sizes: dict[str | None, int] = {}
+    open_nodes: list[tuple[str | None, int]] = []  # anchor, and the values before it
+    for event in yaml.parse(text, SafeLoader):
+        if isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = open_nodes.pop()
+            if anchor is not None:
+                sizes[anchor] = values - before
+        if not isinstance(event, yaml.NodeEvent):
+            continue
+        is_alias = isinstance(event, yaml.AliasEvent)
+        if isinstance(event, yaml.CollectionStartEvent):
+            open_nodes.append((event.anchor, values))
+        values += sizes.get(event.anchor, 1) if is_alias else 1
+        depth = len(open_nodes) + (not isinstance(event, yaml.CollectionStartEvent))
         for is_wrong, rule in (
-            (self._depth > _MAX_YAML_DEPTH, f"must nest at most {_MAX_YAML_DEPTH} levels"),
-            (self._values > _MAX_YAML_VALUES, f"must hold at most {_MAX_YAML_VALUES} values, aliases written out"),
-            (is_alias and self._open_anchors, "must not use an alias inside of an anchored value"),
+            (depth > _MAX_YAML_DEPTH, f"must nest at most {_MAX_YAML_DEPTH} levels"),
+            (values > _MAX_YAML_VALUES, f"must hold at most {_MAX_YAML_VALUES} values, aliases written out"),
+            (is_alias and any(anchor for anchor, _ in open_nodes), "must not use an alias inside of an anchored value"),
         ):
             if is_wrong:
-                raise yaml.MarkedYAMLError(problem=rule, problem_mark=event.start_mark)
-        is_anchored = anchor is not None and not is_alias
-        self._open_anchors += is_anchored
-        node = super().compose_node(parent, index)
-        self._open_anchors -= is_anchored
-        self._depth -= 1
-        if is_anchored:
-            self._sizes[anchor] = self._values - before
-        return node
+                raise yaml.MarkedYAMLError(problem=rule, problem_mark=event.start_mark)  # type: ignore[arg-type]
+
+
+class _Loader(SafeLoader):
+    """Refuses keys stated twice and values that are not of their tag."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:  # noqa: ANN401, FBT001, FBT002
         keys: set[str] = set()
@@ -117,7 +123,7 @@ _Loader.add_implicit_resolver(
 def read_table(module: str, name: str) -> Any:  # noqa: ANN401 - what the file holds
     """Return the content of the YAML file `name` of this package, beside the file `module`."""
     with Path(module).with_name(name).open(encoding="utf-8") as stream:
-        return yaml.load(stream, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # noqa: S506 - both are safe
+        return yaml.load(stream, SafeLoader)
 
 
 def digest(path: Path, error: type[EffmassError]) -> str:

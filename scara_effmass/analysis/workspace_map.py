@@ -219,7 +219,9 @@ class Cells:
                 table[tuple((self._corners - first).T)] = values
                 is_speed = label.endswith("[m/s]")
                 top = np.nanpercentile(values, 100.0 if is_speed else COLOUR_PERCENTILE)
-                mesh = axes.pcolormesh(*edges, table.T, cmap="cividis_r" if is_speed else "cividis", vmax=top)
+                mesh = axes.pcolormesh(
+                    *edges, table.T, cmap="cividis_r" if is_speed else "cividis", vmax=top, rasterized=True
+                )
                 bar = figure.colorbar(mesh, ax=axes, label=label, extend="neither" if is_speed else "max")
                 axes.plot(0.0, 0.0, "+", color=ISO_RED, markersize=10.0)
                 axes.set(xlabel=x, ylabel=y, aspect="equal")

@@ -90,7 +90,7 @@ class Bag(ABC):
     @cached_property
     def types(self) -> Typestore:
         """The message types: those that the bag defines, otherwise the known ones."""
-        return types_of(self._definitions, ros1=self._is_ros1)
+        return types_of(frozenset(self._definitions.items()), ros1=self._is_ros1)
 
     def messages(
         self, topics: Collection[str] | None = None, start_ns: int = 0, stop_ns: int = MAX_TIME_NS

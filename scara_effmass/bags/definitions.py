@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Message definitions: of a bag, of live publishers, of this package and of ROS 2 Jazzy."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Nodetype
@@ -38,17 +38,18 @@ def known_types() -> Typestore:
     return store
 
 
-def types_of(definitions: Mapping[str, MessageDefinition], *, ros1: bool = False) -> Typestore:
-    """Return the types in `definitions`, completed by the known ones.
+@lru_cache
+def types_of(definitions: frozenset[tuple[str, MessageDefinition]], *, ros1: bool = False) -> Typestore:
+    """Return the types in `definitions`, (type, definition) each, completed by the known ones.
 
     Invalid definitions are skipped, so that other topics stay readable. With `ros1`, the header is that of ROS 2, to
     which ROS 1 messages are converted.
     """
     store = Typestore()
     # Typestore keeps the first definition of a type: the one that comes with the joint states.
-    for name in sorted(definitions, key=lambda name: name != JOINT_STATE):
+    for name, definition in sorted(definitions, key=lambda item: (item[0] != JOINT_STATE, item[0])):
         with suppress(Exception):
-            embedded = _parse(name, definitions[name])
+            embedded = _parse(name, definition)
             if ros1:
                 embedded.pop(HEADER, None)
             store.register(embedded)

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from functools import cache
 from importlib import import_module
 from types import FrameType
 from typing import NoReturn
@@ -72,6 +73,7 @@ def _split(argv: list[str]) -> tuple[list[str], list[str]]:
     return list(argv[:start]), ros_arguments
 
 
+@cache
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
     parser = _Parser(

@@ -46,6 +46,11 @@ class Frame:
         self.subsamples = self.samples[:: -(-self.samples.size // _MAX_SUBSAMPLES) or 1]
         self.low, self.high = float(self.samples.min(initial=math.inf)), float(self.samples.max(initial=-math.inf))
 
+    @cached_property
+    def median_and_deviation(self) -> tuple[float, float]:
+        """Median and robust standard deviation of the subsamples."""
+        return median_and_deviation(self.subsamples)
+
 
 def median_and_deviation(samples: FloatArray) -> tuple[float, float]:
     """Return median and robust standard deviation of `samples` (n,); zero where more than half are equal."""
@@ -142,7 +147,7 @@ class Baseline:
 
         The tolerance follows from the noise within frames, so a ramp is not steady.
         """
-        centres, deviations = np.array([median_and_deviation(frame.subsamples) for frame in frames]).T
+        centres, deviations = np.array([frame.median_and_deviation for frame in frames]).T
         tolerance = max(self._settings.threshold, 3.0 * float(np.median(deviations)))
         return bool(np.mean(np.abs(centres - np.median(centres)) <= tolerance) >= share)
 

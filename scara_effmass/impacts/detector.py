@@ -215,7 +215,7 @@ class Detector:
 
     def _is_moving_load(self, recent: Iterable[Frame]) -> bool:
         """Return whether `recent` are above the lost baseline and have not been within a threshold for `longest`."""
-        levels, recent_levels = ([np.median(f.subsamples) for f in frames] for frames in (self._candidates, recent))
+        levels, recent_levels = ([f.median_and_deviation[0] for f in frames] for frames in (self._candidates, recent))
         is_load = not self._first_search and np.median(recent_levels) > self._baseline.force + self._baseline.threshold
         return bool(is_load and (len(levels) < self._load_frames or np.ptp(levels) > self._baseline.threshold))
 

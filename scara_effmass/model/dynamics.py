@@ -365,9 +365,8 @@ class RobotDynamics:
 
     def _rank(self, name: str, frame: int) -> int:
         """Return in how many dimensions the contact point can move outside singular poses."""
-        values = np.array(
-            [np.linalg.svd(self.jacobian(q, frame), compute_uv=False) for q in self.robot.sample_configurations()]
-        )
+        jacobians = [self.jacobian(q, frame) for q in self.robot.sample_configurations()]
+        values = np.linalg.svd(np.array(jacobians), compute_uv=False)
         rank = int(np.sum(values > max(RANK_TOLERANCE * values.max(), MIN_LEVER_M), axis=1).max())
         if rank == 0:
             raise RobotError(

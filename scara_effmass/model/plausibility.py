@@ -45,7 +45,7 @@ class Plausibility(NamedTuple):
 def judge(robot: Robot) -> Plausibility:
     """Judge `robot` over its joint ranges; only the notes depend on the payload of the settings."""
     model, data = robot.model, robot.model.createData()
-    reach, gravity, ratios = 0.0, np.zeros(model.nv), []
+    reach, gravity, matrices, jacobians = 0.0, np.zeros(model.nv), [], []
     for q in robot.sample_configurations():
         pin.framesForwardKinematics(model, data, q)
         base = data.oMi[1].translation
@@ -55,12 +55,16 @@ def judge(robot: Robot) -> Plausibility:
         if not robot.inertias_reason:
             frame = next(iter(robot.contact_frames.values()))
             jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3].reshape(3, -1)
-            matrix = robot.mass_matrix(model, data, q)
-            ratios.append(3.0 / max(np.trace(jacobian @ np.linalg.pinv(matrix) @ jacobian.T), 1e-12))
+            jacobians.append(jacobian)
+            matrices.append(robot.mass_matrix(model, data, q))
     wrong = list(_wrong(robot, reach))
-    return Plausibility(
-        reach, "; ".join(wrong), () if wrong else (*_doubts(robot, reach, ratios), *_joint_doubts(robot, gravity))
-    )
+    if wrong:
+        return Plausibility(reach, "; ".join(wrong), ())
+    mass = math.nan
+    if matrices:
+        mobility = np.array(jacobians) @ np.linalg.pinv(np.array(matrices)) @ np.array(jacobians).swapaxes(1, 2)
+        mass = float(np.median(3.0 / np.trace(mobility, axis1=1, axis2=2).clip(1e-12)))
+    return Plausibility(reach, "", (*_doubts(robot, reach, mass), *_joint_doubts(robot, gravity)))
 
 
 def _wrong(robot: Robot, reach: float) -> Iterator[str]:
@@ -89,8 +93,11 @@ def _wrong(robot: Robot, reach: float) -> Iterator[str]:
         yield f"{name} has a range of {width:.4g} rad: must be in radians, not in degrees"
 
 
-def _doubts(robot: Robot, reach: float, ratios: list[float]) -> Iterator[str]:
-    """Yield lengths, masses and inertias that may be correct, and are worth a look."""
+def _doubts(robot: Robot, reach: float, mass: float) -> Iterator[str]:
+    """Yield lengths, masses and inertias that may be correct, and are worth a look.
+
+    `mass` [kg] is the typical effective mass, NaN if the inertias are unknown.
+    """
     link, length = _longest_link(robot)
     if length > LONG_LINK_M or reach < MIN_REACH_M:
         yield f"check the lengths: reach {reach:.3g} m, {link} is {length:.3g} m long"
@@ -103,8 +110,8 @@ def _doubts(robot: Robot, reach: float, ratios: list[float]) -> Iterator[str]:
     radius = max((radius for _, _, _, radius in _bodies(robot)), default=0.0)
     if not robot.inertias_reason and not 0.03 * reach <= radius <= 3.0 * reach:
         yield f"check the inertias: the largest radius of gyration is {radius:.3g} m at a reach of {reach:.3g} m"
-    ratio = float(np.median(ratios)) / (robot.moving_mass + robot.payload_mass) if ratios else 1.0
-    if not 1e-3 < ratio < 3.0:
+    ratio = mass / (robot.moving_mass + robot.payload_mass)
+    if ratio <= 1e-3 or ratio >= 3.0:
         yield f"check masses and inertias: the effective mass is typically {ratio:.2g} of the moving mass"
     if robot.payload_mass > 3.0 * robot.moving_mass:
         yield f"check the payload: {robot.payload_mass:.4g} kg on {robot.moving_mass:.3g} kg moving mass"

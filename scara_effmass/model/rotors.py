@@ -8,7 +8,8 @@ velocities of the motors per joint velocity.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import yaml
@@ -23,14 +24,15 @@ _MAX_INERTIA = 1e6
 """Largest inertia that is not a typing error."""
 
 
-class RotorInertia(NamedTuple):
+@dataclass(frozen=True)
+class RotorInertia:
     """The matrix B (n, n) [kg m2, kg for a sliding joint], the joints without a statement, and notes on the sources."""
 
     matrix: FloatArray
     unstated: tuple[str, ...]
     notes: tuple[str, ...]
 
-    @property
+    @cached_property
     def coupling(self) -> FloatArray:
         """The off-diagonal terms (n, n) of the matrix."""
         return self.matrix - np.diag(np.diag(self.matrix))

@@ -4,6 +4,7 @@
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -88,7 +89,7 @@ def _rotors(tree: UrdfTree, joints: Sequence[str], entries: Sequence[str]) -> Ro
         for reason in dict.fromkeys(reasons.values())
         if (names := [name for name in rotors.unstated if reasons.get(name) == reason])
     ]
-    return rotors._replace(notes=(*rotors.notes, *notes))
+    return replace(rotors, notes=(*rotors.notes, *notes))
 
 
 def _reduced_model(tree: UrdfTree, fixed: set[str]) -> pin.Model:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
@@ -66,6 +67,7 @@ def is_equal(left: object, right: object) -> bool:
     )
 
 
+@cache
 def columns_of(field: str) -> list[str]:
     """Return the columns of a table that hold a field of the assessment."""
     if field in {"direction", "test_direction"}:
