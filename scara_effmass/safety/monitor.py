@@ -149,7 +149,6 @@ class Monitor:
 
     def clear_history(self) -> None:
         """Discard earlier joint states: the node's clock jumped back, and the stamps follow."""
-        self._adapter.reset()
         self.validator.reset()
         for debouncer in self._debouncers.values():
             debouncer.clear()

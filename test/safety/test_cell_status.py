@@ -184,6 +184,16 @@ def test_an_impact_gets_rebounds_force_and_validation() -> None:
     assert status.simulated == ["force"]
 
 
+@pytest.mark.parametrize(("wait_ns", "is_shown"), [(2 * S - 1, True), (2 * S, False)])
+def test_the_force_of_an_impact_is_awaited_for_2_s(wait_ns: int, is_shown: bool) -> None:  # noqa: FBT001
+    status = ok_cell()
+    status.take_impact(impact(), S)
+    status.update(S)
+    status.take_force(ForceBlock(9_900 * MS, "", 0, 12_800.0, np.ones(12_800), simulated=True))
+    status.update(S + wait_ns)
+    assert bool(len(status.impacts[0].force)) == is_shown
+
+
 def test_a_new_series_of_validations_replaces_the_old_one() -> None:
     status = CellStatus(0)
     for count in (1, 2, 3, 1):

@@ -71,6 +71,8 @@ class Feed:
         ((10**9, 25, 25), 45, ""),
         ((10**9, 25, 25), 46, "the header stamp is 0.046 s in the future"),
         ((100, 100), 120, ""),
+        ((100, 100, *[1] * 8), 120, ""),
+        ((100, 100, *[1] * 9), 22, "the header stamp is 0.022 s in the future"),  # steps of the past
         (
             (150, 150),
             121,
@@ -133,6 +135,18 @@ def test_invalid_joint_state_gives_unknown_and_the_next_valid_one_does_not(
     assert (feed.decision.allowable_speed, feed.decision.speed_scaling) == (0.0, 0.0)
     assert feed() == (Verdict.OK, "")
     assert feed.monitor.rejected == 1
+
+
+def test_old_joint_state_gives_unknown_even_if_it_is_newer_than_the_last(scara: RobotDynamics) -> None:
+    monitor = make_monitor(scara)
+    for stamp_ns, now_ns, expected in (
+        (NOW, NOW, (Verdict.OK, "")),
+        (NOW + MS, NOW + 201 * MS, (Verdict.OK, "")),
+        (NOW + 2 * MS, NOW + 202 * MS + 1, (Verdict.UNKNOWN, "the joint state is 0.200 s old")),
+    ):
+        decision = monitor.assess(state(stamp_ns), now_ns)
+        assert decision is not None
+        assert {(contact.verdict, contact.reason) for contact in decision.contacts} == {expected}
 
 
 @pytest.mark.parametrize(

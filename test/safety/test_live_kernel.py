@@ -16,7 +16,7 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor, contact_assessor
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import Decision, JointState, Payload, Verdict
+from scara_effmass.values import Decision, FloatArray, JointState, Payload, Verdict
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config" / "robots"
 TOLERANCE = 1e-10
@@ -125,6 +125,21 @@ def test_kernel_that_cannot_be_compiled_leaves_the_reference(monkeypatch: pytest
     monitor = new_monitor(kernel=False)
     assert monitor.assessor.load_kernel() == "the kernel cannot be loaded: OSError('the cache is damaged')"
     assert monitor.core.startswith("Pinocchio: the kernel cannot be loaded")
+
+
+@pytest.mark.parametrize("field", ["remark", "criterion"])
+def test_kernel_with_a_wrong_text_is_not_used(monkeypatch: pytest.MonkeyPatch, field: str) -> None:
+    correct = ContactKernel.columns
+
+    def wrong(kernel: ContactKernel, *states: FloatArray) -> FloatArray:
+        columns = correct(kernel, *states)
+        of_field = columns[OFFSETS[field]]
+        of_field[of_field > 0.0] = 3.0 - of_field[of_field > 0.0]
+        return columns
+
+    monkeypatch.setattr(ContactKernel, "columns", wrong)
+    monitor = new_monitor(kernel=False, body_regions=("chest",))
+    assert monitor.assessor.load_kernel() == "the compiled kernel disagrees with Pinocchio in what limits the speed"
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from scara_effmass.errors import RobotError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety import Monitor, unknown_contact, unknown_decision
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.values import Decision, JointState, Verdict
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
@@ -224,6 +225,25 @@ def test_clock_counts_as_set_back_beyond_the_future_tolerance(
     send(monitor, 0)
     back_ns = round(monitor.settings.future_tolerance * 1e9) + beyond_ns
     assert verdict(send(monitor, -back_ns / MS)) is expected
+
+
+def test_payload_that_cannot_be_is_refused_before_anything_changes(scara: RobotDynamics) -> None:
+    monitor = make_monitor(scara)
+    changed = monitor.settings.model_copy(
+        update={"payload_mass": 1.0, "payload_inertia": (1.0, 1.0, 5.0, 0.0, 0.0, 0.0)}
+    )
+    for take in (monitor.check, monitor.apply):
+        with pytest.raises(RobotError, match="payload_inertia"):
+            take(changed)
+    assert monitor.settings.payload_mass == 0.0
+    assert verdict(send(monitor, 0)) is Verdict.OK
+
+
+def test_changed_velocity_source_applies(scara: RobotDynamics) -> None:
+    monitor = make_monitor(scara)
+    monitor.apply(monitor.settings.model_copy(update={"velocity_source": VelocitySource.FROM_POSITIONS}))
+    verdicts = [verdict(send(monitor, at, 50.0, q1=0.3 + 5e-5 * at)) for at in range(0, 200, 10)]
+    assert verdicts[-5:] == [Verdict.OK] * 5
 
 
 def test_verdicts_are_counted(scara: RobotDynamics) -> None:

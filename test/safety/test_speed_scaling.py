@@ -107,6 +107,18 @@ def test_old_state_stops() -> None:
     assert scaler.reason == "tool: the state is 0.201 s old"
 
 
+def test_state_counts_with_the_factor_in_force_when_it_was_measured() -> None:
+    scaler, now_ns = released(rise_rate=1000.0)
+    scaler.take(state(1.0, 0.5), now_ns)
+    assert scaler.factor(now_ns) == 0.5
+    now_ns += PERIOD_NS
+    scaler.take(state(0.5, 0.4), now_ns, PERIOD_NS + 1)  # before the factor fell
+    assert math.isclose(scaler.factor(now_ns), 0.8, rel_tol=1e-12)
+    now_ns += PERIOD_NS
+    scaler.take(state(0.5, 0.3), now_ns, PERIOD_NS)  # from when on the factor of 0.8 was in force
+    assert math.isclose(scaler.factor(now_ns), 0.48, rel_tol=1e-12)
+
+
 @settings(max_examples=20)
 @given(st.floats(0.02, 1.0), st.floats(0.1, 1.0), st.integers(0, 5), st.integers(0, 5), st.floats(10.0, 100.0))
 def test_closed_loop_reaches_a_constant_limit_monotonically(
