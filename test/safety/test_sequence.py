@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -12,7 +14,7 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.debounce import HELD, VerdictDebouncer
 from scara_effmass.safety.joint_state_validator import ComparedMotion, JointStateValidator, Motion
-from scara_effmass.safety.sequence import NO_REASON, agreeing_states, debounce
+from scara_effmass.safety.sequence import NO_REASON, IntArray, agreeing_states, debounce
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray, JointState, Verdict
 
@@ -22,30 +24,43 @@ START_NS, STEP_NS = 10**15, 8_000_000
 FAULTS = ("repeated", "late", "old", "future", "jump", "wrong velocity", "limit", "speed", "nan", "nan velocity")
 
 
+class Columns(NamedTuple):
+    """Stamps and clocks [ns], positions and velocities of joint states."""
+
+    stamps: IntArray
+    clocks: IntArray
+    q: FloatArray
+    qd: FloatArray
+
+
 def validator(dynamics: RobotDynamics) -> JointStateValidator:
     return Monitor(dynamics, MonitorSettings()).validator
 
 
-def motion(
-    count: int, rate: float, lag: float, scale: float, seed: int
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return stamps, clocks, positions and velocities; these are late by `lag` [s], too large by `scale`, and noisy."""
+def motion(count: int, rate: float, lag: float, scale: float, seed: int) -> Columns:
+    """Return a motion whose velocities are late by `lag` [s], too large by `scale`, and noisy."""
     rng = np.random.default_rng(seed)
     stamps = START_NS + np.cumsum(rng.integers(STEP_NS // 2, 2 * STEP_NS, count))
     phase = rate * np.array([1.0, 1.4, 0.6, 2.1])
     time = (stamps - START_NS)[:, None] / 1e9
     qd = scale * SIZE * phase * np.cos(phase * (time - lag)) + rng.normal(0.0, 1e-3, (count, 4))
-    return stamps, stamps + rng.integers(0, 10**6, count), CENTRE + SIZE * np.sin(phase * time), qd
+    return Columns(stamps, stamps + rng.integers(0, 10**6, count), CENTRE + SIZE * np.sin(phase * time), qd)
 
 
-def joint_state(columns: tuple[FloatArray, ...], row: int) -> tuple[JointState, int]:
+def joint_state(columns: Columns, row: int) -> tuple[JointState, int]:
     """Return the joint state of a row, and the time of the clock."""
     stamps, clocks, q, qd = columns
     return JointState(int(stamps[row]), NAMES, q[row], qd[row]), int(clocks[row])
 
 
-def damage(kind: str, row: int, stamps: FloatArray, clocks: FloatArray, q: FloatArray, qd: FloatArray) -> None:
+def agreeing(validator: JointStateValidator, columns: Columns, row: int) -> FloatArray:
+    """Return the tolerances of the joint states from number `row` on that agree."""
+    return agreeing_states(validator, columns.stamps[row:], columns.clocks[row:], columns.q[row:], columns.qd[row:])
+
+
+def damage(kind: str, row: int, columns: Columns) -> None:
     """Put a fault into the joint state number `row`, or begin one there."""
+    stamps, clocks, q, qd = columns
     if kind == "repeated":
         stamps[row] = stamps[row - 1]
     elif kind == "late":
@@ -80,12 +95,12 @@ def test_joint_states_agree_as_one_by_one(
 ) -> None:
     columns = motion(300, rate, lag, scale, seed)
     for row, kind in faults:
-        damage(kind, row, *columns)
+        damage(kind, row, columns)
     single, many = validator(scara), validator(scara)
     expected = [single.validate(*joint_state(columns, row)) for row in range(300)]
     row, singles = 0, 0
     while row < 300:
-        tolerances = agreeing_states(many, *(column[row:] for column in columns))
+        tolerances = agreeing(many, columns, row)
         for tolerance, motion_ in zip(tolerances, expected[row:], strict=False):
             assert isinstance(motion_, Motion)
             assert motion_.velocity_tolerance == tolerance.tolist()
@@ -101,7 +116,7 @@ def test_joint_states_agree_as_one_by_one(
             row += 1
     memories = single.agreement(), many.agreement()
     assert (memories[0] is None) == (memories[1] is None)
-    for one, other in zip(*((memory or ()) for memory in memories), strict=True):
+    for one, other in zip(*(memory or () for memory in memories), strict=True):
         np.testing.assert_array_equal(one, other)
     if not faults and rate > 1.0 and scale == 1.0 and 0.0 <= lag < 0.05:
         assert singles < 20  # until the velocities are confirmed
@@ -118,7 +133,7 @@ def test_lag_evidence_of_before_counts(scara: RobotDynamics) -> None:
         memory = one.agreement()
         assert isinstance(memory, ComparedMotion)
         one.agree(memory._replace(lag_evidence=np.array(evidence)))
-        tolerances.append(agreeing_states(one, *(column[20:] for column in columns))[0])
+        tolerances.append(agreeing(one, columns, 20)[0])
     assert (tolerances[1] < tolerances[0]).all()
 
 
@@ -193,4 +208,4 @@ def test_nothing_agrees_before_zero_velocities_are_confirmed(scara: RobotDynamic
     one = validator(scara)
     for row in range(count):
         one.validate(*joint_state(columns, row))
-    assert agreeing_states(one, *(column[count:] for column in columns)).shape == (0, 4)
+    assert agreeing(one, columns, count).shape == (0, 4)
