@@ -59,11 +59,10 @@ def test_a_verdict_of_one_message_is_not_missed_and_silence_is_unknown(node: Nod
             send(verdict, speed, reason)
         poll_until(client, lambda s: s.episodes[-1].cause == "close" and s.verdict is Verdict.OK)
         assert max(sample.speed for sample in client.status.speeds) == 0.45
-        client.poll()
-        start_ns = time.monotonic_ns()
         poll_until(client, lambda s: s.verdict is Verdict.UNKNOWN)
-        assert time.monotonic_ns() - start_ns < 1.5e9
-        assert client.status.reason == "the monitor is silent: no contact state for 1.0 s"
+        silence = "the monitor is silent: no contact state for "
+        assert client.status.reason.startswith(silence)
+        assert 1.0 <= float(client.status.reason.removeprefix(silence).removesuffix(" s")) < 5.0
         send(Verdict.OK, 0.1)
         poll_until(client, lambda s: s.verdict is Verdict.OK)
         # What waited while nobody polled is as old as it is.
@@ -132,7 +131,7 @@ def test_a_killed_monitor_is_unknown_within_its_deadline_and_comes_back(
         os.kill(harness.process.pid, signal.SIGKILL)
         start_ns = time.monotonic_ns()
         poll_until(client, lambda s: s.verdict is Verdict.UNKNOWN)
-        assert time.monotonic_ns() - start_ns < 2e9
+        assert time.monotonic_ns() - start_ns < 5e9  # by the deadline: DDS itself gives up after 20 s
         harness.process.communicate()
         harness.start("--ros-args", "-p", "timeout:=0.5")
         poll_until(client, lambda s: s.verdict is Verdict.OK, lambda: harness.send(joint_state()))

@@ -179,7 +179,7 @@ def test_watchdog_speaks_while_a_callback_takes_long(
     slow = joint_state(names=(*JOINTS, "slow"), position=(*Q, 0.0), velocity=(*STILL, 0.0))
     harness.send(slow)
     harness.spin_until(lambda: any(c.reason.startswith("the assessment of") for c in harness.contact_states))
-    assert time.monotonic() - sent_s < 2.0
+    assert time.monotonic() - sent_s < 5.0  # of the 6 s that the assessment takes
     harness.spin_until(lambda: not any(values[-1] for values in harness.scalars.values()))
     # The late answer is no OK either.
     late = harness.spin_until(lambda: [c for c in harness.contact_states if stamp_ns(c) == stamp_ns(slow)])[0]
