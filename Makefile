@@ -52,6 +52,8 @@ lint: setup  ## run ruff and mypy
 coverage: setup  ## measure the branch coverage of each room; ROOM restricts the tests
 	@mkdir -p build
 	SCARA_EFFMASS_SOURCES=1 $(PYTEST) --cov --cov-report= $(addprefix test/,$(ROOM))
+	@# What numba compiles is not measured, so its tests run again as Python.
+	SCARA_EFFMASS_SOURCES=1 NUMBA_DISABLE_JIT=1 $(PYTEST) --cov --cov-append --cov-report= test/safety/test_sequence.py
 	$(BIN)/python scripts/coverage_table.py $(ROOM)
 
 mutants: setup  ## test mutants of the pure rooms; ROOM, N and SEED choose the sample

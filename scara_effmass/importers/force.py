@@ -138,10 +138,10 @@ def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iter
     first = lost = 0
     is_empty = True
     for block in file.blocks:
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):  # damaged files have huge numbers and signalling NaN
             values = block.samples * unit_scale
+            force = values * newton_scale
         valid = np.abs(values) <= MAX_VALUE
-        force = values * newton_scale
         force.flags.writeable = False
         first += block.lost_samples
         lost += block.lost_samples

@@ -71,7 +71,8 @@ def test_channel_without_a_date_has_relative_stamps(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_values_that_are_not_finite_are_lost(tmp_path: Path) -> None:
-    values = np.array([np.nan, 1.0, 1e307, -np.inf, 2.0])
+    signalling = np.uint64(0x7FF0_0000_0000_0001).view(np.float64)
+    values = np.array([np.nan, 1.0, 1e307, -np.inf, 2.0, signalling])
     blocks = imported(write(tmp_path / "run.tdms", {"g/c": (values, TIMING | {"unit_string": "kN"})}))
     assert force_of(blocks) == [1e3, 2e3]
     assert lost_in(blocks) == [(1, 1), (4, 2)]
