@@ -203,7 +203,7 @@ def _lumped_link(robot: Robot, joint: int, *, within_slab: bool) -> LumpedLink:
         "height1": height if parallel else 0.0,
         "height2": height * float(np.sign(axis @ distal)) if parallel else 0.0,
     }
-    if not link.problem or body.mass == 0.0:
+    if not link.problem:
         if link.axes != "coincident" or robot.revolute[joint - 1]:
             return replace(link, problem="")
         # All of it on the distal axis, which slides: M33 = m_l4 + m_l5 of the paper.
@@ -297,7 +297,7 @@ def _crossed_axes(drawn: _DrawnLink) -> LumpedLink:
         elif within_slab and not 0.0 <= kappa2 <= 1.0:
             problem = _outside(kappa2)
         kappa2 = least if problem else kappa2
-    elif fit and total > 0.0 and mass > 0.0:
+    elif fit and total > 0.0:
         # sqrt(kappa1 kappa2) r = second / s distal - first s axis with s^2 = kappa2 / kappa1 = t.
         one, other = mass * first**2 * _unit_inertia(axis), mass * second**2 * _unit_inertia(distal)
         mixed = np.outer(axis, distal) + np.outer(distal, axis)

@@ -126,6 +126,11 @@ def test_contact_points_can_be_selected(omron_rows: dict[str, Any], tmp_path: Pa
             {"link": 5, "at": [0, 0, 0]},
             "file: contact_points.tool: link = 5: must be 1 to 4, or",
         ),
+        (
+            "contact_points.tool",
+            {"link": 0, "at": [0, 0, 0]},
+            "file: contact_points.tool: link = 0: must be 1 to 4, or",
+        ),
         ("contact_points.tool", {"link": "arm", "at": [0, 0, 0]}, "file: contact_points.tool: link = 'arm': must be 1"),
     ],
 )
@@ -185,6 +190,15 @@ def test_single_inertia_satisfies_the_triangle_inequality(
     for link in omron_rows["links"]:
         link["inertia"] *= scale
     assert "cannot belong" not in load_rows(omron_rows).inertias_reason
+
+
+def test_payload_without_a_centre_of_mass_is_at_the_last_frame(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+) -> None:
+    omron_rows["payload"]["com"] = [0.0, 0.0, 0.0]
+    stated = load_rows(omron_rows)
+    del omron_rows["payload"]["com"]
+    assert load_rows(omron_rows).model.inertias[4].isApprox(stated.model.inertias[4])
 
 
 def test_payload_inertia_alone_gives_no_full_model(

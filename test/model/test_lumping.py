@@ -395,6 +395,12 @@ class TestCrossedAxes:
         assert link.answer == "its centre of mass moved by 500.0 mm"
         assert lump(elbow(0.2, math.pi / 2.0, com, policy="mass_at_com")).links[0].point1 == pytest.approx(com)
 
+    def test_only_parallel_axes_give_a_definite_matrix_by_its_form(
+        self, elbow: Callable[..., Robot], omron: Robot
+    ) -> None:
+        assert lump(omron).is_regular
+        assert not lump(elbow(0.2, math.pi / 2.0, (0.05, 0.02, 0.05))).is_regular
+
     def test_tilted_slide_is_shifted_through_the_centre_of_mass(
         self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
     ) -> None:
@@ -405,6 +411,20 @@ class TestCrossedAxes:
         lumped = lump(load_rows(omron_rows))
         assert lumped.links[1].point2 == pytest.approx((0.05, 0.01, 0.02))
         assert (lumped.links[1].kappa2, lumped.links[1].on_axes, lumped.links[1].problem) == (1.0, False, "")
+
+
+def test_counterweight_on_parallel_axes_is_moved_to_the_proximal_one(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+) -> None:
+    """It makes M indefinite; the second link stays as it is."""
+    omron_rows["links"][0]["com"] = [-0.6, 0.0, 0.0]
+    robot = load_rows(omron_rows)
+    with pytest.raises(RobotError, match="must not be negative: the centre of mass lies outside the slab"):
+        lump(robot)
+    links = lump(replace(robot, lumping=LumpingSettings(policy=LumpingPolicy.PROJECT_COM))).links
+    assert (links[0].kappa2, links[0].answer) == (0.0, "its centre of mass moved by 600.0 mm")
+    assert links[0].problem.startswith("its centre of mass lies outside the slab between its axes: kappa2 = -2.18")
+    assert links[1].problem == links[1].answer == ""
 
 
 def test_wrist_without_mass_beside_its_axes_has_no_lumped_mass(load_urdf_file: Callable[..., Robot]) -> None:

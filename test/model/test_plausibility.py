@@ -158,6 +158,7 @@ def test_angle_of_a_dh_row_in_degrees_raises(
         ({"joints.0.a": 3.1}, "check the lengths: reach "),
         ({"links.0.com": [1.5, 0.0, 0.0]}, "check the centre of mass of joint1: 1.5 m from its joint, reach 0.69"),
         ({"joints.2.max_effort": 0.5}, "check the effort limit of joint3: 0.5 N m or N, where gravity takes up to 5.4"),
+        ({f"joints.{i}.armature": 900.0 for i in range(3)}, "check masses and inertias: the effective mass is "),
         ({"links.0.mass": 300.0}, "check the masses: 302 kg move at a reach of 0.69"),
     ],
 )

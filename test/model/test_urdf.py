@@ -258,6 +258,8 @@ class TestFixedJoints:
         ('xyz="0.05775 0 0"', 'xyz="0.05775 0"', "link fore: <origin xyz> = '0.05775 0': must be 3 finite numbers"),
         ('<origin xyz="0.275 0 0"/>', '<origin xyz="0.275 zero 0"/>', "joint j2: <origin xyz> = '0.275 zero 0'"),
         ('<origin xyz="0.275 0 0"/>', '<origin xyz="0 0 0" rpy="nan 0 0"/>', "joint j2: <origin rpy> = 'nan 0 0'"),
+        ('<origin xyz="0.275 0 0"/>', '<origin xyz="0.275 0 0" rpy="0 0 -7"/>', None),
+        ('<origin xyz="0.275 0 0"/>', '<origin xyz="0 0 0" rpy="0 0 -7.1"/>', "joint j2: <origin rpy> = '0 0 -7.1'"),
     ],
 )
 def test_wrong_value_is_named(old: str, new: str, named: str | None) -> None:
