@@ -171,7 +171,7 @@ class Workspace:
             environment["PYTHONDONTWRITEBYTECODE"] = "1"
         words = ["-m", "pytest", "-x", "-m", "not live", "-p", "no:cacheprovider", "--hypothesis-profile", "mutants"]
         files = sorted(
-            (self.root / "test" / room).glob("test_*.py"), key=lambda path: (path.stem != f"test_{module}", path)
+            (self.root / "test" / room).rglob("test_*.py"), key=lambda path: (path.stem != f"test_{module}", path)
         )
         done = subprocess.run(  # noqa: S603 - our own tests
             [sys.executable, *words, *files],
