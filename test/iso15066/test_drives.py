@@ -101,6 +101,15 @@ def test_limits_of_the_bandwidth() -> None:
     assert fast[0, 0] == pytest.approx(40.0, rel=0.03)
 
 
+def test_simulated_peak_is_never_too_low() -> None:
+    """Without a drive the two free masses are exact: half a step of 0.1 rad is worth at most 0.26 % of the mass."""
+    mobility = np.geomspace(0.02, 10.0, 40)
+    (masses,) = servo_reduced_masses(mobility, np.array([25e3]), np.array([40.0]), 1e-6, 0.7)
+    excess = masses * (mobility + 1.0 / 40.0)
+    assert excess.min() >= 1.0 - 1e-6
+    assert excess.max() <= 1.0 / math.cos(0.05) ** 2 + 1e-6
+
+
 def test_robot_lighter_than_the_simulated_ones_counts_as_immovable() -> None:
     servo, immovable = (speed_limits(drives=drives).speed_limit(0.04) for drives in ("servo", "immovable"))
     assert servo.allowable_speed == pytest.approx(immovable.allowable_speed)

@@ -65,6 +65,12 @@ def test_change_of_a_point_that_moves_in_fewer_dimensions_is_exact(seed: int, ra
     expected = 2.0 * max(0.0, *(np.array(accelerations) @ w)) / speed / along
     np.testing.assert_allclose(change.growth(0.0, 1.0), expected, rtol=1e-6)
     assert change.max_growth(0.0) >= expected
+    # A mobility that falls adds its share, which depends on the length of w.
+    falling = change._replace(mobility_rate=(-np.eye(3)).tolist())
+    for alpha in (0.0, 0.3):
+        w = np.linalg.pinv(mobility + alpha * basis @ basis.T) @ velocity / speed
+        faster, along = max(0.0, *(np.array(accelerations) @ w)), w @ velocity / speed
+        np.testing.assert_allclose(falling.growth(alpha, 1.0), 2.0 * (faster / speed + w @ w) / along, rtol=1e-6)
 
 
 @given(SEEDS, ALPHAS, st.floats(0.1, 2.0))
@@ -134,10 +140,12 @@ EVERYWHERE = (1.0 / math.sqrt(3.0),) * 3
 """A direction without a zero and a negative component."""
 
 
-@pytest.mark.parametrize("mobility", [-1.0, 0.0])
+@pytest.mark.parametrize("mobility", [-1.0, 0.0, 1e150])
 def test_mobility_that_no_robot_has_gives_no_finite_growth(mobility: float) -> None:
+    """Also one whose determinant is too large for a float; the worst normal is then that of the velocity."""
     change = Motion(1).change()._replace(mobility=(mobility * np.eye(3)).tolist(), direction=EVERYWHERE)
     assert change.growth(0.0, 1.0) == change.max_growth(0.0) == math.inf
+    assert change.worst_normal(0.0) == EVERYWHERE
 
 
 def test_clamped_body_part_ignores_unreachable_directions() -> None:

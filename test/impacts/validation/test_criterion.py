@@ -147,6 +147,60 @@ def test_limits_are_inclusive() -> None:
     assert decide(CriterionSettings(), SERIES._replace(agreement=series, clock=clock, left_out=20)).accepted
 
 
+@pytest.mark.parametrize("exponent_interval", [Interval(0.4, 0.5), Interval(0.5, 0.6)])
+def test_limits_of_the_fit_are_inclusive(exponent_interval: Interval) -> None:
+    limits = fit_of()._replace(
+        scatter=0.05,
+        detectable_mass_error=0.1,
+        gain_interval=Interval(1.0 / 1.05, 1.05),
+        mass_scale_interval=Interval(1.0 / 1.1, 1.1),
+        exponent_interval=exponent_interval,
+    )
+    assert decide(CriterionSettings(), SERIES._replace(fit=limits)).accepted
+
+
+@pytest.mark.parametrize("interval", [Interval(0.9, 1.0 / 1.05), Interval(1.05, 1.1)])
+def test_gain_that_touches_the_tolerance_is_not_decidable(interval: Interval) -> None:
+    decision = decide(CriterionSettings(), SERIES._replace(fit=fit_of()._replace(gain_interval=interval)))
+    assert (decision.accepted, decision.decidable) == (False, False)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "steps"),
+    [
+        ({}, 0.11, "27 combinations of pose and obstacle in place of 12"),
+        ({}, 0.2, "48 combinations of pose and obstacle in place of 12"),
+        ({}, 0.9, "108 combinations of pose and obstacle in place of 12"),
+        ({"fit": fit_of()._replace(cells=3)}, 0.2, "16 combinations of pose and obstacle in place of 3"),
+        ({"obstacle_masses": 1.01 * OBSTACLES}, 0.2, "an obstacle of m_H = 0.25 kg or less, which fixes the gain"),
+        (
+            {"obstacle_masses": np.minimum(4.5, OBSTACLES)},
+            0.2,
+            "48 combinations of pose and obstacle in place of 12",
+        ),
+        ({"obstacle_masses": np.minimum(4.4, OBSTACLES)}, 0.2, "one of 9 kg or more, which shows the mass"),
+        (
+            {"clock": CLOCK._replace(impacts=19)},
+            0.2,
+            "joint states at 100 Hz or more, with the robot hitting at constant speed",
+        ),
+        (
+            {"obstacle_masses": 2.0 * OBSTACLES, "clock": CLOCK._replace(impacts=19)},
+            0.2,
+            (
+                "an obstacle of m_H = 0.25 kg or less, which fixes the gain, "
+                "joint states at 100 Hz or more, with the robot hitting at constant speed"
+            ),
+        ),
+    ],
+)
+def test_next_measurement_is_what_the_series_lacks(changes: dict[str, Any], error: float, steps: str) -> None:
+    """Obstacles from half the lightest to 1.5 times the heaviest mass are enough, and a kink in every impact."""
+    series = SERIES._replace(**changes)
+    decision = decide(CriterionSettings(), series._replace(fit=series.fit._replace(detectable_mass_error=error)))
+    assert decision.reason == f"a mass error below {error:.0%} would not have been found; next: {steps}"
+
+
 def test_stated_uncertainty_of_the_sensor_replaces_the_tolerance_of_the_gain() -> None:
     series = SERIES._replace(fit=fit_of(gain=1.1))
     assert not decide(CriterionSettings(), series).accepted

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.limit_check import NO_REGION, region_force
+from scara_effmass.impacts.limit_check import NO_REGION, RegionForce, region_force, worst_force
 from scara_effmass.iso15066 import limits_for, peak_force, reduced_mass
 from scara_effmass.settings import MonitorSettings
 
@@ -50,3 +50,23 @@ def test_the_region_closest_to_its_limit_is_returned() -> None:
 
 def test_nothing_without_stiffness() -> None:
     assert region_force(HAND, 100.0, 3.0, 5.0, 0.0) == NO_REGION
+
+
+def test_nothing_where_neither_robot_nor_device_gives_way() -> None:
+    assert region_force(HAND, 100.0, math.inf, math.inf, 1e5) == NO_REGION
+
+
+def test_force_at_the_limit_does_not_exceed_it() -> None:
+    assert not RegionForce("hand_fingers", 280.0, 280.0, "force").exceeds
+
+
+@pytest.mark.parametrize("masses", [(1.0, 4.0), (4.0, 1.0), (4.0, 0.0, 1.0)])
+def test_the_mass_with_the_largest_force_over_its_limit_counts(masses: tuple[float, ...]) -> None:
+    """In any order; 0 is an unknown mass."""
+    light, heavy = (region_force(ALL, 100.0, mass, 40.0, 1e5) for mass in (1.0, 4.0))
+    assert heavy.force / heavy.limit > light.force / light.limit
+    assert worst_force(ALL, 100.0, masses, 40.0, 1e5) == heavy
+
+
+def test_no_known_mass_or_device_gives_no_region() -> None:
+    assert worst_force(ALL, 100.0, [0.0, 0.0], 5.0, 1e5) == worst_force(ALL, 100.0, [3.0], 5.0, 0.0) == NO_REGION
