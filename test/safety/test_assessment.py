@@ -616,6 +616,32 @@ def test_computed_torque_counts_up_to_the_effort_limits(
         assert limited.allowable_speed == pytest.approx(expected, rel=0.2)
 
 
+@pytest.mark.parametrize(("axis", "q1", "lift"), [(0, math.pi / 2, 1e4), (1, 0.0, 1e4), (2, 0.0, 10.0)])
+def test_weakest_axis_of_a_robot_at_rest_limits_computed_torque(
+    scara: RobotDynamics, scara_variant: Variant, axis: int, q1: float, lift: float
+) -> None:
+    """A stretched arm holds least across itself."""
+    efforts = {"joint1": 20.0, "joint2": 20.0, "joint3": lift, "joint4": 1e4}
+    weak = scara_variant(lambda file: [joint.update(max_effort=efforts[joint["name"]]) for joint in file["joints"]])
+    q, qd = (q1, 0.2, 0.1, 0.0), (1e-6,) * 4
+    settings: dict[str, object] = {"drives": "servo", "servo": {"computed_torque": True}, "body_regions": ["chest"]}
+    settings |= {"speed_uncertainty": 0.0, "position_tolerance": 0.0, "velocity_tolerance": 0.0}
+    settings |= {"max_velocity_lag": 0.0}
+    strong, limited = assess_one(scara, q, qd, **settings), assess_one(weak, q, qd, **settings)
+    axes: tuple[Vector3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    forces = [min(weak.clamping_force(np.array(q), 0, n) for n in ((x, y, z), (-x, -y, -z))) for x, y, z in axes]
+    assert np.argmin(forces) == axis
+    (limit,) = limits_for(settings_of(body_regions=["chest"]))
+    assert limited.allowable_speed == pytest.approx(min(forces) / limit.permissible_force_n * strong.allowable_speed)
+
+
+def test_unknown_effort_limits_give_no_clamping_force(scara: RobotDynamics) -> None:
+    contact = assess_one(scara, (0.3, 1.2, 0.1, 0.0), (0.1,) * 4, contact="quasi_static")
+    assert contact.verdict is Verdict.UNKNOWN
+    assert contact.reason.startswith("the clamping force is unknown")
+    assert (contact.clamping_force, contact.allowable_speed) == (0.0, 0.0)
+
+
 def test_computed_torque_allows_no_speed_where_the_weight_is_too_much_for_a_joint(scara_variant: Variant) -> None:
     def with_lift(effort: float) -> RobotDynamics:
         efforts = {"joint1": 1e4, "joint2": 1e4, "joint3": effort, "joint4": 1e4}

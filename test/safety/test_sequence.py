@@ -137,6 +137,19 @@ def test_lag_evidence_of_before_counts(scara: RobotDynamics) -> None:
     assert (tolerances[1] < tolerances[0]).all()
 
 
+def test_joints_exactly_at_their_limits_agree(scara: RobotDynamics) -> None:
+    one = validator(scara)
+    for limit in (one.limits.lower, one.limits.upper):
+        columns = motion(100, 0.0, 0.0, 1.0, 5)
+        columns.q[:], columns.qd[:] = limit, 0.0
+        columns.stamps[:] += 10**9
+        columns.clocks[:] += 10**9
+        one.reset()
+        for row in range(50):
+            one.validate(*joint_state(columns, row))
+        assert len(agreeing(one, columns, 50)) == 50
+
+
 verdicts = st.sampled_from(Verdict)
 rows = st.lists(
     st.tuples(st.integers(0, 60), verdicts, st.booleans(), st.integers(0, 9), st.integers(0, 9)),
