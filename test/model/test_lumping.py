@@ -369,6 +369,7 @@ class TestCrossedAxes:
             lump(elbow(a, math.pi / 2.0, com))
         at_com = lump(elbow(a, math.pi / 2.0, com, policy="mass_at_com")).links[0]
         assert at_com.point1 == at_com.point2 == pytest.approx(com)
+        assert at_com.kappa1 == at_com.kappa2 == 0.5
         assert (at_com.problem, at_com.answer, at_com.on_axes) == (problem, "one mass at its centre of mass", False)
         link = lump(elbow(a, math.pi / 2.0, com, policy="project_com")).links[0]
         projected = link.kappa1 * np.array(link.point1) + link.kappa2 * np.array(link.point2)

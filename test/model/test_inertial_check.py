@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Placeholders in a robot file are told from data by their pattern over all links with mass."""
+
+import numpy as np
+import pytest
+
+from scara_effmass.model.inertial_check import StatedLink, check_inertials
+
+
+def link(name: str, mass: float = 1.0, inertia: float = 1.0) -> StatedLink:
+    return StatedLink(name, mass, np.array([0.1, 0.0, 0.0]), inertia * np.eye(3))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_pattern_needs_two_links_with_mass(count: int) -> None:
+    links = [link("base", mass=0.0, inertia=0.0), *(link(f"link{i}") for i in range(count))]
+    check = check_inertials(links)
+    assert ("placeholders" in check.masses) == (count > 1)
+    assert ("placeholders" in check.inertias) == (count > 1)
+    assert bool(check.notes) == (count == 1)
+
+
+def test_one_plausible_link_makes_the_others_a_note() -> None:
+    check = check_inertials([link("a"), link("b"), link("c", inertia=0.01)])
+    assert (check.masses, check.inertias) == ("", "")
+    assert check.notes == ("placeholder inertia, used as stated, which makes the robot heavier: a, b",)
