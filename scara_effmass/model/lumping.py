@@ -12,6 +12,7 @@ Masses of neighbouring links on the same axis add up, so n joints leave n + 1 ma
 `scara_effmass.model`).
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -287,11 +288,7 @@ def _crossed_axes(drawn: _DrawnLink) -> LumpedLink:
     kappa2 = least = abs(second) / total if total > 0.0 else 0.5  # of least spread: |L1| = |L2|
     if axes == "skew":
         kappa2 = offset / gap
-        far = (
-            max(abs(first), abs(second))
-            if kappa2 in {0.0, 1.0}
-            else max(abs(first / (1.0 - kappa2)), abs(second / kappa2))
-        )
+        far = max(_distance(first, 1.0 - kappa2), _distance(second, kappa2))
         if far > RUNAWAY * (total + abs(gap)):
             problem = f"a mass lies {far:.3g} m from the common normal: kappa2 = {kappa2:.2g}"
         elif within_slab and not 0.0 <= kappa2 <= 1.0:
@@ -376,6 +373,13 @@ def _two_masses(link: LumpedLink) -> pin.Inertia:
         kappa * link.mass * _unit_inertia(point - body.lever) for kappa, point in zip(kappas, points, strict=True)
     )
     return body
+
+
+def _distance(moment: float, kappa: float) -> float:
+    """Return the distance [m] at which the share `kappa` of the mass has the first `moment` [m] of the whole."""
+    if kappa != 0.0:
+        return abs(moment / kappa)
+    return math.inf if abs(moment) > ON_AXIS_M else 0.0
 
 
 def _unit_inertia(r: FloatArray) -> FloatArray:

@@ -359,8 +359,10 @@ class TestCrossedAxes:
         [
             (0.0, (0.0031, 0.02, 0.05), "its centre of mass lies 3.1 mm off the plane of its two axes"),
             (0.2, (0.0002, 0.02, 0.05), "a mass lies 20 m from the common normal: kappa2 = 0.001"),
+            (0.2, (0.0, 0.02, 0.05), "a mass lies inf m from the common normal: kappa2 = 0"),
+            (0.2, (0.2, 0.02, 0.05), "a mass lies inf m from the common normal: kappa2 = 1"),
         ],
-        ids=["off the plane", "running to infinity"],
+        ids=["off the plane", "running to infinity", "no mass beside its axis", "no mass beside the other axis"],
     )
     def test_link_without_two_masses_is_answered_by_the_policy(
         self, elbow: Callable[..., Robot], a: float, com: tuple[float, ...], problem: str
@@ -378,6 +380,14 @@ class TestCrossedAxes:
         assert link.answer == f"its centre of mass moved by {1e3 * moved:.1f} mm"
         assert max(abs(link.height1), abs(link.height2)) < 0.2
         assert sum(lump(elbow(a, math.pi / 2.0, com, policy="project_com")).aggregated) == pytest.approx(3.25)
+
+    @pytest.mark.parametrize("com", [(0.0, 0.0, 0.05), (0.2, 0.03, 0.0)])
+    def test_centre_of_mass_on_an_axis_has_all_mass_there(
+        self, elbow: Callable[..., Robot], com: tuple[float, ...]
+    ) -> None:
+        link = lump(elbow(0.2, math.pi / 2.0, com, policy="mass_at_com")).links[0]
+        assert link.problem == ""
+        assert link.kappa1 * np.array(link.point1) + link.kappa2 * np.array(link.point2) == pytest.approx(com)
 
     def test_every_link_without_two_masses_is_named(self, load_urdf_file: Callable[..., Robot]) -> None:
         reason = RobotDynamics(load_urdf_file("panda.urdf")).lumped_reason
