@@ -352,11 +352,20 @@ def beside(cell: Cell, kind: type, topic: str, message: Any, qos: QoSProfile = D
     with ros_node("other", domain=cell.harness.domain) as other:
         cell.begin()
         publisher = other.create_publisher(kind, topic, qos)
+
+        def send() -> None:
+            publisher.publish(message() if callable(message) else message)
+
+        def is_discovered() -> bool:
+            if all(out.is_permissive for out in cell.outputs):
+                cell.begin()  # the discovery is no part of the fault
+            return publisher.wait_for_all_acked(Duration())
+
         if kind is not String or topic != JOINT_STATES:  # which nothing subscribes to
             cell.harness.spin_until(publisher.get_subscription_count)
-        if all(out.is_permissive for out in cell.outputs):
-            cell.begin()  # the discovery is no part of the fault
-        timer = cell.node.create_timer(PERIOD_S, lambda: publisher.publish(message() if callable(message) else message))
+            send()  # acknowledged by those that have discovered the publisher
+            cell.harness.spin_until(is_discovered)
+        timer = cell.node.create_timer(PERIOD_S, send)
         try:
             yield
         finally:
@@ -1219,6 +1228,7 @@ gone (deadline and lease, two time-outs). The system time cannot be set here wit
 *Permissive*: OK or WARN, a factor above 0, or a result from the bad input. *Said*: until the node publishes it.
 *Known*: until a subscriber knows, by a message, its deadline or the lease. *Recovery*: from the end of the fault, with
 a restart where the fault says so. *Lost*: contact states that the subscriber has and the recorder beside it has not.
+Times with an additional publisher begin when the node has discovered it, which may take the middleware some seconds.
 
 | on | injected | must | permissive | said [s] | known [s] | recovery [s] | lost | |
 |---|---|---|---|---|---|---|---|---|
