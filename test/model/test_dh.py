@@ -104,6 +104,7 @@ def test_contact_points_can_be_selected(omron_rows: dict[str, Any], tmp_path: Pa
         ("joints.3", ..., "file: 4 links for 3 joints"),
         ("joints", [], "joints = .*: "),
         ("joints", {"name": "joint1"}, "joints: "),
+        ("links.0.name", "", r"links 1.*name = .*: .*at least 1 character"),
         ("links.0.mass", -2.74, r"links 1 \(link1\): mass = .*: .*greater than or equal to 0"),
         ("links.0.mass", float("nan"), r"links 1 \(link1\): mass = .*: .* finite"),
         ("links.0.mass", ..., r"links 1 \(link1\): mass: must be present"),

@@ -24,3 +24,9 @@ def test_one_plausible_link_makes_the_others_a_note() -> None:
     check = check_inertials([link("a"), link("b"), link("c", inertia=0.01)])
     assert (check.masses, check.inertias) == ("", "")
     assert check.notes == ("placeholder inertia, used as stated, which makes the robot heavier: a, b",)
+
+
+@pytest.mark.parametrize(("deviation", "found"), [(0.9e-6, True), (1.1e-6, False)])
+def test_identity_within_a_millionth_is_a_placeholder(deviation: float, *, found: bool) -> None:
+    check = check_inertials([link(name, inertia=1.0 + deviation) for name in "ab"])
+    assert ("placeholders" in check.inertias) == found

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
-from scara_effmass.model.lumping import LumpedModel, is_scara, lump
+from scara_effmass.model.lumping import LumpedModel, is_scara, lump, lumped_links
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.scara_closed_form import scara_lumped_mass
 from scara_effmass.settings import FreeParameters, LumpingPolicy, LumpingSettings
@@ -423,6 +423,61 @@ class TestCrossedAxes:
         assert lumped.links[1].point2 == pytest.approx((0.05, 0.01, 0.02))
         assert (lumped.links[1].kappa2, lumped.links[1].on_axes, lumped.links[1].problem) == (1.0, False, "")
 
+    @pytest.mark.parametrize(("far", "runs_away"), [(2.69, False), (2.71, True)])
+    @pytest.mark.parametrize("end", ["proximal", "distal"])
+    def test_mass_runs_to_infinity_beyond_ten_times_the_size_of_the_link(
+        self, elbow: Callable[..., Robot], end: str, far: float, *, runs_away: bool
+    ) -> None:
+        """The size is 0.02 m and 0.05 m along the axes and 0.2 m between them."""
+        share = 1.0 - 0.05 / far if end == "proximal" else 0.02 / far
+        link = lumped_links(elbow(0.2, math.pi / 2.0, (0.2 * share, 0.02, 0.05)))[0]
+        assert link.problem == (
+            f"a mass lies {far} m from the common normal: kappa2 = {share:.2g}" if runs_away else ""
+        )
+        assert link.kappa2 == pytest.approx(0.02 / 0.07 if runs_away else share)
+
+    @pytest.mark.parametrize(("x", "z", "kappa2"), [(0.0, 0.05, 0.0), (0.2, 0.0, 1.0)])
+    def test_mass_on_one_of_two_skew_axes_stays_there(
+        self, elbow: Callable[..., Robot], x: float, z: float, kappa2: float
+    ) -> None:
+        robot = elbow(0.2, math.pi / 2.0, (x, 0.0, z))
+        for within_slab in (False, True):
+            link = lumped_links(robot, within_slab=within_slab)[0]
+            assert (link.problem, link.kappa2) == ("", kappa2)
+            assert (link.height1, link.height2) == pytest.approx((z, 0.0))
+
+    @pytest.mark.parametrize(("gap", "axes"), [(0.9e-4, "intersecting"), (1.1e-4, "skew")])
+    def test_axes_a_tenth_of_a_millimetre_apart_are_skew(
+        self, elbow: Callable[..., Robot], gap: float, axes: str
+    ) -> None:
+        assert lumped_links(elbow(gap, math.pi / 2.0, (gap / 2.0, 0.02, 0.05)))[0].axes == axes
+
+    @pytest.mark.parametrize(("offset", "on_plane"), [(0.9e-4, True), (1.1e-4, False)])
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_tolerance_of_the_plane_of_intersecting_axes(
+        self, elbow: Callable[..., Robot], offset: float, sign: float, *, on_plane: bool
+    ) -> None:
+        link = lumped_links(elbow(0.0, math.pi / 2.0, (sign * offset, 0.02, 0.05)))[0]
+        assert (link.problem == "") == on_plane
+
+    @pytest.mark.parametrize("rule", FreeParameters)
+    def test_mass_where_the_axes_meet_is_halved(self, elbow: Callable[..., Robot], rule: FreeParameters) -> None:
+        link = lumped_links(elbow(0.0, math.pi / 2.0, (0.0, 0.0, 0.0), free_parameters=rule.value))[0]
+        assert (link.problem, link.kappa1, link.kappa2) == ("", 0.5, 0.5)
+        assert (link.point1, link.point2) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+    @pytest.mark.parametrize(("moments", "is_proximal"), [([0.03, 0.03, 0.01], True), ([0.03, 0.01, 0.03], False)])
+    def test_fit_reaches_no_further_than_three_radii_of_gyration(
+        self, elbow: Callable[..., Robot], moments: list[float], *, is_proximal: bool
+    ) -> None:
+        """A mass near the crossing has too short a lever to reproduce the inertia of the link."""
+        first, second = 0.001, 0.0015
+        robot = elbow(0.0, math.pi / 2.0, (0.0, -second, first), free_parameters="fit_inertia")
+        robot.model.inertias[1].inertia = np.diag(moments)
+        link = lumped_links(robot)[0]
+        reach = first + second + 3.0 * math.sqrt(0.07 / (3.0 * 2.0))
+        assert link.kappa2 / link.kappa1 == pytest.approx(reach / first if is_proximal else second / reach)
+
 
 def test_counterweight_on_parallel_axes_is_moved_to_the_proximal_one(
     omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
@@ -446,3 +501,81 @@ def test_wrist_without_mass_beside_its_axes_has_no_lumped_mass(load_urdf_file: C
     (masses,) = dynamics.effective_masses(np.array([0.3, -1.0, 1.2, 0.4, 0.8, 0.1]), np.full(6, 0.1), 0.005)
     assert math.isnan(masses.lumped)
     assert "wrist_2_joint moves the contact point along n, but no lumped mass" in masses.lumped_reason
+
+
+def test_slide_with_an_offset_or_a_tilt_is_no_scara(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+) -> None:
+    for body in (*omron_rows["links"], omron_rows["payload"]):
+        body["inertia"] = [body["inertia"]] * 3 + [0.0] * 3
+    slide = omron_rows["joints"][2]
+    for changes, expected in (
+        ({"d": 0.1}, True),
+        ({"a": 0.9e-4}, True),
+        ({"a": 1.1e-4}, False),
+        ({"a": 0.0, "alpha": 0.1}, False),
+    ):
+        slide.update(changes)
+        assert is_scara(load_rows(omron_rows)) == expected
+
+
+def test_negative_mass_is_not_regular_by_its_form(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+) -> None:
+    for x, regular in ((0.05775, True), (0.275, True), (-0.03, False)):
+        omron_rows["links"][1]["com"][0] = x
+        assert lump(load_rows(omron_rows)).is_regular == regular
+    omron_rows["links"][0]["com"][0], omron_rows["links"][1]["com"][0] = 0.275, 0.05775
+    lumped = lump(load_rows(omron_rows))
+    assert lumped.masses[0].mass == 0.0
+    assert lumped.is_regular
+
+
+class TestParallelAxes:
+    """Two parallel joints; the inertia and the centre of mass of the first link vary."""
+
+    @pytest.fixture
+    def arm(self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> Callable[..., Robot]:
+        def build(com: tuple[float, float, float], inertia: list[float], **lumping: str) -> Robot:
+            omron_rows["joints"], omron_rows["links"] = omron_rows["joints"][:2], omron_rows["links"][:2]
+            omron_rows["links"][0] |= {"com": list(com), "inertia": inertia}
+            return replace(load_rows(omron_rows), lumping=LumpingSettings.model_validate(lumping))
+
+        return build
+
+    @pytest.mark.parametrize("x", [0.0, 0.275])
+    def test_mass_on_an_axis_is_within_the_slab(self, arm: Callable[..., Robot], x: float) -> None:
+        (link, _) = lumped_links(arm((x, 0.0, 0.0), [0.02, 0.02, 0.03, 0.0, 0.0, 0.0]), within_slab=True)
+        assert (link.problem, link.kappa2) == ("", x / 0.275)
+
+    @pytest.mark.parametrize("ixz", [0.01, -0.01, 0.0])
+    @pytest.mark.parametrize("x", [0.08, 0.2])
+    def test_fit_has_the_nearest_tensor_of_all_spreads(self, arm: Callable[..., Robot], ixz: float, x: float) -> None:
+        robot = arm((x, 0.0, 0.02), [0.05, 0.06, 0.02, 0.0, ixz, 0.0], free_parameters="fit_inertia")
+        link, body = lump(robot).links[0], robot.model.inertias[1]
+        spread = link.height2 - link.height1
+        assert link.kappa1 * link.height1 + link.kappa2 * link.height2 == pytest.approx(0.02)
+
+        def error(spread: float) -> float:
+            r = np.array([0.275, 0.0, spread])
+            share = body.mass * link.kappa1 * link.kappa2
+            return float(np.linalg.norm(share * (r @ r * np.eye(3) - np.outer(r, r)) - body.inertia))
+
+        assert abs(spread) > 0.05
+        assert error(spread) <= min(map(error, np.linspace(-1.0, 1.0, 2001).tolist())) + 1e-12
+
+    def test_fit_spreads_no_further_than_three_radii_of_gyration_beyond_the_axes(
+        self, arm: Callable[..., Robot]
+    ) -> None:
+        """A mass near one axis has too small a share to reproduce a large inertia."""
+        robot = arm((0.001, 0.0, 0.0), [2.0, 2.0, 0.03, 0.0, -0.1, 0.0], free_parameters="fit_inertia")
+        link = lump(robot).links[0]
+        assert abs(link.height2 - link.height1) == pytest.approx(0.275 + 3.0 * math.sqrt(4.03 / (3.0 * 2.74)))
+
+    def test_unknown_inertia_is_not_fitted(self, arm: Callable[..., Robot], omron_rows: dict[str, Any]) -> None:
+        omron_rows["payload"]["inertia"] = 0.0
+        for body in omron_rows["links"]:
+            body["inertia"] = 0.0
+        robot = arm((0.08, 0.0, 0.02), [0.0] * 6, free_parameters="fit_inertia")
+        assert robot.inertias_reason
+        assert lump(robot).links[0].height1 == lump(robot).links[0].height2 == pytest.approx(0.02)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Descriptions that are not in SI units are recognised and named; published robots raise no false alarm."""
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
@@ -187,3 +188,177 @@ def test_too_many_joints_are_refused_before_their_dynamics_are_built(
         omron_rows[key] = [{**row, "name": f"{key}{number}"} for number in range(65)]
     with pytest.raises(RobotError, match=r"65 joints move: must be at most 64"):
         load_rows(omron_rows)
+
+
+def one_joint(**changes: object) -> dict[str, Any]:
+    """Return DH rows of one revolute joint: reach 1 m, 1 kg at the joint, radius of gyration 0.5 m; with `changes`.
+
+    A change is one of a row: of the joint, of the link, or of the file.
+    """
+    joint = {"name": "j1", "type": "revolute", "a": 1.0, "alpha": 0.0, "lower": -1.0, "upper": 1.0, "max_speed": 1.0}
+    joint["max_effort"] = 0.0
+    link = {"name": "l1", "mass": 1.0, "com": [0.0, 0.0, 0.0], "inertia": [0.25, 0.25, 0.25, 0.0, 0.0, 0.0]}
+    rows: dict[str, Any] = {"robot": "arm", "base_frame": "base", "joints": [joint], "links": [link]}
+    rows |= {"contact_points": {"tool": [0.0, 0.0, 0.0]}}
+    for key, value in changes.items():
+        next((row for row in (joint, link) if key in row), rows)[key] = value
+    return rows
+
+
+def sphere(radius: float, mass: float = 1.0) -> list[float]:
+    """Return the inertia of a body with one radius of gyration [m] about all axes."""
+    return [mass * radius**2] * 3 + [0.0] * 3
+
+
+WRONG: list[tuple[str, dict[str, object], dict[str, object]]] = [
+    ("m long: must be in metres, not in centimetres", {"a": 10.0}, {"a": 10.1}),
+    ("m long: must be in metres, not in millimetres", {"a": 50.0}, {"a": 50.1}),
+    ("25 kg move at a reach of 0.2 m: .* not in grams", {"a": 20.0, "mass": 23.9}, {"a": 20.0, "mass": 25.0}),
+    ("101 kg move at a reach of 0.3 m: .* not in grams", {"a": 300.0, "mass": 80.9}, {"a": 300.0, "mass": 101.0}),
+    ("not in grams", {"a": 0.5, "mass": 374.98}, {"a": 0.5, "mass": 375.02}),
+    ("not in grams", {"a": 0.01, "mass": 0.37}, {"a": 0.01, "mass": 0.38}),
+    ("not in tonnes", {"mass": 0.101}, {"mass": 0.099}),
+    ("not in tonnes", {"mass": 0.06, "payload": {"mass": 0.06}}, {"mass": 0.06, "payload": {"mass": 0.03}}),
+    ("the centre of mass of j1 is .* m away", {"com": [5.0, 0.0, 0.0]}, {"com": [5.1, 0.0, 0.0]}),
+    (
+        "the centre of mass of j1 is .* m away",
+        {"a": 2.0, "mass": 8.0, "com": [6.0, 0.0, 0.0]},
+        {"a": 2.0, "mass": 8.0, "com": [6.1, 0.0, 0.0]},
+    ),
+    ("1 kg at 10.* m: must be in kg m2", {"inertia": sphere(9.99)}, {"inertia": sphere(10.1)}),
+    (
+        "the inertia of j1 is that of 1 kg",
+        {"inertia": [1.0, 1.0, 900.0, 0.0, 0.0, 0.0]},  # impossible, so not used
+        {"inertia": [449.9, 450.2, 900.0, 0.0, 0.0, 0.0]},
+    ),
+    ("range of 50.* rad: .* not in degrees", {"lower": -25.0, "upper": 25.0}, {"lower": -25.1, "upper": 25.1}),
+    ("range of 1500.* rad: .* not in degrees", {"lower": 0.0, "upper": 1500.5}, {"lower": 0.0, "upper": 1500.0}),
+]
+"""Part of the text, a robot without it and one with it, just within and beyond the bound."""
+
+
+@pytest.mark.parametrize(("text", "within", "beyond"), WRONG)
+def test_bounds_of_what_is_certainly_not_in_si_units(
+    load_rows: Callable[[object], Robot], text: str, within: dict[str, object], beyond: dict[str, object]
+) -> None:
+    pattern = re.compile(text)
+    assert not pattern.search(load_rows(one_joint(**within)).units_reason)
+    assert pattern.search(load_rows(one_joint(**beyond)).units_reason)
+
+
+SLIDE = {"type": "prismatic", "upper": 1.0, "lower": 0.0}
+LIGHT_SLIDE = SLIDE | {"a": 0.06, "upper": 0.01, "inertia": 0.0, "max_effort": 1e-5}
+
+DOUBTS: list[tuple[str, dict[str, object], dict[str, object]]] = [
+    ("check the lengths", {"a": 3.0, "mass": 30.0}, {"a": 3.01, "mass": 30.0}),
+    (
+        "check the lengths: reach 0.049 m, the link from j1 to the tip is 0.049 m long",
+        {"a": 0.0501, "mass": 0.01},
+        {"a": 0.049, "mass": 0.01},
+    ),
+    ("check the masses", {"a": 0.5, "mass": 74.98}, {"a": 0.5, "mass": 75.05}),
+    ("check the masses", {"a": 0.5, "mass": 0.126}, {"a": 0.5, "mass": 0.124}),
+    ("check the masses", {"a": 0.01, "mass": 0.074}, {"a": 0.01, "mass": 0.076}),
+    ("check the centre of mass of j1", {"com": [0.99, 0.0, 0.0]}, {"com": [1.01, 0.0, 0.0]}),
+    ("check the inertias: the largest radius", {"inertia": sphere(0.031)}, {"inertia": sphere(0.029)}),
+    ("check the inertias: the largest radius", {"inertia": sphere(2.99)}, {"inertia": sphere(3.01)}),
+    (
+        "check the inertias: the largest radius",
+        {"a": 2.0, "mass": 8.0, "inertia": [150.0, 150.0, 286.0, 0.0, 0.0, 0.0]},
+        {"a": 2.0, "mass": 8.0, "inertia": [150.0, 150.0, 290.0, 0.0, 0.0, 0.0]},
+    ),
+    ("check the inertias: the largest radius", {"inertia": 0.0}, {"inertia": sphere(3.01)}),
+    # Along one direction of three, the mass counts threefold: 3 I / a^2.
+    ("check masses and inertias", {"inertia": sphere(0.99)}, {"inertia": sphere(1.01)}),
+    ("check masses and inertias", {"inertia": sphere(0.0184)}, {"inertia": sphere(0.0182)}),
+    (
+        "check masses and inertias",
+        {"inertia": sphere(0.6), "payload": {"mass": 1.0}},
+        {"inertia": sphere(1.4), "payload": {"mass": 1.0}},
+    ),
+    (
+        "typically 3.3 of the moving mass",
+        {"mass": 10.0, "inertia": sphere(0.95, 10.0)},
+        {"mass": 10.0, "inertia": sphere(1.05, 10.0)},
+    ),
+    ("check the payload", {"payload": {"mass": 2.99}}, {"payload": {"mass": 3.01}}),
+    ("more than three turns", {"lower": 0.0, "upper": 18.857}, {"lower": 0.0, "upper": 18.862}),
+    ("more than three turns", {"lower": 0.0, "upper": 1e5}, {"lower": 0.0, "upper": 99999.0}),
+    ("travels more than 10 m", SLIDE | {"upper": 10.0}, SLIDE | {"upper": 10.1}),
+    ("travels more than 10 m", SLIDE | {"upper": 1e5}, SLIDE | {"upper": 99999.0}),
+    ("check the effort limit of j1", SLIDE | {"max_effort": 4.91}, SLIDE | {"max_effort": 4.90}),
+    ("check the effort limit of j1", SLIDE | {"max_effort": 9800.0}, SLIDE | {"max_effort": 9820.0}),
+    (
+        "check the effort limit of j1",
+        LIGHT_SLIDE | {"mass": 0.99e-4},  # a load below 1 mN is none
+        LIGHT_SLIDE | {"mass": 1.05e-4},
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "within", "beyond"), DOUBTS)
+def test_bounds_of_what_is_worth_a_note(
+    load_rows: Callable[[object], Robot], text: str, within: dict[str, object], beyond: dict[str, object]
+) -> None:
+    for changes, noted in ((within, False), (beyond, True)):
+        robot = load_rows(one_joint(**changes))
+        assert robot.units_reason == ""
+        assert any(text in doubt for doubt in doubts(robot)) == noted, doubts(robot)
+
+
+@pytest.mark.parametrize(("limit", "noted"), [(100.0, False), (1e6, True)])
+def test_effort_limits_a_thousand_times_the_load_of_every_joint_are_a_note(
+    load_rows: Callable[[object], Robot], limit: float, *, noted: bool
+) -> None:
+    """Two slides along gravity: one alone may have a high limit."""
+    rows = one_joint(**SLIDE, max_effort=1e6)
+    for key in ("joints", "links"):
+        rows[key].append({**rows[key][0], "name": f"{key}2"})
+    rows["joints"][1]["max_effort"] = limit
+    assert any("check the effort limit" in doubt for doubt in doubts(load_rows(rows))) == noted
+
+
+def test_reach_and_longest_link_count_contact_points(load_rows: Callable[[object], Robot]) -> None:
+    robot = load_rows(one_joint(mass=64.0, contact_points={"near": [-0.5, 0.0, 0.0], "far": [3.0, 0.0, 0.0]}))
+    assert robot.reach == pytest.approx(4.0)
+    assert any("the link from j1 to far is 4 m long" in doubt for doubt in doubts(robot))
+
+
+def test_height_of_the_first_joint_is_no_link(tmp_path: Path) -> None:
+    root = ET.parse(path_of("ur5_robot.urdf")).getroot()  # noqa: S314 - file of the tree
+    joint = next(joint for joint in root.iter("joint") if joint.get("name") == "shoulder_pan_joint")
+    origin = joint.find("origin")
+    assert origin is not None
+    origin.set("xyz", "0 0 12")
+    path = tmp_path / "tower.urdf"
+    path.write_text(ET.tostring(root, encoding="unicode"), encoding="utf-8")
+    robot = load_robot(path)
+    assert (robot.units_reason, doubts(robot)) == ("", [])
+    assert robot.reach == pytest.approx(0.93, rel=0.05)
+
+
+def test_one_joint_in_radians_shows_that_all_are(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+) -> None:
+    omron_rows["joints"][0].update(lower=-50.0, upper=50.0)
+    assert load_rows(omron_rows).units_reason == ""
+
+
+def test_joints_without_limits_are_not_in_degrees(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+) -> None:
+    for joint in omron_rows["joints"]:
+        if joint["type"] == "revolute":
+            joint.update(lower=-1e6, upper=1e6)
+    robot = load_rows(omron_rows)
+    assert (robot.units_reason, doubts(robot)) == ("", [])
+
+
+def test_placeholder_masses_are_not_judged(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
+    for joint in omron_rows["joints"][:2]:
+        joint["a"] = 1.5
+    for link in omron_rows["links"]:
+        link.update(mass=1.0, inertia=sphere(1.0))
+    robot = load_rows(omron_rows)
+    assert robot.masses_reason
+    assert doubts(robot) == []

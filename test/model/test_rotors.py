@@ -237,6 +237,7 @@ class TestTransmission:
             ("<motorInertia>1e-4</motorInertia><mechanicalReduction>-50</mechanicalReduction>", "", 0.25),
             ("<motorInertia>1e-4</motorInertia>", "<mechanicalReduction>50</mechanicalReduction>", 0.25),
             ("<motorInertia>0.2</motorInertia>", "", 0.2),
+            ("<motorInertia>0</motorInertia>", "", 0.0),
             ('<drake:rotor_inertia value="1e-4"/><drake:gear_ratio value="100"/>', "", 1.0),
             # As Drake's own file of the Panda: its reduction of 1 is not the gear.
             (

@@ -129,6 +129,19 @@ def test_default_contact_point_is_the_tip_with_a_note() -> None:
     assert any("contact point tip: the tip of the longest chain" in note for note in robot.notes)
 
 
+@pytest.mark.parametrize(
+    ("branch", "tip"),
+    [
+        (joint("a", "slide", "probe", "continuous"), "tip"),  # as many moving joints, fewer joints
+        (joint("a", "tip", "probe", "fixed"), "probe"),
+        (joint("a", "base", "mid", "fixed") + '<link name="mid"/>' + joint("b", "mid", "probe", "fixed"), "tip"),
+    ],
+)
+def test_longest_chain_has_most_moving_joints_then_most_joints(branch: str, tip: str) -> None:
+    robot = parse(with_more('<link name="probe"/>', branch))
+    assert list(robot.contact_frames) == [tip]
+
+
 def test_continuous_joint_keeps_one_coordinate_without_bounds() -> None:
     robot = parse()
     assert robot.model.nq == robot.model.nv == 4
