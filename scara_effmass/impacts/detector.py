@@ -291,16 +291,14 @@ class Detector:
         """Return the impacts of the pending samples, which nothing continues."""
         buffer = self._buffer
         impacts: list[Impact] = []
-        rest = buffer.samples(self._processed, buffer.end)
         if not self._settled:
+            rest = buffer.samples(self._processed, buffer.end)
             frames = [*self._candidates, *([Frame(rest)] if rest.size >= MIN_FRAME_SAMPLES else [])]
             share = MIN_QUIET_SHARE if self._first_search else 1.0
             if frames and self._baseline.is_steady(frames, share) and not self._is_moving_load(frames):
                 self._adopt(frames)
                 impacts += self._advance()
-                rest = buffer.samples(self._processed, buffer.end)
-        active = self._segment_start is not None
-        if self._settled and (active or (rest.size and not self._baseline.is_quiet(Frame(rest)))):
+        if self._settled:
             start = self._segment_start
             if start is None:
                 start = max(self._processed - self._frame_size, buffer.first)

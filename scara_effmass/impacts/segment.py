@@ -208,7 +208,7 @@ def measure(force: FloatArray, first: int, last: int, earliest: int, latest: int
     start, rise_recorded = flank_onset(part, begin, peak)
     reversed_end, fall_recorded = flank_onset(part[::-1], part.size - 1 - stop, peak)
     end = part.size - 1 - reversed_end
-    inside = slice(max(math.ceil(start), 0), min(math.floor(end), part.size - 1) + 1)
+    inside = slice(math.ceil(start), math.floor(end) + 1)
     within = part[inside]
     ends = 0.5 * (within[0] * (inside.start - start) + within[-1] * (end - (inside.stop - 1)))
     area = float(within.sum() - 0.5 * (within[0] + within[-1]) + ends)

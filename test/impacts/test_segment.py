@@ -140,6 +140,15 @@ def test_buffer_keeps_a_saturated_sample_at_index_0(make_block: MakeBlock) -> No
     assert not buffer.saturated(101, 105).any()
 
 
+def test_missing_samples_are_stamped_by_the_block_before(make_block: MakeBlock) -> None:
+    before, buffer = make_block(np.arange(5.0), 100), SampleBuffer(100)
+    buffer.append(before)
+    buffer.append(make_block(np.arange(5.0), 112))
+    gap = buffer.block_at(107)
+    assert (gap.first_sample, gap.force.size) == (105, 7)
+    assert gap.stamp_ns - before.stamp_ns == round(5e9 / before.sample_rate)
+
+
 @pytest.mark.parametrize("index", [0, 2])
 def test_saturated_sample_beside_a_missing_one_stays(make_block: MakeBlock, index: int) -> None:
     force = np.array([1.0, np.nan, 2.0])
@@ -183,3 +192,9 @@ def test_saturated_samples_are_not_stuck() -> None:
 def test_lone_samples() -> None:
     force = np.array([0, 50, 0, -50, 1, 8, 30, 60, 5, 62, 40, 7, 0, 0, 50, 50, 0], dtype=float)
     assert lone_samples(force, 10.0).tolist() == [1, 3, 8]
+
+
+@pytest.mark.parametrize("force", [[0, 50, 0, 50, 50, 0], [0, 50, 50, 0, 50, 0]])
+def test_sample_beside_a_hole_is_no_spike(force: list[float]) -> None:
+    hole = force.index(0, 1)
+    assert lone_samples(np.array(force, dtype=float), 10.0).tolist() == [hole]

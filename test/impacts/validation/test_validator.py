@@ -239,6 +239,16 @@ def test_one_impact(campaign: Cell) -> None:
     assert result.reason == "1 impact, at least 6 are required"
 
 
+@pytest.mark.parametrize(("excess", "conservative"), [(0.0, True), (0.5e-12, True), (1.5e-12, False)])
+def test_a_prediction_low_by_rounding_is_conservative(campaign: Cell, excess: float, *, conservative: bool) -> None:
+    impact, arrival_ns = campaign.impacts[0]
+    settings = ValidatorSettings(history=60.0, stiffness_n_m=STIFFNESS)
+    (as_predicted,), _ = run(campaign._replace(impacts=[(impact, arrival_ns)]), settings)
+    impact = impact._replace(peak_force=as_predicted.predicted_force * (1.0 + excess))
+    (only,), _ = run(campaign._replace(impacts=[(impact, arrival_ns)]), settings)
+    assert only.conservative == conservative
+
+
 def test_no_obstacle_mass(campaign: Cell) -> None:
     validated, result = run(campaign._replace(runs=[]), ValidatorSettings(history=60.0))
     assert not validated
