@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from scara_effmass.analysis.assessed_states import AssessedStates
 from scara_effmass.bags.batches import IntArray
-from scara_effmass.values import NAN, FloatArray, Verdict
+from scara_effmass.values import NAN, BoolArray, FloatArray, Verdict
 
 NO_JOINT_STATE = "no joint state"
 """Reason of the episodes in which no joint state arrived."""
@@ -147,17 +147,16 @@ def decimate(time: FloatArray, values: FloatArray, columns: int) -> tuple[FloatA
     span = time[-1] - time[0] or 1.0
     column = np.minimum((columns * (time - time[0]) / span).astype(np.int64), columns - 1)
     starts = np.flatnonzero(np.diff(column, prepend=-1))
-    stops = np.append(starts[1:], len(time))
-    chosen: set[int] = set()
-    for start, stop in zip(starts.tolist(), stops.tolist(), strict=True):
-        part = values[start:stop]
-        missing = np.isnan(part)
-        chosen |= {start, stop - 1}
-        if not missing.all():
-            chosen |= {start + int(np.nanargmin(part)), start + int(np.nanargmax(part))}
-        if missing.any():
-            chosen.add(start + int(np.argmax(missing)))
-    indices = np.array(sorted(chosen))
+    sizes = np.diff(starts, append=len(time))
+
+    def first_of_column(mask: BoolArray) -> IntArray:
+        indices = np.flatnonzero(mask)
+        first: IntArray = indices[np.diff(column[indices], prepend=-1) > 0]
+        return first
+
+    low, high = (np.repeat(extremum.reduceat(values, starts), sizes) for extremum in (np.fmin, np.fmax))
+    masks = values == low, values == high, np.isnan(values)
+    indices = np.unique(np.concatenate([starts, starts + sizes - 1, *map(first_of_column, masks)]))
     return time[indices], values[indices]
 
 
