@@ -88,6 +88,10 @@ class Sender(Node):
         """Stop sending; answers that arrive later still count."""
         self._timer.cancel()
 
+    def start(self) -> None:
+        """Send again."""
+        self._timer.reset()
+
     def _send(self) -> None:
         self._step = (self._step + 1) % len(self._motion)
         self._state.position, self._state.velocity = self._motion[self._step]

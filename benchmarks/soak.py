@@ -73,6 +73,7 @@ def soak(duration_s: float, bag: Path) -> tuple[str, list[str]]:  # noqa: PLR091
     failures: list[str] = []
     rclpy.init()
     sender, executor = Sender(), EventsExecutor()
+    sender.stop()  # until all are there: the recorder counts what it misses while it starts
     executor.add_node(sender)
 
     def spin(seconds: float) -> None:
@@ -90,6 +91,8 @@ def soak(duration_s: float, bag: Path) -> tuple[str, list[str]]:  # noqa: PLR091
         deadline = time.monotonic() + DISCOVERY_S
         while not sender.connected() and time.monotonic() < deadline:
             spin(0.1)
+        spin(WARM_UP_S)
+        sender.start()
         spin(WARM_UP_S)
         sender.count_from_now()
         first_ns, started = time.time_ns(), time.monotonic()

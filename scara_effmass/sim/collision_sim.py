@@ -15,9 +15,9 @@ from xml.etree import ElementTree as ET
 
 import mujoco
 import numpy as np
-import yaml
 
 from scara_effmass.errors import RobotError
+from scara_effmass.input_files import read_yaml
 from scara_effmass.sim.cart import Cart, SpringContact
 from scara_effmass.values import FloatArray
 
@@ -246,9 +246,10 @@ def sim_mjcf(robot: Path, cart: Cart | None = None) -> tuple[str, tuple[str, ...
 
     The cart's joint comes last. Raises RobotError.
     """
+    rows = read_yaml(robot, RobotError)
     try:
-        body, names = _robot_body(yaml.safe_load(robot.read_text(encoding="utf-8")))
-    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+        body, names = _robot_body(rows)
+    except (KeyError, TypeError, ValueError) as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise RobotError(f"{robot}: {reason}; must be as config/omron_i4_550l.yaml") from None
     root = ET.Element("mujoco", model="cell")
