@@ -302,7 +302,7 @@ def test_cart_in_the_robots_place_is_refused() -> None:
     ("text", "message"),
     [
         (None, "No such file"),
-        ("joints: [", "ParserError"),
+        ("joints: [", "not YAML: line 2"),
         ("joints: []", "links"),
         ("joints: []\nlinks: []\ncontact_points: {}", "tool"),
         ("joints: [{name: a, type: odd, a: 0, alpha: 0}]\nlinks: [{name: b}]", "odd"),
