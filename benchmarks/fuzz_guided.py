@@ -23,7 +23,9 @@ except ImportError:
 ROOT = Path(__file__).resolve().parents[1]
 CHILD = "SCARA_EFFMASS_FUZZED"
 INSTRUMENTED = ["scara_effmass", "mcap", "nptdms", "rosbags", "yaml"]
-sys.path.insert(0, str(ROOT))  # atheris finds sources on the path only
+# Atheris instruments sources on the path, not what the finder of the editable installation loads.
+sys.meta_path[:] = [finder for finder in sys.meta_path if "Scikit" not in type(finder).__name__]
+sys.path.insert(0, str(ROOT))
 with atheris.instrument_imports(include=INSTRUMENTED) if CHILD in os.environ else contextlib.nullcontext():
     import fuzz
 
@@ -73,6 +75,8 @@ def guided(name: str, seconds: int, seed: int) -> None:
             with contextlib.suppress(EffmassError), contextlib.redirect_stdout(None):
                 read(path)
 
+        with atheris.instrument_imports(include=INSTRUMENTED):
+            one(content)  # imports what it needs
         limits = [f"-max_total_time={seconds}", f"-seed={seed}", "-timeout=20", "-rss_limit_mb=2048"]
         limits += [f"-max_len={2 * len(content)}", f"-dict={dictionary}", f"-artifact_prefix={kept}"]
         atheris.Setup([sys.argv[0], *limits, str(corpus)], one)
