@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -161,6 +162,8 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
         )[0]
         for contact in (ContactType.TRANSIENT, ContactType.QUASI_STATIC)
     )
+    if point.contact is ContactType.QUASI_STATIC:  # a clamped body part cannot move
+        transient = replace(transient, obstacle_mass_kg=held.obstacle_mass_kg)
     pressures = [item.peak_pressure_n_cm2 for item in repetitions if item.peak_pressure_n_cm2 is not None]
     measured = bool(repetitions) and len(pressures) == len(repetitions)
     values["transient_limit_n"] = transient.force_n if measured else transient.permissible_force_n

@@ -201,7 +201,8 @@ def _feed(
             for contact in item.decision.contacts if item.decision else ():
                 validator.add_state(contact, item.log_time_ns)
             continue
-        value, force_ns = item.value, item.log_time_ns
+        value = item.value._replace(simulated=item.value.simulated or recording.simulated)
+        force_ns = item.log_time_ns
         recording.count(value)
         if isinstance(value, ForceBlock):
             validator.add_force(value, force_ns)

@@ -111,6 +111,15 @@ def test_a_measured_pressure_has_its_own_limit(folder: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("stiffness", [60e3, 83e3])
+def test_clamped_body_part_does_not_yield(folder: Path, stiffness: float) -> None:
+    """Fixed device and clamped hand: the force scales with the root of the stiffness alone."""
+    values = {"instruments": [{"stiffness_n_m": stiffness, "fixed": True}]}
+    evaluation = result(changed(content(400.0), values | {"tests": [{"point": {"contact": "quasi_static"}}]}), folder)
+    assert evaluation.judged_force_n == pytest.approx(400.0 * np.sqrt(75e3 / stiffness), rel=1e-3)
+    assert evaluation.verdict == "VIOLATION"
+
+
 def test_force_on_another_stiffness_is_converted(folder: Path) -> None:
     values = content(400.0)
     values["instruments"][0]["stiffness_n_m"] = 300e3
