@@ -122,3 +122,14 @@ def test_a_load_that_goes_is_no_wrong_sign(detect: Detect, noise: FloatArray) ->
     noise[100_000:] -= 40.0
     impacts, detector = detect(noise)
     assert (impacts, detector.tensile_pulses) == ([], 0)
+
+
+@pytest.mark.parametrize("pause", [0.002, 0.005, 0.01, 0.02, 0.04, 0.1, 0.4])
+def test_a_contact_after_a_released_load_is_complete_only_with_its_peak(
+    detect: Detect, add_pulse: AddPulse, noise: FloatArray, pause: float
+) -> None:
+    """The baseline before the contact is that under the load."""
+    noise[:60_000] += 60.0
+    add_pulse(noise, 60_000 + pause * RATE, 3e-3, 100.0)
+    (impact,) = detect(noise).impacts
+    assert impact.incomplete or impact.peak_force == pytest.approx(100.0, rel=0.01)
