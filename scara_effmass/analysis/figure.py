@@ -115,7 +115,7 @@ def _draw_masses(axes: Axes, series: TimeSeries, mass_model: str) -> None:
             else:
                 _line(axes, series, values, color=color, linestyle=style, linewidth=1.3, label=label)
     if mass_model in {"largest", "auto"}:
-        label = "larger of both (decides)" if mass_model == "largest" else "auto (decides)"
+        label = "largest (decides)" if mass_model == "largest" else "auto (decides)"
         _line(axes, series, series.effective_mass, color="#E69F00", linewidth=4.0, alpha=0.5, label=label)
     masses = np.concatenate([line.get_ydata() for line in axes.get_lines()] or [np.empty(0)])
     masses = masses[np.isfinite(masses)]

@@ -205,11 +205,11 @@ class StateHistory:
 
 
 def _by_model(lumped: float, full: float, iso: float) -> dict[str, float]:
-    """Return the masses by name; the largest is NaN if either of the first two is, because it is then unknown."""
+    """Return the masses by name; the largest is that of all which exist, as the monitor takes it."""
     masses = dict(zip(MODELS, (lumped, full, iso), strict=True))
     known = full if math.isnan(lumped) or lumped < AUTO_SHARE * full else lumped
     auto = iso if math.isnan(known) else known
-    return masses | {MassModel.LARGEST.value: float(np.maximum(lumped, full)), MassModel.AUTO.value: auto}
+    return masses | {MassModel.LARGEST.value: float(np.fmax(np.fmax(lumped, full), iso)), MassModel.AUTO.value: auto}
 
 
 def _mass_along(mobility: Mobility6, normal: Vector3) -> float:

@@ -54,7 +54,7 @@ class ValidatorSettings(FrozenSettings):
     contact_point: str = fixed("", "contact point of the impacts; empty: the first one of a joint state")
     effective_mass_model: MassModel = fixed(
         MassModel.LUMPED,
-        "effective-mass model to accept: lumped, full, iso (M/2 + m_L), largest of lumped and full, or auto: lumped, "
+        "effective-mass model to accept: lumped, full, iso (M/2 + m_L), the largest that exists, or auto: lumped, "
         "but full where the lumped mass is unknown or more than 10 % lighter",
     )
     obstacle_mass: float = tunable(

@@ -81,7 +81,7 @@ def test_gap_breaks_the_lines() -> None:
 def test_missing_mass_model_is_not_in_the_legend() -> None:
     assert "full model" not in lines(draw(run(full=False)), 2)
     assert "full model (decides)" in lines(draw(run(), "full"), 2)
-    assert "larger of both (decides)" in lines(draw(run(), "largest"), 2)
+    assert "largest (decides)" in lines(draw(run(), "largest"), 2)
 
 
 def test_single_unknown_cycle_is_drawn() -> None:

@@ -464,8 +464,11 @@ def test_the_first_contact_point_where_none_is_chosen(make_state: MakeState) -> 
     [
         (MassModel.FULL, (1.0, 2.0), 2.0),
         (MassModel.ISO, (1.0, 2.0), ISO),
-        (MassModel.LARGEST, (1.0, 2.0), 2.0),
-        (MassModel.LARGEST, (3.0, 2.0), 3.0),
+        (MassModel.LARGEST, (1.0, 2.0), ISO),
+        (MassModel.LARGEST, (1.0, 3.0), 3.0),
+        (MassModel.LARGEST, (4.0, 3.0), 4.0),
+        (MassModel.LARGEST, (3.0, NAN), 3.0),
+        (MassModel.LARGEST, (NAN, 1.0), ISO),
         (MassModel.LUMPED, (1.0, NAN), 1.0),
         (MassModel.AUTO, (1.9, 2.0), 1.9),
         (MassModel.AUTO, (1.7, 2.0), 2.0),
@@ -491,7 +494,7 @@ def test_selected_model(
 
 @pytest.mark.parametrize(
     ("model", "mass"),
-    [(MassModel.FULL, NAN), (MassModel.LARGEST, NAN), *((MassModel.FULL, mass) for mass in (math.inf, 0.0, 0.9e-6))],
+    [(MassModel.FULL, NAN), *((MassModel.FULL, mass) for mass in (math.inf, 0.0, 0.9e-6))],
 )
 def test_selected_model_without_a_mass_is_rejected(
     make_state: MakeState, make_impact: MakeImpact, model: MassModel, mass: float
