@@ -231,7 +231,7 @@ def _on_joint_clock(
     """Return what was `measured` by another clock, with stamps and log times of the joint states. Raises BagError."""
     stamps_ns, lags_ns, velocity = array("q"), array("q"), array("d")
     point = settings.validator.contact_point
-    for item in assess_joint_states(bag, recording.joint_state_topic, monitor):
+    for item in assess_joint_states(bag, recording.joint_state_topic, monitor, settings.time):
         contacts = item.decision.contacts if item.decision else ()
         contact = next((one for one in contacts if not point or one.contact_point == point), None)
         if contact is None or contact.stamp_ns <= (stamps_ns[-1] if stamps_ns else 0):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from scara_effmass.analysis.assessment import Time
 from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.run_info import run_infos
@@ -40,6 +41,7 @@ class Altered(Protocol):
 
 
 SETTINGS = ValidationSettings()
+ONE_MASS = replace(SETTINGS, validator=ValidatorSettings(obstacle_mass=0.5))
 S = 1_000_000_000
 TURN = math.radians(30.0)
 
@@ -231,6 +233,34 @@ def test_a_given_offset_is_applied(campaign: list[Path], dynamics: RobotDynamics
     result, (recording,) = validate([path], dynamics, settings)
     assert recording.force_clock == f"{table}: its stamps {start_s + 0.02:+.6f} s, as given"
     assert result.clock_offset.offset == pytest.approx(-0.02, abs=1e-3)
+
+
+@pytest.mark.parametrize("time", Time)
+def test_offset_of_a_file_is_on_the_clock_of_the_joint_states(
+    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path, time: Time
+) -> None:
+    """The joint states are stamped 0.1 s before they were recorded."""
+    source, table = without_force(campaign[0], tmp_path)
+    path = tmp_path / "early.mcap"
+    with open_bag(source) as bag, BagWriter(path) as writer:
+        for block in bag.joint_state_blocks():
+            for log_time_ns, state in zip(block.log_time_ns.tolist(), block.states(), strict=True):
+                early = state._replace(stamp_ns=state.stamp_ns - S // 10)
+                writer.write("/joint_states", JOINT_STATE, log_time_ns, joint_state_message(early))
+    with open_bag(campaign[0]) as bag:
+        start_s = next(bag.force_blocks("/force")).stamp_ns / S
+    importing = ImportSettings(topic="Force (N)", sensor=SensorSettings(invert=True))
+    result, (recording,) = validate(
+        [path], dynamics, replace(ONE_MASS, time=time, force=importing, force_from=(table,))
+    )
+    assert len(result.impacts) == 1
+    assert abs(result.clock_offset.offset) < 1e-3
+    assert recording.force_offset == pytest.approx(start_s - (0.0 if time is Time.LOG else 0.1), abs=1e-3)
+
+
+def test_force_of_a_simulated_run_is_simulated(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
+    path = altered(campaign[0], block=lambda block: block._replace(simulated=False))
+    assert validate([path], dynamics, SETTINGS).result.simulated == 1
 
 
 def test_force_that_fits_the_velocity_nowhere_is_refused(
