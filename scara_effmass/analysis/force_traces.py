@@ -103,7 +103,7 @@ NO_TRACE = ForceTrace(np.empty(0), np.empty(0))
 
 
 def force_traces(recording: ValidatedRecording, settings: ImportSettings, after_s: float) -> list[ForceTrace]:
-    """Return the force of each impact of `recording`, until `after_s` after its onset. Raises BagError."""
+    """Return the force of each impact of `recording`, as `file_traces`. Raises BagError."""
     onsets = [impact.stamp_ns for impact in recording.impacts]
     if recording.force_clock:
         return file_traces(recording.files[-1], settings, onsets, after_s, recording.force_offset)
@@ -120,20 +120,22 @@ def _round_up(value: float) -> float:
 def file_traces(
     path: Path, settings: ImportSettings, onsets_ns: Iterable[int], after_s: float, offset_s: float = 0.0
 ) -> list[ForceTrace]:
-    """Return the force in the file or bag at `path` at `onsets_ns`; `offset_s` is added to its stamps.
+    """Return the force in the file or bag at `path` from each of `onsets_ns` until the next one, at most `after_s`.
 
-    Raises BagError, SettingsError.
+    `offset_s` is added to its stamps. Raises BagError, SettingsError.
     """
     onsets = np.array(list(onsets_ns), np.int64)
+    following = [min(onsets[onsets > onset], default=math.inf) for onset in onsets]
+    ends = np.minimum((np.array(following) - onsets) / NS, after_s)
     parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in onsets]
     for _, block in file_measurements(path, settings, Counter()):
         if not isinstance(block, ForceBlock):
             continue
         first = (block.stamp_ns + round(offset_s * NS) - onsets) / NS
         last = first + len(block.force) / block.sample_rate
-        for index in np.flatnonzero((first < after_s) & (last > -BEFORE_S)):
+        for index in np.flatnonzero((first < ends) & (last > -BEFORE_S)):
             time = first[index] + np.arange(len(block.force)) / block.sample_rate
-            inside = (time >= -BEFORE_S) & (time <= after_s) & np.isfinite(block.force)
+            inside = (time >= -BEFORE_S) & (time <= ends[index]) & np.isfinite(block.force)
             parts[index].append((time[inside], block.force[inside]))
     return [_above_baseline(*map(np.concatenate, zip(*part, strict=True))) if part else NO_TRACE for part in parts]
 
@@ -165,8 +167,8 @@ def shown(
     predicted: float | None = None,
     speed: float | None = None,
 ) -> list[ShownTrace]:
-    """Return the trace of an impact as a report shows it, nothing for an empty one."""
-    if not trace.time.size:
+    """Return the trace of an impact as a report shows it, nothing for one that ends before it."""
+    if not (trace.time.size and trace.time[-1] > 0.0):
         return []
     drawing = draw_trace(trace, predicted)
     return [ShownTrace(title, iso_time(stamp_ns), drawing, simulated, peak, predicted, speed)]

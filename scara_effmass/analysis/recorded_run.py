@@ -108,7 +108,7 @@ def read_force(bag: Bag) -> RecordedForce | None:
         force=np.concatenate(forces),
         blocks=len(blocks),
         lost=sum(block.lost_samples for block in blocks[1:]),
-        simulated=blocks[-1].simulated,
+        simulated=any(block.simulated for block in blocks),
         source=blocks[-1].source,
         impacts=tuple(decode_impact(message.data) for message in bag.messages([impact_topic]))
         if impact_topic

@@ -245,7 +245,7 @@ def _contacts(
             and bool(valid[max(math.floor(contact.onset), 0) : math.ceil(contact.end) + 1].all())
             and (before.size < MIN_INCOMPLETE_SAMPLES or abs(float(np.median(before))) <= threshold)
             # A baseline taken under a load that was then released is too high; a contact rings below it as well.
-            and (bool(number) or np.count_nonzero(before < -threshold) < MIN_INCOMPLETE_SAMPLES)
+            and bool(number or np.count_nonzero(before < -threshold) < MIN_INCOMPLETE_SAMPLES)
         )
         # A contact compresses the sensor in sum; noise does not.
         if contact.area > 0.0 and (complete or np.count_nonzero(valid[first : last + 1]) >= MIN_INCOMPLETE_SAMPLES):
