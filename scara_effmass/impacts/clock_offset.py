@@ -11,6 +11,8 @@ from scara_effmass.values import FloatArray
 
 WINDOW = 0.05
 """Time before and after the onset of the force in which the kink is searched [s]."""
+LONGEST_CONTACT_S = 0.01
+"""Longest contact [s] whose kink is found with joint states of 100 Hz: most of the window must be without contact."""
 MIN_STATES = 8
 MIN_LOSS = 0.02
 """Share of the speed that a kink takes at least."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.impacts.agreement import MIN_RELATIVE_RANGE, Agreement
-from scara_effmass.impacts.clock_offset import ClockOffset
+from scara_effmass.impacts.clock_offset import LONGEST_CONTACT_S, ClockOffset
 from scara_effmass.impacts.mass_fit import Interval, MassFit
 from scara_effmass.settings import CriterionSettings
 from scara_effmass.values import FloatArray
@@ -100,7 +100,7 @@ def _rejections(criterion: CriterionSettings, series: Series) -> Iterator[str]:
             f"{criterion.shortfall_tolerance:.0%} too low, at most {criterion.largest_shortfall_share:.0%} may be"
         )
     if _is_outside(fit.gain_interval, series.gain_tolerance):
-        limit = f"must be within {series.gain_tolerance:.0%} of 1"
+        limit = f"must be within {_percent(series.gain_tolerance)} of 1"
         yield f"gain of the force {fit.gain_interval.around(fit.gain)}: {limit}"
     if _is_outside(fit.mass_scale_interval, criterion.mass_tolerance):
         limit = f"times its model's mass, at most {criterion.mass_tolerance:.0%} off is tolerated"
@@ -116,6 +116,7 @@ def _rejections(criterion: CriterionSettings, series: Series) -> Iterator[str]:
 def _doubts(criterion: CriterionSettings, series: Series) -> Iterator[str]:
     agreement, fit, clock, tolerance = series.agreement, series.fit, series.clock, criterion.mass_tolerance
     mass, gain, exponent = fit.mass_scale_interval, fit.gain_interval, fit.exponent_interval
+    gain_tolerance = _percent(series.gain_tolerance)
     checks = (
         (not fit.impacts, "the impacts do not state the impulse up to the peak"),
         (
@@ -142,7 +143,7 @@ def _doubts(criterion: CriterionSettings, series: Series) -> Iterator[str]:
         ),
         (
             not _is_inside(gain, series.gain_tolerance),
-            f"gain of the force {gain.around(fit.gain)} is not clearly within {series.gain_tolerance:.0%} of 1",
+            f"gain of the force {gain.around(fit.gain)} is not clearly within {gain_tolerance} of 1",
         ),
         (
             not exponent.high - exponent.low <= 2.0 * MAX_EXPONENT_HALF_WIDTH,
@@ -163,14 +164,22 @@ def _next(criterion: CriterionSettings, series: Series) -> str:
         steps.append(f"one of {heavy:.2g} kg or more, which shows the mass")
     if series.one_pose:
         steps.append("every obstacle in a second pose, whose effective mass differs by 20 % or more")
-    if max(clock.resolution, 1e-9) > criterion.largest_clock_offset or clock.impacts < series.agreement.count:
-        rate = f"joint states at {0.5 / criterion.largest_clock_offset:.0f} Hz or more"
-        steps.append(f"{rate}, with the robot hitting at constant speed")
+    if clock.resolution > criterion.largest_clock_offset:
+        steps.append(f"joint states at {0.5 / criterion.largest_clock_offset:.0f} Hz or more")
+    if clock.impacts < series.agreement.count:
+        steps.append(f"impacts at constant speed, in contacts of {1e3 * LONGEST_CONTACT_S:g} ms or less")
     if not steps:
-        ratio = min(max(fit.detectable_mass_error / criterion.mass_tolerance, 1.5), 3.0)
+        gain = fit.gain_interval
+        mass_ratio = fit.detectable_mass_error / criterion.mass_tolerance
+        gain_ratio = 0.5 * (gain.high - gain.low) / series.gain_tolerance
+        ratio = min(max(mass_ratio, gain_ratio, 1.5), 3.0)
         count = math.ceil(max(fit.cells, 4) * ratio**2)
         steps.append(f"{count} combinations of pose and obstacle in place of {fit.cells}")
     return ", ".join(steps)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g}%"
 
 
 def _one_obstacle(series: Series) -> bool:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.clock_offset import Kink, clock_offset, recording_offset, velocity_kink
+from scara_effmass.impacts.clock_offset import LONGEST_CONTACT_S, Kink, clock_offset, recording_offset, velocity_kink
 from scara_effmass.values import FloatArray
 
 DURATION = 2e-3
@@ -31,6 +31,16 @@ def test_an_offset_is_found_within_the_resolution(onset: float, period: float, p
     assert kink is not None
     assert kink.resolution == pytest.approx(0.5 * period, rel=1e-6)
     assert kink.delay == pytest.approx(onset, abs=kink.resolution + 1e-4)
+
+
+@pytest.mark.parametrize("period", [1e-3, 2e-3, 4e-3, 8e-3, 1e-2])
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.6, 0.9])
+def test_the_longest_contact_shows_a_kink(period: float, phase: float) -> None:
+    times = np.arange(-0.05 + phase * period, 0.05, period)
+    speed = 0.25 - 0.1 * (1.0 - np.cos(np.pi * np.clip(times / LONGEST_CONTACT_S, 0.0, 1.0)))
+    kink = velocity_kink(times, speed[:, None] * np.array([0.6, -0.8, 0.0]), LONGEST_CONTACT_S)
+    assert kink is not None
+    assert abs(kink.delay) <= kink.resolution
 
 
 def test_a_larger_rebound_does_not_count() -> None:

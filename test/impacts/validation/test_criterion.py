@@ -108,7 +108,7 @@ def test_wrong_series_is_rejected(changes: dict[str, Any], reason: str) -> None:
         ),
         (
             {"clock": CLOCK._replace(impacts=9)},
-            "the velocity shows the impact in 9 of 20 impacts: clock offset unknown; next: joint states at 100 Hz",
+            "the velocity shows the impact in 9 of 20 impacts: clock offset unknown; next: impacts at constant",
         ),
         (
             {"clock": CLOCK._replace(resolution=0.0051)},
@@ -182,14 +182,14 @@ def test_gain_that_touches_the_tolerance_is_not_decidable(interval: Interval) ->
         (
             {"clock": CLOCK._replace(impacts=19)},
             0.2,
-            "joint states at 100 Hz or more, with the robot hitting at constant speed",
+            "impacts at constant speed, in contacts of 10 ms or less",
         ),
         (
             {"obstacle_masses": 2.0 * OBSTACLES, "clock": CLOCK._replace(impacts=19)},
             0.2,
             (
                 "an obstacle of m_H = 0.25 kg or less, which fixes the gain, "
-                "joint states at 100 Hz or more, with the robot hitting at constant speed"
+                "impacts at constant speed, in contacts of 10 ms or less"
             ),
         ),
     ],
