@@ -54,7 +54,7 @@ def _repetition(impact: ValidatedImpact, trace: ForceTrace, name: str, sha256: s
             peak = max(float(early.max()), impact.measured_force if late.max() < early.max() else 0.0)
             beyond = _rounded(max(float(late.max()), 0.0))
     return Repetition(
-        time=datetime.fromtimestamp(impact.stamp_ns / 1e9, timezone.utc),
+        time=datetime.fromtimestamp(impact.stamp_ns / 1e9, timezone.utc).astimezone(),  # the local day is the test date
         raw_data=name,
         raw_sha256=sha256,
         reached_speed_m_s=_rounded(impact.speed),

@@ -284,7 +284,7 @@ def _regions(validation: Validation, settings: ValidationSettings) -> Iterator[t
                         [limit],
                         impact.measured_force / impact.force_share,
                         (impact.effective_mass, impact.measured_effective_mass),
-                        math.inf if settings.validator.obstacle_fixed else impact.obstacle_mass,
+                        math.inf if settings.validator.obstacle_fixed else impact.obstacle_mass / impact.force_share**2,
                         impact.stiffness,
                     ).force
                     for impact in validation.result.impacts

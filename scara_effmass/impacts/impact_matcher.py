@@ -41,6 +41,11 @@ class Run(NamedTuple):
     normal: Vector3 | None = None
     guide: Vector3 | None = None
 
+    @property
+    def force_share(self) -> float:
+        """Component of the normal along the axis of the sensor: measured force / force along the normal."""
+        return abs(_dot(self.normal, self.guide)) if self.normal and self.guide else 1.0
+
 
 def check_run_info(info: RunInfo) -> None:
     """Raise SettingsError for an invalid stamp, configuration, obstacle mass, or direction."""
@@ -177,9 +182,8 @@ class MatchedImpact(NamedTuple):
 
     @property
     def force_share(self) -> float:
-        """Component of the normal along the axis of the sensor: measured force / force along the normal."""
-        normal, guide = self.run.normal, self.run.guide
-        return abs(_dot(normal, guide)) if normal and guide else 1.0
+        """That of the run."""
+        return self.run.force_share
 
     @property
     def obstacle_mass(self) -> float:
@@ -267,7 +271,9 @@ class ImpactMatcher:
             if self._settings.obstacle_fixed:
                 run = run._replace(obstacle_mass=math.inf)
             state = self._onset_state(impact, received_ns, run.normal)
-            if isinstance(state, Rejection):
+            if not run.force_share >= MIN_NORMAL_COMPONENT:  # normal and guide can be of different sources
+                self.refuse(impact, Rejection("the guide lies in the plate", "check plate_normal and guide_direction"))
+            elif isinstance(state, Rejection):
                 self.refuse(impact, state)
             elif not run.obstacle_mass:
                 self.refuse(impact, Rejection("obstacle_mass is not given", "set it to the mass of the obstacle [kg]"))

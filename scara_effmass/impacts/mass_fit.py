@@ -50,8 +50,8 @@ class MassFit(NamedTuple):
     Impacts of one pose and obstacle share the errors of model and obstacle, so their mean counts as one of `cells`.
     `detectable_mass_error` is the smallest relative error of the masses that the series finds with 95 % probability,
     infinite if it cannot tell g and s apart. `scatter` is the relative standard deviation of the cells about the fit,
-    `worst_obstacle` [kg] the obstacle with the largest mean deviation, `worst_deviation`. `exponent` is p of
-    F ~ (J v_n)^p, NaN if J v_n does not vary.
+    `worst_obstacle` [kg] the obstacle with the largest mean deviation of the impulses from the fit, `worst_deviation`.
+    `exponent` is p of F ~ (J v_n)^p, NaN if J v_n does not vary.
     """
 
     impacts: int
@@ -137,7 +137,7 @@ def fit_masses(
     gain_error = error * math.sqrt(1.0 / counts.size + (share**2 / spread if spread > 0.0 else math.inf))
     quantile = float(scipy.special.stdtrit(degrees, (1.0 + CONFIDENCE) / 2.0))
     detectable = (quantile + float(scipy.special.stdtrit(degrees, CONFIDENCE))) * scale_error
-    deviations = {float(k): float(-solution.fun[mobility == k].mean()) for k in np.unique(mobility)}
+    deviations = {float(k): float(solution.fun[mobility == k].mean()) for k in np.unique(mobility)}
     worst = max(deviations, key=lambda k: abs(deviations[k]))
     return fit._replace(
         gain=gain,

@@ -3,7 +3,9 @@
 
 import json
 import re
+import time
 from collections.abc import Iterator
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -297,6 +299,27 @@ def test_contacts_are_those_of_the_validation(
         assert item.force_beyond_0_5_s_n == pytest.approx(0.0, abs=1.0)
         assert item.duration_s == pytest.approx(np.pi * np.sqrt(impact.reduced_mass / 2e6), rel=0.2)
         assert item.simulated is False
+
+
+@pytest.fixture
+def los_angeles() -> Iterator[None]:
+    """Set the time zone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TZ", "PST8")
+        time.tzset()
+        yield
+    time.tzset()
+
+
+@pytest.mark.usefixtures("los_angeles")
+def test_contact_has_the_local_day(
+    campaign: list[Path], dynamics: RobotDynamics, device_settings: ValidationSettings
+) -> None:
+    """That is the test date of a protocol; the recording is of 0:00 UTC."""
+    (item,) = repetitions(validate(campaign[:1], dynamics, device_settings), ImportSettings(), Path())
+    assert item.time
+    assert item.time.isoformat()[:10] == "2025-12-31"
+    assert item.time.utcoffset() == timedelta(hours=-8)
 
 
 def test_force_that_is_held_counts_beyond_half_a_second(

@@ -161,6 +161,19 @@ def test_report_without_impacts(
     )
 
 
+def test_regions_have_the_force_of_the_verdict(
+    campaign: list[Path], dynamics: RobotDynamics, altered: Altered, tmp_path: Path
+) -> None:
+    """An obstacle on an oblique guide yields less along the normal of the plate."""
+    oblique = altered(campaign[0], info={"guide_direction": (0.6, -0.8, 0.0), "plate_normal": (1.0, 0.0, 0.0)})
+    validation = validate([oblique], dynamics, SETTINGS)
+    (impact,) = validation.result.impacts
+    assert impact.force_share == pytest.approx(0.6)
+    texts = texts_of(written(validation, dynamics, tmp_path / "report"))
+    row = texts.index(impact.body_region)
+    assert texts[row + 3] == f"{impact.region_force:.1f}"
+
+
 def test_a_report_of_one_impact(campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path) -> None:
     settings = ValidationSettings(validator=ValidatorSettings(stiffness_n_m=2e6))
     files = written(validate(campaign[:1], dynamics, settings), dynamics, tmp_path / "report", settings)

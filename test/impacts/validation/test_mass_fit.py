@@ -129,6 +129,16 @@ def test_the_worst_obstacle_is_named() -> None:
     assert result.scatter > 0.02
 
 
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_the_worst_deviation_is_that_of_the_measured_impulses(factor: float) -> None:
+    mu = reduced(MASSES)
+    impulses = 0.25 * mu * np.where(OBSTACLES == 2.39, factor, 1.0)
+    result = fit_masses(impulses, np.full(12, 0.25), np.sqrt(mu), MASSES, OBSTACLES, NAMES)
+    assert result.worst_obstacle == pytest.approx(2.39)
+    assert 0.3 * (factor - 1.0) / result.worst_deviation < 1.0
+    assert result.worst_deviation * (factor - 1.0) > 0.0
+
+
 @given(st.permutations(range(12)))
 def test_the_order_of_impacts_does_not_matter(order: list[int]) -> None:
     noise = np.random.default_rng(3).normal(0.0, 0.02, 12)

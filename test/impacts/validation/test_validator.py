@@ -629,6 +629,16 @@ def test_speed_and_masses_are_those_along_the_normal_of_the_plate(
     assert (impact.measured_force, impact.force_share) == pytest.approx((50.0, share))
 
 
+def test_guide_in_the_plate_is_rejected(make_state: MakeState, make_impact: MakeImpact) -> None:
+    """The normal is a setting, the guide of the run information."""
+    validator = Validator(ValidatorSettings(plate_normal="1 0 0"))
+    validator.begin_run(RunInfo(obstacle_mass=2.0, guide_direction=(0.0, 1.0, 0.0)), 0)
+    for ms in range(0, 70, 10):
+        validator.add_state(make_state(START + ms * MS, 0.25, lumped=1.5), 0)
+    assert not validator.add_impact(make_impact(START + 5 * MS, 50.0), 0)
+    assert validator.result().unpaired == {"the guide lies in the plate": 1}
+
+
 def test_reset_begins_a_new_series(campaign: Cell) -> None:
     validator = Validator(ValidatorSettings(history=60.0, obstacle_mass=2.39))
     for state in campaign.states:
