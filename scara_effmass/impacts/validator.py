@@ -169,9 +169,9 @@ class Validator:
         self._matcher.clock.add_block(block, received_ns)
         self._stated_uncertainty = max(self._stated_uncertainty, block.relative_uncertainty)
         finite = block.force[np.isfinite(block.force)]
-        if finite.size:
-            self._min_force = min(self._min_force, float(finite.min()))
-            self._max_force = max(self._max_force, float(finite.max()))
+        if finite.size >= 2:  # a force that holds for two samples: one alone is a glitch
+            self._min_force = min(self._min_force, float(np.maximum(finite[1:], finite[:-1]).min()))
+            self._max_force = max(self._max_force, float(np.minimum(finite[1:], finite[:-1]).max()))
 
     def begin_run(self, info: RunInfo, received_ns: int) -> int:
         """Begin the run that `info` describes; return how many impacts of this run were validated in the one before.
@@ -277,13 +277,14 @@ class Validator:
                 self._matcher.refuse(match.impact, Rejection(f"no {self._model} mass", detail))
                 continue
             self._matches.append(match)
-            validated.append(self._validated_impact(match, self._summary()))
+            clock, force_sign = self._problems()
+            validated.append(self._validated_impact(match, self._summary(force_sign or clock)))
         return validated
 
-    def _summary(self, problem: str = "") -> _Summary:
+    def _summary(self, problem: str) -> _Summary:
         """Return agreement, fit and decision of each model; `problem` is one of the clocks or the sign of the force.
 
-        Without the problem it does not depend on the order of arrival.
+        But for the problem it does not depend on the order of arrival.
         """
         unpaired = Counter(impact.reason for impact in self._matcher.refused if not impact.excluded)
         kinks = (match.kink for match in self._matches if match.kink is not None)

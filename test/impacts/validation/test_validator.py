@@ -398,10 +398,26 @@ def test_inverted_force_is_reported(campaign: Cell, force: list[float], text: st
     validator = Validator(ValidatorSettings())
     for state in campaign.states:
         validator.add_state(*state)
-    validator.add_force(block(force), 0)
+    validator.add_force(block(np.repeat(force, 2).tolist()), 0)
     result = validator.result()
     assert result.force_sign == text
     assert result.reason == (text or "no impacts, at least 6 are required")
+
+
+def test_one_sample_is_no_wrong_sign() -> None:
+    validator = Validator(ValidatorSettings())
+    validator.add_force(block([0.1, -900.0, 0.1, 0.0]), 0)
+    assert not validator.result().force_sign
+
+
+def test_every_impact_states_a_problem_of_the_series(campaign: Cell) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    validator.add_force(block([-100.0, -100.0]), 0)
+    for state in campaign.states:
+        validator.add_state(*state)
+    impacts = [impact for each in campaign.impacts for impact in validator.add_impact(*each)]
+    assert len(impacts) > 6
+    assert {impact.reason[:22] for impact in impacts} == {"force goes to -100 N a"}
 
 
 def test_other_contact_points_are_named(make_state: MakeState, make_impact: MakeImpact) -> None:
