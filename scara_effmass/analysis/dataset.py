@@ -58,12 +58,12 @@ def assess_part(
 ) -> BagResult:
     """Assess the bag at `path` into `folder`/cell=`cell`/day=DAY/, unless that was done; return the result.
 
-    It was done if bag, settings, robot and version are the same, by their hashes. Raises BagError, SettingsError, and
-    OutputError where one of the last three differs, unless `overwrite`.
+    It was done if bag, cell, settings, robot and version are the same, by their hashes. Raises BagError, SettingsError,
+    and OutputError where another one than the bag differs, unless `overwrite`.
     """
     content = _hash_of(path)
     inputs = [content, task.settings.model_dump_json(), digest(Path(task.settings.robot_path), BagError), __version__]
-    inputs += [task.time.value, str(task.topic), _hash_of(task.velocity_bag) if task.velocity_bag else ""]
+    inputs += [task.time.value, str(task.topic), cell, _hash_of(task.velocity_bag) if task.velocity_bag else ""]
     key = hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
     file = folder / RECORDS / f"{content[:16]}.json"
     if file.exists():
@@ -74,9 +74,8 @@ def assess_part(
             summary = Summary.of_state(record.summary)
             return BagResult(summary, dict(record.counts), record.losses, list(record.notes))
         if not overwrite:
-            raise OutputError(
-                f"{folder / record.part}: is of other settings, robot or version; use --force to replace it"
-            )
+            problem = "is of another cell, other settings, robot or version; use --force to replace it"
+            raise OutputError(f"{folder / record.part}: {problem}")
         if (folder / record.part).exists() and not isinstance(folder, Url):
             (folder / record.part).unlink()
     with open_bag(path) as bag:

@@ -44,13 +44,17 @@ class Plan:
     def __init__(self, settings: MonitorSettings, count: int) -> None:
         """Start empty. Raises LimitError."""
         self._settings, self._count = settings, count
-        self.unknown = 0
+        self.unknown = self.at_rest = 0
         self._worst: dict[Limit, list[Candidate]] = {limit: [] for limit in limits_for(settings)}
 
     def add(self, contact: ContactAssessment, pose: Mapping[str, float], *, at_limit: bool = False) -> None:
-        """Consider a contact in a `pose`, by joint [rad, m]; `unknown` counts those without a verdict."""
-        if contact.verdict is Verdict.UNKNOWN:
-            self.unknown += 1
+        """Consider a contact in a `pose`, by joint [rad, m].
+
+        `unknown` counts those without a verdict, `at_rest` those without a direction.
+        """
+        if contact.verdict is Verdict.UNKNOWN or not any(contact.direction):
+            self.unknown += contact.verdict is Verdict.UNKNOWN
+            self.at_rest += contact.verdict is not Verdict.UNKNOWN
             return
         for limit, worst in self._worst.items():
             mu = reduced_mass(contact.effective_mass, limit.obstacle_mass_kg)

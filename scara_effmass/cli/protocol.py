@@ -46,6 +46,8 @@ def _init(args: argparse.Namespace) -> int:
     check_output_path(args.output, overwrite=args.force)
     settings = monitor_settings(args)
     if args.map:
+        if args.recording:
+            raise SettingsError("--map: must be without --from: the speeds of one cannot be compared with the other's")
         require_no_payload_topic(settings, "a map")
     plan = Plan(settings, args.points)
     dynamics = load_dynamics(settings)
@@ -58,6 +60,7 @@ def _init(args: argparse.Namespace) -> int:
         path.write_text(protocol_yaml(protocol), encoding="utf-8")
     lines = [("test", f"{test.id}: {test.note}") for test in protocol.tests if test.note]
     lines += [("left out", f"{plan.unknown} contacts that are UNKNOWN")] if plan.unknown else []
+    lines += [("left out", f"{plan.at_rest} contacts at rest")] if plan.at_rest else []
     next_step = f"fill in the file, then: scara-effmass protocol fill {args.output} --test ID BAG"
     result = {"output": str(args.output), **protocol.model_dump(mode="json")}
     print_result(result, [*lines, ("written", args.output), ("next", next_step)], as_json=args.json)

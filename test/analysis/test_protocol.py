@@ -255,8 +255,9 @@ def test_plan_keeps_the_worst_contacts_in_different_poses(dynamics: RobotDynamic
     for q2, speed in speeds.items():
         plan.add(assessment(monitor, q2, speed), {"joint2": q2})
     plan.add(assessment(monitor, 2.0, 3.0)._replace(verdict=Verdict.UNKNOWN), {"joint2": 2.0})
+    plan.add(assessment(monitor, 2.0, 0.4)._replace(direction=(0.0, 0.0, 0.0)), {"joint2": 2.0})
     protocol = plan.protocol("arm")
-    assert plan.unknown == 1
+    assert (plan.unknown, plan.at_rest) == (1, 1)
     assert [test.id for test in protocol.tests] == ["chest_1", "chest_2", "hand_fingers_1", "hand_fingers_2"]
     for region in ("chest", "hand_fingers"):
         poses = [test.motion.pose for test in protocol.tests if test.point.body_region == region]

@@ -41,7 +41,9 @@ def test_init_writes_an_empty_protocol_once(cli: Cli, refused: Refused, tmp_path
     assert cli("protocol", "init", "--force").returncode == 0
 
 
-def test_init_proposes_points_from_a_bag_and_from_the_workspace(cli: Cli, swing_bag: Path, tmp_path: Path) -> None:
+def test_init_proposes_points_from_a_bag_or_from_the_workspace(
+    cli: Cli, refused: Refused, swing_bag: Path, tmp_path: Path
+) -> None:
     regions = ("--region", "hand_fingers", "--region", "chest", "--points", "2", "--force")
     done = cli("protocol", "init", "--from", swing_bag, *regions)
     assert done.returncode == 0
@@ -50,6 +52,7 @@ def test_init_proposes_points_from_a_bag_and_from_the_workspace(cli: Cli, swing_
     assert {test.motion.pose is not None for test in proposed.tests} == {True}
     done = cli("protocol", "init", "--map", "--samples", "100", *regions)
     assert done.stdout.count("240 N of 240 N") == 2
+    assert "--map: must be without --from" in refused("protocol", "init", "--map", "--from", swing_bag, "--force")
 
 
 def test_fill_enters_simulated_contacts_which_stay_unknown(

@@ -173,9 +173,10 @@ def test_interrupted_dataset_is_continued(tmp_path: Path, cli: Cli, domain: dict
     assert (result["joint_states"], result["unreadable"]) == (20 * STATES + 190, [])
     assert {path: path.stat().st_mtime_ns for path in done} == {path: first[path] for path in done}
     assert json.loads(cli(*words[:-2], "--json").stdout) == result  # nothing is assessed a third time
-    other = cli(*words, "--region", "chest")
-    assert other.returncode == 2
-    assert "is of other settings, robot or version; use --force to replace it" in other.stderr
+    for change in (("--region", "chest"), ("--cell", "other")):
+        other = cli(*words, *change)
+        assert other.returncode == 2
+        assert "is of another cell, other settings, robot or version; use --force to replace it" in other.stderr
 
 
 def test_scheduler_that_does_not_answer_is_named(
