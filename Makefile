@@ -112,7 +112,14 @@ clean:  ## remove all generated files
 		--requirement $< && \
 	touch $@
 
-.venv/.installed: .venv/.requirements pyproject.toml package.xml setup.py $(shell find cmake msg_schemas scripts -type f)
+# The editable installation keeps a list of the modules; those of HOT_PATH are compiled.
+.venv/.modules: FORCE | .venv/.requirements
+	@find scara_effmass -name '*.py' | sort > $@.new
+	@cmp -s $@.new $@ && rm $@.new || mv $@.new $@
+FORCE:
+
+.venv/.installed: .venv/.requirements .venv/.modules pyproject.toml package.xml setup.py \
+		$(shell find cmake msg_schemas scripts -type f) $(shell sed -n 's/^    "\(scara_effmass\/.*\.py\)",$$/\1/p' setup.py)
 	@echo "building the messages and installing this tree"
 	@$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@$(BIN)/python scripts/compile_kernel.py
