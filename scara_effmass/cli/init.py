@@ -31,6 +31,9 @@ from scara_effmass.wire.topics import JOINT_STATES
 
 UNASKED = {"payload_topic", "joint_names", "joint_limits", "velocity_source", "velocity_window"}
 """Options that few cells need."""
+SHOWN = ["robot", "joint_map", "joint_names", "contact_points", "payload_mass", "payload_com", "payload_inertia"]
+SHOWN += ["tool_links", "armature"]
+"""Parameters of the monitor that change the markers."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -43,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     lines = [("robot", dynamics.robot.origin), ("contact points", ", ".join(dynamics.contact_points))]
     unknown = False
     notes = [
-        "Parameters of a cell for every node and command: --params FILE, launch argument params_file.",
+        "Parameters of a cell, for nodes and commands: --params FILE, launch argument params_file.",
         f"Written by scara-effmass {__version__} from {dynamics.robot.origin}.",
     ]
     if args.bag:
@@ -141,6 +144,7 @@ def _cell(settings: MonitorSettings, notes: Sequence[str]) -> str:
         "monitor": (MonitorSettings, [*cell, "tool_links", "armature", "drives"]),
         "validator": (ValidatorSettings, ["robot", *(name for name in cell if name in ValidatorSettings.model_fields)]),
         "daq": (DaqSettings, ["sensor.sensitivity"]),
+        "visualization": (MonitorSettings, SHOWN),
     }
     lines = [f"# {note}" for note in notes]
     for node, (kind, names) in sections.items():

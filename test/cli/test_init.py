@@ -93,6 +93,8 @@ def test_file_holds_the_options_and_the_meaning_of_each_parameter(cli: Cli, moti
     validator = load_settings(ValidatorSettings, file, "validator")
     assert (validator.body_regions, validator.contact_area_m2) == (("chest", "hand_fingers"), 2e-4)
     assert load_settings(DaqSettings, file, "daq") == DaqSettings()
+    shown = load_settings(MonitorSettings, file, "visualization")
+    assert (shown.robot, shown.contact_points[0], shown.payload_mass) == (str(UR5), "ee_link", 2.5)
     text = file.read_text(encoding="utf-8")
     assert "-- -r joint_states:=/arm/joint_states" in text
     for line, before in zip(text.splitlines()[1:], text.splitlines(), strict=False):
