@@ -87,6 +87,7 @@ def test_contact_points_can_be_selected(omron_rows: dict[str, Any], tmp_path: Pa
     [
         ("robot", ..., "robot: must be present"),
         ("base_frame", "", "base_frame = .*: "),
+        ("joints.1.name", "", r"joints 2.*name = .*: .*at least 1 character"),
         ("joints.1.a", ..., r"joints 2 \(joint2\): a: must be present"),
         ("joints.1.a", "long", r"joints 2 \(joint2\): a = .*: .* number"),
         ("joints.1.a", True, r"joints 2 \(joint2\): a = .*: .* number"),
@@ -142,6 +143,18 @@ def test_wrong_value_is_named(
     with pytest.raises(RobotError, match=rf"robot\.yaml: {named}") as error:
         load_rows(omron_rows)
     assert "\n" not in str(error.value)
+
+
+def test_name_of_one_letter_is_valid(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
+    robot = load_rows(omron_rows | {"robot": "r", "base_frame": "b"})
+    assert (robot.name, robot.base_frame) == ("r", "b")
+
+
+def test_parameters_beside_another_key_are_no_robot(tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text("version: 1\nmonitor: {ros__parameters: {robot: arm.urdf}}\n")
+    with pytest.raises(RobotError, match=r"cell\.yaml: holds parameters of version, monitor: must be a robot"):
+        load_robot(path)
 
 
 @pytest.mark.parametrize(

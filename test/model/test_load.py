@@ -13,3 +13,8 @@ from scara_effmass.settings import MonitorSettings
 def test_urdf_settings_raise_for_a_dh_file(omron_file: Path) -> None:
     with pytest.raises(RobotError, match=r"locked_joints = .*: must be unset for a DH file"):
         load_robot(omron_file, MonitorSettings(locked_joints=("joint1",)))
+
+
+def test_payload_of_a_topic_is_named_before_it_is_known() -> None:
+    robot = load_robot(settings=MonitorSettings(payload_topic="load"))
+    assert robot.payload_text == "0.25 kg (robot file) + 0 kg (topic load)"

@@ -180,6 +180,13 @@ def test_payload_far_above_the_moving_mass_is_a_note() -> None:
     assert any("check the payload: 500.2 kg on 5.04 kg" in note for note in doubts(robot))
 
 
+@pytest.mark.parametrize(("share", "is_doubtful"), [(1.0 - 1e-9, False), (1.0 + 1e-9, True)])
+def test_payload_of_three_times_the_moving_mass_is_possible(share: float, is_doubtful: bool) -> None:  # noqa: FBT001
+    bare = load_robot()
+    robot = load_robot(settings=MonitorSettings(payload_mass=share * 3.0 * bare.moving_mass - bare.payload_mass))
+    assert any("check the payload" in note for note in doubts(robot)) is is_doubtful
+
+
 def test_too_many_joints_are_refused_before_their_dynamics_are_built(
     omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
 ) -> None:

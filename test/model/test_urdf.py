@@ -208,6 +208,13 @@ class TestFixedJoints:
         ]
         assert masses == [[2.74, 2.0, 0.2, pytest.approx(0.35)]] * 4
 
+    @pytest.mark.parametrize("points", [("tip",), ("upper",), ("upper", "fore")])
+    def test_payload_has_its_centre_of_mass_at_the_tip(self, points: tuple[str, ...]) -> None:
+        weld = joint("weld", "tool", "tip", "fixed")
+        text = SCARA.replace(weld, joint("weld", "tool", "tip", "fixed", origin="0 0 0.3"))
+        body = list(parse(text, contact_points=points, payload_mass=0.25).model.inertias)[-1]
+        assert body.lever == pytest.approx((0.0, 0.0, 0.25 * 0.3 / 0.35))
+
     def test_contact_point_on_the_base_raises(self) -> None:
         for points in (("base",), ("tip", "base")):
             with pytest.raises(
