@@ -27,7 +27,7 @@ from scara_effmass.kernel.records import (
     dtype_of,
 )
 from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.model.lumping import is_scara
+from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.model.robot import Robot
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import ZERO_VECTOR, FloatArray, Vector3
@@ -95,6 +95,7 @@ class ContactKernel:
             is_lumped_regular=lumped is None or lumped.is_regular,
             has_masses=has_masses,
             is_scara=is_scara(robot),
+            lumped_suffices=lumped_suffices(robot),
             is_free=limits.is_free,
             is_servo=is_servo,
             joints_are_coupled=is_servo and settings.servo.computed_torque,

@@ -717,6 +717,9 @@ def static_force(n: Vector3, setup: Setup, work: Work) -> float:
 def clamping_force(n: Vector3, normal: Vector3, setup: Setup, work: Work) -> float:
     """Return the largest static force [N] along a fixed normal, the velocity, or any axis; infinite if unknown."""
     force = 0.0
+    for j in range(setup.joints):
+        if abs(work.gravity[j]) > setup.effort[j]:
+            force = math.inf
     if setup.normal == FIXED:
         for sign in (1.0, -1.0):
             turned = sign * normal[0], sign * normal[1], sign * normal[2]
@@ -786,7 +789,7 @@ def chosen_models(
         return False, True, False, WHY_LIGHTER if has_lumped else WHY_FULL + reason
     if not has_lumped:
         return False, False, True, WHY_FULL + MASSLESS_JOINT + setup.joints + reason
-    return True, False, not setup.is_scara, WHY_LARGEST
+    return True, False, not setup.lumped_suffices, WHY_LARGEST
 
 
 @compiled

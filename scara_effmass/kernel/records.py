@@ -108,6 +108,7 @@ class Setup:
     is_lumped_regular: bool
     has_masses: bool
     is_scara: bool
+    lumped_suffices: bool
     is_free: bool
     is_servo: bool
     joints_are_coupled: bool

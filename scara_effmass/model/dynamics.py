@@ -307,8 +307,11 @@ class RobotDynamics:
         """Return the largest static force [N] along one of the unit vectors `directions` that the joints can hold.
 
         J^T n F + g(q) = tau with |tau_i| <= tau_max,i: the smallest (tau_max,i - s_i g_i) / |(J^T n)_i| over the
-        joints, s_i the sign of (J^T n)_i. 0 along a direction in which no joint pushes; infinite without effort limits.
+        joints, s_i the sign of (J^T n)_i. 0 along a direction in which no joint pushes; infinite without effort limits,
+        and where they cannot carry the weight: then they are not those of the drives.
         """
+        if (np.abs(self._gravity(q)) > self.robot.effort_limits).any():
+            return math.inf
         return max([0.0, *self._static_forces(q, contact, directions)])
 
     def holding_force(self, q: FloatArray, contact: int, *directions: Vector3) -> float:

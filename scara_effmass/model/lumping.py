@@ -133,6 +133,21 @@ def is_scara(robot: Robot) -> bool:
     return parallel and float(np.linalg.norm(point - (point @ axis) * axis)) < ON_AXIS_M
 
 
+def lumped_suffices(robot: Robot) -> bool:
+    """Return whether the lumped masses of `robot` hold without inertia tensors to compare them with.
+
+    They do for a SCARA, the arm of the paper, unless its joint 4 moves a contact point, because then the inertia of
+    tool and load about that joint counts, which is far more than that of their lumped masses.
+    """
+    if not is_scara(robot):
+        return False
+    frames = [robot.model.frames[frame] for frame in robot.contact_frames.values()]
+    axis = robot.axis_in_joint_frame(4)
+    last = robot.model.njoints - 1
+    beside = [np.cross(axis, frame.placement.translation) for frame in frames if frame.parentJoint == last]
+    return all(float(np.linalg.norm(offset)) <= ON_AXIS_M for offset in beside)
+
+
 class IndefiniteError(RobotError):
     """The lumped mass matrix is not positive definite."""
 
@@ -417,7 +432,7 @@ def _require_positive_definite(robot: Robot, model: pin.Model, links: tuple[Lump
     data = model.createData()
     matrices = np.array([robot.mass_matrix(model, data, q) for q in poses])
     inertia = np.diagonal(matrices, axis1=1, axis2=2)
-    lacking = inertia < SINGULAR * inertia.max(axis=0)
+    lacking = inertia <= SINGULAR * inertia.max(axis=0)
     if lacking.any():
         pose, joint = np.argwhere(lacking)[0].tolist()
         where = f"{robot.joint_names[joint]} moves no lumped mass at q = {np.round(poses[pose], 3).tolist()}"

@@ -166,8 +166,8 @@ def build_robot(
 ) -> Robot:
     """Return the Robot of the model `bare`, with `rotors`, the load of `settings` and a plausibility check of `links`.
 
-    m_L is `file_payload` [kg], which `bare` includes, the links that match a glob of `settings.tool_links`, and
-    the payload of `settings`, in the frame of the first contact point behind the last joint, or else of `tip`.
+    m_L is `file_payload` [kg], which `bare` includes, the links that match a glob of `settings.tool_links`, and the
+    payload of `settings`, in the frame of the first contact point at the end of a chain of joints, or else of `tip`.
 
     Raises RobotError for a model without joints or mass or with too many joints, for an impossible payload, and for
     `tool_links` that match none.
@@ -185,12 +185,17 @@ def build_robot(
             raise RobotError(f"{origin}: joint_limits = {joint!r}: {nearest(joint, joints)}")
     model = bare.copy()
     model.armature = np.diag(rotors.matrix)
+    load_notes = []
     if load := _payload(settings):
-        last = model.njoints - 1
+        ends = set(range(1, model.njoints)) - set(model.parents)
         frames = (model.frames[frame] for frame in contact_frames.values())
-        pose = next((frame.placement for frame in frames if frame.parentJoint == last), tip)
-        model.appendBodyToJoint(last, load, pose)
-    point_mass = ["the payload counts as a point mass: set payload_inertia"] if load and not load.inertia.any() else []
+        places = ((frame.parentJoint, frame.placement) for frame in frames if frame.parentJoint in ends)
+        joint, pose = next(places, (model.njoints - 1, tip))
+        model.appendBodyToJoint(joint, load, pose)
+        if len(ends) > 1:
+            load_notes.append(f"the payload moves with {model.names[joint]}: name the point that carries it first")
+        if not load.inertia.any():
+            load_notes.append("the payload counts as a point mass: set payload_inertia")
     check = check_inertials(links)
     bodies = zip(list(model.names)[1:], list(model.inertias)[1:], strict=True)
     massless = [joint for joint, body in bodies if body.mass == 0.0]
@@ -215,7 +220,7 @@ def build_robot(
         masses_reason=masses_reason,
         coms_reason=masses_reason or check.coms,
         inertias_reason=masses_reason or check.coms or check.inertias,
-        notes=(*notes, *point_mass, *check.notes, *rotors.notes, *filter(None, [rotors.warning])),
+        notes=(*notes, *load_notes, *check.notes, *rotors.notes, *filter(None, [rotors.warning])),
         **fields,
     )
     found = judge(robot)

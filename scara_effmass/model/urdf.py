@@ -29,8 +29,8 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
     """Return the robot of the URDF `text`, such as a robot_description; `origin` names it in errors.
 
     `settings.contact_points` are links, or points in their frames (default: the tip of the longest chain). The model
-    moves the joints from the base through every contact point to the tip beyond it. All other joints, and those that
-    match a glob of `settings.locked_joints`, are fixed: the mass behind them counts, their motion does not.
+    moves the joints from the base through every contact point to its `UrdfTree.tip_beyond`. All other joints, and
+    those that match a glob of `settings.locked_joints`, are fixed: the mass behind them counts, their motion does not.
     `settings.armature` wins over the rotor inertia of the URDF. `build_robot` adds the payload. Raises RobotError.
     """
     tree = read_urdf(text, origin, settings.locked_joints, settings.position_limits)
@@ -47,7 +47,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
         if link not in tree.links:
             names = ", ".join(sorted(tree.links))
             raise RobotError(f"{origin}: contact_points = {entry!r}: must be one of {names}, or NAME=LINK: X Y Z")
-    tips = [tree.tip(link) for link in links]
+    tips = [tree.tip_beyond(link) for link in links]
     needed = {joint for tip in tips for joint in tree.chain(tip)}
     for name in sorted(needed):
         tree.require_movable(name)

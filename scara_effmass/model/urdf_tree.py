@@ -25,6 +25,8 @@ _MAX_NUMBER = 1e6
 """Largest magnitude of a length, mass or inertia [SI]; beyond it the dynamics overflow."""
 _CONTINUOUS_LIMIT = 1e6
 """Limit [rad] of a continuous joint read as revolute, for which Pinocchio uses one coordinate, as joint_states do."""
+LIGHT_SHARE = 0.1
+"""Share of the moving mass below which joints beyond a contact point may be held in the model."""
 _MIN_AXIS_LENGTH = 1e-9
 """Length below which an axis has no direction."""
 
@@ -110,6 +112,28 @@ class UrdfTree:
             if link in self._chain_links(end) and self.locked.isdisjoint(beyond):
                 ranked.append((-sum(self.kind(joint) != "fixed" for joint in beyond), -len(beyond), end))
         return min(ranked)[2]
+
+    def tip_beyond(self, link: str) -> str:
+        """Return the end of the chain of joints whose motion counts for a contact point at `link`.
+
+        For a link that is fixed to another one, that is the tip of the other, unless less than a tenth of the moving
+        mass moves there, as in a gripper, whose fingers often have no joint states.
+        """
+        body = link
+        while body in self._parents and self.kind(self._parents[body][1]) == "fixed":
+            body = self._parents[body][0]
+        light = self._mass_beyond(body) < LIGHT_SHARE * self._mass_beyond(self.base)
+        return self.tip(link) if light or body == self.base else self.tip(body)
+
+    def _mass_beyond(self, body: str) -> float:
+        """Return the mass [kg] of the links that move on `body`."""
+        mass = 0.0
+        for link in self.stated:
+            links = self._chain_links(link.name)
+            joints = [self._parents[step][1] for step in links[: links.index(body) if body in links else 0]]
+            if any(self.kind(joint) != "fixed" and joint not in self.locked for joint in joints):
+                mass += link.mass
+        return mass
 
     def require_movable(self, joint: str) -> None:
         """Raise RobotError if the model cannot move `joint`, which a contact point needs."""

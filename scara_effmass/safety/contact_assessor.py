@@ -23,7 +23,7 @@ from scara_effmass.iso15066.mobility_matrix import Matrix
 from scara_effmass.kernel.contact_columns import NUMBERS, ContactColumns, columns_of, columns_of_kernel
 from scara_effmass.kernel.records import CODE_LAYOUT, MIN_NORMAL_COMPONENT, ROW_LAYOUT
 from scara_effmass.model.dynamics import EffectiveMasses, ModelMass, RobotDynamics, effective_mass
-from scara_effmass.model.lumping import is_scara
+from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.safety.reasons import CRITERIA, MASSLESS, MODELS, NO_CLAMPING_FORCE, Reasons
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
 from scara_effmass.values import (
@@ -72,6 +72,7 @@ class ContactAssessor:
         self.settings = settings
         self.iso_mass = 0.0 if dynamics.robot.masses_reason else dynamics.robot.iso_mass
         self._is_scara = is_scara(dynamics.robot)
+        self._lumped_suffices = lumped_suffices(dynamics.robot)
         self._limits = limits = speed_limits or SpeedLimits(limits_for(settings), settings)
         self._names = dynamics.contact_points
         self._speed_threshold = settings.speed_threshold
@@ -501,8 +502,7 @@ class ContactAssessor:
             return ["full"], self._reasons.lighter if has_lumped else self._reasons.full_alone(lumped_reason)
         if not has_lumped:
             return ["iso"], self._reasons.iso_alone(lumped_reason)
-        # Without inertias nothing shows whether the lumped mass of another arm than a SCARA is too light.
-        return ["lumped"] if self._is_scara else ["lumped", "iso"], self._reasons.largest
+        return ["lumped"] if self._lumped_suffices else ["lumped", "iso"], self._reasons.largest
 
     def _clamping_force(self, masses: EffectiveMasses, q: FloatArray, index: int) -> float:
         """Return the largest static force [N] of the drives, along a fixed normal, the velocity, or else any axis.

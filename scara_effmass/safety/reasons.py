@@ -9,11 +9,11 @@ from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, SpeedLimits
 from scara_effmass.kernel import records as codes
 from scara_effmass.kernel.records import OFFSETS
 from scara_effmass.model.dynamics import LUMPED_NOT_DEFINITE, RobotDynamics, massless_text
-from scara_effmass.model.lumping import is_scara
+from scara_effmass.model.lumping import lumped_suffices
 from scara_effmass.settings import MonitorSettings
 
 NO_CLAMPING_FORCE = (
-    "the clamping force is unknown: set the effort limits of the joints in the robot file, or external_force_limit"
+    "the clamping force is unknown: state effort limits in the robot file that carry the arm, or external_force_limit"
 )
 MASSLESS = "a joint moves the contact point, but no lumped mass"
 MODELS = ("", "lumped", "full", "iso")
@@ -32,7 +32,7 @@ class Reasons:
         margin = f"more than {100.0 * settings.model_margin:.3g} % lighter than the full model"
         self.heavy_enough, self.lighter = f"nowhere {margin}", f"the lumped model is {margin} along some direction"
         self.setting = f"effective_mass_model {self._model}"
-        largest = "lumped" if is_scara(dynamics.robot) else "lumped and iso"
+        largest = "lumped" if lumped_suffices(dynamics.robot) else "lumped and iso"
         self.largest = f"largest of {largest}, no full mass: {dynamics.full_reason}"
         massless = [massless_text(joint) for joint in dynamics.robot.joint_names]
         self._lumped_reasons = (dynamics.lumped_reason, LUMPED_NOT_DEFINITE, MASSLESS, *massless)

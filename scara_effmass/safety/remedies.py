@@ -45,7 +45,7 @@ REMEDIES: dict[str, str] = {
     "lies outside its limits": "correct the limits in the robot file, or the zero position and unit of the driver",
     "exceeds its maximum speed": "correct the maximum speed in the robot file, or the unit of the driver",
     "JointState: …": DRIVER,
-    "the clamping force is unknown": "set the effort limits in the robot file, or `external_force_limit`",
+    "the clamping force is unknown": "state effort limits that carry the arm in the file, or `external_force_limit`",
     "choose effective_mass_model": MODEL,
     "no lumped mass": MODEL,
     "mass = … kg: ": ROBOT_FILE,

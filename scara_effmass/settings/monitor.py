@@ -280,8 +280,10 @@ class MonitorSettings(FrozenSettings):
     @field_validator("payload_topic")
     @classmethod
     def _check_payload_topic(cls, topic: str, info: ValidationInfo) -> str:
-        if topic and info.data.get("payload_mass"):
-            raise ValueError(f"must be empty with payload_mass = {info.data['payload_mass']} kg")
+        for name in ("payload_mass", "payload_com", "payload_inertia"):
+            unset = cls.model_fields[name].default
+            if topic and info.data.get(name, unset) != unset:
+                raise ValueError(f"must be empty with {name} = {info.data[name]}")
         return topic
 
     @field_validator("contact_normal")

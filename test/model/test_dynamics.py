@@ -616,6 +616,14 @@ class TestEffortLimits:
                 ]
                 assert dynamics.drive_acceleration(q, contact) == pytest.approx(max(sums))
 
+    @pytest.mark.parametrize("share", [1.001, 0.999])
+    def test_joint_that_could_not_carry_the_arm_has_no_known_limit(self, dynamics: RobotDynamics, share: float) -> None:
+        q, up = np.array([0.3, 1.1, 0.1, 0.2]), (0.0, 0.0, 1.0)
+        weight = pin.computeGeneralizedGravity(dynamics.robot.model, dynamics.robot.model.createData(), q)[2]
+        dynamics.robot.model.effortLimit = np.array([50.0, 30.0, share * abs(weight), 10.0])
+        assert (dynamics.clamping_force(q, 0, up) < math.inf) == (share > 1.0)
+        assert (dynamics.clamping_force(q, 0, (1.0, 0.0, 0.0)) < math.inf) == (share > 1.0)
+
     def test_unknown_effort_limit_bounds_nothing(self, omron_dynamics: RobotDynamics) -> None:
         q = np.array([0.3, 1.1, 0.1, 0.2])
         assert omron_dynamics.drive_acceleration(q, 0) == math.inf

@@ -519,6 +519,18 @@ def test_slide_with_an_offset_or_a_tilt_is_no_scara(
         assert is_scara(load_rows(omron_rows)) == expected
 
 
+def test_arm_without_any_lumped_inertia_has_no_lumped_masses(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+) -> None:
+    """A turntable: its only joint goes through the centre of mass."""
+    del omron_rows["joints"][1:], omron_rows["links"][1:], omron_rows["payload"]
+    omron_rows["joints"][0]["a"] = 0.0
+    omron_rows["links"][0]["com"] = [0.0, 0.0, 0.0]
+    omron_rows["contact_points"] = {"rim": [0.2, 0.0, 0.0]}
+    with pytest.raises(RobotError, match="the lumped mass matrix is singular: joint1 moves no lumped mass"):
+        lump(load_rows(omron_rows))
+
+
 def test_negative_mass_is_not_regular_by_its_form(
     omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
 ) -> None:

@@ -148,6 +148,26 @@ def test_continuous_joint_keeps_one_coordinate_without_bounds() -> None:
     assert robot.model.upperPositionLimit[3] > 1e5
 
 
+class TestBranches:
+    """A torso, j1, with the rest of the SCARA as an arm and, named to come last in the model, a head."""
+
+    HEAD = link("head", 1.0, "0.05 0 0", "0.001 0.002 0.002"), joint("neck", "upper", "head", origin="0 0 0.3")
+
+    @pytest.mark.parametrize(("points", "carrier"), [(("tip", "head"), "j4"), (("head", "tip"), "neck")])
+    def test_payload_moves_with_the_point_named_first(self, points: tuple[str, ...], carrier: str) -> None:
+        robot, bare = (parse(with_more(*self.HEAD), contact_points=points, payload_mass=m) for m in (5.0, 0.0))
+        index = robot.model.getJointId(carrier)
+        assert list(robot.joint_names) == ["j1", "j2", "j3", "j4", "neck"]
+        assert robot.model.inertias[index].mass == pytest.approx(bare.model.inertias[index].mass + 5.0)
+        assert f"the payload moves with {carrier}: name the point that carries it first" in robot.notes
+        assert not any("the payload moves" in note for note in (*bare.notes, *parse(payload_mass=5.0).notes))
+
+    def test_payload_is_no_load_of_a_joint_with_others_beyond(self) -> None:
+        points = ("elbow=upper: 0.2 0 0", "tip", "head")
+        robot = parse(with_more(*self.HEAD), contact_points=points, payload_mass=5.0)
+        assert robot.model.inertias[robot.model.getJointId("j4")].mass == pytest.approx(5.1)
+
+
 class TestFixedJoints:
     GRIPPER = (
         link("jaw", 0.3, "0.02 0 0", "0.0001 0.0001 0.0001"),
@@ -166,6 +186,22 @@ class TestFixedJoints:
         assert robot.model.nq == 4
         assert robot.moving_mass == pytest.approx(5.34)
         assert "held fixed in the model: side" in robot.notes
+
+    def test_joints_beyond_a_link_fixed_to_the_arm_move(self) -> None:
+        """Held, the joints beyond would change the mass at the cover several-fold."""
+        cover = joint("screws", "upper", "shell", "fixed") + joint("glue", "shell", "cover", "fixed", "0.2 0 0")
+        by_link = parse(with_more('<link name="shell"/><link name="cover"/>', cover), contact_points=("cover",))
+        by_place = parse(contact_points=("cover=upper: 0.2 0 0",))
+        assert by_link.joint_names == by_place.joint_names == ("j1", "j2", "j3", "j4")
+        q, qd = np.array([0.3, 1.2, 0.1, 0.0]), np.ones(4)
+        masses = [RobotDynamics(robot).effective_masses(q, qd, 0.005)[0].full for robot in (by_link, by_place)]
+        assert masses[0] == pytest.approx(masses[1])
+
+    @pytest.mark.parametrize(("jaw", "joints"), [(0.3, 4), (0.7, 5)])
+    def test_gripper_beyond_a_fixed_link_is_held_if_its_jaws_are_light(self, jaw: float, joints: int) -> None:
+        slide = joint("clamp", "tool", "jaw", "prismatic")
+        robot = parse(with_more(link("jaw", jaw, "0.02 0 0", "0.0001 0.0001 0.0001"), slide), contact_points=("tip",))
+        assert len(robot.joint_names) == joints
 
     @pytest.mark.parametrize("limit", ["", '<limit effort="1" velocity="3"/>', '<limit lower="0" upper="0"/>'])
     def test_locked_joints_need_no_limits(self, limit: str) -> None:

@@ -488,6 +488,22 @@ class TestAuto:
             "no full mass: the file gives no inertia tensors; no lumped mass: joint4"
         )
 
+    @pytest.mark.parametrize(("radius", "model"), [(0.9e-4, "lumped"), (1.1e-4, "iso"), (0.05, "iso")])
+    def test_counts_iso_without_inertias_where_joint_4_moves_the_point(
+        self, scara_variant: Variant, radius: float, model: str
+    ) -> None:
+        """The lumped masses of this tool have a hundredth of its inertia about joint 4."""
+
+        def bare(file: dict[str, Any]) -> None:
+            file["contact_points"] = {"rim": [0.0, radius, 0.0]}
+            file["payload"]["com"] = [0.002, 0.0, 0.0]
+            for body in (*file["links"], file["payload"]):
+                body.pop("inertia", None)
+
+        contact = assess_one(scara_variant(bare), self.Q, self.QD)
+        assert contact.mass_model == model
+        assert contact.mass_model_reason.startswith(f"largest of lumped{' and iso' * (model == 'iso')}, no full mass")
+
     def test_is_the_default(self, scara: RobotDynamics) -> None:
         assert MonitorSettings().effective_mass_model is MassModel.AUTO
         auto, lumped = (

@@ -91,7 +91,15 @@ def test_settings_changed_meanwhile_keep_the_payload(awaiting: Monitor) -> None:
     assert first_of(awaiting, 1).full_mass == heavy.full_mass
 
 
-def test_topic_and_parameter_exclude_each_other() -> None:
-    values = {"payload_mass": 2.0, "payload_topic": "payload"}
-    with pytest.raises(SettingsError, match=r"payload_topic = 'payload': .*must be empty with payload_mass = 2.0 kg"):
-        checked(MonitorSettings, values, "cell.yaml")
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("payload_mass", 2.0, "2.0"),
+        ("payload_com", (0.0, 0.0, 0.1), r"\(0.0, 0.0, 0.1\)"),
+        ("payload_inertia", (0.0, 0.0, 0.1, 0.0, 0.0, 0.0), r"\(0.0, 0.0, 0.1, 0.0, 0.0, 0.0\)"),
+    ],
+)
+def test_topic_and_parameters_exclude_each_other(name: str, value: object, text: str) -> None:
+    """A parameter that changed beside the topic would take the place of the payload that the topic told."""
+    with pytest.raises(SettingsError, match=rf"payload_topic = 'payload': .*must be empty with {name} = {text}"):
+        checked(MonitorSettings, {name: value, "payload_topic": "payload"}, "cell.yaml")
