@@ -87,7 +87,7 @@ def run_infos(bag: Bag) -> list[RunInfo]:
 
 
 def read_force(bag: Bag) -> RecordedForce | None:
-    """Return the first force topic of `bag`, or None without force. Raises BagError and DecodeError."""
+    """Return the first force topic of `bag`, or None without force. Raises BagError."""
     topic, impact_topic = (
         next((topic.name for topic in bag.topics if topic.type == kind), "") for kind in (FORCE_BLOCK, IMPACT)
     )
@@ -110,9 +110,7 @@ def read_force(bag: Bag) -> RecordedForce | None:
         lost=sum(block.lost_samples for block in blocks[1:]),
         simulated=any(block.simulated for block in blocks),
         source=blocks[-1].source,
-        impacts=tuple(decode_impact(message.data) for message in bag.messages([impact_topic]))
-        if impact_topic
-        else detected_impacts(blocks),
+        impacts=tuple(bag.impacts(impact_topic)) if impact_topic else detected_impacts(blocks),
     )
 
 

@@ -3,10 +3,10 @@
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from rosbags.interfaces import MessageDefinition
 from rosbags.typesys.store import Typestore
@@ -16,9 +16,11 @@ from scara_effmass.bags.batches import MAX_TIME_NS, LossLog, MessageBatch, Topic
 from scara_effmass.bags.definitions import check_definition, types_of
 from scara_effmass.bags.joint_state_blocks import BlockDecoder, JointStateBlock
 from scara_effmass.errors import BagError, DecodeError
-from scara_effmass.values import ForceBlock
-from scara_effmass.wire.force import decode_force_block
-from scara_effmass.wire.message_types import FORCE_BLOCK, JOINT_STATE
+from scara_effmass.values import ForceBlock, Impact
+from scara_effmass.wire.force import decode_force_block, decode_impact
+from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE
+
+Decoded = TypeVar("Decoded", ForceBlock, Impact)
 
 
 class RawMessage(NamedTuple):
@@ -130,7 +132,12 @@ class Bag(ABC):
         Raises BagError if the topic is missing or the bag defines ForceBlock differently.
         """
         check_definition(self.types, FORCE_BLOCK, str(self.path))
-        return self._force_blocks(self.messages([topic]))
+        return self._decoded(self.messages([topic]), FORCE_BLOCK, decode_force_block)
+
+    def impacts(self, topic: str) -> Iterator[Impact]:
+        """Yield the impacts of `topic`, as `force_blocks` does."""
+        check_definition(self.types, IMPACT, str(self.path))
+        return self._decoded(self.messages([topic]), IMPACT, decode_impact)
 
     def deserialize(self, message: RawMessage) -> Any:  # noqa: ANN401 - of a class that the bag defines
         """Return a message as an object with the fields of its type. Raises DecodeError."""
@@ -151,13 +158,15 @@ class Bag(ABC):
         for index, log_time_ns, start, stop in zip(*columns, strict=True):
             yield RawMessage(self.topics[index].name, self.topics[index].type, log_time_ns, batch.data[start:stop])
 
-    def _force_blocks(self, messages: Iterator[RawMessage]) -> Iterator[ForceBlock]:
+    def _decoded(
+        self, messages: Iterator[RawMessage], kind: str, decode: Callable[[bytes], Decoded]
+    ) -> Iterator[Decoded]:
         failure_counts: Counter[str] = Counter()
         for message in messages:
-            if message.type != FORCE_BLOCK:
+            if message.type != kind:
                 continue
             try:
-                yield decode_force_block(message.data)
+                yield decode(message.data)
             except DecodeError as error:
                 line = f"{self.path}: {message.topic}: left out: {error}"
                 failure_counts[line] += 1

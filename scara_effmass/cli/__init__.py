@@ -54,6 +54,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Otherwise the interpreter reports the broken pipe again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
+    except OSError as error:
+        if error.filename is None:
+            raise
+        print(f"{error.filename}: {error.strerror}", file=sys.stderr)  # noqa: T201
+        return INPUT_ERROR
     finally:
         signal.signal(signal.SIGTERM, previous_handler)
     return code

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, StrictInt
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
@@ -19,7 +19,7 @@ from scara_effmass.settings.loading import FrozenSettings
 from scara_effmass.values import JointState
 from scara_effmass.wire.cdr import MAX_SEC, NS
 
-Column = int | str
+Column = StrictInt | str
 """Name of a column, or its number from 0."""
 SCALES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}
 FIRST_NS = NS
@@ -91,6 +91,8 @@ def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tupl
             header = [name.strip() for name in next(rows, [])] if table.header else []
 
             def index(column: Column, key: str) -> int:
+                if isinstance(column, int) and column < 0:
+                    raise SettingsError(f"{mapping}: {key} = {column}: must be a name, or a number from 0")
                 if isinstance(column, str) and header.count(column) != 1:
                     one = f"must be one of {', '.join(header)}" if header else "must be a number without header"
                     raise SettingsError(f"{mapping}: {key} = {column}: {one}")

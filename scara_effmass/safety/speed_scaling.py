@@ -23,7 +23,8 @@ MAX_RATIO = 1e6
 class SpeedScaler:
     """Turns contact states into a factor from 0 to 1, which falls at once and rises slowly.
 
-    It is 0 before the first contact state, and after any that is UNKNOWN, allows nothing, is too old or does not come.
+    It is 0 before the first contact state, and while the last one of any contact point is UNKNOWN, allows nothing, was
+    too old or does not come.
     Times are steady, in [ns], and do not decrease.
     """
 
@@ -40,6 +41,8 @@ class SpeedScaler:
         """Why the factor is 0; empty if it may rise."""
         self._bounds: dict[str, tuple[int, float]] = {}
         """Receipt of the last state of each contact point, and the factor up to which it lets the factor rise."""
+        self._refusals: dict[str, str] = {}
+        """Why a contact point lets the factor not rise at all."""
         self._sent = deque([(now_ns, 0.0)])
         """Factors by the time from which they were in force."""
         self._factor = 0.0
@@ -48,6 +51,7 @@ class SpeedScaler:
         """Make the factor 0 until the next valid contact state."""
         self.reason = reason
         self._bounds.clear()
+        self._refusals.clear()
         self._factor = 0.0
 
     def take(self, contact: ContactAssessment, now_ns: int, age_ns: int = 0) -> bool:
@@ -56,10 +60,15 @@ class SpeedScaler:
         Return whether the factor falls, which should be sent at once.
         """
         name, speed, allowable_speed = contact.contact_point, contact.speed, contact.allowable_speed
+        refusal = ""
         if contact.verdict is Verdict.UNKNOWN or not (0.0 <= speed < math.inf and 0.0 < allowable_speed < math.inf):
-            self.stop(f"{name}: {contact.reason or 'no speed is allowed'}")
+            refusal = contact.reason or "no speed is allowed"
         elif age_ns > self.timeout_ns:
-            self.stop(f"{name}: the state is {age_ns / 1e9:.3f} s old")
+            refusal = f"the state is {age_ns / 1e9:.3f} s old"
+        self._refusals.pop(name, None)
+        if refusal:
+            self._refusals[name] = f"{name}: {refusal}"
+            self._bounds[name], self._factor = (now_ns, 0.0), 0.0
         elif speed == 0.0 or contact.worst_direction_used:  # at rest, which says nothing about the programmed speed
             self._bounds[name] = (now_ns, 1.0)
         else:
@@ -75,7 +84,7 @@ class SpeedScaler:
             if now_ns - taken_ns > 2 * self.timeout_ns:
                 self.stop(f"{name}: no contact state for {(now_ns - taken_ns) / 1e9:.3f} s")
         if self._bounds:
-            self.reason = ""
+            self.reason = next(iter(self._refusals.values()), "")
             sent_ns, sent = self._sent[-1]
             risen = min(1.0, sent + self.rise_rate * (now_ns - sent_ns) / 1e9)
             self._factor = min(risen, max(self._factor, min(bound for _, bound in self._bounds.values())))

@@ -4,11 +4,20 @@
 Tests compare both layouts with rclpy and rosbags.
 """
 
+import math
+
 import numpy as np
 
 from scara_effmass.errors import DecodeError
 from scara_effmass.values import MAX_LOST_SAMPLES, ForceBlock, Impact
 from scara_effmass.wire.cdr import decode, encode
+
+
+_SAMPLE_RATES = (1e-3, 1e9)
+"""Range of sample rates [Hz]; times computed from others overflow."""
+_MAX_SAMPLE = 2**53
+"""Index up to which 64-bit floats count samples."""
+_IMPACT_NUMBERS = ("peak_force", "duration", "impulse", "onset_sample", "baseline", "noise", "compression_impulse")
 
 
 def force_block_message(block: ForceBlock) -> bytes:
@@ -23,6 +32,11 @@ def decode_force_block(data: bytes) -> ForceBlock:
     If `saturated` is true without `saturated_samples`, all samples count as saturated.
     """
     values = decode(data, "ForceBlock")
+    lowest, highest = _SAMPLE_RATES
+    if not lowest <= values["sample_rate"] <= highest:
+        raise DecodeError(f"ForceBlock: sample_rate = {values['sample_rate']:g}: must be from {lowest:g} to {highest:g}")
+    if values["first_sample"] > _MAX_SAMPLE:
+        raise DecodeError(f"ForceBlock: first_sample = {values['first_sample']}: must be at most {_MAX_SAMPLE}")
     saturated, count = values.pop("saturated"), len(values["force"])
     indices = values["saturated_samples"]
     if len(indices):
@@ -43,4 +57,8 @@ def impact_message(impact: Impact) -> bytes:
 
 def decode_impact(data: bytes) -> Impact:
     """Return the Impact in `data`, CDR of either byte order. Raises DecodeError."""
-    return Impact(**decode(data, "Impact"))
+    values = decode(data, "Impact")
+    for name in _IMPACT_NUMBERS:
+        if not math.isfinite(values[name]):
+            raise DecodeError(f"Impact: {name} = {values[name]}: must be finite")
+    return Impact(**values)

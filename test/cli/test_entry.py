@@ -163,6 +163,17 @@ def test_invalid_input_gives_one_line_and_exit_code_2(name: str, refused: Refuse
     assert message in refused(*arguments)
 
 
+@pytest.mark.parametrize(
+    "command",
+    [["validate", "IN", "-o", "NAME"], ["map", "-o", "NAME"], ["record", "-o", "NAME"], ["record", "--repair", "NAME"]],
+)
+def test_path_that_the_system_refuses_gives_one_line(command: list[str], refused: Refused, swing_bag: Path) -> None:
+    """As folders of other users do."""
+    name = 300 * "x"
+    line = refused(*({"IN": str(swing_bag), "NAME": name}.get(argument, argument) for argument in command))
+    assert line == f"{name}: File name too long"
+
+
 def test_invalid_parameter_is_named_with_file_key_and_value(cli_process: Cli, tmp_path: Path) -> None:
     file = tmp_path / "cell.yaml"
     file.write_text("/**:\n  ros__parameters:\n    contact_area_m2: -1.0\n", encoding="utf-8")

@@ -100,6 +100,36 @@ def test_tightest_contact_point_decides_and_none_may_fall_silent() -> None:
     assert scaler.factor(silent_ns + 2 * PERIOD_NS) > 0.0
 
 
+@given(
+    st.permutations(
+        [
+            state(0.0, 0.0, "tool", Verdict.UNKNOWN),
+            state(0.0, 1.0, "elbow", at_rest=True),
+            state(0.3, 1.0, "rim"),
+        ]
+    ),
+    st.integers(0, PERIOD_NS),
+)
+def test_one_contact_point_that_allows_nothing_stops_until_it_allows_something(
+    contacts: list[ContactAssessment], between_ns: int
+) -> None:
+    scaler, now_ns = SpeedScaler(TIMEOUT_NS, START_NS), START_NS
+    scaler.rise_rate = 100.0
+    for _ in range(100):
+        for contact in contacts:
+            now_ns += between_ns
+            scaler.take(contact, now_ns)
+            factor = scaler.factor(now_ns + 1)
+        assert factor == 0.0
+        assert scaler.reason == "tool: no speed is allowed"
+        now_ns += PERIOD_NS
+    for name in ("elbow", "rim", "tool"):
+        assert scaler.factor(now_ns) == 0.0
+        scaler.take(state(0.0, 1.0, name, at_rest=True), now_ns)
+    assert scaler.factor(now_ns + PERIOD_NS) > 0.0
+    assert scaler.reason == ""
+
+
 def test_old_state_stops() -> None:
     scaler, now_ns = released()
     scaler.take(state(0.1, 1.0), now_ns, TIMEOUT_NS + 1_000_000)

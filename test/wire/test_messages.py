@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The encoded messages equal those of rclpy and rosbags, field by field; invalid ones are refused."""
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, get_type_hints
 
@@ -51,12 +52,17 @@ def blocks(draw: st.DrawFn) -> ForceBlock:
     block: ForceBlock = draw(
         values_of(
             ForceBlock,
-            first_sample=st.integers(0, 2**64 - 1),
+            first_sample=st.integers(0, 2**53),
+            sample_rate=st.floats(1e-3, 1e9),
             force=st.just(force),
             saturated_samples=st.just(np.array(sorted(saturated), np.uint32)),
         )
     )
     return block
+
+
+FINITE = ("peak_force", "duration", "impulse", "onset_sample", "baseline", "noise", "compression_impulse")
+IMPACTS = values_of(Impact, **dict.fromkeys(FINITE, st.floats(allow_nan=False, allow_infinity=False)))
 
 
 class Kind(NamedTuple):
@@ -78,7 +84,7 @@ SIMPLE = ForceBlock(NS, "f", 5, 100.0, np.array([1.0, 2.0]), saturated_samples=n
 SIMPLE_IMPACT = Impact(NS, "f", 1.0, 2.0, 3.0, 4.0, *(False, False, 0, 0.0, 0.0, 0.0, "s", False))
 KINDS = [
     Kind(msg.ForceBlock, FORCE_BLOCK, force_block_message, decode_force_block, blocks(), SIMPLE),
-    Kind(msg.Impact, IMPACT, impact_message, decode_impact, values_of(Impact), SIMPLE_IMPACT),
+    Kind(msg.Impact, IMPACT, impact_message, decode_impact, IMPACTS, SIMPLE_IMPACT),
     Kind(msg.RunInfo, RUN_INFO, run_info_message, decode_run_info, values_of(RunInfo), RunInfo(note="n")),
 ]
 every_kind = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
@@ -188,6 +194,24 @@ def test_invalid_bytes_name_the_field(at: int, new: bytes, message: str) -> None
     data[at : at + len(new)] = new
     with pytest.raises(DecodeError, match=message):
         decode_force_block(bytes(data))
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, 0.9e-3, 1.1e9, math.nan, math.inf])
+def test_sample_rate_of_which_no_time_follows_is_refused(rate: float) -> None:
+    with pytest.raises(DecodeError, match=r"^ForceBlock: sample_rate = [^ ]+: must be from 0.001 to 1e\+09$"):
+        decode_force_block(force_block_message(SIMPLE._replace(sample_rate=rate)))
+
+
+def test_index_beyond_the_integers_of_a_float_is_refused() -> None:
+    with pytest.raises(DecodeError, match="first_sample = 9007199254740993: must be at most 9007199254740992"):
+        decode_force_block(force_block_message(SIMPLE._replace(first_sample=2**53 + 1)))
+
+
+@pytest.mark.parametrize("name", FINITE)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_impact_with_a_number_that_is_not_finite_is_refused(name: str, value: float) -> None:
+    with pytest.raises(DecodeError, match=rf"^Impact: {name} = {value}: must be finite$"):
+        decode_impact(impact_message(SIMPLE_IMPACT._replace(**{name: value})))
 
 
 def test_trailing_bytes_are_refused() -> None:
