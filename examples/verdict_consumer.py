@@ -38,7 +38,8 @@ class VerdictConsumer(Node):
         super().__init__("verdict_consumer")
         self._max_age = Duration(seconds=timeout_s if max_age_s is None else max_age_s)
         self._on_change = on_change
-        self._speeds: dict[str, float] = {}
+        self._speeds: dict[str, tuple[float, str]] = {}
+        """The last allowable speed of each contact point, and why it is 0."""
         self._limit: tuple[float, str] | None = None
         # The monitor offers twice its timeout; a request below that does not match, and then nothing arrives.
         patience = Duration(seconds=2.0 * timeout_s)
@@ -58,12 +59,14 @@ class VerdictConsumer(Node):
     def _on_contact_state(self, state: ContactState) -> None:
         age = self.get_clock().now() - Time.from_msg(state.header.stamp, clock_type=self.get_clock().clock_type)
         if state.verdict in {ContactState.UNKNOWN, ContactState.VIOLATION}:
-            self._stop(f"{state.contact_point}: {state.reason}")
+            limit = 0.0, f"{state.contact_point}: {state.reason}"
         elif age > self._max_age:  # a queue or a network delayed it
-            self._stop(f"{state.contact_point}: the state is {age.nanoseconds / 1e9:.3f} s old")
+            limit = 0.0, f"{state.contact_point}: the state is {age.nanoseconds / 1e9:.3f} s old"
         else:
-            self._speeds[state.contact_point] = state.allowable_speed
-            self._change(min(self._speeds.values()), "")
+            limit = state.allowable_speed, ""
+        # Each joint state gives one message per contact point: all must allow a speed.
+        self._speeds[state.contact_point] = limit
+        self._change(*min(self._speeds.values()))
 
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
         if event.alive_count == 0:

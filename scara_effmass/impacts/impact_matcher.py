@@ -283,8 +283,10 @@ class ImpactMatcher:
 
     def _ready(self, impact: Impact, received_ns: int) -> bool:
         """Return whether every relevant state has arrived, by stamp, or the maximum wait is over."""
+        if _invalid_reason(impact):
+            return True
         covered_ns = max(self._uncertainty_ns(impact), round(WINDOW * NANOSECONDS))
-        if _invalid_reason(impact) or self.states.last_ns >= impact.stamp_ns + covered_ns:
+        if self.states.last_ns >= impact.stamp_ns + covered_ns:
             return True
         return received_ns > 0 and self.states.last_arrival_ns > received_ns + self._max_wait_ns
 

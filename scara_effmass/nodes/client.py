@@ -11,6 +11,7 @@ from typing import Any
 
 import rclpy
 from rclpy.context import Context
+from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
@@ -58,13 +59,16 @@ class ClientNode:
                 rclpy.init(args=list(arguments), context=self.context, signal_handler_options=SignalHandlerOptions.NO)
             except RuntimeError as error:
                 raise SettingsError(f"ROS arguments: {' '.join(str(error).split())}") from None
-            self.node = Node(
-                name,
-                context=self.context,
-                start_parameter_services=False,
-                enable_rosout=False,
-                parameter_overrides=list(parameters),
-            )
+            try:
+                self.node = Node(
+                    name,
+                    context=self.context,
+                    start_parameter_services=False,
+                    enable_rosout=False,
+                    parameter_overrides=list(parameters),
+                )
+            except ParameterException as error:
+                raise SettingsError(f"{name}: {error}") from None
             stack.callback(self.node.destroy_node)
             self.executor = EventsExecutor(context=self.context)
             self.executor.add_node(self.node)

@@ -27,6 +27,7 @@ from rclpy.event_handler import (
     QoSSubscriptionMatchedInfo,
     SubscriptionEventCallbacks,
 )
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -51,6 +52,8 @@ from scara_effmass.wire.topics import INFO_QOS, Qos
 Entity = TypeVar("Entity")
 
 RCLError = rclpy_implementation.RCLError
+REFUSALS = (RCLError, ParameterException, NameValidationException)
+"""Of ROS for names, and for parameters that it declares itself."""
 
 _SPIN_S = 1e6
 """Timeout of each spin [s]: without one, EventsExecutor.spin() keeps a core busy in rclpy 7.1."""
@@ -80,7 +83,7 @@ class LifecycleBase(LifecycleNode):
         """Create the node; the subclass declares the parameters."""
         try:
             super().__init__(name)
-        except RCLError as error:  # such as security that the middleware does not have
+        except REFUSALS as error:  # such as security that the middleware does not have
             if not rclpy.ok():  # a signal has ended ROS meanwhile
                 raise
             raise SettingsError(f"{name}: {_reason(error)}") from None
@@ -205,7 +208,7 @@ class LifecycleBase(LifecycleNode):
         def respond(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
                 response.message, response.success = action(), True
-            except EffmassError as error:
+            except (EffmassError, OSError) as error:
                 response.message = str(error)
             return response
 
@@ -272,6 +275,8 @@ class LifecycleBase(LifecycleNode):
             self._transition_error = error
             if "QoS override" in str(error):  # rclpy rejected a parameter
                 self._transition_error = SettingsError(f"{self.get_name()}: qos_overrides: {error}")
+            elif isinstance(error, REFUSALS) and self.context.ok():  # else a signal has ended it meanwhile
+                self._transition_error = SettingsError(f"{self.get_name()}: {_reason(error)}")
             undo()
             return TransitionCallbackReturn.FAILURE
         return None
@@ -360,7 +365,7 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
                 node.raise_abort_error()
     except EffmassError as error:
         print(error, file=sys.stderr)  # noqa: T201
-        with suppress(RCLError):  # without ROS there is no /rosout either
+        with suppress(*REFUSALS):  # without ROS there is no /rosout either
             _log_refusal(name, error, ros_arguments)
         return 2
     return 0
@@ -491,8 +496,8 @@ def _end(node: LifecycleBase | None, executor: Executor | None) -> None:
     rclpy.try_shutdown()
 
 
-def _reason(error: RuntimeError) -> str:
-    return " ".join(str(error).split()).partition(", at /")[0]
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split()).partition(", at /")[0].removesuffix(" ^")
 
 
 def _init(arguments: list[str]) -> None:

@@ -32,6 +32,8 @@ _BEHIND_NS = {topics.CONTACT_STATE: 50 * _MS, topics.FORCE: 400 * _MS}
 """Largest lag of the latest stamp behind the clock; a block of 0.1 s has the stamp of its first sample."""
 _HOLD_PERIOD_NS = 50 * _MS
 _NEVER_NS = 2**62
+_MAX_PAST_NS = 60 * _NS
+"""Without a clock of its own, the node catches up with the ROS time."""
 
 
 class NodeSettings(parameters.NodeParameters):
@@ -74,7 +76,10 @@ class SimNode(LifecycleBase):
 
     def activate(self) -> None:
         """Move the robot to its start."""
-        start_ns = round(self._settings.start * 1e3) * _MS or self.now_ns()
+        now_ns = self.now_ns()
+        start_ns = round(self._settings.start * 1e3) * _MS or now_ns
+        if not self._settings.clock and start_ns < now_ns - _MAX_PAST_NS:
+            raise SettingsError(f"{self.get_name()}: start = {self._settings.start}: must be at most 60 s ago")
         self._sim = LiveSim(start_ns, seed=self._settings.seed)
         self._states.clear()
         self._carts.clear()

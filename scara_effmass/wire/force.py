@@ -12,7 +12,6 @@ from scara_effmass.errors import DecodeError
 from scara_effmass.values import MAX_LOST_SAMPLES, ForceBlock, Impact
 from scara_effmass.wire.cdr import decode, encode
 
-
 _SAMPLE_RATES = (1e-3, 1e9)
 """Range of sample rates [Hz]; times computed from others overflow."""
 _MAX_SAMPLE = 2**53
@@ -34,7 +33,8 @@ def decode_force_block(data: bytes) -> ForceBlock:
     values = decode(data, "ForceBlock")
     lowest, highest = _SAMPLE_RATES
     if not lowest <= values["sample_rate"] <= highest:
-        raise DecodeError(f"ForceBlock: sample_rate = {values['sample_rate']:g}: must be from {lowest:g} to {highest:g}")
+        rate = values["sample_rate"]
+        raise DecodeError(f"ForceBlock: sample_rate = {rate:g}: must be from {lowest:g} to {highest:g}")
     if values["first_sample"] > _MAX_SAMPLE:
         raise DecodeError(f"ForceBlock: first_sample = {values['first_sample']}: must be at most {_MAX_SAMPLE}")
     saturated, count = values.pop("saturated"), len(values["force"])

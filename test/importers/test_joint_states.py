@@ -78,7 +78,11 @@ def test_positions_alone_give_no_velocity(tmp_path: Path) -> None:
         (HEADER, MAPPING.replace("deg", "degrees"), "map.yaml: joints.joint1.unit = 'degrees'"),
         (HEADER, "time: t", "map.yaml: joints: "),
         (HEADER, "- t", "map.yaml: must hold time and joints"),
-        (HEADER, MAPPING.replace("position: c", "position: -1"), "joints.joint3.position = -1: must be a name, or a number from 0"),
+        (
+            HEADER,
+            MAPPING.replace("position: c", "position: -1"),
+            "joints.joint3.position = -1: must be a name, or a number from 0",
+        ),
         (HEADER, MAPPING.replace("position: c", "position: true"), "joints.joint3.position.int = True: "),
     ],
 )

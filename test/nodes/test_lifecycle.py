@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from std_msgs.msg import String
 
 from scara_effmass.nodes.client import spin_for
 from scara_effmass.nodes.lifecycle import LifecycleBase
+from scara_effmass.nodes.sim_node import SimNode
 from test.nodes.conftest import ros_node
 
 
@@ -109,3 +111,7 @@ def test_sigterm_while_a_node_starts_ends_it_with_0_or_143(
     assert process.returncode in {0, 143, -signal.SIGTERM}  # a shell states the last one as 143, too
     assert "Traceback" not in errors
     assert "FATAL" not in errors
+
+
+def test_simulated_cell_does_not_catch_up_with_years(refusal_of: Callable[..., str]) -> None:
+    assert refusal_of(SimNode, "start:=1.0") == "sim: start = 1.0: must be at most 60 s ago"

@@ -78,6 +78,12 @@ def test_invalid_argument_gives_one_line_and_exit_code_2(
             "qos_overrides./joint_states.subscription.reliability:=often",
             "monitor: qos_overrides: Unexpected QoS override",
         ),
+        ("qos_overrides./joint_states.subscription.depth:=deep", "monitor: Trying to set parameter 'qos_overrides."),
+        (
+            "use_sim_time:=maybe",
+            "monitor: Trying to set parameter 'use_sim_time' to 'maybe' of type 'STRING', expecting",
+        ),
+        ("payload_topic:=the load", "monitor: Invalid topic name: topic name must not contain characters other than"),
     ],
 )
 def test_invalid_parameter_is_named(

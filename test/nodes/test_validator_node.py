@@ -208,6 +208,15 @@ def test_write_report_service_writes_the_report(node: ValidatorHarness) -> None:
     assert record["models"][0]["correlation"] == node.received[-1].correlation
 
 
+def test_folder_that_the_file_system_refuses_does_not_end_the_node(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = new_harness(name="validator")
+    harness.start("--ros-args", "-p", f"report_folder:={300 * 'x'}", command=[str(EXECUTABLE)])
+    for _ in range(2):
+        answer: Any = harness.call_service(Trigger, "write_report", Trigger.Request())
+        assert not answer.success
+        assert "File name too long" in answer.message
+
+
 def test_reset_begins_a_new_series(node: ValidatorHarness) -> None:
     node.run(0.5, 2.39, 3.72, 7.35)
     node.harness.spin_until(lambda: len(node.received) == 4)

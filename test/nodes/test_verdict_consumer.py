@@ -16,7 +16,10 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from scara_effmass_msgs.msg import ContactState
 
+from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.wire import topics
 from test.nodes.conftest import TIMEOUT_S, NodeHarness, Q, joint_state
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "verdict_consumer.py"
@@ -40,7 +43,7 @@ raise SystemExit(monitor_node.main())
     [
         ("deactivate", {"tool: the monitor was deactivated"}),
         ("no input", {"tool: no joint state for"}),
-        ("old stamp", {"tool: the state is"}),
+        ("old stamp", {"tool: the state is", "elbow: the state is"}),
         ("SIGTERM", {"tool: the node shuts down"}),
         ("SIGKILL", {"liveliness lost", "deadline missed"}),
         ("SIGABRT", {"liveliness lost", "deadline missed"}),
@@ -96,3 +99,39 @@ def test_consumer_stops(new_harness: Callable[..., NodeHarness], fault: str, rea
         rclpy.try_shutdown()
         if fault == "SIGSTOP":
             process.kill()
+
+
+def test_consumer_stops_while_any_contact_point_allows_nothing(own_domain: int) -> None:
+    """The message of the next contact point does not end it, nor does one of an older stamp."""
+    changes: list[tuple[float, str]] = []
+    rclpy.init(domain_id=own_domain, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        consumer: Any = runpy.run_path(str(EXAMPLE))["VerdictConsumer"](TIMEOUT, lambda *change: changes.append(change))
+        publisher = consumer.create_publisher(ContactState, "contact_state", qos_profile(topics.verdict_qos(TIMEOUT)))
+        executor = SingleThreadedExecutor()
+        executor.add_node(consumer)
+
+        def speeds_after(verdict: int, allowable_speed: float) -> list[float]:
+            stamp = consumer.get_clock().now().to_msg()
+            for name, state in (("tool", verdict), ("elbow", ContactState.OK), ("rim", ContactState.WARN)):
+                message = ContactState(contact_point=name, verdict=state, allowable_speed=allowable_speed, reason=name)
+                message.header.stamp = stamp
+                publisher.publish(message)
+            changes.clear()
+            end = time.monotonic() + TIMEOUT_S
+            reason = "tool: tool" if verdict in {ContactState.UNKNOWN, ContactState.VIOLATION} else ""
+            while changes[-1:] != [(0.0 if reason else allowable_speed, reason)]:
+                assert time.monotonic() < end, changes
+                executor.spin_once(timeout_sec=0.05)
+            for _ in range(3):
+                executor.spin_once(timeout_sec=0.05)
+            return [speed for speed, _ in changes]
+
+        assert set(speeds_after(ContactState.UNKNOWN, 0.1)) == {0.0}
+        assert 0.2 in speeds_after(ContactState.OK, 0.2)
+        assert set(speeds_after(ContactState.VIOLATION, 0.3)) == {0.0}
+        assert 0.4 in speeds_after(ContactState.WARN, 0.4)
+        executor.shutdown()
+        consumer.destroy_node()
+    finally:
+        rclpy.try_shutdown()

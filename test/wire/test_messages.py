@@ -211,7 +211,7 @@ def test_index_beyond_the_integers_of_a_float_is_refused() -> None:
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_impact_with_a_number_that_is_not_finite_is_refused(name: str, value: float) -> None:
     with pytest.raises(DecodeError, match=rf"^Impact: {name} = {value}: must be finite$"):
-        decode_impact(impact_message(SIMPLE_IMPACT._replace(**{name: value})))
+        decode_impact(impact_message(Impact(**{**SIMPLE_IMPACT._asdict(), name: value})))
 
 
 def test_trailing_bytes_are_refused() -> None:

@@ -750,6 +750,16 @@ def test_impact_waits_until_the_states_cover_its_clock_uncertainty(
         assert len(validator.add_state(make_state(START + covered_ms * MS), 0)) == 1
 
 
+@pytest.mark.parametrize("residual", [NAN, math.inf])
+def test_impact_without_a_usable_stamp_is_excluded(
+    make_state: MakeState, make_impact: MakeImpact, residual: float
+) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    validator.add_state(make_state(START), START)
+    assert not validator.add_impact(make_impact(START, clock_residual=residual), START + MS)
+    assert [(impact.excluded, impact.reason) for impact in validator.result().refused] == [(True, "no usable stamp")]
+
+
 def test_models_are_compared_on_the_same_impacts(make_state: MakeState, make_impact: MakeImpact) -> None:
     """The full mass is not known for half of them: the comparison leaves those out for all models."""
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
