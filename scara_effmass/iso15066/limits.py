@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from scara_effmass.iso15066.table import BodyPoint, BodyRegion
 
 _CM2_PER_M2 = _PA_PER_N_CM2 = 1e4
+MIN_FORCE_N = 1e-6
+"""Smallest permissible force [N], far below any that can be measured."""
 
 Criterion = Literal["force", "pressure"]
 
@@ -63,14 +65,21 @@ def limits_for(settings: MonitorSettings) -> tuple[Limit, ...]:
 
     A limit from `settings` replaces the standard's in the regions where it is stricter. Raises LimitError for a region
     that is unknown, repeated or of the head, where the standard permits no contact, and for a setting that is looser
-    than the standard in every chosen region.
+    than the standard in every chosen region, and for limits that permit less than `MIN_FORCE_N`.
     """
     regions = _chosen_regions(settings.body_regions)
     limits = tuple(
         _standard_limit(region, settings.contact, _CM2_PER_M2 * settings.contact_area_m2) for region in regions
     )
     _check_not_looser(settings, limits)
-    return tuple(_tightened(limit, settings) for limit in limits)
+    limits = tuple(_tightened(limit, settings) for limit in limits)
+    weakest = min(limits, key=lambda limit: limit.permissible_force_n)
+    if weakest.permissible_force_n < MIN_FORCE_N:
+        raise LimitError(
+            f"contact_area_m2, max_force and max_pressure_pa permit {weakest.permissible_force_n:.3g} N on "
+            f"{weakest.region}: must permit at least {MIN_FORCE_N:g} N"
+        )
+    return limits
 
 
 def _chosen_regions(names: tuple[str, ...]) -> tuple[BodyRegion, ...]:

@@ -150,7 +150,7 @@ class DhFile(_Strict):
             if any(joint.armature is not None for joint in self.joints):
                 raise ValueError("rotor_inertia: must be absent where a joint states its armature")
             rows = self.rotor_inertia
-            if any(len(row) != len(names) for row in rows) or rows != tuple(zip(*rows, strict=True)):
+            if {len(rows), *map(len, rows)} != {len(names)} or rows != tuple(zip(*rows, strict=True)):
                 raise ValueError(f"rotor_inertia: must be a symmetric {len(names)} x {len(names)} matrix")
         if any(abs(math.sin(joint.alpha)) > PARALLEL for joint in self.joints):
             for name, inertia in (

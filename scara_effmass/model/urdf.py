@@ -63,12 +63,16 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
             locked = f" (locked: {', '.join(sorted(tree.locked))})" if tree.locked else ""
             raise RobotError(f"{origin}: contact_points = {entry!r}: must not be fixed to the base{locked}")
         add_contact_frame(model, frames, point.name, body.parentJoint, body.placement, point.at)
+    moving = [link for link in tree.stated if model.frames[model.getBodyId(link.name)].parentJoint > 0]
+    stated = sum(link.mass for link in moving)
+    if not math.isclose(sum(body.mass for body in list(model.inertias)[1:]), stated, rel_tol=1e-9):
+        raise RobotError(f"{origin}: Pinocchio does not read the <inertial> of every link: {stated:g} kg move")
     end = max((model.frames[model.getBodyId(name)] for name in (*links, *tips)), key=lambda frame: frame.parentJoint)
     return build_robot(
         model,
         origin,
         settings,
-        links=[link for link in tree.stated if model.frames[model.getBodyId(link.name)].parentJoint > 0],
+        links=moving,
         rotors=rotors,
         notes=notes,
         file_payload=0.0,

@@ -232,6 +232,8 @@ def _stated(name: str, link: ET.Element, origin: str) -> list[StatedLink]:
     if mass is None or inertia is None:
         raise RobotError(f"{where}: <inertial> must have <mass> and <inertia>")
     com = (0.0, 0.0, 0.0) if pose is None else _numbers(pose, "xyz", where, 3, default="0 0 0")
+    if pose is not None:
+        _numbers(pose, "rpy", where, 3, default="0 0 0")
     (mass_kg,) = _numbers(mass, "value", where, 1)
     if mass_kg < 0.0:
         raise RobotError(f"{where}: mass = {mass_kg:g}: must not be negative")
@@ -249,7 +251,8 @@ def _numbers(
 ) -> tuple[float, ...]:
     text = element.get(key, default)
     try:
-        values = tuple(float(word) for word in text.split())
+        # Python also reads 1_000 and digits of other scripts, which Pinocchio's parser does not.
+        values = tuple(float(word) for word in text.split()) if text.isascii() and "_" not in text else ()
     except ValueError:
         values = ()
     name = f"{where}: <{element.tag} {key}> = {reprlib.repr(text)}"

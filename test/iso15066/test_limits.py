@@ -34,6 +34,15 @@ def test_head_and_face_never_have_a_limit(contact: ContactType) -> None:
             limits(contact=contact, body_regions=[region, "chest"])
 
 
+@pytest.mark.parametrize(
+    ("setting", "value"), [("contact_area_m2", 1e-170), ("max_force", 0.9e-6), ("max_pressure_pa", 0.9e-2)]
+)
+def test_limits_that_permit_no_force_are_refused(setting: str, value: float) -> None:
+    """The square of a smaller force would become zero."""
+    with pytest.raises(LimitError, match=r"contact_area_m2, max_force and max_pressure_pa permit .* at least 1e-06 N"):
+        limits(**{setting: value})
+
+
 def test_clamped_body_part_is_infinitely_heavy() -> None:
     assert {limit.obstacle_mass_kg for limit in limits(contact="quasi_static").values()} == {math.inf}
 
@@ -69,8 +78,8 @@ def test_criterion_changes_with_the_contact_area() -> None:
 @given(
     contact=contacts,
     names=selections,
-    max_force=st.floats(0.0, 500.0),
-    max_pressure_pa=st.floats(0.0, 7e6),
+    max_force=st.just(0.0) | st.floats(1e-6, 500.0),
+    max_pressure_pa=st.just(0.0) | st.floats(1.0, 7e6),
     stiffness_n_m=st.floats(0.0, 2e5),
     obstacle_mass=st.floats(0.0, 100.0),
 )

@@ -164,6 +164,7 @@ def test_entry_wins_over_the_file(tmp_path: Path) -> None:
     [
         ([[0.1, 0.2], [0.3, 0.1]], "must be a symmetric 2 x 2 matrix"),
         ([[0.1, 0.0]], "must be a symmetric 2 x 2 matrix"),
+        ([], "must be a symmetric 2 x 2 matrix"),
         ([[0.1], [0.0, 0.1]], "must be a symmetric 2 x 2 matrix"),
         ([[0.1, 0.2], [0.2, 0.1]], "must be a positive semi-definite matrix: its smallest eigenvalue is -0.1"),
     ],

@@ -148,6 +148,20 @@ def test_continuous_joint_keeps_one_coordinate_without_bounds() -> None:
     assert robot.model.upperPositionLimit[3] > 1e5
 
 
+@pytest.mark.parametrize("rpy", ["0 0", "a b c", "0 0 1_0"])
+def test_inertial_that_pinocchio_would_leave_out_is_refused(rpy: str) -> None:
+    """Without it the robot would be lighter."""
+    text = SCARA.replace('<origin xyz="0.05775 0 0"/>', f'<origin xyz="0.05775 0 0" rpy="{rpy}"/>')
+    with pytest.raises(RobotError, match=rf"scara.urdf: link fore: <origin rpy> = '{rpy}': must be 3 finite numbers"):
+        parse(text)
+
+
+@pytest.mark.parametrize("number", ["2_0", "\uff12", "2.0.", "0x2", "2 2"])
+def test_number_that_pinocchio_reads_otherwise_is_refused(number: str) -> None:
+    with pytest.raises(RobotError, match=r"scara.urdf: link fore: <mass value> = .*: must be 1 finite number"):
+        parse(SCARA.replace('<mass value="2.0"/>', f'<mass value="{number}"/>'))
+
+
 class TestBranches:
     """A torso, j1, with the rest of the SCARA as an arm and, named to come last in the model, a head."""
 
