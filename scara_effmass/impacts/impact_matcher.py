@@ -22,6 +22,8 @@ from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo, Vec
 MAX_STAMP_NS = 2**63 - 1
 MIN_PEAK_FORCE = 1e-6
 """Smaller peak forces [N] are rounding errors; the squares of much smaller ones are zero."""
+MAX_CLOCK_RESIDUAL_S = 60.0
+"""Largest uncertainty of a stamp [s]; no contact state can be matched with another."""
 MIN_NORMAL_COMPONENT = 0.1
 """Smallest component of the velocity, or of the axis of the sensor, along the normal of the plate."""
 MAX_LAGS = 1000
@@ -335,6 +337,6 @@ def _invalid_reason(impact: Impact) -> str:
         return "rebound of an earlier impact"
     if not MIN_PEAK_FORCE <= impact.peak_force < math.inf:
         return "no positive peak force"
-    if impact.stamp_ns <= 0 or not math.isfinite(impact.clock_residual):
+    if impact.stamp_ns <= 0 or not abs(impact.clock_residual) <= MAX_CLOCK_RESIDUAL_S:
         return "no usable stamp"
     return ""

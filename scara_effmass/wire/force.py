@@ -4,8 +4,6 @@
 Tests compare both layouts with rclpy and rosbags.
 """
 
-import math
-
 import numpy as np
 
 from scara_effmass.errors import DecodeError
@@ -15,7 +13,7 @@ from scara_effmass.wire.cdr import decode, encode
 _SAMPLE_RATES = (1e-3, 1e9)
 """Range of sample rates [Hz]; times computed from others overflow."""
 _MAX_SAMPLE = 2**53
-"""Index up to which 64-bit floats count samples."""
+"""Index up to which 64-bit floats count samples; largest size of any number of an impact."""
 _IMPACT_NUMBERS = ("peak_force", "duration", "impulse", "onset_sample", "baseline", "noise", "compression_impulse")
 
 
@@ -59,6 +57,6 @@ def decode_impact(data: bytes) -> Impact:
     """Return the Impact in `data`, CDR of either byte order. Raises DecodeError."""
     values = decode(data, "Impact")
     for name in _IMPACT_NUMBERS:
-        if not math.isfinite(values[name]):
-            raise DecodeError(f"Impact: {name} = {values[name]}: must be finite")
+        if not abs(values[name]) <= _MAX_SAMPLE:
+            raise DecodeError(f"Impact: {name} = {values[name]}: must be finite and at most {_MAX_SAMPLE} in size")
     return Impact(**values)

@@ -750,7 +750,7 @@ def test_impact_waits_until_the_states_cover_its_clock_uncertainty(
         assert len(validator.add_state(make_state(START + covered_ms * MS), 0)) == 1
 
 
-@pytest.mark.parametrize("residual", [NAN, math.inf])
+@pytest.mark.parametrize("residual", [NAN, math.inf, 1e300, -61.0])
 def test_impact_without_a_usable_stamp_is_excluded(
     make_state: MakeState, make_impact: MakeImpact, residual: float
 ) -> None:
