@@ -184,6 +184,16 @@ def test_an_impact_gets_rebounds_force_and_validation() -> None:
     assert status.simulated == ["force"]
 
 
+@pytest.mark.parametrize(("rate", "step"), [(12_800.0, 1), (25_600.0, 2)])
+def test_force_around_an_impact_keeps_as_many_samples_as_it_may(rate: float, step: int) -> None:
+    status = ok_cell()
+    status.take_impact(impact(), S)
+    status.take_force(ForceBlock(9_900 * MS, "", 0, rate, np.ones(25_600), simulated=True))
+    status.update(S)
+    (record,) = status.impacts
+    assert np.diff(record.time_s) == pytest.approx(step / rate, abs=1e-9)
+
+
 @pytest.mark.parametrize(("wait_ns", "is_shown"), [(2 * S - 1, True), (2 * S, False)])
 def test_the_force_of_an_impact_is_awaited_for_2_s(wait_ns: int, is_shown: bool) -> None:  # noqa: FBT001
     status = ok_cell()

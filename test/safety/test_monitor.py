@@ -2,6 +2,7 @@
 """State of a monitor: debounce, latch, first cause, watchdog, jumps of the clock."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -225,6 +226,12 @@ def test_clock_counts_as_set_back_beyond_the_future_tolerance(
     send(monitor, 0)
     back_ns = round(monitor.settings.future_tolerance * 1e9) + beyond_ns
     assert verdict(send(monitor, -back_ns / MS)) is expected
+
+
+def test_robot_that_is_not_in_si_units_has_no_monitor(scara: RobotDynamics) -> None:
+    robot = replace(scara.robot, units_reason="the links must be in metres, not in millimetres")
+    with pytest.raises(RobotError, match="omron_i4_550l.yaml: the links must be in metres, not in millimetres"):
+        Monitor(RobotDynamics(robot), MonitorSettings())
 
 
 def test_payload_that_cannot_be_is_refused_before_anything_changes(scara: RobotDynamics) -> None:

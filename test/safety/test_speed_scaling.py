@@ -149,6 +149,29 @@ def test_state_counts_with_the_factor_in_force_when_it_was_measured() -> None:
     assert math.isclose(scaler.factor(now_ns), 0.48, rel_tol=1e-12)
 
 
+def test_state_without_age_counts_with_the_factor_sent_at_that_time() -> None:
+    scaler, now_ns = released(rise_rate=1e-9)
+    scaler.take(state(1.0, 0.5), now_ns)
+    now_ns += PERIOD_NS
+    assert scaler.factor(now_ns) == 0.5
+    scaler.take(state(0.5, 0.4), now_ns, 0)
+    assert math.isclose(scaler.factor(now_ns), 0.4, rel_tol=1e-12)
+
+
+def test_factors_are_kept_for_the_oldest_state_that_counts() -> None:
+    """It was measured a timeout ago, with the factor of a latency before that."""
+    latency_ns = 10 * PERIOD_NS
+    scaler, start_ns = released(rise_rate=1e-9, latency_ns=latency_ns)
+    now_ns = start_ns + latency_ns
+    scaler.factor(now_ns)
+    scaler.take(state(1.0, 0.5), now_ns)
+    while now_ns < start_ns + latency_ns + TIMEOUT_NS:
+        assert math.isclose(scaler.factor(now_ns), 0.5)
+        now_ns += PERIOD_NS
+    scaler.take(state(1.0, 0.4), now_ns, TIMEOUT_NS)
+    assert math.isclose(scaler.factor(now_ns), 0.4, rel_tol=1e-12)
+
+
 @settings(max_examples=20)
 @given(st.floats(0.02, 1.0), st.floats(0.1, 1.0), st.integers(0, 5), st.integers(0, 5), st.floats(10.0, 100.0))
 def test_closed_loop_reaches_a_constant_limit_monotonically(
