@@ -230,7 +230,7 @@ def test_clock_counts_as_set_back_beyond_the_future_tolerance(
 
 def test_robot_that_is_not_in_si_units_has_no_monitor(scara: RobotDynamics) -> None:
     robot = replace(scara.robot, units_reason="the links must be in metres, not in millimetres")
-    with pytest.raises(RobotError, match="omron_i4_550l.yaml: the links must be in metres, not in millimetres"):
+    with pytest.raises(RobotError, match=r"omron_i4_550l.yaml: the links must be in metres, not in millimetres"):
         Monitor(RobotDynamics(robot), MonitorSettings())
 
 
