@@ -40,6 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INPUT_ERROR
     if ros_arguments and name not in ROS_COMMANDS:
         parser.error(f"{ros_arguments[0]}: this command takes no ROS arguments")
+    _keep_stdout()
     previous_handler = signal.signal(signal.SIGTERM, _terminate)
     try:
         code: int = import_module(f"scara_effmass.cli.{MODULES.get(name, name)}").run(parsed)
@@ -62,6 +63,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         signal.signal(signal.SIGTERM, previous_handler)
     return code
+
+
+def _keep_stdout() -> None:
+    """Let only Python write to stdout: Fast DDS prints its errors there, where `--json` is read."""
+    python = sys.__stdout__
+    if python is None or sys.stderr is None or sys.stdout is not python:  # closed, or taken by a caller
+        return
+    stdout = os.dup(python.fileno())
+    os.dup2(2, python.fileno())
+    sys.stdout = os.fdopen(stdout, "w", 1 if os.isatty(stdout) else -1, python.encoding, python.errors)
 
 
 def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:

@@ -79,8 +79,6 @@ def _ordered(blocks: Iterator[ForceBlock], sample_rate: float, origin: str) -> I
 
 def _check_block(block: ForceBlock, sample_rate: float, origin: str) -> None:
     rate, stamp = block.sample_rate, f"at {block.stamp_ns / NS:.6f} s"
-    if not 0.0 < rate < math.inf:
-        raise BagError(f"{origin}: sample_rate = {rate:g} {stamp}: must be > 0 Hz")
     for name in ("clock_residual", "relative_uncertainty"):
         if not 0.0 <= getattr(block, name) < math.inf:
             raise BagError(f"{origin}: {name} = {getattr(block, name):g} {stamp}: must be a number >= 0")

@@ -61,6 +61,19 @@ def recording(bag: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
             process.communicate()
 
 
+@pytest.mark.live
+def test_errors_of_the_middleware_do_not_mix_with_the_report(
+    cli_process: Cli, tmp_path: Path, domain: dict[str, str]
+) -> None:
+    """Fast DDS prints them on stdout."""
+    (tmp_path / "profiles.xml").write_text("<damaged", encoding="utf-8")
+    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
+        domain[name] = str(tmp_path / "profiles.xml")
+    done = cli_process("record", "notes", "--duration", "0.2", "-o", tmp_path / "bag", "--json")
+    assert json.loads(done.stdout)["messages"] == 0
+    assert "Error parsing" in done.stderr
+
+
 @pytest.mark.parametrize("stop_signal", [signal.SIGINT, signal.SIGTERM])
 def test_signal_completes_the_bag_and_prints_the_report(tmp_path: Path, stop_signal: signal.Signals) -> None:
     bag = tmp_path / "bag"

@@ -91,8 +91,6 @@ def test_drifting_rate_is_accepted_and_another_rate_is_refused(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("field", "value", "rule"),
     [
-        ("sample_rate", 0.0, "> 0 Hz"),
-        ("sample_rate", float("nan"), "> 0 Hz"),
         ("clock_residual", np.inf, "a number >= 0"),
         ("relative_uncertainty", float("nan"), "a number >= 0"),
     ],
@@ -102,6 +100,18 @@ def test_block_with_an_impossible_value_is_refused(tmp_path: Path, field: str, v
     path = write_blocks(tmp_path / "run", [force_block(0)._replace(**changes)])
     with pytest.raises(BagError, match=rf"run: /force: {field} = {value:g} at .* s: must be {rule}"):
         played(path)
+
+
+@pytest.mark.parametrize("rate", [0.0, float("nan")])
+def test_block_without_a_usable_rate_is_left_out(tmp_path: Path, rate: float) -> None:
+    bad = force_block(100)._replace(sample_rate=rate)
+    with opened(write_blocks(tmp_path / "run", [force_block(0), bad, force_block(200)])) as source:
+        assert numbers(list(iter(lambda: source.read(0.0), None))) == [(0, 0), (200, 100)]
+    alone = write_blocks(tmp_path / "alone", [bad])
+    with pytest.raises(
+        BagError, match=rf"has no force that can be read; .*left out: ForceBlock: sample_rate = {rate:g}: "
+    ):
+        played(alone)
 
 
 def test_clock_that_goes_back_is_refused_after_the_blocks_before(tmp_path: Path) -> None:
