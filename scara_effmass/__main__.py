@@ -3,9 +3,12 @@
 
 import sys
 
+from scara_effmass.streams import open_standard_streams
+
 
 def main() -> int:
     """Run the command line; Ctrl-C during its imports also gives one line and the exit code of a shell."""
+    open_standard_streams()
     try:
         from scara_effmass.cli import main as run  # noqa: PLC0415 - takes a second
 

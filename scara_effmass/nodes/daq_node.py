@@ -107,7 +107,8 @@ class DaqNode(LifecycleBase):
             if time.monotonic() > deadline:
                 self.get_logger().warning(f"{self._source.description}: no subscriber yet, playing")
                 return
-            time.sleep(_POLL_S)  # the middleware matches subscribers in threads of its own
+            if self.stopping.wait(_POLL_S):  # the middleware matches subscribers in threads of its own
+                return
 
     def deactivate(self) -> None:
         """Stop the acquisition."""

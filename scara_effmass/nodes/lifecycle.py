@@ -47,6 +47,7 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.readiness import report_readiness
 from scara_effmass.nodes.realtime import use_realtime
+from scara_effmass.streams import open_standard_streams
 from scara_effmass.wire.topics import INFO_QOS, Qos
 
 Entity = TypeVar("Entity")
@@ -89,6 +90,8 @@ class LifecycleBase(LifecycleNode):
             raise SettingsError(f"{name}: {_reason(error)}") from None
         self.autostart = True
         self.active = False
+        self.stopping = threading.Event()
+        """Set by a signal that ends the process, so that a transition can stop waiting."""
         self.incompatible_qos: set[str] = set()
         """One line for each endpoint that cannot be connected, and its QoS policy that does not fit."""
         self.fixed_parameters: Sequence[str] = ()
@@ -328,6 +331,8 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
     def stop() -> None:
         nonlocal stopped
         stopped = True
+        if node is not None:
+            node.stopping.set()
         try:
             _publish_last(node, "the node shuts down")
         finally:
@@ -404,6 +409,7 @@ def _stderr_that_never_blocks() -> Iterator[int]:
 
     rclpy holds the interpreter while it logs, so every thread of the node would wait for that terminal.
     """
+    open_standard_streams()
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     terminal = os.dup(2)

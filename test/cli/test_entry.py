@@ -238,6 +238,15 @@ def test_closed_pipe_gives_no_error_message() -> None:
     assert process.wait() == 1
 
 
+@pytest.mark.live
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_change_neither_status_nor_files(closed: str, tmp_path: Path) -> None:
+    words = f"{sys.executable} -m scara_effmass lump -o {tmp_path}/out"
+    ended = subprocess.run(["sh", "-c", f"exec {words} {closed}"], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert json.loads((tmp_path / "out" / "lump.json").read_text())
+
+
 @pytest.mark.parametrize("option", ["-o", "--output", "--out"])
 def test_demo_takes_its_output_folder_as_every_command(option: str) -> None:
     assert make_parser().parse_args(["demo", option, "here"]).out == Path("here")

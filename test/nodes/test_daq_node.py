@@ -14,7 +14,8 @@ import pytest
 import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
-from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.msg import Transition, TransitionEvent
+from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
@@ -345,5 +346,29 @@ def test_signal_exits_with_0(new_harness: Callable[..., NodeHarness], number: si
     assert harness.process is not None
     harness.process.send_signal(number)
     output, errors = harness.process.communicate()
+    assert harness.process.returncode == 0
+    assert "Traceback" not in output + errors
+
+
+def test_signal_while_waiting_for_a_subscriber_exits_with_0(
+    new_harness: Callable[..., NodeHarness], tmp_path: Path
+) -> None:
+    words = ["-p", "source:=bag", "-p", f"bag.path:={write_recording(tmp_path)}", "-p", "autostart:=false"]
+    harness = start_node(new_harness, *words, "-p", "bag.subscriber_timeout:=3600.0")
+    states: list[str] = []
+
+    def on_event(event: TransitionEvent) -> None:
+        states.append(event.goal_state.label)
+
+    harness.node.create_subscription(TransitionEvent, "daq/transition_event", on_event, DEEP)
+    harness.spin_until(lambda: harness.node.count_publishers("daq/transition_event"))
+    assert harness.change_state(Transition.TRANSITION_CONFIGURE)
+    client = harness.node.create_client(ChangeState, "daq/change_state")
+    harness.spin_until(client.service_is_ready)
+    client.call_async(ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE)))
+    harness.spin_until(lambda: "activating" in states)
+    assert harness.process is not None
+    harness.process.send_signal(signal.SIGINT)
+    output, errors = harness.process.communicate(timeout=60.0)
     assert harness.process.returncode == 0
     assert "Traceback" not in output + errors

@@ -115,3 +115,10 @@ def test_sigterm_while_a_node_starts_ends_it_with_0_or_143(
 
 def test_simulated_cell_does_not_catch_up_with_years(refusal_of: Callable[..., str]) -> None:
     assert refusal_of(SimNode, "start:=1.0") == "sim: start = 1.0: must be at most 60 s ago"
+
+
+@pytest.mark.live
+def test_node_refuses_with_status_2_although_its_streams_are_closed(own_domain: int) -> None:
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(own_domain)}
+    command = f"exec {Path(sys.executable).with_name('daq_node')} --ros-args -p source:=nope <&- >&- 2>&-"
+    assert subprocess.run(["sh", "-c", command], env=environment, check=False).returncode == 2
