@@ -122,7 +122,12 @@ def follow(cell: Start) -> tuple[float, list[ContactState], dict[int, float]]:
     states: list[ContactState] = []
     node.node.create_subscription(ContactState, "contact_state", states.append, DEEP_QOS)
     in_force: dict[int, float] = {}
-    last_ns, seen, delay_ns = time.time_ns(), 0, 0
+
+    def stand() -> None:
+        monitor.send(joint_state_message(trajectory.advance(0.0, 0.0, time.time_ns())))
+
+    node.spin_until(lambda: states, repeat=stand)
+    last_ns, seen, delay_ns = time.time_ns(), len(factors), 0
 
     def cycle() -> bool:
         """Advance by the time that has passed, at the last received factor; wait for one where the node is late."""
