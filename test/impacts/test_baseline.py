@@ -38,9 +38,17 @@ def test_a_constant_has_no_spread() -> None:
     assert quantisation_deviation(np.full(9, 7.0), 7.0) == 0.0
 
 
-def test_a_run_is_as_improbable_as_asked() -> None:
-    length = improbable_run_length(0.3, 1e-6)
-    assert 0.3**length <= 1e-6 < 0.3 ** (length - 1)
+@pytest.mark.parametrize(("missing", "is_present"), [(0, True), (20, True), (21, False), (39, False), (40, False)])
+def test_a_frame_is_present_if_half_of_its_samples_are(missing: int, *, is_present: bool) -> None:
+    samples = np.arange(40.0)
+    samples[:missing] = np.nan
+    assert Frame(samples).is_present == is_present
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7])
+def test_a_run_is_as_improbable_as_asked(share: float) -> None:
+    length = improbable_run_length(share, 1e-6)
+    assert share**length <= 1e-6 < share ** (length - 1)
     assert improbable_run_length(1.0, 1e-6) == sys.maxsize
 
 

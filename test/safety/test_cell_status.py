@@ -65,6 +65,13 @@ def test_a_lost_monitor_is_unknown_by_itself_and_allows_nothing(exists: bool, no
     assert (status.allowable_speed, status.speed_scaling) == (0.0, 0.0)
 
 
+def test_a_monitor_is_not_silent_before_its_deadline_is_over() -> None:
+    status = ok_cell()
+    status.take_publisher(400 * MS, exists=True)
+    status.update(S + 400 * MS)
+    assert status.verdict is Verdict.OK
+
+
 def test_two_monitors_at_once_are_unknown_until_one_is_silent() -> None:
     status = ok_cell()
     status.take_other_monitor(S + 300 * MS)

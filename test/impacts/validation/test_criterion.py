@@ -165,6 +165,13 @@ def test_gain_that_touches_the_tolerance_is_not_decidable(interval: Interval) ->
     assert (decision.accepted, decision.decidable) == (False, False)
 
 
+def test_a_single_light_obstacle_needs_another_light_one() -> None:
+    """Half the lightest mass of the robot is light enough, but one obstacle cannot tell gain from mass."""
+    decision = decide(CriterionSettings(), SERIES._replace(obstacle_masses=np.full(12, 0.5)))
+    assert not decision.decidable
+    assert "next: an obstacle of m_H = 0.25 kg or less, which fixes the gain, one of 9 kg or more" in decision.reason
+
+
 @pytest.mark.parametrize(
     ("changes", "error", "steps"),
     [

@@ -45,6 +45,18 @@ def test_scale_gain_and_exponent_are_found_exactly(scale: float, gain: float, ex
     assert (result.impacts, result.cells) == (12, 12)
 
 
+@pytest.mark.parametrize("heaviest", [0.135, 0.17])
+def test_obstacles_too_much_alike_give_neither_gain_nor_scale(heaviest: float) -> None:
+    """Shares of 0.09 to 0.12 and, for the second, 0.145 of a robot of 1 kg; they must differ by 0.05."""
+    obstacles = np.array([0.1, 0.11, 0.12, heaviest])
+    masses = np.ones(4)
+    mu = reduced(masses, obstacles)
+    speeds = np.full(4, 0.25)
+    result = fit_masses(mu * speeds, speeds, 500.0 * np.sqrt(mu), masses, obstacles, list("aaaa"))
+    shares = obstacles / (1.0 + obstacles)
+    assert (result.gain_interval == NO_FIT.gain_interval) == (np.ptp(shares) < 0.05)
+
+
 def test_intervals_of_a_noisy_series_are_those_of_the_general_optimiser() -> None:
     noise = np.random.default_rng(0).normal(0.0, 0.03, 12)
     result = fit(noise)

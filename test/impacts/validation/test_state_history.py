@@ -165,6 +165,17 @@ def test_state_after_the_onset_may_be_slower_by_half_a_percent(
     assert usable(history_of(states).at(START, 0)).from_trend == from_trend
 
 
+@pytest.mark.parametrize(("last", "is_usable"), [(0.02, True), (0.015, False)])
+def test_trend_below_the_speed_threshold_is_rejected(make_state: MakeState, last: float, *, is_usable: bool) -> None:
+    """The robot brakes by 0.01 m/s in 5 ms: at the onset it would move at 10 or 5 mm/s less a little, 5 are needed."""
+    states = [make_state(START - ms * MS, last + 0.002 * (ms - 5)) for ms in (20, 15, 10, 5)]
+    states += [make_state(START + 5 * MS, 0.0, STILL)]
+    state = history_of(states).at(START + MS // 2, 0)
+    assert isinstance(state, OnsetState) == is_usable
+    if not is_usable:
+        assert refused(state).reason == "the direction of motion turns over at the onset"
+
+
 def test_velocity_noise_is_not_amplified(make_state: MakeState) -> None:
     """Velocities with 2 % of noise, which often looks like slowing, give the speed to about as much."""
     rng = np.random.default_rng(0)

@@ -671,6 +671,30 @@ def test_reset_begins_a_new_series(campaign: Cell) -> None:
     assert (validated.count, validated.obstacle_mass) == (1, 2.39)
 
 
+@pytest.mark.parametrize("is_reset", [False, True])
+def test_reset_forgets_the_stated_uncertainty(campaign: Cell, *, is_reset: bool) -> None:
+    """A force that is 10 % too large is within the 30 % of the series before, but not within the default of 5 %."""
+    validator = Validator(ValidatorSettings(history=60.0))
+    validator.add_force(block([0.0])._replace(relative_uncertainty=0.3), START)
+    if is_reset:
+        validator.reset()
+    for since_ns, obstacle_mass, configuration in campaign.runs:
+        validator.runs.set(since_ns, obstacle_mass=obstacle_mass, configuration=configuration)
+    for state in campaign.states:
+        validator.add_state(*state)
+    for impact, at_ns in campaign.impacts:
+        validator.add_impact(impact._replace(compression_impulse=1.1 * impact.compression_impulse), at_ns)
+    validator.finish()
+    tolerance = 0.05 if is_reset else 0.3
+    assert (f"must be within {tolerance:.0%} of 1" in validator.result().reason) == is_reset
+
+
+@pytest.mark.parametrize(("heaviest", "one_pose"), [(2.09, True), (2.2, False)])
+def test_masses_within_5_percent_are_one_pose(make_cell: MakeCell, heaviest: float, *, one_pose: bool) -> None:
+    _, result = run(make_cell(masses=(2.0, 2.05, heaviest)), ValidatorSettings(history=60.0))
+    assert ("one pose cannot show that the mass follows the pose" in result.reason) == one_pose
+
+
 def test_recordings_one_after_the_other(make_cell: MakeCell) -> None:
     """Each on the same stamps, with an obstacle of its own: one series."""
     cell = make_cell()
