@@ -61,9 +61,10 @@ def _motion(robot: str) -> Iterator[JointState]:
 
 def _assess(bag: Path, options: list[str]) -> float:
     output = bag.with_name("verdicts.parquet")
+    output.unlink(missing_ok=True)  # to replace a file is to delete one, too
     started = time.perf_counter()
     with contextlib.redirect_stdout(io.StringIO()):
-        code = cli.main(["assess", str(bag), "-o", str(output), "--force", *options])
+        code = cli.main(["assess", str(bag), "-o", str(output), *options])
     duration_s = time.perf_counter() - started
     if code != 0:
         raise RuntimeError(f"assess ended with {code}")

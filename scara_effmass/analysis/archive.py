@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from scara_effmass.analysis.assessed_states import BATCH, AssessedStates
+from scara_effmass.analysis.assessed_states import AssessedStates, batch_size
 from scara_effmass.analysis.assessment import (
     ClockSkew,
     RecordedVelocities,
@@ -35,6 +35,8 @@ from scara_effmass.values import NAN, BoolArray, FloatArray, JointState, Verdict
 
 MIN_MANY, MAX_SINGLES = 16, 64
 """Smallest block that is admitted as a whole; most joint states that are admitted singly before the next attempt."""
+MAX_THREADS = 4
+"""Threads that compute: one reads, and one writes, as fast as four of them."""
 Compute = Callable[[FloatArray, FloatArray, FloatArray], tuple[ContactColumns, ...]]
 
 
@@ -58,19 +60,19 @@ class _Source(NamedTuple):
 
 
 class _Batch:
-    """Joint states on their way through the steps: `count` of the BATCH rows of each array are filled.
+    """Joint states on their way through the steps: `count` of the `size` rows of each array are filled.
 
     `stale` holds codes of `texts`: why a state is refused, or which gap is before it.
     """
 
-    def __init__(self, joints: int) -> None:
-        self.count = 0
+    def __init__(self, joints: int, size: int) -> None:
+        self.count, self.size = 0, size
         self.texts: list[str] = []
         self._sources: list[_Source] = []
-        self.log_time_ns, self.stamp_ns, self.stale = (np.full(BATCH, sequence.NO_REASON) for _ in range(3))
-        self.age, self.delay = np.zeros(BATCH), np.zeros(BATCH)
-        self.valid, self.cleared = np.ones(BATCH, np.bool_), np.zeros(BATCH, np.bool_)
-        self.q, self.qd, self.tolerance = (np.zeros((BATCH, joints)) for _ in range(3))
+        self.log_time_ns, self.stamp_ns, self.stale = (np.full(size, sequence.NO_REASON) for _ in range(3))
+        self.age, self.delay = np.zeros(size), np.zeros(size)
+        self.valid, self.cleared = np.ones(size, np.bool_), np.zeros(size, np.bool_)
+        self.q, self.qd, self.tolerance = (np.zeros((size, joints)) for _ in range(3))
 
     def add(self, block: JointStateBlock | None, block_row: int, count: int = 1) -> slice:
         """Add `count` rows that begin at `block_row` of `block`, and return them."""
@@ -141,7 +143,7 @@ def many_at_once(
     monitor.assessor.load_kernel()  # before there are threads
     debouncers = [_Debouncer(monitor) for _ in monitor.dynamics.contact_points]
     waiting: deque[tuple[_Batch, Future[tuple[ContactColumns, ...]]]] = deque()
-    threads = len(os.sched_getaffinity(0))
+    threads = min(len(os.sched_getaffinity(0)), MAX_THREADS)
     with ThreadPoolExecutor(threads) as pool:
         for batch in _admitted(bag, topic, monitor, skew, time):
             waiting.append((batch, pool.submit(batch.compute, monitor.assessor.compute)))
@@ -180,8 +182,9 @@ class _Admission:
 
     def __init__(self, monitor: Monitor) -> None:
         self._monitor = monitor
-        self._joints = len(monitor.dynamics.robot.joint_names)
-        self.batch = _Batch(self._joints)
+        joints, points = monitor.dynamics.robot.joint_names, monitor.dynamics.contact_points
+        self._new_batch = partial(_Batch, len(joints), batch_size(len(points)))
+        self.batch = self._new_batch()
         self._singles = self._next_singles = 1
         self._filters = monitor.settings.filters_velocity
 
@@ -205,7 +208,7 @@ class _Admission:
                 self._singles = max(self._singles - 1, 0)
                 row += 1
                 continue
-            rows = slice(row, row + BATCH - self.batch.count)
+            rows = slice(row, row + self.batch.size - self.batch.count)
             columns = stamps[rows], clocks[rows], q[rows], qd[rows]
             tolerance = sequence.agreeing_states(self._monitor.validator, *columns)
             self.batch.add_motions(block, row, tolerance, *columns)
@@ -222,9 +225,9 @@ class _Admission:
             self.batch.add_admitted(block, row, int(block.log_time_ns[row]), admitted)
 
     def _full(self) -> Iterator[_Batch]:
-        if self.batch.count == BATCH:
+        if self.batch.count == self.batch.size:
             yield self.batch
-            self.batch = _Batch(self._joints)
+            self.batch = self._new_batch()
 
 
 class _Debouncer:

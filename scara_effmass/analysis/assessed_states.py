@@ -12,8 +12,8 @@ from scara_effmass.bags.batches import IntArray
 from scara_effmass.kernel.contact_columns import LABELS, NUMBERS, VECTORS, ContactColumns, columns_of
 from scara_effmass.values import BoolArray, ContactAssessment, FloatArray, Verdict
 
-BATCH = 4_096
-"""Joint states in one batch of columns."""
+ROWS = 49_152
+"""Most rows in one batch of columns: smaller batches cost time, larger ones memory."""
 Positions = Callable[[int], Mapping[str, float]]
 
 
@@ -63,6 +63,11 @@ class AssessedStates:
     def rows(self) -> Iterator[tuple[ContactAssessment, ...]]:
         """Yield the assessments of all contact points, joint state by joint state."""
         return zip(*(self.assessments(point, slice(None)) for point in range(len(self.contacts))), strict=True)
+
+
+def batch_size(points: int) -> int:
+    """Return the joint states in one batch: each has a row for each of `points` contact points."""
+    return max(ROWS // points, 1)
 
 
 def states_of(

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scara_effmass.analysis.assessed_states import BATCH, AssessedStates, states_of
+from scara_effmass.analysis.assessed_states import AssessedStates, states_of
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.batches import IntArray
 from scara_effmass.bags.files import open_bag
@@ -224,14 +224,14 @@ def generated_description(bag: Bag) -> str:
     return info.note.partition("\n")[0] if info is not None and info.simulated else ""
 
 
-def one_by_one(assessed: Iterator[AssessedState], skew: ClockSkew) -> Iterator[AssessedStates]:
-    """Yield the decisions of a monitor in batches, as columns; count the clocks in `skew`."""
+def one_by_one(assessed: Iterator[AssessedState], skew: ClockSkew, size: int = 4_096) -> Iterator[AssessedStates]:
+    """Yield the decisions of a monitor in batches of `size` joint states, as columns; count the clocks in `skew`."""
     items: list[AssessedState] = []
     count = 0
     for item in assessed:
         items.append(item)
         count += item.decision is not None
-        if count == BATCH:
+        if count == size:
             yield from _as_columns(items, skew)
             items, count = [], 0
     yield from _as_columns(items, skew)

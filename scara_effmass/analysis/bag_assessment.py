@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from scara_effmass.analysis.assessed_states import AssessedStates
+from scara_effmass.analysis.assessed_states import AssessedStates, batch_size
 from scara_effmass.analysis.assessment import (
     ClockSkew,
     RecordedVelocities,
@@ -36,7 +36,7 @@ from scara_effmass.settings import MonitorSettings
 MANY = 50_000
 """Joint states from which on it is faster to assess many at once, the start of numba included."""
 
-MAX_WAITING = 2
+MAX_WAITING = 1
 """Most batches that wait for the writer."""
 
 
@@ -137,7 +137,8 @@ def _batches(
             batches = archive.many_at_once(bag, topic, monitor, skew, task.time)
             if second:
                 decisions = assess_joint_states(second, topic, Monitor(monitor.dynamics, task.settings), task.time)
-                batches = cross_checked(str(bag.path), batches, one_by_one(decisions, ClockSkew()))
+                size = batch_size(len(monitor.dynamics.contact_points))
+                batches = cross_checked(str(bag.path), batches, one_by_one(decisions, ClockSkew(), size))
             return batches, ""
         if second:
             raise SettingsError(f"--cross-check: must compare with many joint states at once: {slow}")

@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from scara_effmass.analysis.assessed_states import BATCH, AssessedStates
+from scara_effmass.analysis.assessed_states import AssessedStates
 from scara_effmass.analysis.plot_style import ISO_RED, STYLE, new_figure
 from scara_effmass.errors import RobotError
 from scara_effmass.kernel.contact_columns import LABELS, ContactColumns, joined
@@ -33,6 +33,8 @@ CELLS = 40
 """Approximate number of cells along the longer side of a map."""
 MANY = 5_000
 """Configurations from which on it is faster to assess many at once, the start of numba included."""
+TOGETHER = 4_096
+"""Configurations in one step: their Jacobians stay in the caches."""
 SPEED_RATIO = 2.0
 """Speed of the motion over the `speed_threshold`; masses and allowable speed do not depend on it."""
 DAMPING = 1e-14
@@ -117,8 +119,8 @@ def sample_workspace(
     taken = left_out = 0
     # Pinocchio's buffers are for one thread; the kernel has none.
     with ThreadPoolExecutor(len(os.sched_getaffinity(0)) if is_fast else 1) as pool:
-        for first in range(0, len(drawn), BATCH):
-            q, places, qd, moves = _motions(monitor, drawn[first : first + BATCH], direction, frame, plane)
+        for first in range(0, len(drawn), TOGETHER):
+            q, places, qd, moves = _motions(monitor, drawn[first : first + TOGETHER], direction, frame, plane)
             rows = np.flatnonzero(moves)[: count - taken]
             taken += len(rows)
             left_out += int(np.count_nonzero(~moves[: rows[-1]] if taken == count else ~moves))

@@ -190,10 +190,10 @@ def power(motion: FloatArray, at: FloatArray, force: Mobility6, place: Vector3) 
 
 @compiled
 def fill_mass_matrix(k: int, setup: Setup, work: Work) -> None:
-    """Write M (n, n), the inertias of subtrees in `composites` (n, 22), and their momenta (n, 6) with each joint."""
-    n, motions, composites, matrix = setup.joints, work.motions, work.composites[k], work.matrices[k]
+    """Write M (n, n) in the upper half of `factors`, `composites` (n, 22) of the subtrees, and their `momenta`."""
+    n, motions, composites, matrix = setup.joints, work.motions, work.composites[k], work.factors[k]
     for i in range(n):
-        for j in range(n):
+        for j in range(i, n):
             matrix[i, j] = setup.coupling[i, j]
         for a in range(10):
             composites[i, a] = work.inertias[k, i, a]
@@ -206,12 +206,10 @@ def fill_mass_matrix(k: int, setup: Setup, work: Work) -> None:
             work.momenta[k, i, a] = momentum[a]
         at, j = (place[0], place[1], place[2]), i
         while j >= 0:
-            entry = power(motions[j], work.places[j], momentum, at)
-            matrix[i, j] += entry
-            if i != j:
-                matrix[j, i] += entry
+            matrix[j, i] += power(motions[j], work.places[j], momentum, at)
             j = setup.parent[j]
         matrix[i, i] += setup.armature[k, i]
+        work.diagonals[k, i] = matrix[i, i]
 
 
 @compiled
@@ -289,11 +287,8 @@ def fill_coriolis_matrix(k: int, setup: Setup, work: Work) -> None:
 
 @compiled
 def factorize(k: int, n: int, work: Work) -> None:
-    """Write U D U^T of M (n, n), from the last joint to the first: D^-1 on the diagonal, U above it."""
+    """Put U D U^T of M (n, n) in its place, from the last joint to the first: D^-1 on the diagonal, U above it."""
     factors = work.factors[k]
-    for i in range(n):
-        for j in range(i, n):
-            factors[i, j] = work.matrices[k, i, j]
     for i in range(n - 1, -1, -1):
         scale = 1.0 / factors[i, i]
         for j in range(i):
@@ -965,7 +960,7 @@ def add_held(
     is_moving = n[0] != 0.0 or n[1] != 0.0 or n[2] != 0.0
     for j in range(setup.joints):
         for a in range(3):
-            work.responses[HELD, a, j] = work.jacobian[a, j] / work.matrices[k, j, j]
+            work.responses[HELD, a, j] = work.jacobian[a, j] / work.diagonals[k, j]
     m = symmetric(setup.joints, work.jacobian, work.responses[HELD])
     worst = inverse(smallest_eigenvalue(m, rank))
     out[_CHANGES], out[_RANK] = 0.0, rank

@@ -184,7 +184,7 @@ class Work:
     inertias: Annotated[FloatArray, (2, MAX_JOINTS, 10)]
     composites: Annotated[FloatArray, (2, MAX_JOINTS, 22)]
     momenta: Annotated[FloatArray, (2, MAX_JOINTS, 6)]
-    matrices: Annotated[FloatArray, (2, MAX_JOINTS, MAX_JOINTS)]
+    diagonals: Annotated[FloatArray, (2, MAX_JOINTS)]
     factors: Annotated[FloatArray, (2, MAX_JOINTS, MAX_JOINTS)]
     coriolis: Annotated[FloatArray, (2, MAX_JOINTS, MAX_JOINTS)]
     has_coriolis: Annotated[IntArray, (2,)]

@@ -16,12 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
 
-from scara_effmass.analysis import archive, assessment
+from scara_effmass.analysis import assessed_states
 from scara_effmass.analysis.archive import many_at_once, slow_reason
-from scara_effmass.analysis.assessed_states import AssessedStates
+from scara_effmass.analysis.assessed_states import AssessedStates, batch_size
 from scara_effmass.analysis.assessment import ClockSkew, Time, assess_joint_states, joint_state_topic, one_by_one
 from scara_effmass.analysis.cross_check import cross_checked, first_difference
-from scara_effmass.analysis.tables import ROW_GROUP, open_writer
+from scara_effmass.analysis.tables import open_writer
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError, CrossCheckError
 from scara_effmass.model.dynamics import RobotDynamics
@@ -41,8 +41,7 @@ SCARA = RobotDynamics(load_robot(settings=MonitorSettings()))
 def _small_batches() -> Iterator[None]:
     """Make the seams of batches frequent."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (archive, assessment):
-            patch.setattr(module, "BATCH", 67)
+        patch.setattr(assessed_states, "ROWS", 67 * len(SCARA.contact_points))
         yield
 
 
@@ -55,7 +54,10 @@ def compare(path: Path, dynamics: RobotDynamics, time: Time = Time.LIVE, **chang
     with open_bag(path) as bag, open_bag(path) as again:
         topic = joint_state_topic(bag, None)
         decisions = assess_joint_states(again, topic, reference, time)
-        both = many_at_once(bag, topic, monitor, skew, time), one_by_one(decisions, other_skew)
+        both = (
+            many_at_once(bag, topic, monitor, skew, time),
+            one_by_one(decisions, other_skew, batch_size(len(dynamics.contact_points))),
+        )
         states = list(cross_checked(path.name, *both))
         assert bag.losses == again.losses
     assert (monitor.ignored, monitor.rejected) == (reference.ignored, reference.rejected)
@@ -123,7 +125,7 @@ def test_table_is_the_same_for_every_number_of_threads(tmp_path: Path, monkeypat
                 writer.add("bag", states)
         tables.append(table.read_bytes())
     assert tables[0] == tables[1]
-    assert parquet.ParquetFile(table).metadata.num_row_groups == 30 // ROW_GROUP
+    assert parquet.ParquetFile(table).metadata.num_row_groups == 30
 
 
 def test_a_difference_is_named_with_its_joint_state() -> None:
