@@ -60,9 +60,9 @@ __version__ = version("scara_effmass")
 
 
 def _import_changed_sources() -> None:
-    """Let an editable installation import the sources if one of them is newer than its compiled module.
+    """Let an editable installation import all sources if one of them is newer than its compiled module.
 
-    Compiled modules that fit together are used together or not at all. With SCARA_EFFMASS_SOURCES=1 none is used.
+    Compiled modules depend on each other, so either all of them are used or none. SCARA_EFFMASS_SOURCES=1: none.
     """
     for finder in sys.meta_path:
         compiled, sources = getattr(finder, "known_wheel_files", {}), getattr(finder, "known_source_files", {})

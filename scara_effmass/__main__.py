@@ -7,7 +7,7 @@ from scara_effmass.streams import open_standard_streams
 
 
 def main() -> int:
-    """Run the command line; Ctrl-C during its imports also gives one line and the exit code of a shell."""
+    """Run the command line; Ctrl-C gives one line and exit code 130, also while modules are imported."""
     open_standard_streams()
     try:
         from scara_effmass.cli import main as run  # noqa: PLC0415 - takes a second

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exceptions: one tree, whose leaves are also builtin exceptions.
+"""Exceptions of this package. Most of them also derive from a built-in exception.
 
 A message is one line: `FILE: key = value: must be RULE`.
 """
 
 _MAX_LENGTH = 2000
-"""Longest message [characters]: a value from a file may be of any length."""
+"""Longer messages are shortened [characters]: they may quote a value from a file, which can have any length."""
 
 
 class EffmassError(Exception):
@@ -14,7 +14,7 @@ class EffmassError(Exception):
     def __str__(self) -> str:
         text = " ".join(super().__str__().splitlines())
         half = _MAX_LENGTH // 2
-        return text if len(text) <= _MAX_LENGTH else f"{text[:half]} … {text[-half:]}"  # the rule is at the end
+        return text if len(text) <= _MAX_LENGTH else f"{text[:half]} … {text[-half:]}"  # the end states the rule
 
 
 class SettingsError(EffmassError, ValueError):
@@ -22,15 +22,15 @@ class SettingsError(EffmassError, ValueError):
 
 
 class RobotError(EffmassError, ValueError):
-    """Invalid robot description, or a model that the robot does not have."""
+    """Invalid robot description, or a mass model that the robot does not have."""
 
 
 class CrossCheckError(EffmassError):
-    """The assessment of many joint states at once differs from that of the monitor."""
+    """The bulk assessment of joint states differs from that of the monitor."""
 
 
 class LimitError(EffmassError, ValueError):
-    """Limit that the standard does not state, or setting that would loosen one."""
+    """Limit that the standard does not give, or a setting that would loosen a limit."""
 
 
 class BagError(EffmassError, ValueError):
@@ -42,7 +42,7 @@ class DecodeError(EffmassError, ValueError):
 
 
 class OutputError(EffmassError, OSError):
-    """File that cannot be written or already exists."""
+    """Output file that cannot be written or already exists."""
 
 
 class DaqError(EffmassError, OSError):
@@ -54,11 +54,11 @@ class DriverMissingError(DaqError):
 
 
 class DeviceMissingError(DaqError):
-    """No such device or channel, or unsupported by it."""
+    """No such device or channel, or the device does not support a setting."""
 
 
 class DeviceReservedError(DaqError):
-    """Another program has reserved the device."""
+    """Another program uses the device."""
 
 
 class DeviceLostError(DaqError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read text and YAML files of limited size; an error is one line that names the place. Read tables of this package."""
+"""Read text and YAML files of limited size, with one-line errors that name the place; read tables of this package."""
 
 import hashlib
 import re
@@ -22,11 +22,11 @@ MAX_YAML_BYTES = 500_000
 _MAX_YAML_DEPTH, _MAX_YAML_VALUES = 20, 20_000
 _MAX_INTEGER = 2**63
 YAML_ERRORS = (yaml.YAMLError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
-"""What `yaml.safe_load` raises on a file that any tool may have written or damaged."""
+"""Errors that `yaml.safe_load`, and reading its result, raise on an arbitrary or damaged file."""
 
 
 def read_text(path: Path, error: type[EffmassError], max_bytes: int = MAX_TEXT_BYTES) -> str:
-    """Return the UTF-8 text of the regular file at `path`. Raises `error`, also for a file above `max_bytes`."""
+    """Return the UTF-8 text of the regular file at `path`. Raises `error`, also if it is larger than `max_bytes`."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             raise error(f"{path}: cannot be read: must be a regular file")
@@ -46,7 +46,7 @@ def read_text(path: Path, error: type[EffmassError], max_bytes: int = MAX_TEXT_B
 
 
 def read_yaml(path: Path, error: type[EffmassError]) -> Any:  # noqa: ANN401 - what the file holds
-    """Return the content of the YAML file at `path`, numbers and text read as ROS reads them. Raises `error`."""
+    """Return the content of the YAML file at `path`, with the scalars as ROS reads them. Raises `error`."""
     text = read_text(path, error, MAX_YAML_BYTES)
     try:
         _check_size(text)
@@ -60,10 +60,10 @@ def read_yaml(path: Path, error: type[EffmassError]) -> Any:  # noqa: ANN401 - w
 
 
 def _check_size(text: str) -> None:
-    """Raise MarkedYAMLError beyond the bounds of depth and size, aliases written out."""
+    """Raise MarkedYAMLError if the content, with aliases expanded, is too deep or too large."""
     values = 0
     sizes: dict[str | None, int] = {}
-    open_nodes: list[tuple[str | None, int]] = []  # anchor, and the values before it
+    open_nodes: list[tuple[str | None, int]] = []  # anchor, number of values before it
     for event in yaml.parse(text, SafeLoader):
         if isinstance(event, yaml.CollectionEndEvent):
             anchor, before = open_nodes.pop()
@@ -86,7 +86,7 @@ def _check_size(text: str) -> None:
 
 
 class _Loader(SafeLoader):
-    """Refuses keys stated twice and values that are not of their tag."""
+    """Refuses duplicate keys and values that do not fit their tag."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:  # noqa: ANN401, FBT001, FBT002
         keys: set[str] = set()
@@ -114,20 +114,20 @@ _Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(":timestamp")]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-"""As in ROS, a date is text, and 1e-3 is a number."""
+"""As in ROS, a date is text and 1e-3 is a number."""
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
 
 
 def read_table(module: str, name: str) -> Any:  # noqa: ANN401 - what the file holds
-    """Return the content of the YAML file `name` of this package, beside the file `module`."""
+    """Return the content of the YAML file `name` in the folder of the file `module`."""
     with Path(module).with_name(name).open(encoding="utf-8") as stream:
         return yaml.load(stream, SafeLoader)
 
 
 def digest(path: Path, error: type[EffmassError]) -> str:
-    """Return the SHA-256 of a file, or of the lines that `sha256sum *` prints in a folder. Raises `error`."""
+    """Return the SHA-256 of a file or, for a folder, of what `sha256sum` prints for its files. Raises `error`."""
     try:
         if path.is_dir():
             files = sorted(file for file in path.rglob("*") if file.is_file())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""End of a process with its parent."""
+"""End a process together with its parent."""
 
 import ctypes
 import signal
@@ -10,6 +10,6 @@ _PR_SET_PDEATHSIG = 1
 def end_with_parent() -> None:
     """Have Linux send SIGTERM to this process when its parent dies, even by SIGKILL.
 
-    No node outlives a demo, and no worker its command.
+    So no node outlives a demo, and no worker outlives its command.
     """
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

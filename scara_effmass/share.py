@@ -9,9 +9,9 @@ from scara_effmass.errors import EffmassError
 def share(*parts: str, module: Path = Path(__file__)) -> Path:
     """Return the path of a shipped file or folder, for example `share("config", "omron_i4_550l.yaml")`.
 
-    The path lies in the tree for a checkout, an editable installation or a colcon build with symlinks; otherwise under
-    `share/scara_effmass` of the installation prefix. The search starts at `module`. Raises EffmassError for a missing
-    file.
+    A checkout, an editable installation and a colcon build with symlinks use the files of the source tree, any other
+    installation those in `share/scara_effmass` of its prefix. The search starts at `module`. Raises EffmassError if
+    the file is missing.
     """
     module = module.resolve()
     checkout = module.parents[1]

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Standard streams of a process that was started without them, as by some supervisors."""
+"""Standard streams for a process that was started without them, as some supervisors do."""
 
 import os
 import sys
 
 
 def open_standard_streams() -> None:
-    """Connect each of stdin, stdout and stderr that is closed with the null device.
+    """Connect stdin, stdout and stderr to the null device where they are closed.
 
-    Otherwise the next file or socket gets its descriptor, and what libraries print ends up there.
+    Otherwise the next file or socket would get the free descriptor, and libraries would print into it.
     """
-    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:  # the lowest free one
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:  # open returns the lowest free one
         os.set_inheritable(descriptor, True)  # noqa: FBT003
     os.close(descriptor)
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files elsewhere, by a URL that fsspec knows, used as the paths of local files are."""
+"""Remote files: URLs that fsspec supports, used like paths of local files."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from scara_effmass.errors import BagError
 
 
 def location(text: str) -> Path:
-    """Return the path or URL in `text`, of which file:// is a path."""
+    """Return the path or URL in `text`; file:// becomes a path."""
     text = text.removeprefix("file://")
     return Url(text) if "://" in text else Path(text)
 
 
 def local_file(path: Path) -> Path:
-    """Return `path` itself, or a copy of a URL that ends with this process. Raises OSError."""
+    """Return `path` itself, or a local copy of a URL, which is deleted when this process ends. Raises OSError."""
     if not isinstance(path, Url):
         return path
     import fsspec  # type: ignore[import-untyped]  # noqa: PLC0415
@@ -30,24 +30,24 @@ def local_file(path: Path) -> Path:
 
 
 class Url(PosixPath):
-    """URL such as s3://bucket/run.mcap, with the methods of a path that reading and writing needs.
+    """URL such as s3://bucket/run.mcap, with the methods of Path that reading and writing need.
 
-    Every method raises OSError where the URL cannot be reached.
+    Every method raises OSError if the URL cannot be reached.
     """
 
     def __str__(self) -> str:
         return super().__str__().replace(":/", "://", 1)
 
-    def exists(self, **_: Any) -> bool:  # noqa: ANN401 - as of Path, in every version of Python
-        """Whether there is a file or folder."""
+    def exists(self, **_: Any) -> bool:  # noqa: ANN401 - Path has other parameters in each Python
+        """Return whether this is a file or folder."""
         return self.is_file() or self.is_dir()
 
     def is_file(self, **_: Any) -> bool:  # noqa: ANN401
-        """Whether it is a file."""
+        """Return whether this is a file."""
         return self._found() == "file"
 
     def is_dir(self, **_: Any) -> bool:  # noqa: ANN401
-        """Whether it is a folder."""
+        """Return whether this is a folder."""
         return self._found() == "directory"
 
     def iterdir(self) -> Generator[Url, None, None]:
@@ -78,13 +78,13 @@ class Url(PosixPath):
             return int(fs.size(path) or 0)
 
     def checksum(self) -> str:
-        """Return what changes with the content, without reading it: on S3 a hash of the ETag."""
+        """Return a value that changes with the content, without reading it: on S3 a hash of the ETag."""
         with _errors_of(self):
             fs, path = self._filesystem()
             return str(fs.checksum(path))
 
     def upload(self, path: Path) -> None:
-        """Replace the file by the local file `path`, at once."""
+        """Replace the file atomically by the local file `path`."""
         with _errors_of(self):
             fs, target = self._filesystem()
             fs.makedirs(target.rpartition("/")[0], exist_ok=True)
@@ -94,7 +94,7 @@ class Url(PosixPath):
         import fsspec  # noqa: PLC0415 - takes 0.2 s
 
         fs, path = fsspec.url_to_fs(str(self))
-        fs.invalidate_cache()  # other processes write, too
+        fs.invalidate_cache()  # other processes also write
         return fs, path
 
     def _found(self) -> str:
@@ -107,7 +107,7 @@ class Url(PosixPath):
 
 
 class _File(io.RawIOBase):
-    """An open file; what cannot be read is a BagError: to take it for damage would leave out a part silently."""
+    """An open file. A failed read raises BagError: an OSError would count as damage, and the part would be left out."""
 
     def __init__(self, url: Url, file: Any) -> None:  # noqa: ANN401
         self._url, self._file = url, file
@@ -137,7 +137,7 @@ class _File(io.RawIOBase):
 
 @contextmanager
 def _errors_of(url: Url) -> Iterator[None]:
-    """Raise OSError, with URL and cause, whatever a file system raises."""
+    """Turn any error of a file system into an OSError with URL and cause."""
     try:
         yield
     except FileNotFoundError as error:
@@ -145,6 +145,6 @@ def _errors_of(url: Url) -> Iterator[None]:
     except ImportError:
         cause = "needs fsspec and the file system of its protocol, for S3: pip install 'scara_effmass[cluster]'"
         raise OSError(errno.EIO, cause, str(url)) from None
-    except Exception as error:  # noqa: BLE001 - each file system has its own
+    except Exception as error:  # noqa: BLE001 - each file system raises its own
         cause = " ".join(str(getattr(error, "strerror", None) or error).split()) or type(error).__name__
         raise OSError(getattr(error, "errno", None) or errno.EIO, cause, str(url)) from None

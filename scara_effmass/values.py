@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Values that cross rooms: immutable, SI units, float64, time in integer nanoseconds.
 
-Most are named tuples because one is built per cycle, at a third of the cost of a dataclass.
+Most are named tuples: they are built in every cycle, and a dataclass takes three times as long.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ Mobility6 = tuple[float, float, float, float, float, float]
 NAN = float("nan")
 NO_MOBILITY: Mobility6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 RANGE_TOLERANCE = 1e-3
-"""Relative distance from the end of the range at which a sample counts as saturated: converter codes end before it."""
+"""A sample this close to the end of the range, as a share of it, is saturated: the converter's codes end just below."""
 MAX_LOST_SAMPLES = 2**32 - 1
 """Largest value of `ForceBlock.lost_samples`."""
 ZERO_VECTOR: Vector3 = (0.0, 0.0, 0.0)
@@ -29,9 +29,10 @@ NONE_SATURATED.flags.writeable = False
 
 
 class Payload(NamedTuple):
-    """Load that the last link carries, unchecked: `mass` [kg], centre of mass `com` [m] and `inertia` about it [kg m2].
+    """Load on the last link, unchecked: `mass` [kg], centre of mass `com` [m] and `inertia` about it [kg m2].
 
-    `inertia` is ixx, iyy, izz, ixy, ixz, iyz. Both are in the frame of the first contact point on the last link.
+    `inertia` is ixx, iyy, izz, ixy, ixz, iyz. `com` and `inertia` are in the frame of the first contact point on the
+    last link.
     """
 
     mass: float
@@ -66,7 +67,7 @@ VERDICT_COLORS = {
     Verdict.VIOLATION: "#D55E00",
     Verdict.UNKNOWN: "#DDDDDD",
 }
-"""Colours of the palette of Okabe and Ito, for colour-blind people, who also read the word beside them."""
+"""Palette of Okabe and Ito, which colour-blind people can tell apart; the verdict is always also written out."""
 
 
 class ContactAssessment(NamedTuple):
@@ -74,8 +75,8 @@ class ContactAssessment(NamedTuple):
 
     `lumped_mass` and `full_mass` [kg] are NaN if the robot has no such model. Under UNKNOWN, what could not be computed
     is 0. Masses and `predicted_force` [N] are nominal; `force_bound` [N], `allowable_speed` and `margin` [m/s] include
-    drives and uncertainty margins, on the safe side. `watchdog` marks a state that answers no joint state,
-    because none came in time or the monitor ended. `mass_model_reason` states why `mass_model` decides.
+    drives and uncertainty margins, on the safe side. `watchdog` marks a state that was published without a new joint
+    state, because none arrived in time or the monitor ended. `mass_model_reason` states why `mass_model` decides.
     """
 
     stamp_ns: int
@@ -116,12 +117,12 @@ class ContactAssessment(NamedTuple):
 
     @property
     def mass_model_text(self) -> str:
-        """The model that decides and why, as "full: no lumped mass"; empty if none decides."""
+        """The deciding model and the reason, such as "full: no lumped mass"; empty if none decides."""
         return f"{self.mass_model}: {self.mass_model_reason}" if self.mass_model else ""
 
     @property
     def mobility(self) -> Mobility6:
-        """Mobility of the model that decides; that of ISO/TS 15066 is the same in every direction."""
+        """Mobility of the deciding model; that of ISO/TS 15066 is the same in every direction."""
         if self.mass_model == "iso" and self.iso_mass > 0.0:
             return 1.0 / self.iso_mass, 0.0, 0.0, 1.0 / self.iso_mass, 0.0, 1.0 / self.iso_mass
         return {"lumped": self.lumped_mobility, "full": self.full_mobility}.get(self.mass_model, NO_MOBILITY)
@@ -202,10 +203,10 @@ class Prediction(NamedTuple):
 class ValidatedImpact:
     """Comparison of one impact with its prediction: `ImpactValidation.msg`, and its inputs.
 
-    `count` to `exceedances` describe the selected model over the series. Then: `predictions` of every model that has a
-    mass at the onset; `obstacle_mass` m_H [kg] and `configuration` of the run; `from_trend`, the state was extrapolated
-    from before the impact, because the contact had slowed the next one down; `force_share`, the component of the
-    plate's normal along the axis of the sensor.
+    `count` to `exceedances` describe the selected model over the series. `predictions` are those of every model that
+    has a mass at the onset; `obstacle_mass` m_H [kg] and `configuration` are those of the run. `from_trend`: the robot
+    state was extrapolated from before the impact, because the contact had already slowed the robot in the next one.
+    `force_share` is the component of the plate's normal along the axis of the sensor.
     """
 
     stamp_ns: int
@@ -256,9 +257,10 @@ class ValidatedImpact:
 
 
 class RefusedImpact(NamedTuple):
-    """One impact left out of the series: `excluded` for a property of its own, or else without a robot state.
+    """One impact left out of the series.
 
-    `reason` is a category to count; `detail` describes this case, or is empty.
+    `excluded`: because of the impact itself; otherwise it could not be matched with the robot's state. `reason` is the
+    category by which such impacts are counted, `detail` describes this one and may be empty.
     """
 
     stamp_ns: int
@@ -269,10 +271,10 @@ class RefusedImpact(NamedTuple):
 
 
 class RunInfo(NamedTuple):
-    """What a recording or a simulation states about its run: `RunInfo.msg`, field by field.
+    """Information about the run of a recording or a simulation: `RunInfo.msg`, field by field, unchecked.
 
-    `stamp_ns` 0: from the arrival of the message on. Numbers and vectors that are 0, and an empty `configuration`, are
-    not stated. Nothing has been checked; see `impacts.impact_matcher`.
+    It holds from `stamp_ns` on; 0: from the arrival of the message on. A number or vector of 0 and an empty
+    `configuration` mean "not stated". `impacts.impact_matcher` checks the values.
     """
 
     stamp_ns: int = 0
