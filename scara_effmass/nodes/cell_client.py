@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Client of all topics of one cell, for displays: polled, so that it costs little beside nodes at 1 kHz."""
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -34,6 +35,44 @@ Take = Callable[[Any, int], None]
 
 
 @final
+class ContactStateReader:
+    """Passes serialized contact states to `status`, and decodes only those completely that may change its verdict.
+
+    Call `finish` after each batch of messages, so that `status` has the latest state of each contact point.
+    """
+
+    def __init__(self, status: CellStatus) -> None:
+        self.status = status
+        self._last_number = 0
+        self._latest: dict[str, tuple[bytes, int]] = {}
+
+    def take(self, data: bytes, sequence_number: int, at_ns: int) -> None:
+        """Take a message with the number that its publisher gave it (0: unknown). Raises DecodeError."""
+        # The graph lists a killed monitor for 20 s beside its successor. One publisher's numbers increase.
+        if 0 < sequence_number <= self._last_number:
+            self.status.take_other_monitor(at_ns)
+        self._last_number = sequence_number
+        point, speed, allowable_speed, verdict = glance(data)
+        known = self.status.contacts.get(point)
+        is_finite = math.isfinite(speed) and math.isfinite(allowable_speed)
+        if known is not None and known.verdict == verdict and is_finite:
+            self.status.take_speed(point, speed, allowable_speed, at_ns)
+        else:
+            self._take_contact(data, at_ns)
+        self._latest[point] = data, at_ns
+
+    def finish(self) -> None:
+        """Decode the latest state of each contact point that the monitor still has."""
+        for point, (data, at_ns) in self._latest.items():
+            if point in self.status.contacts:
+                self._take_contact(data, at_ns)
+        self._latest.clear()
+
+    def _take_contact(self, data: bytes, at_ns: int) -> None:
+        self.status.take_contact(contact_from(deserialize_message(data, ContactState)), at_ns)
+
+
+@final
 class CellClient(ClientNode):
     """Keeps the `status` of the cell in its namespace: call `poll` several times a second. Use it in a `with`.
 
@@ -48,9 +87,8 @@ class CellClient(ClientNode):
         self._polled_ns = time.monotonic_ns()
         self.status = CellStatus(self._polled_ns)
         self._graph_ns = 0
-        self._verdicts: dict[str, int] = {}
-        self._sequence_number = self._last_number = 0
-        self._latest: dict[str, tuple[bytes, int]] = {}
+        self._sequence_number = 0
+        self._contact_states = ContactStateReader(self.status)
         self._joint_states = JointStateDecoder()
         self._subscriptions: list[tuple[Subscription, Take]] = []
         status = self.status
@@ -82,9 +120,7 @@ class CellClient(ClientNode):
             for message, at_ns in self._taken(subscription):
                 with suppress(DecodeError):  # no news, as silence
                     take(message, at_ns)
-        for data, at_ns in self._latest.values():
-            self._take_contact(data, at_ns)
-        self._latest.clear()
+        self._contact_states.finish()
         self._polled_ns = now_ns
         self.status.update(time.monotonic_ns())
         return self.status
@@ -112,20 +148,7 @@ class CellClient(ClientNode):
             self.status.run_info = None
 
     def _take_contact_state(self, data: bytes, at_ns: int) -> None:
-        # The graph lists a killed monitor for 20 s beside its successor; numbers that go back tell at once.
-        if self._sequence_number < self._last_number:
-            self.status.take_other_monitor(at_ns)
-        self._last_number = self._sequence_number
-        point, speed, allowable_speed, verdict = glance(data)
-        if verdict != self._verdicts.get(point):
-            self._verdicts[point] = verdict
-            self._take_contact(data, at_ns)
-        else:
-            self.status.take_speed(point, speed, allowable_speed, at_ns)
-        self._latest[point] = data, at_ns
-
-    def _take_contact(self, data: bytes, at_ns: int) -> None:
-        self.status.take_contact(contact_from(deserialize_message(data, ContactState)), at_ns)
+        self._contact_states.take(data, self._sequence_number, at_ns)
 
     def _scalar_taker(self, topic: str) -> Take:
         return lambda message, at_ns: self.status.take_scalar(topic, message.data, at_ns)

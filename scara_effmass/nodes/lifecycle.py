@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
+from functools import partial, wraps
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -313,6 +313,16 @@ class LifecycleBase(LifecycleNode):
             self.get_logger().error(str(self._transition_error))
             self._transition_error = None
         return response
+
+
+def with_info(callback: Callable[[bytes, dict[str, Any]], None]) -> Callable[..., None]:
+    """Return `callback` for any executor: the EventsExecutor of rclpy 7.1 passes message and info as one tuple."""
+
+    @wraps(callback)
+    def receive(*received: Any) -> None:  # noqa: ANN401
+        callback(*(received if len(received) > 1 else received[0]))
+
+    return receive
 
 
 def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] | None) -> int:

@@ -7,10 +7,9 @@ The watchdog has a thread of its own, so it also publishes while a callback take
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
-from functools import wraps
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -29,7 +28,7 @@ from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher
 from scara_effmass.nodes.kernel_loader import KernelLoader
-from scara_effmass.nodes.lifecycle import LifecycleBase, RCLError, run
+from scara_effmass.nodes.lifecycle import LifecycleBase, RCLError, run, with_info
 from scara_effmass.nodes.monitor_health import (
     Latencies,
     input_status,
@@ -119,7 +118,7 @@ class MonitorNode(LifecycleBase):
         self._joint_states = self.create_owned_subscription(
             JointState,
             topics.JOINT_STATES,
-            _with_info(self._on_joint_state),
+            with_info(self._on_joint_state),
             topics.JOINT_STATES_INPUT_QOS,
             raw=True,
             matched=self._on_matched,
@@ -393,16 +392,6 @@ class MonitorNode(LifecycleBase):
                 if any(name.startswith("payload") for name in changed):
                     self.get_logger().info(f"payload: {self._monitor.payload_text}")
         self._wake_watchdog.set()  # else the new period starts after the old one
-
-
-def _with_info(callback: Callable[[bytes, dict[str, Any]], None]) -> Callable[..., None]:
-    """Return `callback` for any executor: the EventsExecutor of rclpy 7.1 passes message and info as one tuple."""
-
-    @wraps(callback)
-    def receive(*received: Any) -> None:  # noqa: ANN401
-        callback(*(received if len(received) > 1 else received[0]))
-
-    return receive
 
 
 def main(args: Sequence[str] | None = None) -> int:

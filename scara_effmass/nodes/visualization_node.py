@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from functools import partial
+from typing import Any
 
-from rclpy.serialization import deserialize_message
 from scara_effmass_msgs.msg import ContactState, RunInfo
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
@@ -19,7 +19,8 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.pose_geometry import pose_geometry
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.lifecycle import LifecycleBase, run
+from scara_effmass.nodes.cell_client import ContactStateReader
+from scara_effmass.nodes.lifecycle import LifecycleBase, run, with_info
 from scara_effmass.nodes.markers import contact_markers, robot_markers, stamped
 from scara_effmass.nodes.robot_input import use_robot
 from scara_effmass.safety import unknown_contact
@@ -30,12 +31,11 @@ from scara_effmass.settings.loading import fixed, tunable
 from scara_effmass.values import ContactAssessment, Vector3, Verdict
 from scara_effmass.wire import topics
 from scara_effmass.wire.cdr import NS
-from scara_effmass.wire.contact_state import contact_from, glance
 from scara_effmass.wire.joint_state import JointStateDecoder
 from scara_effmass.wire.run_info import decode_run_info
 
-Received = deque[tuple[int, bytes]]
-"""Serialized messages with the monotonic time of their arrival [ns]."""
+Received = deque[tuple[bytes, int, int]]
+"""Serialized messages, each with the number that its publisher gave it and the monotonic time of its arrival [ns]."""
 
 _NO_ROBOT_FRAME = "base_link"
 _LIFETIME_PERIODS = 5
@@ -74,6 +74,7 @@ class VisualizationNode(LifecycleBase):
         self._contact_states: Received = deque(maxlen=_CONTACT_STATES)
         self._decoder = JointStateDecoder()
         self._status = CellStatus(time.monotonic_ns())
+        self._reader = ContactStateReader(self._status)
         self._shown: set[tuple[str, int]] = set()
         self._refuse_robot("")
         use_robot(self, lambda: self._settings, self._use_robot, self._refuse_robot)
@@ -83,7 +84,7 @@ class VisualizationNode(LifecycleBase):
             (JointState, topics.JOINT_STATES, self._joint_states),
             (ContactState, topics.CONTACT_STATE, self._contact_states),
         ):
-            self.create_owned_subscription(kind, topic, partial(_keep, received), best_effort, raw=True)
+            self.create_owned_subscription(kind, topic, with_info(partial(_keep, received)), best_effort, raw=True)
         self.create_owned_subscription(RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS, raw=True)
         self.create_steady_timer(1.0 / self._settings.rate, self._publish)
         self.create_status_timer(self._settings.status_period, self._log_status)
@@ -145,7 +146,7 @@ class VisualizationNode(LifecycleBase):
         """Return the latest joint state with the positions in the robot's order, or why there is none."""
         reason = "no joint state"
         oldest_ns = time.monotonic_ns() - self._status.timeout_ns
-        for at_ns, data in reversed(self._joint_states):
+        for data, _, at_ns in reversed(self._joint_states):
             try:
                 state = self._decoder.decode(data)
             except DecodeError as error:
@@ -160,13 +161,11 @@ class VisualizationNode(LifecycleBase):
     def _contacts(self) -> list[ContactAssessment]:
         """Return the latest state of each contact point, all UNKNOWN without messages of the monitor."""
         status = self._status
-        taken: set[str] = set()
-        for at_ns, data in reversed(self._contact_states):
-            with suppress(DecodeError, ValueError):  # no news, as silence
-                if (point := glance(data)[0]) not in taken:
-                    taken.add(point)
-                    status.take_contact(contact_from(deserialize_message(data, ContactState)), at_ns)
+        for data, sequence_number, at_ns in self._contact_states:
+            with suppress(DecodeError):  # no news, as silence
+                self._reader.take(data, sequence_number, at_ns)
         self._contact_states.clear()
+        self._reader.finish()
         deadline_s = topics.verdict_qos(self._settings.timeout).deadline_s
         status.take_publisher(round(deadline_s * NS), exists=bool(self.count_publishers(topics.CONTACT_STATE)))
         status.update(time.monotonic_ns())
@@ -176,8 +175,8 @@ class VisualizationNode(LifecycleBase):
         return list(status.contacts.values())
 
 
-def _keep(received: Received, data: bytes) -> None:
-    received.append((time.monotonic_ns(), data))
+def _keep(received: Received, data: bytes, info: dict[str, Any]) -> None:
+    received.append((data, info["publication_sequence_number"] or 0, time.monotonic_ns()))
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -4,18 +4,21 @@
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from hypothesis import given
+from hypothesis import strategies as st
 from rclpy.node import Node
 from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
 
-from scara_effmass.nodes.cell_client import CellClient
+from scara_effmass.nodes.cell_client import CellClient, ContactStateReader
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.safety import unknown_contact
 from scara_effmass.safety.cell_status import CellStatus
+from scara_effmass.safety.debounce import severity
 from scara_effmass.values import Verdict
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import ContactStateEncoder
@@ -23,6 +26,80 @@ from test.nodes.conftest import TIMEOUT_S, NodeHarness, joint_state, ros_node
 
 NAMESPACE = ("--ros-args", "-r", "__ns:=/cell")
 DEADLINE_S = 1.0
+MS = 1_000_000
+
+
+def message(point: str, verdict: Verdict = Verdict.OK, speed: float = 0.1, reason: str = "") -> bytes:
+    contact = unknown_contact(point, reason, 1, 0.0)._replace(verdict=verdict, speed=speed, allowable_speed=0.5)
+    return ContactStateEncoder(point, "base_link").encode(contact)
+
+
+def reader_after(*messages: bytes, numbers: Sequence[int] = ()) -> ContactStateReader:
+    """Return a reader that got `messages` in one batch, a millisecond apart."""
+    reader = ContactStateReader(CellStatus(0))
+    for index, data in enumerate(messages):
+        reader.take(data, numbers[index] if numbers else index + 1, (index + 1) * MS)
+    reader.finish()
+    return reader
+
+
+POINTS = ("tool", "elbow", "rim")
+
+
+@given(st.lists(st.tuples(st.sampled_from(POINTS), st.sampled_from(Verdict), st.booleans()), min_size=1))
+def test_worst_of_the_last_states_decides_however_they_interleave(states: list[tuple[str, Verdict, bool]]) -> None:
+    reader, last = ContactStateReader(CellStatus(0)), dict[str, Verdict]()
+    for index, (point, verdict, ends_batch) in enumerate(states):
+        reader.take(message(point, verdict, reason=point), index + 1, (index + 1) * MS)
+        last[point] = verdict
+        worst = max(map(severity, last.values()))
+        assert severity(reader.status.verdict) == worst
+        if ends_batch:
+            reader.finish()
+        assert severity(reader.status.verdict) == worst
+        assert severity(last[reader.status.contact_point]) == worst
+        assert reader.status.reason == reader.status.contact_point
+
+
+def test_two_monitors_that_publish_in_step_are_unknown() -> None:
+    """Both started at once and answer the same joint states, so that each number comes twice."""
+    status = reader_after(*[message("tool")] * 6, numbers=(1, 1, 2, 2, 3, 3)).status
+    assert (status.verdict, status.reason) == (Verdict.UNKNOWN, "two monitors publish contact_state: must be one")
+
+
+def test_middleware_without_numbers_is_no_second_monitor() -> None:
+    assert reader_after(*[message("tool")] * 6, numbers=(0,) * 6).status.verdict is Verdict.OK
+
+
+def test_states_before_the_robot_was_lost_do_not_come_back() -> None:
+    lost = message("", Verdict.UNKNOWN, 0.0, "no robot_description yet")
+    status = reader_after(message("tool"), message("elbow"), lost).status
+    assert list(status.contacts) == [""]
+    assert [episode.verdict for episode in status.episodes] == [Verdict.UNKNOWN] * 2
+    status = reader_after(message("tool"), lost, message("flange", Verdict.WARN)).status
+    assert (status.verdict, list(status.contacts)) == (Verdict.WARN, ["flange"])
+
+
+def test_verdict_of_a_successor_counts_although_the_earlier_monitor_had_the_same() -> None:
+    """Else the OK of the other contact point would end the episode."""
+    reader = reader_after(message("tool", Verdict.VIOLATION), message("elbow", Verdict.WARN))
+    for number, data in enumerate((message("tool", Verdict.VIOLATION), message("elbow"))):
+        reader.take(data, number + 1, 10_000 * MS + number)
+    assert (reader.status.verdict, reader.status.contact_point) == (Verdict.VIOLATION, "tool")
+
+
+def test_contact_points_of_an_earlier_monitor_in_the_same_batch_are_gone() -> None:
+    reader = ContactStateReader(CellStatus(0))
+    reader.take(message("tool"), 7, MS)
+    reader.take(message("flange"), 1, 10_000 * MS)
+    reader.finish()
+    assert list(reader.status.contacts) == ["flange"]
+
+
+def test_speed_that_is_no_number_is_noticed_though_the_next_state_has_one() -> None:
+    status = reader_after(message("tool"), message("tool", speed=float("nan")), message("tool")).status
+    assert status.verdict is Verdict.OK
+    assert status.episodes[-1].cause == "the contact state has a speed that is not a number"
 
 
 def poll_until(client: CellClient, done: Callable[[CellStatus], object], repeat: Callable[[], object] = bool) -> None:

@@ -101,6 +101,16 @@ def test_markers_follow_the_states_and_become_unknown_without_them(new_harness: 
     info = viewer.harness.node.create_publisher(RunInfo, "run_info", LATCHED)
     info.publish(run_info_message(RunInfoValue(simulated=True)))
     viewer.until(lambda shown: shown["verdict 0"].text.startswith("tool: OK (simulated)\n"), viewer.send)
+
+    # A second monitor begins to count where the first one did not.
+    second = viewer.harness.node.create_publisher(ContactState, "contact_state", DEEP_QOS)
+
+    def send_both() -> None:
+        viewer.send()
+        second.publish(viewer.encoder.encode(ok(stamp_ns(viewer.sent))))
+
+    viewer.until(lambda shown: "two monitors publish contact_state" in shown["verdict 0"].text, send_both)
+    viewer.harness.node.destroy_publisher(second)
     viewer.harness.node.destroy_publisher(viewer.states)
     viewer.until(lambda shown: "no publisher" in shown["verdict 0"].text)
 
