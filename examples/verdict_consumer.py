@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stop on every sign that the monitor's last permissive value is void: docs/consuming.md explains each.
+"""Stop whenever the last permissive verdict of the monitor no longer holds; docs/consuming.md explains each case.
 
     python examples/verdict_consumer.py [--timeout SECONDS]
 
-Prints a line for every change between a speed and STOP. A robot controller would set its speed there.
+Prints a line whenever the allowed speed changes. A robot controller would set its speed there.
 """
 
 from __future__ import annotations
@@ -26,45 +26,47 @@ from scara_effmass_msgs.msg import ContactState
 
 
 class VerdictConsumer(Node):
-    """Follows `contact_state` and stops on UNKNOWN, VIOLATION, an old stamp, a missed deadline or a lost monitor."""
+    """Follows `contact_state`; stops on UNKNOWN, VIOLATION, an old stamp, a missed deadline or a lost monitor."""
 
     def __init__(
         self, timeout_s: float, on_change: Callable[[float, str], None], max_age_s: float | None = None
     ) -> None:
-        """Call `on_change(speed, reason)` at every change; `timeout_s` is the `timeout` of the monitor.
+        """Call `on_change(speed, reason)` whenever the allowed speed [m/s] changes; at 0, `reason` says why.
 
-        `max_age_s` is the largest age of a header stamp; default: `timeout_s`.
+        `timeout_s` is the parameter `timeout` of the monitor, `max_age_s` the largest age of a header stamp (default:
+        `timeout_s`).
         """
         super().__init__("verdict_consumer")
         self._max_age = Duration(seconds=timeout_s if max_age_s is None else max_age_s)
         self._on_change = on_change
         self._speeds: dict[str, tuple[float, str]] = {}
-        """The last allowable speed of each contact point, and why it is 0."""
+        """Allowed speed of each contact point [m/s], and the reason if it is 0."""
         self._limit: tuple[float, str] | None = None
-        # The monitor offers twice its timeout; a request below that does not match, and then nothing arrives.
-        patience = Duration(seconds=2.0 * timeout_s)
+        # The monitor offers twice its timeout. A shorter request does not match, and then nothing arrives.
+        deadline = Duration(seconds=2.0 * timeout_s)
         qos = QoSProfile(
             depth=10,
-            deadline=patience,
+            deadline=deadline,
             liveliness=LivelinessPolicy.AUTOMATIC,
-            liveliness_lease_duration=patience,
+            liveliness_lease_duration=deadline,
         )
         events = SubscriptionEventCallbacks(
             deadline=lambda _: self._stop("deadline missed"), liveliness=self._on_liveliness
         )
         self.create_subscription(ContactState, "contact_state", self._on_contact_state, qos, event_callbacks=events)
-        # Neither event comes before the first match: start stopped.
+        # Neither event comes before the first match, so start stopped.
         self._stop("no contact state yet")
 
     def _on_contact_state(self, state: ContactState) -> None:
         age = self.get_clock().now() - Time.from_msg(state.header.stamp, clock_type=self.get_clock().clock_type)
-        if state.verdict in {ContactState.UNKNOWN, ContactState.VIOLATION}:
+        is_permissive = state.verdict in {ContactState.OK, ContactState.WARN} and state.allowable_speed > 0.0
+        if not is_permissive:
             limit = 0.0, f"{state.contact_point}: {state.reason}"
         elif age > self._max_age:  # a queue or a network delayed it
             limit = 0.0, f"{state.contact_point}: the state is {age.nanoseconds / 1e9:.3f} s old"
         else:
             limit = state.allowable_speed, ""
-        # Each joint state gives one message per contact point: all must allow a speed.
+        # Each joint state gives one message per contact point, and all points must allow a speed.
         self._speeds[state.contact_point] = limit
         self._change(*min(self._speeds.values()))
 
@@ -73,7 +75,8 @@ class VerdictConsumer(Node):
             self._stop("liveliness lost")
 
     def _stop(self, reason: str) -> None:
-        self._speeds.clear()
+        # Each contact point has to report again before the robot may move.
+        self._speeds = dict.fromkeys(self._speeds, (0.0, reason))
         self._change(0.0, reason)
 
     def _change(self, speed: float, reason: str) -> None:

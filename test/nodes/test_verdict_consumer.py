@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The example of a consumer stops for every reason that docs/consuming.md names."""
 
+import math
 import os
 import runpy
 import signal
@@ -131,6 +132,41 @@ def test_consumer_stops_while_any_contact_point_allows_nothing(own_domain: int) 
         assert 0.2 in speeds_after(ContactState.OK, 0.2)
         assert set(speeds_after(ContactState.VIOLATION, 0.3)) == {0.0}
         assert 0.4 in speeds_after(ContactState.WARN, 0.4)
+        executor.shutdown()
+        consumer.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
+def test_consumer_moves_again_only_after_a_permissive_state_of_every_contact_point(own_domain: int) -> None:
+    changes: list[tuple[float, str]] = []
+    rclpy.init(domain_id=own_domain, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        consumer: Any = runpy.run_path(str(EXAMPLE))["VerdictConsumer"](TIMEOUT, lambda *change: changes.append(change))
+        publisher = consumer.create_publisher(ContactState, "contact_state", qos_profile(topics.verdict_qos(TIMEOUT)))
+        executor = SingleThreadedExecutor()
+        executor.add_node(consumer)
+
+        def spin_until(change: tuple[float, str], *states: tuple[str, int, float]) -> None:
+            changes.clear()
+            end = time.monotonic() + TIMEOUT_S
+            while changes[-1:] != [change]:
+                assert time.monotonic() < end, changes
+                for name, verdict, speed in states:
+                    message = ContactState(contact_point=name, verdict=verdict, allowable_speed=speed, reason="why")
+                    message.header.stamp = consumer.get_clock().now().to_msg()
+                    publisher.publish(message)
+                for _ in range(len(states) + 1):
+                    executor.spin_once(timeout_sec=0.05)
+
+        tool, elbow = ("tool", ContactState.OK, 0.3), ("elbow", ContactState.OK, 0.2)
+        spin_until((0.2, ""), tool, elbow)
+        spin_until((0.0, "deadline missed"))
+        spin_until((0.2, ""), tool, elbow)
+        assert (0.3, "") not in changes
+        spin_until((0.0, "tool: why"), ("tool", ContactState.OK, math.nan))
+        spin_until((0.2, ""), tool, elbow)
+        spin_until((0.0, "tool: why"), ("tool", 9, 0.3))
         executor.shutdown()
         consumer.destroy_node()
     finally:
