@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Message definitions: of a bag, of live publishers, of this package and of ROS 2 Jazzy."""
+"""Message definitions of bags, live publishers, this package and ROS 2 Jazzy."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -12,11 +12,11 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from rosbags.typesys.store import Typestore
 
 from scara_effmass.errors import BagError
-from scara_effmass.wire.message_types import HEADER, JOINT_STATE, OWN_PACKAGE, TIME, definition_files
+from scara_effmass.wire.message_types import HEADER, JOINT_STATE, OWN_PACKAGE, definition_files
 
 IDL_SEPARATOR = "=" * 80 + "\n"
 UNSET_HASH = "RIHS01_" + 64 * "0"
-"""Hash of publishers that do not state their definition."""
+"""Hash sent by publishers that do not state their definition."""
 
 
 @cache
@@ -40,13 +40,13 @@ def known_types() -> Typestore:
 
 @lru_cache
 def types_of(definitions: frozenset[tuple[str, MessageDefinition]], *, ros1: bool = False) -> Typestore:
-    """Return the types in `definitions`, (type, definition) each, completed by the known ones.
+    """Return the types in `definitions`, pairs of type and definition, and the known types.
 
-    Invalid definitions are skipped, so that other topics stay readable. With `ros1`, the header is that of ROS 2, to
-    which ROS 1 messages are converted.
+    Invalid definitions are skipped, so that the other topics can be read. With `ros1`, the header is that of ROS 2,
+    because ROS 1 messages are converted.
     """
     store = Typestore()
-    # Typestore keeps the first definition of a type: the one that comes with the joint states.
+    # Typestore keeps the first definition of a type, so those that come with the joint states are registered first.
     for name, definition in sorted(definitions, key=lambda item: (item[0] != JOINT_STATE, item[0])):
         with suppress(Exception):
             embedded = _parse(name, definition)
@@ -61,9 +61,9 @@ def types_of(definitions: frozenset[tuple[str, MessageDefinition]], *, ros1: boo
 
 
 def check_definition(types: Typestore, message_type: str, origin: str) -> None:
-    """Raise BagError if a bag defines a type with a Header differently from the known one."""
+    """Raise BagError if a bag defines `message_type`, or a type in it, differently from the known definition."""
     known = known_types()
-    for name in (message_type, HEADER, TIME):
+    for name in _with_nested(known, message_type):
         fields, known_fields = (
             [(field, field_type) for field, field_type in store.fielddefs[name][1]] for store in (types, known)
         )
@@ -72,8 +72,16 @@ def check_definition(types: Typestore, message_type: str, origin: str) -> None:
             raise BagError(f"{origin}: definition of {name}: must be that of {expected}; cannot read {message_type}")
 
 
+def _with_nested(types: Typestore, message_type: str) -> Iterator[str]:
+    """Yield `message_type` and the types of its fields, which may repeat."""
+    yield message_type
+    for _, field_type in types.fielddefs[message_type][1]:
+        for name in _referenced(field_type):
+            yield from _with_nested(types, name)
+
+
 def definition_of(types: Typestore, message_type: str, origin: str) -> tuple[str, str]:
-    """Return the definition of a type with all types it refers to, and its hash. Raises BagError if unknown."""
+    """Return the definition of a type, including the types in it, and its hash. Raises BagError if unknown."""
     try:
         definition, _ = types.generate_msgdef(message_type, ros_version=2)
         return definition, types.hash_rihs01(message_type)
@@ -99,7 +107,7 @@ def published_types(message_type: str, type_hash: str, definition_text: Callable
 
 
 def _register_installed(store: Typestore, message_type: str, definition_text: Callable[[str], str]) -> None:
-    """Add a type and the types it refers to. Raises BagError."""
+    """Register a type and the types in it. Raises BagError."""
     pending = {message_type}
     while pending:
         name = pending.pop()

@@ -30,9 +30,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.files import find_bags, open_bag
+from scara_effmass.bags.run_info import run_infos
 from scara_effmass.errors import BagError
-from scara_effmass.values import JointState
+from scara_effmass.values import JointState, RunInfo
 from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
+from scara_effmass.wire.message_types import RUN_INFO
+from scara_effmass.wire.run_info import run_info_message
 from test.bags.messages import Message, serialized, write_mcap
 
 JOINTS = "sensor_msgs/msg/JointState"
@@ -660,6 +663,18 @@ class TestDefinitions:
             pytest.raises(BagError, match="definition of builtin_interfaces/msg/Time: must be that of ROS"),
         ):
             bag.joint_state_blocks()
+
+    def test_other_vector_definition_is_refused(self, tmp_path: Path) -> None:
+        """Its bytes would be read as a plate with another normal."""
+        ros_definition, _ = known_types().generate_msgdef(RUN_INFO, ros_version=2)
+        definition = ros_definition.replace("Vector3\nfloat64 x\nfloat64 y", "Vector3\nfloat64 y\nfloat64 x")
+        assert definition != ros_definition
+        message = Message("/run_info", RUN_INFO, T0, run_info_message(RunInfo(plate_normal=(1.0, 0.0, 0.0))))
+        with (
+            open_bag(write_mcap(tmp_path / "a.mcap", [message], definitions={RUN_INFO: definition})) as bag,
+            pytest.raises(BagError, match="definition of geometry_msgs/msg/Vector3: must be that of ROS"),
+        ):
+            list(run_infos(bag))
 
     def test_old_sqlite_bag_without_definitions_is_read(self, tmp_path: Path) -> None:
         path = single_db3(tmp_path, MIXED)
