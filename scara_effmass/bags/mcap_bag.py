@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MCAP files read by their index; the messages in a chunk are located with numpy.
+"""MCAP files, read by their index; the messages of a chunk are located with numpy.
 
-A file without a usable index is copied to a temporary file that has one.
+A file without a usable index is copied to a temporary file with one.
 """
 
 import zlib
@@ -45,7 +45,7 @@ from scara_effmass.bags.mcap_copy import (
 from scara_effmass.errors import DecodeError
 
 MESSAGE_INDEX_HEAD_BYTES = RECORD_HEAD.size + 6
-"""Record head, channel (2) and size of the entries (4) in front of the entries of a message index."""
+"""Record head, channel (2 bytes) and size of the entries (4 bytes), which precede the entries of a message index."""
 MESSAGE_INDEX_ENTRY_BYTES = 16
 FOOTER_BYTES = RECORD_HEAD.size + 20
 WINDOW_GROWTH = 4
@@ -55,11 +55,13 @@ ENCODINGS = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitio
 
 
 def read_index(file: IO[bytes]) -> Summary | None:
-    """Return the summary of a file, None if there is none that covers all messages.
+    """Return the summary of a file; None if there is none, or if it does not cover all messages.
 
-    It does not if a message is outside the chunks: the sizes of the message indexes give the messages in chunks.
+    Messages outside the chunks are not covered; the sizes of the message indexes give the number of those inside.
     Raises one of `DAMAGE` or OSError if the summary is damaged.
     """
+    if file.seek(0, 2) < FOOTER_BYTES + len(MAGIC):
+        return None
     file.seek(0)
     summary = SeekingReader(file).get_summary()
     if summary is None or summary.statistics is None:
@@ -83,9 +85,9 @@ def read_index(file: IO[bytes]) -> Summary | None:
 
 
 def locate_messages(data: bytes) -> tuple[MessageBatch, int]:
-    """Return the messages in a buffer of records, with channels as topics, and the size of a torn record at its end.
+    """Return the messages in a buffer of records, with channels as topics, and the size [B] of the torn end.
 
-    Runs of equally long message records are found in numpy.
+    Consecutive message records of equal size are found with numpy.
     """
     octets = np.frombuffer(data, np.uint8)
     runs: list[tuple[int, int, int]] = []
@@ -126,7 +128,7 @@ def _column(octets: NDArray[np.uint8], offset: IntArray, dtype: str) -> IntArray
 
 
 class McapFile:
-    """An open MCAP file, or the copy of one without a usable index."""
+    """An open MCAP file, or an indexed copy of it if it has no usable index."""
 
     def __init__(self, path: Path, losses: LossLog) -> None:
         """Open the file. Raises BagError if it is not MCAP, or OSError."""
@@ -158,7 +160,7 @@ class McapFile:
 
     @property
     def chunks(self) -> list[ChunkIndex]:
-        """The chunks that contain messages, in the order of the file."""
+        """The chunks with messages, in the order of the file."""
         return [index for index in self._summary.chunk_indexes if index.message_index_length]
 
     def stored_topics(self) -> Iterator[StoredTopic]:
@@ -178,7 +180,7 @@ class McapFile:
             yield StoredTopic(self.path, topic, channel.message_encoding, definition)
 
     def assign_topics(self, topic_indices: Mapping[tuple[str, str], int]) -> None:
-        """Map the channels to topic indices; channels that are not CDR keep -1."""
+        """Map the channels to topic indices; channels with another encoding than CDR keep -1."""
         for channel in self._summary.channels.values():
             if channel.message_encoding == "cdr":
                 self._topic_of_channel[channel.id] = topic_indices[self._topic_key(channel)]
@@ -204,7 +206,7 @@ class McapFile:
         return batch._replace(topic=self._topic_of_channel[batch.topic])
 
     def close(self) -> None:
-        """Close the file, which deletes the copy."""
+        """Close the file; this deletes a copy."""
         self._file.close()
 
     def _topic_key(self, channel: Channel) -> tuple[str, str]:
@@ -236,7 +238,7 @@ class McapBag(Bag):
             if chunk.message_end_time >= start_ns and chunk.message_start_time < stop_ns
         ]
         horizons_ns = [*[chunk.message_start_time for chunk, _ in chunks], stop_ns][1:]
-        is_wanted = np.zeros(len(self.topics) + 1, np.bool_)  # the last one is for channels without a topic, -1
+        is_wanted = np.zeros(len(self.topics) + 1, np.bool_)  # the last entry is for index -1, channels without a topic
         is_wanted[[*topics]] = True
 
         def read() -> Iterator[tuple[MessageBatch, int]]:

@@ -294,6 +294,15 @@ class TestFolder:
         warnings = json.loads(about(folder)["custom_data"][LOSSES_RECORD])
         assert warnings == {"/text": {"queue": 1, "disk": 0, "middleware": 2}}
 
+    @pytest.mark.parametrize("size", [8, 20, 36])
+    def test_with_a_file_that_is_cut_in_its_header_is_completed(self, tmp_path: Path, size: int) -> None:
+        folder = recorded(tmp_path / "bag")
+        cut(folder / "bag_2.mcap", size)
+        report = repair(folder)
+        assert [(file.intact, file.messages) for file in report.files] == [(True, 4), (True, 4), (False, 0)]
+        assert about(folder)["message_count"] == 8
+        assert repair(folder).intact
+
     def test_with_a_file_that_is_none_completes_the_others(self, tmp_path: Path) -> None:
         folder = recorded(tmp_path / "bag")
         (folder / "bag_2.mcap").write_bytes(b"")
