@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings and message bytes: the only room that knows MCAP, SQLite and ROS 1 bags, and CDR."""
+"""Recordings: the only room that knows MCAP, SQLite and ROS 1 bags."""

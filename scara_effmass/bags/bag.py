@@ -24,7 +24,7 @@ Decoded = TypeVar("Decoded", ForceBlock, Impact)
 
 
 class RawMessage(NamedTuple):
-    """A message as CDR bytes, with the time at which it was recorded."""
+    """A message in CDR, with the time at which it was recorded."""
 
     topic: str
     type: str
@@ -33,7 +33,7 @@ class RawMessage(NamedTuple):
 
 
 class StoredTopic(NamedTuple):
-    """A topic in one file of a bag, and the definition of its type if the file has one."""
+    """A topic in one file of a bag, and the definition of its type if the file contains one."""
 
     path: Path
     topic: Topic
@@ -44,7 +44,7 @@ class StoredTopic(NamedTuple):
 class Bag(ABC):
     """An open bag. Times are log times [ns] of the recorder's clock; messages come in log-time order.
 
-    Data that cannot be read is skipped and listed in `losses`, partly only after the messages have been read.
+    Data that cannot be read is skipped and listed in `losses`; part of it shows only while messages are read.
     """
 
     start_ns: int
@@ -76,7 +76,7 @@ class Bag(ABC):
 
     @property
     def duration_ns(self) -> int:
-        """The time from the first to the last message."""
+        """Time from the first to the last message."""
         return self.end_ns - self.start_ns
 
     @property
@@ -86,12 +86,12 @@ class Bag(ABC):
 
     @property
     def joint_state_topics(self) -> tuple[str, ...]:
-        """The names of the topics of type sensor_msgs/JointState."""
+        """Names of the topics of type sensor_msgs/JointState."""
         return tuple(topic.name for topic in self.topics if topic.type == JOINT_STATE)
 
     @cached_property
     def types(self) -> Typestore:
-        """The message types: those that the bag defines, otherwise the known ones."""
+        """Message types: those that the bag defines, and the known ones."""
         return types_of(frozenset(self._definitions.items()), ros1=self._is_ros1)
 
     def messages(
@@ -135,7 +135,7 @@ class Bag(ABC):
         return self._decoded(self.messages([topic]), FORCE_BLOCK, decode_force_block)
 
     def impacts(self, topic: str) -> Iterator[Impact]:
-        """Yield the impacts of `topic`, as `force_blocks` does."""
+        """Yield the impacts of `topic`; see `force_blocks`."""
         check_definition(self.types, IMPACT, str(self.path))
         return self._decoded(self.messages([topic]), IMPACT, decode_impact)
 
@@ -174,5 +174,5 @@ class Bag(ABC):
 
 
 def one_line(error: Exception) -> str:
-    """Return the message of an error of another library in one line, the name of its type if it is empty."""
+    """Return the message of another library's error in one line; the name of its type if there is no message."""
     return " ".join(str(error).split()) or type(error).__name__

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Batches of messages in log-time order, common to all bag formats."""
+"""Batches of messages in log-time order, for all bag formats."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Topic:
 
 
 def merged_topics(topics: Iterable[Topic]) -> list[Topic]:
-    """Return topics of several files as one each, in the order of their first file, with the sum of the counts."""
+    """Merge equal topics of several files and add up their counts; keep the order in which they first appear."""
     merged: dict[tuple[str, str], Topic] = {}
     for topic in topics:
         first = merged.get((topic.name, topic.type), replace(topic, count=0))
@@ -39,13 +39,13 @@ def merged_topics(topics: Iterable[Topic]) -> list[Topic]:
 
 
 class LossLog:
-    """Lines that say which data could not be read. Reading again repeats no line."""
+    """Lines about data that could not be read. Reading the same data again adds no line."""
 
     def __init__(self) -> None:
         self._counts: dict[str, int] = {}
 
     def add(self, line: str, count: int = 1) -> None:
-        """Add `line`, or raise its count to `count`, the number of occurrences in the current reading."""
+        """Add `line`, or increase its count to `count`, the number of occurrences in the current reading."""
         self._counts[line] = max(count, self._counts.get(line, 0))
 
     def __iter__(self) -> Iterator[str]:
@@ -65,11 +65,11 @@ class MessageBatch(NamedTuple):
     stop: IntArray
 
     def select(self, index: IntArray | NDArray[np.bool_] | slice) -> MessageBatch:
-        """Return the messages that a numpy index selects, over the same buffer."""
+        """Return the messages that a numpy index selects, in the same buffer."""
         return MessageBatch(self.data, self.topic[index], self.log_time_ns[index], self.start[index], self.stop[index])
 
     def joined_with(self, other: MessageBatch) -> MessageBatch:
-        """Return both batches as one; only the messages of this one are copied, not its whole buffer."""
+        """Return both batches as one; of this one, only the messages are copied and not the whole buffer."""
         if not len(self.topic):
             return other
         messages = [self.data[first:last] for first, last in zip(self.start, self.stop, strict=True)]
@@ -102,8 +102,8 @@ NO_MESSAGES = MessageBatch(b"", *(np.empty(0, np.int64) for _ in range(4)))
 def in_log_time_order(batches: Iterable[tuple[MessageBatch, int]]) -> Iterator[MessageBatch]:
     """Yield the messages of `batches` in log-time order; equal times keep their order.
 
-    Each batch comes with a lower bound of the log times of all later batches. Messages after that bound are held
-    back, so memory depends on how far the batches overlap, not on their number.
+    Each batch comes with a lower bound of the log times of all later batches. Messages after that bound are held back,
+    so the memory depends on how far the batches overlap and not on their number.
     """
     held = NO_MESSAGES
     for batch, horizon_ns in batches:

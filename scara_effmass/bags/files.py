@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags on disk: find them at a path and open them."""
+"""Find the bags at a path and open them."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ from scara_effmass.url import Url, local_file
 SUFFIXES = {".mcap", ".db3", ".bag"}
 METADATA = "metadata.yaml"
 SPLIT_NAME = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?P<suffix>mcap|db3)")
-"""File names in a rosbag2 folder."""
+"""Name of a file in a rosbag2 folder."""
 
 FORMATS: dict[bytes, Callable[[Path, Sequence[Path], LossLog], Bag]] = {
     MAGIC: McapBag,
@@ -33,7 +33,7 @@ FORMATS: dict[bytes, Callable[[Path, Sequence[Path], LossLog], Bag]] = {
 
 
 def find_bags(path: Path) -> list[Path]:
-    """Return the bags at `path`, which is a file, a rosbag2 folder or a folder of these. Raises BagError if none."""
+    """Return the bags at `path`: a file, a rosbag2 folder, or a folder of these. Raises BagError if there is none."""
     try:
         if path.is_file() or is_rosbag2_folder(path):
             return [path]
@@ -66,7 +66,7 @@ def open_bag(path: Path) -> Bag:
 
 
 def is_rosbag2_folder(folder: Path) -> bool:
-    """Whether a folder is one rosbag2 bag: it has metadata.yaml, or the numbered files of a bag that lost it."""
+    """Return whether a folder is one rosbag2 bag: it has metadata.yaml, or the numbered files of a bag that lost it."""
     if not folder.is_dir():
         return False
     if (folder / METADATA).is_file():
@@ -116,7 +116,7 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
         if isinstance(folder, Url):
             raise BagError(f"{folder}: is compressed by rosbag2: must be a local folder, or MCAP")
         return RosbagsBag(folder, [folder], losses, Ros2Reader)
-    # Older recorders prefixed the names with the folder.
+    # Older recorders wrote the names with the folder in front.
     named = [folder / Path(str(name)).name for name in metadata.get("relative_file_paths") or ()]
     for path in named:
         if path not in present:
@@ -126,7 +126,7 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
         paths = present
     else:
         for path in (path for path in present if path not in named):
-            # A killed recorder has not yet listed its last file.
+            # A recorder that was killed has not listed its last file.
             if _continues(path, named):
                 losses.add(f"{folder / METADATA}: does not name {path.name}, which continues the bag; read as well")
                 paths.append(path)
@@ -142,7 +142,7 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
 
 
 def _continues(path: Path, named: Sequence[Path]) -> bool:
-    """Whether a file follows the files `named` of the same bag."""
+    """Return whether a file continues the bag with the files `named`."""
     match = SPLIT_NAME.fullmatch(path.name)
     earlier = [SPLIT_NAME.fullmatch(other.name) for other in named]
     return match is not None and all(
@@ -154,7 +154,7 @@ def _continues(path: Path, named: Sequence[Path]) -> bool:
 
 
 def _read_metadata(folder: Path, losses: LossLog) -> dict[str, Any]:
-    """Return the content of metadata.yaml, empty if it is unusable."""
+    """Return the content of metadata.yaml; empty if it is unusable."""
     path = folder / METADATA
     try:
         information = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]

@@ -21,7 +21,7 @@ WINDOW_GROWTH = 4
 
 
 class DecodeFailure(NamedTuple):
-    """A message that is not a valid JointState, and why."""
+    """A message that is not a valid JointState, and the reason."""
 
     log_time_ns: int
     reason: str
@@ -33,7 +33,7 @@ class JointStateBlock:
 
     `position` (m, n) is in [rad] or [m], `velocity` (m, k) per second, as received; n and k may be 0 and may differ
     from the number of names. `log_time_ns` (m,) is the receive time, `stamp_ns` (m,) the header stamp.
-    `decode_failures` precede the first state; a block may hold failures only.
+    `decode_failures` precede the first state; a block may consist of failures alone.
     """
 
     log_time_ns: IntArray
@@ -54,7 +54,7 @@ class JointStateBlock:
 
 
 class BlockDecoder:
-    """Decodes batches of JointState messages and logs those that are invalid."""
+    """Decodes batches of JointState messages and lists the invalid ones in `losses`."""
 
     def __init__(self, origin: str, losses: LossLog) -> None:
         self._origin = origin
@@ -64,7 +64,7 @@ class BlockDecoder:
         self._window = MIN_WINDOW
 
     def blocks(self, batch: MessageBatch) -> Iterator[JointStateBlock]:
-        """Yield the JointStates of `batch`, which must be of one topic, in order."""
+        """Yield the JointStates of `batch`, which must all be of one topic, in order."""
         size = batch.stop - batch.start
         buffer = np.frombuffer(batch.data, np.uint8)
         failures: list[DecodeFailure] = []
@@ -79,7 +79,7 @@ class BlockDecoder:
                 failures.append(DecodeFailure(int(batch.log_time_ns[first]), str(error)))
                 first += 1
                 continue
-            # The number of equal layouts is unknown: the window grows while all messages in it match.
+            # How many messages share the layout is unknown: the window grows as long as all messages in it match.
             window = slice(first, first + self._window)
             count = _leading(size[window] == layout.size)
             rows = sliding_window_view(buffer, layout.size)[batch.start[first : first + count]]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The readable content of an MCAP file, which may be damaged, and its copy to a new file.
+"""Copy the readable content of an MCAP file, which may be damaged, to a new file.
 
 Format: https://mcap.dev/spec. A record is an opcode (1 byte), the length of its content (8 bytes) and the content.
-`mcap.stream_reader.StreamReader` drops the chunk in which a file is cut off and stops at the first damaged record,
-so records are stepped through here; `mcap` decodes them.
+`mcap` decodes the records, but this module steps through them itself: `mcap.stream_reader.StreamReader` would drop the
+chunk in which a file is cut off, and would stop at the first damaged record.
 """
 
 import struct
@@ -30,14 +30,14 @@ from scara_effmass.errors import BagError, DecodeError
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""Channel, sequence, log time and publish time in front of the message."""
+"""Channel, sequence number, log time and publish time, which precede the data of a message."""
 MAX_CHUNK_BYTES = 1 << 30
 MAX_LOOSE_BYTES = 1 << 20
-"""Size of records outside chunks that become one chunk of the copy."""
+"""Size [B] at which records outside chunks are put into a chunk of the copy."""
 DAMAGE = (McapError, struct.error, ValueError, ArithmeticError, LookupError, TypeError)
 """Errors that mcap raises for damaged records."""
 
-# The incremental interfaces return the intact part of a truncated stream.
+# Unlike the functions for whole buffers, these interfaces return the intact part of a truncated stream.
 DECOMPRESSORS: dict[str, Callable[[bytes], bytes]] = {
     "": bytes,
     "zstd": lambda data: zstandard.ZstdDecompressor().decompressobj().decompress(data),
@@ -46,7 +46,7 @@ DECOMPRESSORS: dict[str, Callable[[bytes], bytes]] = {
 
 
 def open_mcap(path: Path) -> IO[bytes]:
-    """Open an MCAP file. Raises BagError if it is none, or OSError."""
+    """Open an MCAP file. Raises BagError if it is not MCAP, or OSError."""
     file = path.open("rb")
     magic = file.read(len(MAGIC))
     if magic == MAGIC:
@@ -56,7 +56,7 @@ def open_mcap(path: Path) -> IO[bytes]:
 
 
 class Record(NamedTuple):
-    """A record: offset and size [B] of its content. `is_cut`: the data ends inside."""
+    """A record: offset and size [B] of its content. `is_cut`: the file ends before the content does."""
 
     opcode: int
     start: int
@@ -64,13 +64,13 @@ class Record(NamedTuple):
     is_cut: bool
 
     def content(self, stream: IO[bytes]) -> bytes:
-        """Return the content, of a cut record the part before the cut."""
+        """Return the content; of a cut record, the part before the cut."""
         stream.seek(self.start)
         return stream.read() if self.is_cut else stream.read(self.size)
 
 
 def records(stream: IO[bytes], start: int = len(MAGIC)) -> Iterator[Record]:
-    """Yield the records from the offset `start` on, without reading their content."""
+    """Yield the records from offset `start` on, without reading their content."""
     end = stream.seek(0, 2)
     while start + RECORD_HEAD.size <= end:
         stream.seek(start)
@@ -112,24 +112,24 @@ class CopyResult:
 
     messages: int = 0
     is_complete: bool = False
-    """The original has the end of its data."""
+    """The original contains the record that ends the data."""
     cut_off: str = ""
-    """Line about an original that ends before the end of its data; a loss only if its last record is torn."""
+    """Message if the original ends before that record; data is lost only if its last record is torn."""
     has_gaps: bool = False
-    """More is lost than the torn end: the original has bytes that another tool may be able to read."""
+    """More than the torn end is lost: another tool may be able to read more of the original."""
 
 
 def copy_records(path: Path, source: IO[bytes], output: IO[bytes], losses: LossLog) -> CopyResult:
-    """Write everything readable in the MCAP file `source`, called `path`, to `output`, with index and summary.
+    """Copy everything readable in the MCAP file `source` from `path` to `output`, and add index and summary.
 
-    Chunk boundaries, messages, times and sequence numbers are kept. What cannot be copied is added to `losses`.
+    Chunk boundaries, messages, times and sequence numbers stay the same. `losses` lists what cannot be copied.
     """
     header = Header(profile="", library="")
     first = next(records(source), None)
     if first is not None and first.opcode == Opcode.HEADER:
         with suppress(*DAMAGE):
             header = Header.read(ReadDataStream(BytesIO(first.content(source))))
-    writer = Writer(output, chunk_size=MAX_TIME_NS)  # chunks end where those of the original end
+    writer = Writer(output, chunk_size=MAX_TIME_NS)  # chunks end only where those of the original do
     writer.start(header.profile, header.library)
     copy = _Copy(path, writer, losses)
     copy.add_file(source)
@@ -138,14 +138,14 @@ def copy_records(path: Path, source: IO[bytes], output: IO[bytes], losses: LossL
 
 
 class _Copy:
-    """Adds records to a writer, which assigns new ids to schemas and channels."""
+    """Copies records to a writer, which assigns new ids to schemas and channels."""
 
     def __init__(self, path: Path, writer: Writer, losses: LossLog) -> None:
         self.result = CopyResult()
         self._path = path
         self._writer = writer
         self._losses = losses
-        # By the ids of the original: the definition and its id in the copy.
+        # For each id in the original: the definition, and its id in the copy.
         self._schemas: dict[int, tuple[Schema, int]] = {}
         self._channels: dict[int, tuple[Channel, int]] = {}
         self._undefined_messages: Counter[int] = Counter()
@@ -197,7 +197,7 @@ class _Copy:
             self._lose(f"chunk at byte {chunk.start}: its last {len(data) - end} bytes are not a record")
 
     def _add(self, record: Record, stream: IO[bytes]) -> None:
-        """Copy a record, unless it belongs to the index or the summary, which the writer makes."""
+        """Copy a record; those of index and summary are left out, because the writer makes them anew."""
         content = record.content(stream)
         parsed = ReadDataStream(BytesIO(content))
         try:

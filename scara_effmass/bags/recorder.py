@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder of live messages."""
+"""Recorder of live messages."""
 
 import shutil
 import tempfile
@@ -20,16 +20,16 @@ from scara_effmass.bags.rosbag2 import check_output
 from scara_effmass.bags.split_writer import DiskSpace, RecorderOptions, SplitWriter
 from scara_effmass.bags.writer import FileOpener, open_unbuffered
 from scara_effmass.errors import OutputError
+from scara_effmass.wire.cdr import NS
 
-NS = 1_000_000_000
 POLL_S = 0.05
-"""Maximum time of a message in the queue."""
+"""Maximum time for which a message waits in the queue."""
 WAKE_BYTES = 1 << 20
-"""Queue size that wakes the writing thread at once."""
+"""Queue size that wakes the writing thread immediately."""
 
 
 class MessageSink(Protocol):
-    """Takes serialized messages of live topics; the methods are those of `BagRecorder`."""
+    """Receiver of serialized messages from live topics; its methods are those of `BagRecorder`."""
 
     def add_topic(self, name: str, message_type: str, *, offered_qos: str = "", types: Typestore | None = None) -> int:
         """Add a topic and return its index. Raises BagError."""
@@ -40,10 +40,10 @@ class MessageSink(Protocol):
 
 @final
 class BagRecorder:
-    """Records messages into a rosbag2 folder; use in a `with`, or close it.
+    """Records messages into a rosbag2 folder; use it in a `with`, or close it.
 
-    A thread writes the files, so `write` never waits for the disk. The files can be read at any moment up to the last
-    flush. Lost messages are counted per topic, stored in the files and reported.
+    A thread writes the files, so `write` never waits for the disk. At any moment, the files can be read up to the last
+    flush. Lost messages are counted per topic; the counts are stored in the files and reported.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class BagRecorder:
         free_space: Callable[[], int] | None = None,
         opener: FileOpener = open_unbuffered,
     ) -> None:
-        """Start recording. The writing thread calls `warn`; tests replace the disk by `free_space` [B] and `opener`.
+        """Start recording. The writing thread calls `warn`; tests replace the disk with `free_space` [B] and `opener`.
 
         Raises OutputError if `folder` exists and `overwrite` is false, or if it cannot be created.
         """
@@ -86,7 +86,7 @@ class BagRecorder:
         return len(self._topics) - 1
 
     def write(self, topic: int, log_time_ns: int, data: bytes) -> bool:
-        """Queue a message (CDR bytes) of the topic with this index; return False if it is lost, which is counted.
+        """Queue a message (CDR bytes) of the topic with this index; if it is lost, count it and return False.
 
         Never waits for the disk.
         """
@@ -159,7 +159,7 @@ class BagRecorder:
     def _start_writer(
         self, warn: Callable[[str], None], free_space: Callable[[], int], opener: FileOpener
     ) -> SplitWriter:
-        """Create the folder under a temporary name, so that a bag it replaces stays until its successor exists."""
+        """Create the folder under a temporary name, so that a replaced bag is kept until the new one exists."""
         folder, options = self.folder, self._options
         space = DiskSpace(free_space, options.reserve_bytes, options.warn_bytes, options.warn_before_s)
         try:

@@ -36,8 +36,6 @@ class RecordedTopic:
     topic: Topic
     definition: str
     received: int = 0
-    pending: int = 0
-    """Messages passed to the file writer but not saved."""
     lost: LossCounts = field(default_factory=LossCounts)
 
 
@@ -60,12 +58,12 @@ class RecordingReport:
     files: tuple[str, ...]
     """Completed files."""
     unindexed: tuple[str, ...]
-    """Files without an index, because the disk was full; `repair` adds one."""
+    """Files without an index, because the disk was full; `repair` adds the index."""
     saved: int
-    """Messages in the files; they survive the death of the process."""
+    """Messages in the files; they survive if the process is killed."""
     size_bytes: int
     stopped_by_disk: bool
-    """Whether the recording is stopped, or ended, because the disk is full or refuses to write."""
+    """Whether the recording has stopped because the disk is full or refuses to write."""
 
     @property
     def recorded(self) -> int:
@@ -79,10 +77,10 @@ class RecordingReport:
 
 
 def losses_record(topics: Iterable[RecordedTopic]) -> dict[str, str]:
-    """Return the content of the metadata record: counts by cause as JSON, for each topic with losses."""
+    """Return the content of the metadata record: for each topic with losses, the counts by cause as JSON."""
     return {topic.topic.name: json.dumps(asdict(topic.lost)) for topic in topics if topic.lost.total}
 
 
 def losses_custom_data(record: Mapping[str, str]) -> dict[str, str]:
-    """Return the content of the metadata record as custom_data of metadata.yaml."""
+    """Convert the content of the metadata record to custom_data of metadata.yaml."""
     return {LOSSES_RECORD: json.dumps({topic: json.loads(counts) for topic, counts in record.items()})}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Repair of bags that were not completed: index, summary and metadata are made from the readable content."""
+"""Repair incomplete bags: make index, summary and metadata from the readable content."""
 
 import json
 import os
@@ -22,12 +22,12 @@ from scara_effmass.errors import BagError, OutputError
 from scara_effmass.input_files import YAML_ERRORS
 
 DAMAGED_SUFFIX = ".damaged"
-"""Suffix of an original that is kept because not all of its content could be copied."""
+"""Suffix of an original file that is kept because part of its content could not be copied."""
 
 
 @dataclass(frozen=True, slots=True)
 class FileRepair:
-    """The result for one file: the messages it contains now, and lines about lost data."""
+    """Result for one file: the number of messages that it now contains, and lines about lost data."""
 
     path: Path
     intact: bool
@@ -35,29 +35,29 @@ class FileRepair:
     messages: int
     lost: tuple[str, ...] = ()
     kept_original: Path | None = None
-    """The original, if more than its torn end was unreadable."""
+    """Path of the original; None if at most its torn end could not be read."""
 
 
 @dataclass(frozen=True, slots=True)
 class RepairReport:
-    """The result for a bag."""
+    """Result for a bag."""
 
     files: tuple[FileRepair, ...]
     failed: tuple[str, ...]
-    """Files that are not MCAP, and why; they are unchanged."""
+    """Lines about files that are not MCAP, which are unchanged."""
     metadata_rewritten: bool
 
     @property
     def intact(self) -> bool:
-        """Whether nothing was changed."""
+        """Whether the bag was complete; nothing has changed."""
         return not self.failed and not self.metadata_rewritten and all(file.intact for file in self.files)
 
 
 def repair(path: Path) -> RepairReport:
     """Complete the bag at `path`, an MCAP file or a rosbag2 folder of MCAP files.
 
-    The readable content is copied to a new file, which replaces the original after a check. Complete files are left
-    unchanged. A file of a rosbag2 folder with the name of the folder stands for the folder.
+    The readable content is copied to a new file, which is checked and then replaces the original. Complete files stay
+    unchanged. The path of a file that has the name of its rosbag2 folder stands for the whole folder.
 
     Raises BagError if there is no MCAP bag, OutputError if it is being recorded or cannot be written.
     """
@@ -96,7 +96,7 @@ def _repair_folder(folder: Path) -> RepairReport:
 
 
 def _repair_file(path: Path) -> tuple[FileRepair, BagFile]:
-    """Return the result for a file and its content now. Raises BagError, OutputError or OSError."""
+    """Repair a file; return the result and the new content. Raises BagError, OutputError or OSError."""
     if is_being_written(path):
         raise OutputError(f"{path}: is being recorded; stop the recorder first")
     if (content := _complete_file(path)) is not None:
@@ -127,7 +127,7 @@ def _repair_file(path: Path) -> tuple[FileRepair, BagFile]:
 
 
 def _complete_file(path: Path) -> BagFile | None:
-    """Return the content of a file if it is readable and its index covers it. Raises BagError if it is not MCAP."""
+    """Return the content of a file if its index covers all of it and all can be read. Raises BagError if not MCAP."""
     with open_mcap(path) as file:
         try:
             summary = read_index(file)
@@ -147,7 +147,7 @@ def _complete_file(path: Path) -> BagFile | None:
 
 
 def _update_metadata(folder: Path, files: Sequence[FileRepair], contents: Sequence[BagFile]) -> bool:
-    """Write metadata.yaml unless it is present and correct; return whether it was written."""
+    """Write metadata.yaml unless there is a correct one; return whether it was written."""
     information: dict[str, object] = {}
     with suppress(OSError, *YAML_ERRORS):
         text = (folder / METADATA).read_text(encoding="utf-8")
@@ -163,7 +163,7 @@ def _update_metadata(folder: Path, files: Sequence[FileRepair], contents: Sequen
 
 
 def _recorded_losses(files: Sequence[FileRepair]) -> dict[str, str]:
-    """Return the losses that the recorder stored, as custom_data."""
+    """Return, as custom_data, the losses that the recorder stored in the files."""
     losses: dict[str, str] = {}
     for repaired in files:
         with repaired.path.open("rb") as file:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rosbag2 format: metadata.yaml, QoS profiles and the checks of an output folder."""
+"""The rosbag2 format: metadata.yaml, QoS profiles and checks of an output folder."""
 
 import fcntl
 import os
@@ -21,14 +21,14 @@ ROSBAG2_VERSION = 9
 
 
 def qos_yaml(profiles: Iterable[Mapping[str, object]]) -> str:
-    """Return QoS profiles, with rosbag2's keys, in rosbag2's YAML; empty if there are none."""
+    """Return QoS profiles (with rosbag2's keys) in rosbag2's YAML; empty if there are none."""
     profiles = [dict(profile) for profile in profiles]
     return yaml_text(profiles) if profiles else ""
 
 
 @dataclass(frozen=True, slots=True)
 class BagFile:
-    """One file of a bag, as described in the metadata; times are log times [ns], 0 without messages."""
+    """One file of a bag as the metadata describes it; times are log times [ns], 0 if there are no messages."""
 
     name: str
     start_ns: int
@@ -83,7 +83,7 @@ def metadata(files: Sequence[BagFile], custom_data: Mapping[str, str] | None = N
 
 
 def write_metadata(folder: Path, files: Sequence[BagFile], custom_data: Mapping[str, str] | None = None) -> None:
-    """Write metadata.yaml and synchronise it to the disk before it replaces an older one. Raises OSError."""
+    """Write metadata.yaml; an older one is replaced once the new one is on the disk. Raises OSError."""
     unfinished = folder / f".{METADATA}.new"
     with unfinished.open("w", encoding="utf-8") as output:
         output.write(yaml_text({"rosbag2_bagfile_information": metadata(files, custom_data)}))
@@ -106,7 +106,7 @@ def sync_folder(folder: Path) -> None:
 def check_output(path: Path, *, overwrite: bool) -> None:
     """Raise OutputError if a bag must not be written to `path`, a file if it ends in .mcap, otherwise a folder.
 
-    With `overwrite`, a bag of that kind is replaced, also one of a killed recorder, but none that is being recorded.
+    With `overwrite`, a bag of the same kind is replaced, even that of a killed recorder, unless it is being recorded.
     """
     if not path.exists():
         return
@@ -124,19 +124,19 @@ def check_output(path: Path, *, overwrite: bool) -> None:
 
 
 def is_being_written(path: Path) -> bool:
-    """Whether a recorder has the file open. Raises OSError."""
+    """Return whether a recorder has the file open. Raises OSError."""
     with path.open("rb") as file:
         try:
             fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
             return True
-        except OSError:  # no locks on this file system
+        except OSError:  # this file system has no locks
             return False
     return False
 
 
 def _is_only_a_bag(folder: Path) -> bool:
-    """Whether a folder is a bag; without metadata.yaml it must contain nothing else. Raises OSError."""
+    """Return whether a folder is a bag; without metadata.yaml it must contain nothing else. Raises OSError."""
     if not is_rosbag2_folder(folder):
         return False
     children = {child for child in folder.iterdir() if not child.name.startswith(".")}
@@ -144,7 +144,7 @@ def _is_only_a_bag(folder: Path) -> bool:
 
 
 def _parse_profiles(text: str) -> list[Any]:
-    """Return the QoS profiles of a file, which any tool may have written; empty if invalid."""
+    """Return the QoS profiles stated in a file, which any tool may have written; empty if invalid."""
     try:
         profiles = yaml.safe_load(text)
     except YAML_ERRORS:
@@ -153,5 +153,5 @@ def _parse_profiles(text: str) -> list[Any]:
 
 
 def yaml_text(content: object) -> str:
-    """Return `content` as YAML, in its order."""
+    """Return `content` as YAML; keys keep their order."""
     return str(yaml.safe_dump(content, sort_keys=False))

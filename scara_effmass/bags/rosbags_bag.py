@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that the rosbags library reads: SQLite, compressed rosbag2 and ROS 1."""
+"""Bags read with the rosbags library: SQLite, compressed rosbag2 and ROS 1."""
 
 import heapq
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -23,7 +23,7 @@ BATCH_BYTES = 1 << 20
 
 
 class RosbagsBag(Bag):
-    """Files that each have a reader of rosbags."""
+    """A bag of files that are each read by rosbags."""
 
     def __init__(
         self, path: Path, paths: Sequence[Path], losses: LossLog, make_reader: type[Ros1Reader | Ros2Reader]
@@ -86,7 +86,7 @@ class RosbagsBag(Bag):
             self._losses.add(f"{path}: damaged, the rest is lost: {one_line(error)}")
 
     def _cdr(self, path: Path, connection: Connection, stored: bytes) -> bytes:
-        """Return a message as CDR, empty if a ROS 1 message cannot be converted."""
+        """Return a message in CDR; empty if a ROS 1 message cannot be converted."""
         if not self._is_ros1:
             return stored
         try:

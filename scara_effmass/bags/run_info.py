@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run information in a recording: `RunInfo` messages, or the JSON text of older recordings."""
+"""Run information in a bag: `RunInfo` messages, or the JSON text of older recordings."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -14,7 +14,7 @@ from scara_effmass.wire.topics import RECORDING_INFO
 
 
 def run_infos(bag: Bag) -> Iterator[tuple[int, RunInfo]]:
-    """Yield each run information in `bag`, values unchecked, with its log time [ns]; text that is no JSON is skipped.
+    """Yield log time [ns] and content of each run information in `bag`, unchecked; text that is not JSON is skipped.
 
     Raises BagError for a RunInfo that cannot be decoded or has another definition.
     """
@@ -38,7 +38,7 @@ def run_infos(bag: Bag) -> Iterator[tuple[int, RunInfo]]:
 
 
 def first_run_info(bag: Bag) -> RunInfo | None:
-    """Return the first run information in `bag`, values unchecked; None without one that can be read."""
+    """Return the first run information in `bag`, unchecked; None if none can be read."""
     with suppress(BagError):
         return next((info for _, info in run_infos(bag)), None)
     return None

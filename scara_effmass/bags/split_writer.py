@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The writer of a rosbag2 folder that is split into files; it survives a full or failing disk."""
+"""Writer of a rosbag2 folder that is split into files; it survives a full or failing disk."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,15 +11,15 @@ from typing import final
 from scara_effmass.bags.recording_report import LOSSES_RECORD, RecordedTopic, losses_custom_data, losses_record
 from scara_effmass.bags.rosbag2 import BagFile, sync_folder, write_metadata
 from scara_effmass.bags.writer import CHUNK_BYTES, FileOpener, McapFileWriter
+from scara_effmass.wire.cdr import NS
 
-NS = 1_000_000_000
 MIN_RATE_SPAN_NS = 2 * NS
 RATE_SPAN_NS = 10 * NS
 """Period over which the write rate is averaged."""
 RESUME_FACTOR = 2
 """Free space, as a multiple of the reserve, at which a stopped recording resumes."""
 CLEAR_FACTOR = 1.25
-"""Multiple of the limits at which a warning is cleared, so that a varying rate does not repeat it."""
+"""Multiple of the limits at which a warning is cleared; a varying rate then does not repeat it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class RecorderOptions:
     max_file_ns: int = 0
     """Duration [ns] in log time at which a new file begins; 0: never."""
     flush_period_s: float = 0.5
-    """Maximum age of a message that is not on the disk, plus up to 0.1 s for the writing thread."""
+    """Maximum age of a message that is not yet on the disk; the writing thread adds up to 0.1 s."""
     queue_bytes: int = 64 << 20
     """Maximum size of the queue; further messages are lost and counted."""
     queue_messages: int = 100_000
@@ -42,7 +42,7 @@ class RecorderOptions:
     warn_bytes: int = 1 << 30
     """Free space below which the recorder warns."""
     warn_before_s: float = 600.0
-    """The recorder also warns if the disk will be full in less than this time at the present rate."""
+    """The recorder also warns if the disk will be full within this time at the present rate."""
 
 
 @final
@@ -67,9 +67,9 @@ class DiskSpace:
         return self._free() >= RESUME_FACTOR * self.reserve
 
     def warning(self, now_ns: int, written: int) -> str:
-        """Return a warning about the space left after `written` bytes, "" if none is due.
+        """Return a warning about the space left after `written` bytes; empty if none is due.
 
-        A warning is repeated each time the space left has halved. Raises OSError.
+        A warning is repeated whenever the space left has halved. Raises OSError.
         """
         self._sizes = [size for size in self._sizes if now_ns - size[0] <= RATE_SPAN_NS] + [(now_ns, written)]
         start_ns, start_bytes = self._sizes[0]
@@ -90,9 +90,9 @@ class DiskSpace:
 
 @final
 class SplitWriter:
-    """Writes messages to the files `<name>_0.mcap`, `<name>_1.mcap`, ... of a folder; for one thread.
+    """Writes messages to the files `<name>_0.mcap`, `<name>_1.mcap`, ... of a folder; not thread-safe.
 
-    Disk errors are not raised: messages that cannot be saved are counted in their topic and reported to `warn`.
+    Errors of the disk are reported to `warn` and not raised; messages that cannot be saved are counted in their topic.
     """
 
     def __init__(
@@ -108,9 +108,9 @@ class SplitWriter:
         self.folder = folder
         self.done: list[BagFile] = []
         self.unindexed: list[str] = []
-        """Files without an index, because the disk refused it."""
+        """Files to which the disk refused to write the index."""
         self.stopped = False
-        """Whether messages are lost because of the disk."""
+        """Whether messages are lost because of the disk: there is no file, or the file cannot be written."""
         self._name = folder.name
         self._topics = topics
         self._compress = options.compress
@@ -122,7 +122,6 @@ class SplitWriter:
         self._last_warning = ""
         self._file_count = 0
         self._done_bytes = 0
-        self._failing = False
         self._stored_losses: dict[str, str] = {}
         self._file: McapFileWriter | None = None
         self._open_file()
@@ -134,23 +133,22 @@ class SplitWriter:
 
     @property
     def saved(self) -> int:
-        """Messages in all files; another thread may read too few while a file is completed."""
+        """Messages in all files; another thread may see too few while a file is completed."""
         file = self._file
         return sum(done.count for done in tuple(self.done)) + (file.saved.count if file else 0)
 
     def write(self, topic: int, log_time_ns: int, sequence: int, data: bytes) -> None:
         """Add a message of the topic with this index, or count it as lost."""
         file = self._file
-        if file is not None and file.message_count and log_time_ns - file.start_ns >= self._max_file_ns:
+        if file is not None and log_time_ns - file.start_ns >= self._max_file_ns:
             self._split()
             file = self._file
-        if file is None or self._failing:
+        if file is None or self.stopped:
             self._topics[topic].lost.disk += 1
             return
         if len(file.topics) <= topic:
             self._add_topics(file)
         file.add_message(topic, log_time_ns, data, sequence)
-        self._topics[topic].pending += 1
         if file.pending_bytes >= CHUNK_BYTES:
             self._save(file, sync=False)
             self._split_by_size()
@@ -158,7 +156,7 @@ class SplitWriter:
     def flush(self, now_ns: int) -> None:
         """Write everything to the disk and check its free space. `now_ns` is of a steady clock."""
         file = self._file
-        if file is not None and not self._failing:
+        if file is not None and not self.stopped:
             losses = losses_record(self._topics)
             if losses != self._stored_losses:
                 file.add_metadata(LOSSES_RECORD, losses)
@@ -174,7 +172,10 @@ class SplitWriter:
     def close(self) -> None:
         """Complete the recording as far as the disk permits."""
         self._finish()
-        if self._file is not None:
+        if self._file is not None:  # the disk refuses the index
+            self.unindexed.append(self._file.saved.name)
+            for topic, lost in zip(self._topics, self._file.unsaved_counts, strict=False):
+                topic.lost.disk += lost
             self._leave(self._file)
         self._write_metadata()
 
@@ -184,7 +185,7 @@ class SplitWriter:
             self._file.close()
 
     def _open_file(self) -> None:
-        """Create the next file. It gets its name once its first bytes are on the disk. Raises OSError."""
+        """Create the next file. It gets its final name once its first bytes are on the disk. Raises OSError."""
         path = self.folder / f"{self._name}_{self._file_count}.mcap"
         unfinished = path.with_name(f".{path.name}.new")
         unfinished.unlink(missing_ok=True)
@@ -200,7 +201,7 @@ class SplitWriter:
         self._file = file
         self._file_count += 1
         self._stored_losses = {}
-        self._failing = self.stopped = False
+        self.stopped = False
 
     def _add_topics(self, file: McapFileWriter) -> None:
         for topic in self._topics[len(file.topics) :]:
@@ -208,13 +209,12 @@ class SplitWriter:
 
     def _split_by_size(self) -> None:
         file = self._file
-        if file is not None and file.saved.count and not self._failing and file.saved_bytes >= self._max_file_bytes:
+        if file is not None and not self.stopped and file.saved.count and file.saved_bytes >= self._max_file_bytes:
             self._split()
 
     def _split(self) -> bool:
         """Complete the file and open the next one; return whether the disk permits both."""
-        self._finish()
-        if self._file is not None:
+        if not self._finish():
             return False
         try:
             self._open_file()
@@ -224,39 +224,33 @@ class SplitWriter:
             return False
         return True
 
-    def _save(self, file: McapFileWriter, *, sync: bool) -> None:
+    def _save(self, file: McapFileWriter, *, sync: bool) -> bool:
         try:
             file.save(sync=sync)
         except OSError as error:
             self._warn_once(f"cannot be written: {error.strerror}; messages are lost and counted")
-            self._failing = self.stopped = True
-            return
-        self._failing = False
-        for topic in self._topics:
-            topic.pending = 0
+            self.stopped = True
+            return False
+        return True
 
-    def _finish(self) -> None:
-        """Complete the file, if there is one; it stays open if the disk refuses."""
+    def _finish(self) -> bool:
+        """Complete the file, if there is one; return False if the disk refuses, which leaves the file open."""
         file = self._file
         if file is None:
-            return
+            return True
         if not file.finished:
             self._add_topics(file)
             losses = losses_record(self._topics)
             file.add_metadata(LOSSES_RECORD, losses)
             file.finish(losses_custom_data(losses))
-        self._save(file, sync=True)
-        if not self._failing:
-            self._leave(file)
-            self._write_metadata()
+        if not self._save(file, sync=True):
+            return False
+        self._leave(file)
+        self._write_metadata()
+        return True
 
     def _leave(self, file: McapFileWriter) -> None:
         """Close the file as it is on the disk."""
-        if self._failing:
-            self.unindexed.append(file.saved.name)
-            for topic in self._topics:
-                topic.lost.disk += topic.pending
-                topic.pending = 0
         self._file = None
         self.done.append(file.saved)
         self._done_bytes += file.saved_bytes

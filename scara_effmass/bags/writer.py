@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import IO, cast, final
 
@@ -34,7 +35,7 @@ CHUNK_BYTES = 1 << 20
 
 
 def open_unbuffered(path: Path) -> IO[bytes]:
-    """Create a file without a buffer, which would report errors later and elsewhere."""
+    """Create a file without a buffer, which would delay errors of the disk."""
     return path.open("xb", buffering=0)
 
 
@@ -42,8 +43,8 @@ def open_unbuffered(path: Path) -> IO[bytes]:
 class McapFileWriter:
     """Writes one MCAP file with checksums, an index and message definitions. The file is locked while open.
 
-    `mcap.writer.Writer` writes to memory and `save` writes to the file, so the state of the writer never depends on the
-    disk, and the file ends in whole chunks.
+    `mcap.writer.Writer` writes to memory, and `save` copies that to the file. So a failing disk cannot corrupt the
+    state of the writer, and the file always ends with a complete chunk.
     """
 
     def __init__(
@@ -52,11 +53,10 @@ class McapFileWriter:
         """Create the file; `name` is its final name, if different. Raises OSError."""
         self.start_ns, self.end_ns = MAX_TIME_NS, 0
         """First and last log time so far."""
-        self.message_count = 0
         self.topics: list[Topic] = []
         self.saved_bytes = 0
         self.pending_bytes = 0
-        """Message bytes that are not saved."""
+        """Size of the messages that are not yet saved."""
         self.finished = False
         self._name = name or path.name
         self._counts: list[int] = []
@@ -74,12 +74,18 @@ class McapFileWriter:
         )
         self._writer.start(profile=PROFILE, library=LIBRARY)
         self.saved = self._bag_file()
-        """The content that is saved."""
+        """Description of the saved content."""
 
     @property
     def is_saved(self) -> bool:
         """Whether everything is in the file and synchronised to the disk."""
         return not self.pending_bytes and not self._buffer and self._is_synced
+
+    @property
+    def unsaved_counts(self) -> list[int]:
+        """Messages of each topic that are not yet saved."""
+        saved_counts = (topic.count for topic in self.saved.topics)
+        return [count - saved for count, saved in zip_longest(self._counts, saved_counts, fillvalue=0)]
 
     def add_topic(self, topic: Topic, definition: str) -> None:
         """Add a topic, with the definition of its type as "ros2msg"; topics are numbered from 0."""
@@ -97,7 +103,6 @@ class McapFileWriter:
         number = (count if sequence is None else sequence) & 0xFFFFFFFF
         self._writer.add_message(topic + 1, log_time_ns, data, log_time_ns, number)
         self._counts[topic] = count + 1
-        self.message_count += 1
         self.pending_bytes += len(data)
         self.start_ns = min(self.start_ns, log_time_ns)
         self.end_ns = max(self.end_ns, log_time_ns)
@@ -115,9 +120,9 @@ class McapFileWriter:
         self.finished = True
 
     def save(self, *, sync: bool = False) -> None:
-        """End the chunk and write everything to the file or nothing of it. Raises OSError.
+        """End the chunk and write to the file, either everything or nothing. Raises OSError.
 
-        With `sync`, the data survives a power failure.
+        With `sync`, the data also survives a power failure.
         """
         if not self.finished:
             self._writer.flush()  # type: ignore[no-untyped-call]
@@ -127,7 +132,7 @@ class McapFileWriter:
             while written < len(data):
                 written += self._file.write(data[written:])
         except OSError:
-            with suppress(OSError):  # otherwise the file ends in a torn record, which all readers here skip
+            with suppress(OSError):  # without it, the file ends in a torn record, which the readers here skip
                 self._file.truncate(self.saved_bytes)
             self._file.seek(self.saved_bytes)
             raise
@@ -160,12 +165,12 @@ class McapFileWriter:
 
     def _bag_file(self) -> BagFile:
         topics = tuple(replace(topic, count=count) for topic, count in zip(self.topics, self._counts, strict=True))
-        return BagFile(self._name, self.start_ns if self.message_count else 0, self.end_ns, topics)
+        return BagFile(self._name, self.start_ns if any(self._counts) else 0, self.end_ns, topics)
 
 
 @final
 class BagWriter:
-    """Writes a bag that appears at `path` only when it is complete: at the end of a `with` that raises no error.
+    """Writes a bag, which appears at `path` only once it is complete: when the `with` ends without an error.
 
     `path` is a file if it ends in .mcap, otherwise a rosbag2 folder.
     """
@@ -183,7 +188,7 @@ class BagWriter:
         check_output(path, overwrite=overwrite)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # The folder is removed with this object if a signal arrives before the `with` begins.
+            # If a signal arrives before the `with` begins, the folder is removed together with this object.
             self._temporary = tempfile.TemporaryDirectory(
                 prefix=f".{path.name}-", dir=path.parent, ignore_cleanup_errors=True
             )
@@ -242,7 +247,7 @@ class BagWriter:
         try:
             self._temporary.cleanup()
         finally:
-            # Repeated in case a signal interrupted it.
+            # Repeat it in case a signal interrupted the first attempt.
             self._temporary.cleanup()
 
     def __enter__(self) -> Self:
