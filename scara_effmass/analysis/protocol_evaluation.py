@@ -165,9 +165,12 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
     if point.contact is ContactType.QUASI_STATIC:  # a clamped body part cannot move
         transient = replace(transient, obstacle_mass_kg=held.obstacle_mass_kg)
     pressures = [item.peak_pressure_n_cm2 for item in repetitions if item.peak_pressure_n_cm2 is not None]
-    measured = bool(repetitions) and len(pressures) == len(repetitions)
-    values["transient_limit_n"] = transient.force_n if measured else transient.permissible_force_n
-    values["quasi_static_limit_n"] = held.force_n if measured else held.permissible_force_n
+    pressure_limit = held if point.contact is ContactType.QUASI_STATIC else transient
+    # A force is judged without the contact area only if every contact has a pressure that is judged by the same limit.
+    all_measured = bool(repetitions) and len(pressures) == len(repetitions)
+    values["transient_limit_n"] = transient.force_n if all_measured else transient.permissible_force_n
+    held_measured = all_measured and pressure_limit is held
+    values["quasi_static_limit_n"] = held.force_n if held_measured else held.permissible_force_n
     judged = [_judged_force(transient, instrument, item) for item in repetitions]
     kept = [item.force_beyond_0_5_s_n for item in repetitions if item.force_beyond_0_5_s_n is not None]
     if not judged or None in judged or len(kept) < len(judged) or instrument.stiffness_n_m is None:
@@ -178,10 +181,9 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
         values["judged_force_n"] / values["transient_limit_n"],
         values["held_force_n"] / values["quasi_static_limit_n"],
     ]
-    if measured:
-        limit = held if point.contact is ContactType.QUASI_STATIC else transient
-        values["pressure_n_cm2"], values["pressure_limit_n_cm2"] = max(pressures), limit.pressure_n_cm2
-        ratios.append(max(pressures) / limit.pressure_n_cm2)
+    if pressures:
+        values["pressure_n_cm2"], values["pressure_limit_n_cm2"] = max(pressures), pressure_limit.pressure_n_cm2
+        ratios.append(max(pressures) / pressure_limit.pressure_n_cm2)
     values["ratio"] = max(ratios)
     return values
 

@@ -113,6 +113,25 @@ def test_a_measured_pressure_has_its_own_limit(folder: Path) -> None:
     )
 
 
+def test_one_measured_pressure_above_its_limit_is_a_violation(folder: Path) -> None:
+    values = content()
+    values["tests"][0]["results"]["repetitions"][1]["peak_pressure_n_cm2"] = 381.0
+    evaluation = result(values, folder)
+    assert (evaluation.verdict, evaluation.pressure_n_cm2) == ("VIOLATION", 381.0)
+
+
+@pytest.mark.parametrize(("contact", "limit_n"), [("transient", 19.0), ("quasi_static", 140.0)])
+def test_a_peak_pressure_does_not_replace_that_of_the_held_force(folder: Path, contact: str, limit_n: float) -> None:
+    """A transient limit allows twice the pressure of a held contact: 190 N/cm2 on 0.1 cm2 of the hand."""
+    values = content(10.0)
+    values["tests"][0]["point"] |= {"contact": contact, "contact_area_m2": 1e-5}
+    for item in values["tests"][0]["results"]["repetitions"]:
+        item |= {"peak_pressure_n_cm2": 150.0, "force_beyond_0_5_s_n": 25.0}
+    evaluation = result(values, folder)
+    assert evaluation.quasi_static_limit_n == pytest.approx(limit_n)
+    assert evaluation.verdict == ("VIOLATION" if contact == "transient" else "OK")
+
+
 @pytest.mark.parametrize("stiffness", [60e3, 83e3])
 def test_clamped_body_part_does_not_yield(folder: Path, stiffness: float) -> None:
     """Fixed device and clamped hand: the force scales with the root of the stiffness alone."""
