@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Impact of an arm on a free plate: MuJoCo moves the arm, an explicit spring is the contact.
+"""Impact of an arm on a free plate: MuJoCo moves the arm, and an explicit spring models the contact.
 
-MuJoCo reads the robot file by itself: mass matrix and kinematics are independent of the room `model`, which gives only
-the joints, their limits and where the contact points are. The plate has the mass m_H of the body part and moves along
-its normal only; there is no friction and no damping.
+MuJoCo reads the robot file by itself: mass matrix and kinematics are independent of the room `model`, which provides
+only the joints, their limits and the contact points. The plate has the mass m_H of the body part and moves along its
+normal only, without friction and damping.
 """
 
 import math
@@ -27,10 +27,10 @@ GRAVITY = -9.81
 
 
 class JointServo(NamedTuple):
-    """Position control in joint space whose reference moves on at constant velocity; it carries the weight.
+    """Joint position control with `bandwidth` [Hz] and `damping` ratio; it compensates gravity.
 
-    `bandwidth` [Hz] and `damping` ratio. `coupled`: computed torque, else an independent controller per joint, tuned to
-    the inertia of its joint at the start.
+    The reference keeps moving at constant velocity. `coupled` means computed torque, otherwise each joint has an
+    independent controller, tuned to the inertia of the joint at the start.
     """
 
     bandwidth: float
@@ -48,7 +48,7 @@ class JointServo(NamedTuple):
 
 
 class Peak(NamedTuple):
-    """Peak `force` [N], its time after the first touch [s], and the largest turn of a joint until then [rad, m]."""
+    """Peak `force` [N], its `time` after the first touch [s], and the largest joint motion `turn` by then [rad, m]."""
 
     force: float
     time: float
@@ -83,7 +83,7 @@ class PlateSim:
     def scale_masses(self, factors: FloatArray) -> None:
         """Multiply mass, inertia and armature behind each joint by `factors` (n,)."""
         mass, inertia, armature = self._nominal
-        by_joint = np.append(factors, 1.0)  # the last one is that of the base
+        by_joint = np.append(factors, 1.0)  # MuJoCo gives the base index -1: the last factor
         by_body = by_joint[self.model.body_dofadr[self.model.body_weldid]]
         self.model.body_mass[:] = mass * by_body
         self.model.body_inertia[:] = inertia * by_body[:, None]
@@ -99,7 +99,7 @@ class PlateSim:
         return self._jacobian(point).copy(), mass_matrix
 
     def gravity(self, q: FloatArray) -> FloatArray:
-        """Return the joint torques (n,) of the weight at `q` (n,) [N m, N]."""
+        """Return the joint torques (n,) that hold the arm against gravity at `q` (n,) [N m, N]."""
         self.model.opt.gravity[2] = GRAVITY
         self.data.qpos[:], self.data.qvel[:] = q, 0.0
         mujoco.mj_forward(self.model, self.data)
@@ -125,9 +125,10 @@ class PlateSim:
     ) -> Peak:
         """Return the peak of the force on a plate with the unit `normal` (3,) that contact point `point` touches.
 
-        Stiffness and mass are those of `limit`. Without `servo` the joints are free, weightless, and the contact ends
-        with the first separation. With `pace` below 1 velocities, effort limits and weight are smaller and the peak is
-        scaled up: the arm stays in the pose of the first touch.
+        Stiffness and mass of the plate are those of `limit`. Without `servo` the joints are free, gravity is off, and
+        the contact ends with the first separation. `pace` below 1 scales velocities, effort limits and gravity down and
+        the peak up, so that the arm stays in the pose of the first touch. Raises ArithmeticError if the simulation
+        diverges.
         """
         model, data, k = self.model, self.data, limit.stiffness_n_m
         mujoco.mj_resetData(model, data)
@@ -136,7 +137,6 @@ class PlateSim:
         rate = math.sqrt(k * (row @ np.linalg.solve(mass_matrix, row) + 1.0 / limit.obstacle_mass_kg))
         coarse, duration = 0.0, 4.0 / rate
         model.opt.gravity[2] = 0.0
-        start = data.qpos.copy()
         velocity, effort = qd * pace, self._robot.effort_limits * pace
         gains = None if servo is None or servo.coupled else np.diag(mass_matrix)
         if servo is not None:
@@ -156,15 +156,17 @@ class PlateSim:
             mujoco.mj_fwdVelocity(model, data)
             position = origin + rotation @ place
             last_depth, depth = depth, float(normal @ position) - offset - plate
+            if not math.isfinite(depth):
+                raise ArithmeticError(f"{self._robot.name}: simulation of an impact diverged after {time:.6f} s")
             force = max(k * depth, 0.0)
             if servo is None and depth <= 0.0 < time:
                 break
             if force > peak.force:
-                peak = Peak(force, time, float(np.max(np.abs(data.qpos - start))))
+                peak = Peak(force, time, float(np.max(np.abs(data.qpos - q))))
             torque = data.qfrc_applied
             torque[:] = 0.0
             if servo is not None:
-                demand = servo.acceleration(start + velocity * time - data.qpos, velocity - data.qvel)
+                demand = servo.acceleration(q + velocity * time - data.qpos, velocity - data.qvel)
                 torque[:] = self._torque(demand, gains).clip(-effort, effort)
             if force > 0.0:
                 mujoco.mj_jac(model, data, self._row, None, position, body)

@@ -68,6 +68,15 @@ def test_masses_scale_the_mass_matrix() -> None:
     assert np.allclose(heavier, 1.1 * nominal, rtol=1e-9)
 
 
+@pytest.mark.parametrize("servo", [None, JointServo(5.0)])
+def test_a_simulation_that_diverges_has_no_peak(servo: JointServo | None) -> None:
+    arm = arm_of("UR5")
+    q, qd = arm.draw_motion(np.random.default_rng(5))
+    normal = arm.sim.worst_normal(q, qd, CHEST.obstacle_mass_kg)
+    with pytest.raises(ArithmeticError, match="diverged"):
+        arm.sim.touch(q, qd * math.nan, normal, CHEST, servo)
+
+
 @pytest.mark.parametrize("servo", [None, JointServo(5.0), JointServo(20.0, 0.5, coupled=False)])
 def test_error_of_the_time_step(servo: JointServo | None) -> None:
     arm = arm_of("UR10")
