@@ -15,7 +15,7 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.safety.debounce import VerdictDebouncer
 from scara_effmass.safety.monitor import unknown_contact
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.values import NAN, ContactAssessment, Verdict
 from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.message_types import CONTACT_STATE
 
@@ -105,6 +105,18 @@ def test_mutated_recording_violates_the_property(text: str, tmp_path: Path) -> N
     mutated = violated(MUTATIONS[text](TRACE), tmp_path / "mutated")
     assert text in mutated
     assert all("release time" in text and "release time" in other for other in mutated - {text})
+
+
+@pytest.mark.parametrize(
+    ("text", "fields"),
+    [
+        ("UNKNOWN implies speed 0", {"verdict": UNKNOWN, "allowable_speed": NAN}),
+        ("a permissive verdict is not below the speed", {"verdict": WARN, "margin": NAN}),
+        ("a permissive verdict is not older than the timeout", {"verdict": OK, "input_age": NAN}),
+    ],
+)
+def test_a_number_that_is_nan_violates_the_property(text: str, fields: dict[str, Any], tmp_path: Path) -> None:
+    assert violated(changed(**fields)(TRACE), tmp_path) == {text}
 
 
 def test_a_monitor_that_is_silent_to_the_end_of_the_recording_is_found_unless_it_was_ended(tmp_path: Path) -> None:
