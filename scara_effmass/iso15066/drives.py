@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contact while the drives of the robot push on: between free joints and an immovable robot.
+"""Contact while the drives push on: a case between free joints and an immovable robot.
 
 Along a contact normal the robot is a mass m_n on a servo spring w_s^2 m_n with the damping ratio zeta, whose reference
-moves on at constant velocity; the contact spring k and the mass m_H of the body part follow. The peak force is
+moves on at constant velocity. It hits the body part, a mass m_H behind the contact spring k. The peak force is
 proportional to the speed, F = v sqrt(mu k), with a reduced mass mu between that of free joints and m_H.
 """
 
@@ -19,11 +19,11 @@ MAX_MOBILITY = 20.0
 """Mobility 1/m_n [1/kg] up to which servo contacts are simulated; a lighter robot counts as immovable."""
 _MOBILITIES = np.geomspace(0.01, MAX_MOBILITY, 48)
 _TOUCHING = (0.0, 0.1, 0.5, 2.0, 8.0)
-"""Mobilities [1/kg] of the lines that are kept of a hull; any line of it is a bound."""
+"""Mobilities [1/kg] at which a hull keeps its highest line. Each line of a hull is a bound by itself."""
 _STEP = 0.1
-"""Time step of the simulation times the angular frequency of the contact or of the servo, the larger one."""
+"""Time step of the simulation, times the larger of the angular frequencies of contact and servo."""
 _MARGIN = 1.03
-"""Factor on the simulated reduced mass, for the mobilities between the simulated ones."""
+"""Factor on the simulated reduced masses, which covers the mobilities between the simulated ones."""
 
 Line = tuple[float, float]
 """alpha [1/kg] and beta of the bound 1/mu(n) >= alpha + beta / m_n."""
@@ -33,11 +33,11 @@ Line = tuple[float, float]
 def contact_lines(
     drives: Drives, servo: ServoSettings, stiffness: tuple[float, ...], obstacle_mass: tuple[float, ...]
 ) -> list[tuple[Line, ...]]:
-    """Return for each contact stiffness k [N/m] and mass m_H [kg] the lower bounds of 1/mu; the largest holds.
+    """Return lower bounds of 1/mu for each contact stiffness k [N/m] and mass m_H [kg]; the largest one applies.
 
     Free joints have alpha = 1/m_H and beta = 1 (ISO/TS 15066), an immovable robot beta = 0. The lines of a servo lie on
     the lower convex hull of 1/mu over 1/m_n, which `servo_reduced_masses` simulates. A servo against a clamped body
-    part (infinite m_H) pushes without bound, as an immovable robot.
+    part (infinite m_H) pushes without bound, like an immovable robot.
     """
     alphas = [1.0 / mass for mass in obstacle_mass]
     if drives is not Drives.SERVO or not any(alphas):
@@ -46,7 +46,7 @@ def contact_lines(
     masses = servo_reduced_masses(
         _MOBILITIES, np.array(stiffness), np.array(obstacle_mass), servo.bandwidth, servo.damping
     )
-    # A lighter robot never counts as the harder one.
+    # A lighter robot must not count as hitting harder.
     masses = np.maximum.accumulate(masses[:, ::-1] * _MARGIN, axis=1)[:, ::-1]
     return [_lower_hull(np.maximum(1.0 / mu, alpha), alpha) for mu, alpha in zip(masses, alphas, strict=True)]
 
@@ -54,8 +54,8 @@ def contact_lines(
 def _lower_hull(inverse: FloatArray, alpha: float) -> tuple[Line, ...]:
     """Return the lines at `_TOUCHING` of the lower convex hull of 1/mu at `_MOBILITIES`, and of alpha at 1/m_n = 0.
 
-    Lines that are negative at 1/m_n = 0 bound nothing along the normals with little mobility. The tangent through the
-    origin takes their place.
+    Lines that are negative at 1/m_n = 0 bound nothing where the mobility is small. The tangent through the origin
+    replaces them.
     """
     from scipy.spatial import ConvexHull  # noqa: PLC0415 - slow, and not needed for free drives
 
@@ -70,9 +70,9 @@ def _lower_hull(inverse: FloatArray, alpha: float) -> tuple[Line, ...]:
 def servo_reduced_masses(
     mobility: FloatArray, stiffness: FloatArray, obstacle_mass: FloatArray, bandwidth_hz: float, damping: float
 ) -> FloatArray:
-    """Return mu (m, n) [kg] for m contacts `stiffness` [N/m], `obstacle_mass` [kg] and n `mobility` 1/m_n [1/kg].
+    """Return mu (m, n) [kg] of m contacts (`stiffness` [N/m], `obstacle_mass` [kg]) at n mobilities 1/m_n [1/kg].
 
-    Steps are exact (matrix exponential) and last `TRANSIENT_S`; the contact may open and close. The state is the
+    Simulates `TRANSIENT_S` in exact steps (matrix exponential); the contact may open and close. The state is the
     compression, its rate, the servo error and its rate, at unit speed.
     """
     from scipy.linalg import expm  # noqa: PLC0415 - slow, and not needed for free drives
@@ -86,7 +86,7 @@ def servo_reduced_masses(
     )
     state = np.tile([0.0, 1.0, 0.0, 0.0], (len(k), 1))
     compression = np.zeros(len(k))
-    order = np.argsort(dt)  # the robots with the longest steps are done first
+    order = np.argsort(dt)  # the contacts with the longest steps end first
     state, contact, free = state[order], contact[order], free[order]
     steps = np.ceil(TRANSIENT_S / dt[order]).astype(int)
     running = len(k)
@@ -99,7 +99,7 @@ def servo_reduced_masses(
         now[:] = np.einsum("nij,nj->ni", matrices, now)
         np.maximum(compression[:running], now[:, 0], out=compression[:running])
     peak = np.empty(len(k))
-    peak[order] = compression / math.cos(_STEP / 2.0)  # it lies at most half a step from a sample
+    peak[order] = compression / math.cos(_STEP / 2.0)  # the true peak is at most half a step from a sample
     return np.asarray((k * peak**2).reshape(shape))
 
 

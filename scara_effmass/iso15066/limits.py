@@ -64,8 +64,8 @@ def limits_for(settings: MonitorSettings) -> tuple[Limit, ...]:
     """Return the limits of `settings.body_regions`, from head to foot; by default of all regions that have one.
 
     A limit from `settings` replaces the standard's in the regions where it is stricter. Raises LimitError for a region
-    that is unknown, repeated or of the head, where the standard permits no contact, and for a setting that is looser
-    than the standard in every chosen region, and for limits that permit less than `MIN_FORCE_N`.
+    that is unknown, repeated or of the head (where the standard permits no contact), for a setting that is looser than
+    the standard in every chosen region, and for limits that permit less than `MIN_FORCE_N`.
     """
     regions = _chosen_regions(settings.body_regions)
     limits = tuple(

@@ -15,9 +15,9 @@ class Mobility(NamedTuple):
     """Mobility A = J_v M^-1 J_v^T [1/kg] of a contact point, as the scalars that its contact forces depend on.
 
     `along` is n^T A n and `adjugate` n^T adj(A) n for the unit vector n of the velocity; `trace`, `minors` (sum of the
-    principal minors) and `determinant` are the invariants of A, and `rank` is the number of directions in which the
-    contact point can move. Of a single effective mass, as of ISO/TS 15066, the rank is 1. `change` is that of the pose
-    during the contact; None: none.
+    principal minors) and `determinant` are the invariants of A, and `rank` is the number of dimensions in which the
+    contact point can move: 1 for a single effective mass, as in ISO/TS 15066. `change` is the change of pose during
+    the contact, None if it does not count.
     """
 
     along: float
@@ -61,8 +61,8 @@ class Mobility(NamedTuple):
         """Return the largest (v.n)^2 / (alpha + beta n^T A n) over all unit normals n [kg], v the unit velocity.
 
         That is v^T (alpha I + beta A)^-1 v, the generalised Rayleigh quotient; with alpha = 1/m_H and beta = 1 it is
-        the reduced mass of the peak force F = |v| sqrt(mu k) along the worst normal, and mu |v|^2 the energy that a
-        sticking contact takes up twice. Where `alpha` is 0 (clamped) only directions that the contact point can reach
+        the reduced mass of the peak force F = |v| sqrt(mu k) along the worst normal, and mu |v|^2 is twice the energy
+        that a sticking contact absorbs. Where `alpha` is 0 (clamped), only directions that the contact point can reach
         count. Written with the adjugate: no decomposition, and one mobility serves every m_H.
         """
         if beta <= 0.0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Change of pose during a contact: how fast the force of the worst normal grows from the first touch on."""
+"""Change of pose during a contact: how fast the force along the worst normal grows after the first touch."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from scara_effmass.iso15066.mobility_matrix import CLAMPED_TOLERANCE, Matrix, mo
 from scara_effmass.values import Vector3
 
 TIME_FACTOR = 1.5
-"""Time for which the growth counts, over the time to the peak force; above 1 it covers what is not linear in time."""
+"""Time for which the growth counts, over the time to the peak force; above 1, to cover what is not linear in time."""
 
 
 class PoseChange(NamedTuple):
-    """Motion of a contact point and of its mobility A as the joints go on.
+    """Motion of a contact point, and change of its mobility A, while the joints move on.
 
-    `direction` is the unit vector n of the velocity, or of a fixed contact normal, and `speed` [m/s] the velocity
-    along it. `mobility` is A [1/kg], and `mobility_rate` Z [1/(kg s)] with dA/dt = Z + Z^T. `accelerations` [m/s2] are
-    those of the contact point with free joints, and with joints that keep their velocities. The point moves in `rank`
+    `direction` n is the unit vector of the velocity or a fixed contact normal, and `speed` [m/s] the velocity along it.
+    `mobility` is A [1/kg], and `mobility_rate` Z [1/(kg s)] with dA/dt = Z + Z^T. `accelerations` [m/s2] are those of
+    the contact point with free joints, and with joints that keep their velocities. The point moves in `rank`
     dimensions, in which n is.
     """
 
@@ -31,10 +31,10 @@ class PoseChange(NamedTuple):
     rank: int = 3
 
     def growth(self, alpha: float, beta: float) -> float:
-        """Return d/dt ln(v^T (alpha I + beta A)^-1 v) [1/s], without what lessens it.
+        """Return d/dt ln(v^T (alpha I + beta A)^-1 v) [1/s], without the terms that reduce it.
 
-        With w = (alpha I + beta A)^-1 v the derivative is (2 w.a - beta w^T (dA/dt) w) / (v.w). The larger one of the
-        accelerations a and the change of the mobility count only where they are positive.
+        With w = (alpha I + beta A)^-1 v the derivative is (2 w.a - beta w^T (dA/dt) w) / (v.w). The term of the
+        accelerations a (the larger one) and that of the mobility count only where they are positive.
         """
         if beta <= 0.0:
             wx, wy, wz = self.direction
@@ -54,7 +54,7 @@ class PoseChange(NamedTuple):
         return 2.0 * (faster / self.speed + max(0.0, -energy_rate)) / along
 
     def max_growth(self, alpha: float) -> float:
-        """Return a bound [1/s] of `growth` for every alpha / beta of at least `alpha` [1/kg], from lengths of vectors.
+        """Return an upper bound [1/s] of `growth` for every alpha / beta >= `alpha` [1/kg], from norms of the vectors.
 
         The angle between w and v is largest at the smallest alpha / beta, and so is the reduced mass v.w.
         """
@@ -87,7 +87,7 @@ class PoseChange(NamedTuple):
         return PoseChange((nx, ny, nz), max(speed, min_speed), mobility, self.mobility_rate, self.accelerations)
 
     def _solve(self, s: float) -> Vector3:
-        """Return (s I + A)^-1 n (3,) [kg], with the adjugate in `rank` dimensions: in more, the others would cancel."""
+        """Return (s I + A)^-1 n (3,) [kg], by the adjugate in `rank` dimensions: more would leave rounding errors."""
         (a, b, c), (_, d, e), (_, _, f) = self.mobility
         x, y, z = self.direction
         trace = a + d + f

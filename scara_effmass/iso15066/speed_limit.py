@@ -23,9 +23,9 @@ _TYPICAL = Mobility.of_mass(2.0)
 class SpeedLimit(NamedTuple):
     """Allowable relative speed [m/s], the limit that governs, and the contact force over the relative speed.
 
-    `reduced_mass` [kg] is that of the bound, drives included; `push` [N] is that of the drives, where their effort
-    limits give the tighter bound. `stiffness` [N/m] includes its uncertainty. `growth` [s/m] is that of the change of
-    pose during the contact: the speed v counts as v (1 + growth v).
+    `reduced_mass` [kg] is that of the bound, drives included. `push` [N] is the force of the drives, 0 unless their
+    effort limits give the tighter bound. `stiffness` [N/m] includes its uncertainty. `growth` [s/m] covers the change
+    of pose during the contact: the speed v counts as v (1 + growth v).
     """
 
     allowable_speed: float
@@ -55,8 +55,8 @@ _Bound = tuple[float, float, float, float]
 class Case:  # no tuple, because mypyc reads the attributes of a class faster
     """One limit; `rate` is k / F^2, `lines` bound its reduced mass.
 
-    `max_mu` is a bound of it for any robot. `drive_time` is the time [s] for which the pose changes, where drives push
-    on; 0: that of free joints.
+    `obstacle_mass` [kg] bounds it for any robot. `drive_time` is the time [s] for which the pose changes while drives
+    push on; 0: that of free joints.
     """
 
     limit: Limit
@@ -64,14 +64,14 @@ class Case:  # no tuple, because mypyc reads the attributes of a class faster
     force: float
     stiffness: float
     rate: float
+    obstacle_mass: float
     obstacle_mobility: float
-    max_mu: float
     lines: tuple[Line, ...]
     drive_time: float
 
     def bound(self, mobility: Mobility, mass_factor: float, lines: tuple[Line, ...], rate: float) -> _Bound:
         """Return the bound of one `mobility`, whose masses count `mass_factor` times; `rate` is k / F^2."""
-        mu, alpha, beta = math.inf, 0.0, 0.0
+        mu, (alpha, beta) = math.inf, lines[0]
         for line in lines:
             line_mu = mass_factor * mobility.worst_reduced_mass(mass_factor * line[0], line[1])
             if line_mu < mu:
@@ -86,7 +86,7 @@ class Case:  # no tuple, because mypyc reads the attributes of a class faster
 class SpeedLimits:
     """Allowable speed under several `limits`."""
 
-    __slots__ = ("cases", "is_free", "limits", "max_drive_time", "min_alpha", "min_stiffness")
+    __slots__ = ("cases", "is_free", "limits", "max_drive_time", "min_alpha", "min_stiffness", "weakest")
 
     def __init__(self, limits: Iterable[Limit], settings: MonitorSettings | None = None) -> None:
         """Use drives and stiffness uncertainty of `settings`: by default free joints and none.
@@ -107,18 +107,20 @@ class SpeedLimits:
                 limit.permissible_force_n,
                 k,
                 k / limit.permissible_force_n**2,
+                limit.obstacle_mass_kg,
                 1.0 / limit.obstacle_mass_kg,
-                limit.obstacle_mass_kg if len(bounds) == 1 else math.inf,
                 bounds,
                 0.0 if settings.drives is Drives.FREE else contact_time(limit.obstacle_mass_kg, k),
             )
             for limit, k, bounds in zip(self.limits, stiffness, lines, strict=True)
         ]
-        # First the one that most often sets the speed: of the others the bound of the growth is then mostly enough.
+        # The case that most often sets the speed comes first: the others can then mostly be skipped by a bound.
         self.cases = sorted(cases, key=lambda case: -case.rate * _TYPICAL.worst_reduced_mass(*case.lines[0]))
         self.min_alpha = min([alpha / beta for case in cases for alpha, beta in case.lines if beta], default=0.0)
         self.is_free = settings.drives is Drives.FREE
         self.min_stiffness = min(stiffness)
+        self.weakest = min(self.limits, key=lambda limit: limit.permissible_force_n)
+        """The limit with the smallest permissible force."""
         self.max_drive_time = max([case.drive_time for case in cases])
 
     def speed_limit(self, effective_mass: float) -> SpeedLimit:
@@ -164,11 +166,11 @@ class SpeedLimits:
             for mobility, max_mu, max_growth in bounded:
                 # Most cases can be seen not to set the speed.
                 speed = min_speed * (1.0 + max_growth * min_speed)
-                if not min(max_mu, case.max_mu) * rate * speed * speed <= 1.0:
+                if not min(max_mu, case.obstacle_mass) * rate * speed * speed <= 1.0:
                     simulated = len(case.lines) == 1 or mobility.trace <= MAX_MOBILITY * mass_factor
                     lines = case.lines if simulated else ((case.obstacle_mobility, 0.0),)
                     bound = min(bound, case.bound(mobility, mass_factor, lines, rate))
-            if push is not None and push[0] < math.inf:
+            if push is not None:
                 bound = max(bound, _push_bound(case, mobilities, mass_factor, push))
             if bound[0] < min_speed:
                 min_speed, slowest = bound[0], (case, bound)
@@ -181,7 +183,8 @@ def _speed(inverse_square: float, growth: float) -> float:
     if inverse_square <= 0.0:
         return math.inf
     speed = 1.0 / math.sqrt(inverse_square)
-    return 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed))
+    speed = 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed))
+    return max(0.0, speed)  # NaN, as of an infinite growth at no speed, must not count as no limit
 
 
 def _push_bound(case: Case, mobilities: Sequence[Mobility], mass_factor: float, push: tuple[float, float]) -> _Bound:

@@ -62,7 +62,6 @@ class ContactKernel:
         robot, self._dynamics = dynamics.robot, dynamics
         model = robot.model
         regions = [limit.region for limit in limits.limits]
-        weakest = min(limit.permissible_force_n for limit in limits.limits)
         lumped = dynamics.lumped
         models = (model if lumped is None else lumped.model, model)
         has_masses = not robot.masses_reason
@@ -113,7 +112,7 @@ class ContactKernel:
             closing_speed=settings.person_speed + settings.speed_uncertainty,
             warn_ratio=settings.warn_ratio,
             external_force=settings.external_force_limit or math.inf,
-            weakest_force=weakest,
+            weakest_force=limits.weakest.permissible_force_n,
             min_alpha=limits.min_alpha,
             min_stiffness=limits.min_stiffness,
             max_drive_time=limits.max_drive_time,
@@ -127,10 +126,10 @@ class ContactKernel:
                 stiffness=case.stiffness,
                 rate=case.rate,
                 obstacle_mobility=case.obstacle_mobility,
-                max_mu=case.max_mu,
+                max_mu=case.obstacle_mass,
                 drive_time=case.drive_time,
                 nominal_stiffness=case.limit.stiffness_n_m,
-                obstacle_mass=case.limit.obstacle_mass_kg,
+                obstacle_mass=case.obstacle_mass,
                 line_count=len(case.lines),
                 lines=np.array(case.lines),
             )

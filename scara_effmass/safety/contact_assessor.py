@@ -80,7 +80,6 @@ class ContactAssessor:
         self._margin = settings.model_margin if self._is_auto and self._is_scara else None
         self._mass_factor = 1.0 + settings.mass_uncertainty
         self._reasons = Reasons(dynamics, settings, limits)
-        self._weakest = min(limits.limits, key=lambda limit: limit.permissible_force_n)
         self._normal_text = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._test_direction = settings.fixed_test_direction
         self._normal_is_known = settings.contact_normal != "worst"
@@ -364,7 +363,7 @@ class ContactAssessor:
             nominal_speed = (speed_limit.allowable_speed - closing_speed) / share
             allowable_speed = max(0.0, nominal_speed)
             verdict, reason = self._verdict(masses, mass, speed_limit, nominal_speed)
-            if clamping_force > self._weakest.permissible_force_n:
+            if clamping_force > self._limits.weakest.permissible_force_n:
                 allowable_speed = 0.0
                 verdict, reason = Verdict.VIOLATION, self._reasons.clamping(clamping_force)
         # By position, because keywords double the time of this call in the hot path.

@@ -28,7 +28,7 @@ class Reasons:
         self._full_reason = dynamics.full_reason
         self._model = settings.effective_mass_model.value
         self._margin = settings.model_margin
-        self._weakest = min(limits.limits, key=lambda limit: limit.permissible_force_n)
+        self._weakest = limits.weakest
         margin = f"more than {100.0 * settings.model_margin:.3g} % lighter than the full model"
         self.heavy_enough, self.lighter = f"nowhere {margin}", f"the lumped model is {margin} along some direction"
         self.setting = f"effective_mass_model {self._model}"

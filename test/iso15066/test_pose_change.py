@@ -256,3 +256,13 @@ def test_worst_normal_takes_the_most_energy(seed: int, alpha: float) -> None:
     energies = [(n @ motion.velocity) ** 2 / (n @ shifted @ n) for n in (normal, *others)]
     assert energies[0] == pytest.approx(motion.velocity @ np.linalg.solve(shifted, motion.velocity))
     assert max(energies) <= energies[0] * (1.0 + 1e-9)
+
+
+def test_drives_that_hold_no_force_allow_no_speed_however_fast_the_force_grows() -> None:
+    """A singular mobility has an infinite growth, which times a speed of 0 is not a number."""
+    settings = MonitorSettings(contact=ContactType.QUASI_STATIC, drives=Drives.FREE)
+    singular = np.diag([-1.0, 1.0, 1.0]).tolist()
+    change = PoseChange((0.0, 1.0, 0.0), 0.5, singular, np.zeros((3, 3)).tolist(), ((0.0, 1.0, 0.0),))
+    mobility = Mobility.of_mass(1.0)._replace(change=change)
+    assert change.growth(0.0, 1.0) == math.inf
+    assert SpeedLimits(limits_for(settings), settings).worst_normal([mobility], max_force=0.0).allowable_speed == 0.0
