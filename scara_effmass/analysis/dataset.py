@@ -58,8 +58,8 @@ def assess_part(
 ) -> BagResult:
     """Assess the bag at `path` into `folder`/cell=`cell`/day=DAY/, unless that was done; return the result.
 
-    It was done if bag, cell, settings, robot and version are the same, by their hashes. Raises BagError, SettingsError,
-    and OutputError where another one than the bag differs, unless `overwrite`.
+    It was done if bag, cell, settings, robot and version have the same hashes; a cross-check assesses again. Raises
+    BagError, SettingsError, and OutputError if anything but the bag differs, unless `overwrite`.
     """
     content = _hash_of(path)
     inputs = [content, task.settings.model_dump_json(), digest(Path(task.settings.robot_path), BagError), __version__]
@@ -67,17 +67,17 @@ def assess_part(
     key = hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
     file = folder / RECORDS / f"{content[:16]}.json"
     if file.exists():
-        with file.open("rb") as stream:
-            record: Record = _RECORD.validate_json(stream.read())
-        if record.key == key and not task.cross_check and (folder / record.part).exists():
+        record = _read_record(file)
+        if record.key != key:
+            if not overwrite:
+                problem = "is of another cell, other settings, robot or version; use --force to replace it"
+                raise OutputError(f"{folder / record.part}: {problem}")
+            if not isinstance(folder, Url):
+                (folder / record.part).unlink(missing_ok=True)
+        elif not task.cross_check and (folder / record.part).exists():
             advance(1, 1)
             summary = Summary.of_state(record.summary)
             return BagResult(summary, dict(record.counts), record.losses, list(record.notes))
-        if not overwrite:
-            problem = "is of another cell, other settings, robot or version; use --force to replace it"
-            raise OutputError(f"{folder / record.part}: {problem}")
-        if (folder / record.part).exists() and not isinstance(folder, Url):
-            (folder / record.part).unlink()
     with open_bag(path) as bag:
         day = iso_time(bag.start_ns)[:10]
     part = f"cell={cell}/day={day}/{path.stem}-{content[:16]}.parquet"
@@ -90,8 +90,18 @@ def assess_part(
     return result
 
 
+def _read_record(file: Path) -> Record:
+    """Return the result in `file`. Raises OutputError."""
+    with file.open("rb") as stream:
+        try:
+            record: Record = _RECORD.validate_json(stream.read())
+        except ValueError:
+            raise OutputError(f"{file}: must be a result of this version; choose another folder") from None
+    return record
+
+
 def _hash_of(bag: Path) -> str:
-    """Return the SHA-256 of a bag; of one elsewhere, of what its file system states of it. Raises BagError."""
+    """Return the SHA-256 of a local bag, or of the checksums that a remote file system gives. Raises BagError."""
     if not isinstance(bag, Url):
         return digest(bag, BagError)
     try:
