@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
@@ -24,9 +25,8 @@ NO_JOINT_STATE = "no joint state"
 class TimeSeries:
     """Assessments at `time` (m,) [s] since `start_ns`; unknown values are NaN. Speeds [m/s], masses [kg].
 
-    `reasons` holds the reason of each verdict that differs from the one before, by index, `places` its body region and
-    the joint positions by name, and `mass_models` counts the
-    models of the masses with their reasons.
+    Where the verdict changes, `reasons` holds its reason by index, and `places` its body region and the joint positions
+    by name. `mass_models` counts the mass models with the reasons for them.
     """
 
     start_ns: int
@@ -78,7 +78,7 @@ class Episode(NamedTuple):
 
 
 class TimeSeriesBuilder:
-    """Collects the assessments of one contact point: 72 bytes each, so an hour at 1 kHz takes 260 MB."""
+    """Collects the assessments of one contact point; each takes 72 bytes, an hour at 1 kHz 260 MB."""
 
     def __init__(self) -> None:
         """Start empty."""
@@ -167,12 +167,14 @@ def intervals(series: TimeSeries, timeout: float) -> Iterator[Episode]:
         return
     silent = np.diff(time) > timeout
     starts = [0, *(np.flatnonzero(silent | (np.diff(verdict) != 0)) + 1).tolist()]
+    changes = sorted(series.reasons)
     for start, stop in zip(starts, [*starts[1:], len(time)], strict=True):
         end = float(time[min(stop, len(time) - 1)])
         last = min(end, float(time[stop - 1]) + timeout)
         margins = series.margin[start:stop]
         min_margin = NAN if np.isnan(margins).all() else float(np.nanmin(margins))
-        changed = max((index for index in series.reasons if index <= start), default=0)
+        number = bisect_right(changes, start)
+        changed = changes[number - 1] if number else 0
         reason, place = series.reasons.get(changed, ""), series.places.get(changed, ("", {}))
         yield Episode(float(time[start]), last, Verdict(verdict[start]), min_margin, reason, *place)
         if end > last:
