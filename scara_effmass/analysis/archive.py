@@ -41,14 +41,14 @@ Compute = Callable[[FloatArray, FloatArray, FloatArray], tuple[ContactColumns, .
 
 
 def slow_reason(monitor: Monitor, velocities: RecordedVelocities | None) -> str:
-    """Return why the joint states are assessed one by one; empty if many at once."""
-    settings = monitor.settings
+    """Return why the joint states are assessed one by one; empty if many at once. The kernel serves both."""
+    kernel, settings = monitor.assessor.load_kernel(), monitor.settings
     slow = {
         "latch": settings.latch,
         "--velocity-bag": velocities is not None,
         "payload_topic": bool(settings.payload_topic),
     }
-    return next((name for name, is_used in slow.items() if is_used), "") or monitor.assessor.load_kernel()
+    return next((name for name, is_used in slow.items() if is_used), kernel)
 
 
 class _Source(NamedTuple):

@@ -25,6 +25,8 @@ from scara_effmass.wire.message_types import INERTIA
 from scara_effmass.wire.payload import decode_payload
 
 Names = tuple[str, ...]
+MANY = 10_000
+"""Joint states from which on the kernel saves more time than the start of numba takes."""
 
 _NO_PAYLOAD = (math.inf, "")
 _NO_VELOCITY = np.empty(0)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from scara_effmass.analysis.assessed_states import AssessedStates, batch_size
 from scara_effmass.analysis.assessment import (
+    MANY,
     ClockSkew,
     RecordedVelocities,
     Time,
@@ -32,9 +33,6 @@ from scara_effmass.errors import SettingsError
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
-
-MANY = 50_000
-"""Joint states from which on it is faster to assess many at once, the start of numba included."""
 
 MAX_WAITING = 1
 """Most batches that wait for the writer."""

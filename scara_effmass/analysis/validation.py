@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from scara_effmass.analysis.assessment import AssessedState, Time, assess_joint_states, joint_state_topic
+from scara_effmass.analysis.assessment import MANY, AssessedState, Time, assess_joint_states, joint_state_topic
 from scara_effmass.analysis.recorded_run import (
     Measurement,
     file_measurements,
@@ -176,6 +176,7 @@ def _feed(
 ) -> ValidatedRecording:
     """Feed one recording, and the force in `force_path`, into monitor, detector and validator; return its contents."""
     states = joint_state_topic(bag, settings.topic)
+    count = next(topic.count for topic in bag.topics if topic.name == states)
     infos = tuple(run_infos(bag))
     recording = ValidatedRecording(bag.path, states, str(force_path), infos, any(info.simulated for info in infos))
     unreadable: Counter[str] = Counter()
@@ -185,14 +186,13 @@ def _feed(
         measured = measurements(bag, force, settings.force, unreadable)
     else:
         foreign = list(file_measurements(force_path, settings.force, unreadable))
-        measured = _on_joint_clock(foreign, bag, recording, Monitor(dynamics, settings.monitor), settings)
+        measured = _on_joint_clock(foreign, bag, recording, _new_monitor(dynamics, settings, count), settings)
     _set_runs(validator, settings, infos)
     detector = Detector(settings.detection)
-    share = 1.0 / next(topic.count for topic in bag.topics if topic.name == states)
-    force_ns = 0
+    share, force_ns = 1.0 / count, 0
     records: tuple[Iterator[AssessedState | Measurement], ...] = (
         measured,
-        assess_joint_states(bag, states, Monitor(dynamics, settings.monitor), settings.time),
+        assess_joint_states(bag, states, _new_monitor(dynamics, settings, count), settings.time),
     )
     for item in merge(*records, key=lambda record: record.log_time_ns):
         if isinstance(item, AssessedState):
@@ -215,6 +215,14 @@ def _feed(
     undecoded = (f"{line} ({count} times)" if count > 1 else line for line, count in unreadable.items())
     recording.losses = (*bag.losses, *undecoded)
     return recording
+
+
+def _new_monitor(dynamics: RobotDynamics, settings: ValidationSettings, count: int) -> Monitor:
+    """Return a monitor for `count` joint states."""
+    monitor = Monitor(dynamics, settings.monitor)
+    if count >= MANY:
+        monitor.assessor.load_kernel()
+    return monitor
 
 
 def _impacts(detector: Detector, value: ForceBlock | Impact) -> Sequence[Impact]:

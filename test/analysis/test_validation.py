@@ -3,7 +3,7 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -19,6 +19,7 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
+from scara_effmass.kernel import jit
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
@@ -34,6 +35,8 @@ from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE, R
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
 from scara_effmass.wire.topics import RECORDING_INFO
 from test.bags.messages import header, message, serialized
+
+NUMBERS = ("predicted_force", "measured_force", "effective_mass", "reduced_mass", "speed", "region_force", "gain")
 
 
 class Altered(Protocol):
@@ -82,6 +85,24 @@ def test_result_equals_direct_use_of_the_validator(
 ) -> None:
     # As text, in which NaN equals itself.
     assert repr(validation.result) == repr(result_of_cores(campaign, dynamics))
+
+
+def test_long_recordings_use_the_kernel_with_the_same_result(
+    campaign: list[Path], dynamics: RobotDynamics, validation: Validation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monitors: list[Monitor] = []
+
+    def new_monitor(of: RobotDynamics, settings: MonitorSettings) -> Monitor:
+        monitors.append(Monitor(of, settings))
+        return monitors[-1]
+
+    monkeypatch.setattr("scara_effmass.analysis.validation.MANY", 1)
+    monkeypatch.setattr("scara_effmass.analysis.validation.Monitor", new_monitor)
+    impacts = validate(campaign, dynamics, SETTINGS).result.impacts
+    assert [monitor.assessor.why_not for monitor in monitors] == [jit.WHY_NOT] * len(campaign)
+    for impact, expected in zip(impacts, validation.result.impacts, strict=True):
+        numbers = [asdict(one)[name] for one in (impact, expected) for name in NUMBERS]
+        assert numbers[: len(NUMBERS)] == pytest.approx(numbers[len(NUMBERS) :], rel=1e-9)
 
 
 def test_campaign_reproduces_the_trends_of_the_paper(validation: Validation) -> None:
