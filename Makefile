@@ -38,10 +38,10 @@ setup: .venv/.installed  ## make .venv: install the locked requirements, build t
 demo: setup  ## run all nodes on the simulated cell and write a report
 	$(BIN)/scara-effmass demo --force
 
-test: lint  ## run lint, types and all tests
+test: .venv/.caches lint  ## run lint, types and all tests
 	$(PYTEST)
 
-check: lint  ## run lint, types and the tests without DDS and processes
+check: .venv/.caches lint  ## run lint, types and the tests without DDS and processes
 	$(PYTEST) -m "not live"
 
 lint: setup  ## run ruff and mypy
@@ -117,6 +117,12 @@ clean:  ## remove all generated files
 	@find scara_effmass -name '*.py' | sort > $@.new
 	@cmp -s $@.new $@ && rm $@.new || mv $@.new $@
 FORCE:
+
+# What mypy and pytest compile once, at the same time: else one core waits for mypy, and then each test process compiles
+# all tests.
+.venv/.caches: .venv/.installed
+	@echo "preparing mypy and the tests"
+	@$(BIN)/mypy > /dev/null & $(BIN)/pytest --collect-only --quiet > /dev/null; wait; touch $@
 
 .venv/.installed: .venv/.requirements .venv/.modules pyproject.toml package.xml setup.py \
 		$(shell find cmake msg_schemas scripts -type f) $(shell sed -n 's/^    "\(scara_effmass\/.*\.py\)",$$/\1/p' setup.py)
