@@ -33,18 +33,18 @@ from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import ZERO_VECTOR, FloatArray, Vector3
 
 BLOCK = 64
-"""Joint states whose rows are turned into columns together: they stay in the first cache."""
+"""Number of joint states whose rows are turned into columns together: few enough for the first-level cache."""
 
 
 def why_not(robot: Robot) -> str:
-    """Return why the kernel does not serve for `robot`, empty if it does."""
+    """Return why the kernel cannot be used for `robot`, empty if it can."""
     if robot.model.nv > MAX_JOINTS:
         return f"the compiled kernel is for at most {MAX_JOINTS} joints, the robot has {robot.model.nv}"
     return jit.WHY_NOT
 
 
 class SingleState(NamedTuple):
-    """Memory of one joint state: `write` q, qd and tolerances of qd, all in one, `run`, and read the `rows`.
+    """Memory of one joint state: `write` q, qd and the tolerances of qd in one call, `run`, and read the `rows`.
 
     `rows` are the bytes of P rows, as `records.Row` has them.
     """
@@ -141,7 +141,7 @@ class ContactKernel:
         self._points = len(points)
 
     def _direction(self, vector: Vector3 | None, name: str) -> tuple[int, FloatArray]:
-        """Return a joint, -1 for the base, and the `vector` of the frame `name` in its axes."""
+        """Return the joint that carries the frame `name`, -1 for the base, and `vector` in the axes of that joint."""
         model = self._dynamics.robot.model
         if vector is None or name in {"", self._dynamics.robot.base_frame}:
             return -1, np.array(vector or ZERO_VECTOR)
@@ -159,7 +159,7 @@ class ContactKernel:
         return columns
 
     def single_state(self) -> SingleState:
-        """Return memory for one joint state after the other."""
+        """Return memory for assessing one joint state after another."""
         joints = self._dynamics.robot.model.nv
         state, rows = np.zeros((1, 3, joints)), self._new_rows(1)
         run = partial(assess, state, *self._arrays, rows, np.zeros(WORK.itemsize, np.uint8))
@@ -174,7 +174,7 @@ class ContactKernel:
 
 
 def _bytes(records: Sequence[Any]) -> ByteArray:
-    """Return the bytes of `records`, all of one class; shorter arrays fill the first entries."""
+    """Return the bytes of `records`, all of one class; an array shorter than its field fills the first entries."""
     array = np.zeros(len(records), dtype_of(type(records[0])))
     for entry, record in zip(array, records, strict=True):
         for name in array.dtype.names or ():

@@ -22,9 +22,9 @@ except ImportError:
 def compiled(function: Function) -> Function:
     """Return `function` compiled at its first call, with the arithmetic of IEEE: fast-math breaks checks of NaN.
 
-    It must not make arrays, only write into those of its arguments: then numba counts no references, which costs time.
+    It must not make arrays, only write into its arguments: then numba need not count references, which costs time.
     """
-    global WHY_NOT  # noqa: PLW0603 - found out when numba looks for its cache
+    global WHY_NOT  # noqa: PLW0603 - known only when numba looks for its cache
     if numba is None:
         return function
     options = {"nogil": True, "error_model": "numpy", "_nrt": False}

@@ -39,14 +39,14 @@ from scara_effmass.values import (
 TRIALS = 24
 """Number of joint states at which the kernel must agree with the reference before it is used."""
 AGREEMENT = 1e-10
-"""Tolerance of that agreement; not met where the reference cancels, as for tiny inertias."""
+"""Tolerance of that agreement. Where terms of the reference cancel, as for tiny inertias, rounding exceeds it."""
 CHECK_INTERVAL = 2000
-"""Number of joint states of which one is assessed by kernel and reference.
+"""Number of joint states of which one is assessed by kernel and reference, to compare them.
 
-That takes 160 us, as the caches are cold: 2 % of the cycles, and seldom enough to leave the 99.9th percentile alone.
+That takes 160 us, because the caches are cold: 2 % of the cycles, and too rare to change the 99.9th percentile.
 """
 SINGULAR = 1e-6
-"""Tolerance of that check where the smallest singular value is below it, and the numbers that are left cancel."""
+"""Tolerance of that check where the smallest singular value is below it: there the leading digits cancel."""
 CANCELLED = 1e-5
 """Tolerance of that check with a servo or a clamped body part, whose bounds invert nearly singular matrices."""
 _LUMPED = (MassModel.LUMPED, MassModel.LARGEST, MassModel.AUTO)
@@ -59,7 +59,7 @@ _AXES: tuple[Vector3, ...] = tuple(
 
 
 class ContactAssessor:
-    """Assesses the contact points of a robot at joint states, each by itself: no history, no debouncing."""
+    """Assesses the contact points of a robot at one joint state at a time: no history, no debouncing."""
 
     def __init__(
         self, dynamics: RobotDynamics, settings: MonitorSettings, speed_limits: SpeedLimits | None = None
@@ -83,7 +83,7 @@ class ContactAssessor:
         self._normal_text = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._test_direction = settings.fixed_test_direction
         self._normal_is_known = settings.contact_normal != "worst"
-        # Along the velocity the bound is that of the paper and of the standard, in the pose of the first touch.
+        # Along the velocity, the bound is that of the paper and of the standard: the pose is that of the first touch.
         choices = {} if settings.contact_normal == "velocity" else {"lumped": _LUMPED, "full": _FULL}
         self._changes = [name for name, choice in choices.items() if settings.effective_mass_model in choice]
         self._drives_push = settings.drives is Drives.SERVO
@@ -143,10 +143,10 @@ class ContactAssessor:
         age: float,
         delay: float,
     ) -> list[ContactAssessment] | str:
-        """Return what `assess` does, with numbers from the kernel after a `load_kernel` that found it to agree.
+        """Return what `assess` returns, computed by the kernel once `load_kernel` has found it to agree.
 
-        Every CHECK_INTERVAL joint states the two are compared. If they disagree it returns in what, and the kernel is
-        not used again.
+        Every CHECK_INTERVAL joint states the two are compared. If they disagree, this returns a text that names the
+        field, and the kernel is not used again.
         """
         if self._run is None:
             return self.assess(q, qd, velocity_tolerance, stamp_ns, age, delay)
@@ -216,7 +216,7 @@ class ContactAssessor:
         return contact
 
     def _labels_of(self, codes: bytes) -> tuple[Any, ...]:
-        """Return region, criterion, verdict, worst_direction_used, mass_capped, mass model and why; has it a reason."""
+        """Return region, criterion, verdict, worst_direction_used, mass_capped, model and why, has_reason."""
         used, capped, verdict, region, criterion, model, why, error, remark = map(int, self._unpack_codes(codes))
         texts = self._reasons
         return (
@@ -231,7 +231,7 @@ class ContactAssessor:
         )
 
     def compute(self, q: FloatArray, qd: FloatArray, velocity_tolerance: FloatArray) -> tuple[ContactColumns, ...]:
-        """Return the columns of each contact point at N joint states, from the kernel where it is there.
+        """Return the columns of each contact point at N joint states, from the kernel where it is available.
 
         `q`, `qd` and `velocity_tolerance` are (N, n) and as in `assess`.
         """
@@ -251,9 +251,9 @@ class ContactAssessor:
         )
 
     def load_kernel(self) -> str:
-        """Compile or load the kernel for `compute`; return why `assess` does its work instead, empty if it does not.
+        """Compile or load the kernel. Return why `assess` has to replace it, empty if the kernel is used.
 
-        The kernel must agree with `assess` at TRIALS joint states; a stale cache or a wrong compiler ends here.
+        The kernel must agree with `assess` at TRIALS joint states, which reveals a stale cache or a faulty compiler.
         """
         if self.why_not is None:
             try:
@@ -274,7 +274,7 @@ class ContactAssessor:
         return ""
 
     def _disagreement(self) -> str:
-        """Return in what the kernel disagrees with `assess`, empty if in nothing."""
+        """Return where the kernel disagrees with `assess`, empty if nowhere."""
         q = self.dynamics.robot.sample_configurations(TRIALS)
         # Some at rest, fast ones, and each joint in both directions.
         qd = (
@@ -521,8 +521,8 @@ class ContactAssessor:
     def _holding_force(self, models: list[ModelMass], masses: EffectiveMasses, q: FloatArray, index: int) -> float:
         """Return the contact force [N] up to which no joint reaches its effort limit.
 
-        Above it computed torque no longer holds: saturated joints yield, the others push on, and the arm can hit again,
-        faster. Along a fixed normal, else along the velocity and the worst normal; any axis at rest.
+        Above it, computed torque no longer holds: saturated joints yield, the others push on, and the arm can hit
+        again, faster. The force acts along a fixed normal, else the velocity and the worst normal; at rest, any axis.
         """
         settings, velocity = self.settings, masses.direction
         if settings.fixed_normal is not None:
@@ -537,7 +537,7 @@ class ContactAssessor:
 
 
 def _difference(contact: ContactAssessment, expected: ContactAssessment, tolerance: float) -> str:
-    """Return the first field of `contact` that is not the `expected` one, empty if none, without the reason."""
+    """Return the first field, other than the reason, in which `contact` differs from `expected`; empty if none."""
     if expected.smallest_singular_value < SINGULAR:
         tolerance = max(tolerance, SINGULAR)
     for field in ContactAssessment._fields:

@@ -6,11 +6,11 @@ from typing import Final
 from scara_effmass.values import Verdict
 
 OK: Final = Verdict.OK
-"""The verdicts of the hot path are constants: mypyc looks up an attribute of another module in dictionaries."""
+"""A constant, as are those below, because mypyc looks up attributes of other modules in dictionaries: hot path."""
 UNKNOWN: Final = Verdict.UNKNOWN
 VIOLATION: Final = Verdict.VIOLATION
 HELD = "held after: "
-"""Prefix of the reason of a verdict that an earlier joint state had."""
+"""Prefix of the reason of a verdict that is held from an earlier joint state."""
 _SEVERITY = {Verdict.OK: 0, Verdict.WARN: 1, Verdict.VIOLATION: 2, Verdict.UNKNOWN: 3}
 _WORST_FIRST = (Verdict.UNKNOWN, Verdict.VIOLATION, Verdict.WARN)
 

@@ -30,7 +30,7 @@ class JointStateAdapter:
     """
 
     def __init__(self, joints: tuple[str, ...], settings: MonitorSettings) -> None:
-        """Expect the joints of a robot. Raises SettingsError for a `joint_map` or `joint_names` without them."""
+        """Expect the `joints` of a robot. Raises SettingsError for a `joint_map` or `joint_names` that miss them."""
         self._joints = joints
         self._map, self._joint_names = settings.joint_renames, settings.joint_names
         self._samples: deque[tuple[int, FloatArray]] = deque()
@@ -68,13 +68,13 @@ class JointStateAdapter:
         self.velocity_change = [0.0] * len(self._joints)
 
     def names_of(self, reported: tuple[str, ...]) -> tuple[str, ...] | str:
-        """Return the names of the robot for the `reported` ones, or why they are not clear."""
+        """Return the robot's names for the `reported` ones, or why these are ambiguous."""
         if reported is not self._reported_names:
             self._reported_names, self._names = reported, self._renamed(reported or self._joint_names)
         return self._names
 
     def positions(self, state: JointState) -> FloatArray | str:
-        """Return the positions (n,) of the robot's joints in `state` [rad, m], or why they are not clear."""
+        """Return the positions (n,) of the robot's joints in `state` [rad, m], or why there are none."""
         names = self.names_of(state.names)
         missing = [joint for joint in self._joints if joint not in names]
         if isinstance(names, str) or missing:
@@ -85,9 +85,9 @@ class JointStateAdapter:
         return q if np.isfinite(q).all() else "a position is not finite"
 
     def adapt(self, state: JointState) -> JointState | str:
-        """Return `state` with the robot's names and its velocity, or why its names are not clear.
+        """Return `state` with the robot's names and the velocity of the settings, or why its names are ambiguous.
 
-        Without enough positions, a velocity from positions is empty.
+        A velocity from positions is empty while there are too few positions.
         """
         names = self.names_of(state.names)
         if isinstance(names, str):
@@ -114,7 +114,7 @@ class JointStateAdapter:
             self.velocity_change = [0.0] * len(self._joints)
             return JointState(stamp_ns, names, state.position, _NO_VELOCITY if self._from_positions else state.velocity)
         stacked = np.array([sample for _, sample in samples])
-        with np.errstate(over="ignore", invalid="ignore"):  # the validator refuses what is not finite
+        with np.errstate(over="ignore", invalid="ignore"):  # the validator refuses numbers that are not finite
             if self._from_positions:
                 # At constant acceleration, the slope over the newer half lags half as much.
                 half = min(len(samples) // 2, len(samples) - 2)

@@ -36,7 +36,7 @@ LAG_MEMORY_S = 10.0
 LAG_PRIOR = 0.01
 """Excitation [rad2/s] at which half of the maximum lag remains as uncertainty of the estimate."""
 LAG_EVIDENCE = 1.0
-"""Excitation [rad2/s] at which half of the estimated lag explains an error: a wrong size looks like a lag at first."""
+"""Excitation [rad2/s] at which half of the estimated lag explains an error: at first, a wrong size looks like a lag."""
 RECENT_S = 0.1
 """Shortest time [s] within which the error of a joint is taken to have arisen."""
 MAX_EXCESS = 1.5
@@ -129,9 +129,9 @@ class JointStateValidator:
         self._max_lag = settings.max_velocity_lag
 
     def take_clock_step(self, step_ns: int) -> None:
-        """Take a step of a simulated clock [ns]: stamps may lead a clock by it that stands still between two steps.
+        """Take the step [ns] of a simulated clock. Stamps may lead it by a step, because it stands still in between.
 
-        The second largest of the last CLOCK_STEPS counts, as one alone may be a jump.
+        The second largest of the last CLOCK_STEPS counts, because a single large one may be a jump.
         """
         self._clock_steps = [*self._clock_steps[1:], step_ns]
         self._allow_future()
@@ -147,12 +147,10 @@ class JointStateValidator:
 
     def take_command(self, command: JointState, now_ns: int) -> None:
         """Take the positions that the controller commanded at `now_ns`; a command without all joints is ignored."""
-        layout = self._joint_indices(command.names)
-        if isinstance(layout, (str, OtherDevice)) or len(command.position) != len(command.names):
-            return
-        q = command.position if layout is None else command.position[layout]
-        self._command = q.tolist()
-        self._command_ns = now_ns
+        order = self.joint_order(command.names)
+        if order is not None and len(command.position) == len(command.names):
+            self._command = command.position[order].tolist()
+            self._command_ns = now_ns
 
     def reset(self) -> None:
         """Discard the history of joint states, as after a jump of the clock."""
@@ -179,13 +177,13 @@ class JointStateValidator:
         return ComparedMotion(self.last_stamp_ns, self._observed_ns, np.array(self._comparisons), evidence)
 
     def agree(self, memory: ComparedMotion) -> None:
-        """Continue after joint states that agreed, whose comparison left `memory`."""
+        """Continue with the `memory` that the comparison of later joint states left, which agreed."""
         self.last_stamp_ns, self._observed_ns = memory.last_stamp_ns, memory.observed_ns
         self._comparisons = [(a, b, c, d, e, f) for a, b, c, d, e, f in memory.comparisons.tolist()]
         self._lag_correlation, self._lag_excitation = memory.lag_evidence.tolist()
 
     def joint_order(self, names: tuple[str, ...]) -> IndexArray | None:
-        """Return the indices of the robot's joints in `names`, None where these are refused or of another device."""
+        """Return the indices of the robot's joints in `names`, None if these are invalid or of another device."""
         order = self._joint_indices(names)
         if isinstance(order, (str, OtherDevice)):
             return None
@@ -215,7 +213,7 @@ class JointStateValidator:
     def _command_error(self, positions: list[float], now_ns: int) -> str:
         """Return why the latest command contradicts `positions`, or an empty string.
 
-        Positions and velocities that freeze together, or joints that are exchanged in both, contradict nothing else.
+        Nothing else reveals positions and velocities that freeze together, or joints that are exchanged in both.
         """
         if not self._command:
             return "no joint command yet"
@@ -371,7 +369,7 @@ class JointStateValidator:
         """Return which joint reads a velocity of exactly zero that its position has not confirmed, or an empty string.
 
         A joint that moved farther than the comparison tolerates, in agreement with its velocity, shows that velocities
-        are reported: then zeros are confirmed. Of a joint that lies, the comparison tells.
+        are reported: then zeros are confirmed. The comparison finds a joint whose velocity is wrong.
         """
         moves = any(
             v != 0.0 and abs(x - first_x) > tolerance * WINDOW_S

@@ -42,8 +42,8 @@ class Cause(NamedTuple):
 class Admitted(NamedTuple):
     """The motion in a joint state, None if it is refused for `reason`.
 
-    The `reason` of a valid motion is why UNKNOWN is held from it on, empty without a gap before it. `age` and the
-    `delay` of the velocity are in [s].
+    With a motion, `reason` names the gap before it, from which on UNKNOWN is held; it is empty without a gap. `age` and
+    the `delay` of the velocity are in [s].
     """
 
     motion: Motion | None
@@ -77,7 +77,7 @@ class Monitor:
         self.rejected = 0
         self.ignored = 0
         self.kernel_fault = ""
-        """In what the kernel disagreed with the reference, which alone computes from then on; empty if in nothing."""
+        """Where the kernel disagreed with the reference, which works alone since then; empty if nowhere."""
         topic = settings.payload_topic
         self._payload: Payload | None = None
         self.payload_reason = f"no payload on {topic} yet" if topic else ""
@@ -121,7 +121,7 @@ class Monitor:
 
     @property
     def lacks_kernel(self) -> bool:
-        """Whether nobody has tried to load the kernel of `assessor`, nor has one failed."""
+        """Whether the kernel of `assessor` has yet to be loaded, and none has failed before."""
         return self.assessor.why_not is None and not self.kernel_fault
 
     @property
@@ -168,9 +168,9 @@ class Monitor:
             self.validator.take_command(command._replace(names=names), now_ns)
 
     def take_payload(self, payload: Payload | str) -> None:
-        """Count `payload` of `payload_topic` from the next joint state on.
+        """Use the `payload` of `payload_topic` from the next joint state on.
 
-        UNKNOWN follows from an impossible payload, and from a text that says why it is unknown.
+        An impossible payload gives UNKNOWN, and so does a text that says why the payload is unknown.
         """
         if isinstance(payload, str):
             self.payload_reason = payload

@@ -32,8 +32,8 @@ def agreeing_states(
 ) -> FloatArray:
     """Return the velocity tolerances (m, n) of the leading joint states that `validator` accepts without a doubt.
 
-    `q` and `qd` (N, n) are in the model's joint order. The validator continues after these m joint states, and has to
-    judge the next one itself, which may be valid, too.
+    `q` and `qd` (N, n) are in the model's joint order. The validator continues after these m joint states, and must
+    itself judge the next one, which may be valid as well.
     """
     memory = validator.agreement()
     tolerances = np.empty_like(q)

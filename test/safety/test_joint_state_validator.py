@@ -500,6 +500,21 @@ class TestVelocityAgainstPosition:
         assert np.nanmax(tolerances[:500]) > 0.2
         assert np.nanmax(tolerances[8000:]) < 0.15
 
+    def test_lag_is_forgotten_over_ten_seconds(self, scara: RobotDynamics) -> None:
+        validator = JointStateValidator(scara.robot)
+        validator.apply(MonitorSettings())
+        evidence = {}
+        for i in range(2300):
+            q, qd, _ = sweep(min(i, 300) / 100, 0.02)
+            now = NOW + 10 * i * MS
+            validator.validate(state(now, position=q, velocity=qd if i < 300 else 0.0 * qd), now)
+            if i in {1299, 2299}:  # at rest, 10 s apart
+                memory = validator.agreement()
+                assert memory is not None
+                evidence[i] = memory.lag_evidence
+        assert min(evidence[1299]) > 0.0
+        np.testing.assert_allclose(evidence[2299] / evidence[1299], math.exp(-1.0), rtol=1e-3)
+
 
 class TestCommands:
     """The controller's commands reveal lies in which positions and velocities agree."""
