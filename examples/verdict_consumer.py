@@ -26,7 +26,7 @@ from scara_effmass_msgs.msg import ContactState
 
 
 class VerdictConsumer(Node):
-    """Follows `contact_state`; stops on UNKNOWN, VIOLATION, an old stamp, a missed deadline or a lost monitor."""
+    """Follows `contact_state`; stops on UNKNOWN, VIOLATION, an old stamp, silence or a lost monitor."""
 
     def __init__(
         self, timeout_s: float, on_change: Callable[[float, str], None], max_age_s: float | None = None
@@ -41,9 +41,12 @@ class VerdictConsumer(Node):
         self._on_change = on_change
         self._speeds: dict[str, tuple[float, str]] = {}
         """Allowed speed of each contact point [m/s], and the reason if it is 0."""
+        self._received_s: dict[str, float] = {}
+        """Time of the last message of each contact point."""
         self._limit: tuple[float, str] | None = None
         # The monitor offers twice its timeout. A shorter request does not match, and then nothing arrives.
-        deadline = Duration(seconds=2.0 * timeout_s)
+        self._deadline_s = 2.0 * timeout_s
+        deadline = Duration(seconds=self._deadline_s)
         qos = QoSProfile(
             depth=10,
             deadline=deadline,
@@ -58,21 +61,28 @@ class VerdictConsumer(Node):
         self._stop("no contact state yet")
 
     def _on_contact_state(self, state: ContactState) -> None:
+        name, now_s = state.contact_point, time.monotonic()
+        if not name or "" in self._speeds:  # the monitor has no robot, or gets one: earlier contact points are void
+            self._speeds.clear()
         age = self.get_clock().now() - Time.from_msg(state.header.stamp, clock_type=self.get_clock().clock_type)
         is_permissive = state.verdict in {ContactState.OK, ContactState.WARN} and state.allowable_speed > 0.0
         if not is_permissive:
-            limit = 0.0, f"{state.contact_point}: {state.reason}"
+            limit = 0.0, f"{name}: {state.reason}"
         elif age > self._max_age:  # a queue or a network delayed it
-            limit = 0.0, f"{state.contact_point}: the state is {age.nanoseconds / 1e9:.3f} s old"
+            limit = 0.0, f"{name}: the state is {age.nanoseconds / 1e9:.3f} s old"
         else:
             limit = state.allowable_speed, ""
         # Each joint state gives one message per contact point, and all points must allow a speed.
-        self._speeds[state.contact_point] = limit
+        self._speeds[name], self._received_s[name] = limit, now_s
+        for point in self._speeds:  # the deadline is that of the topic: another contact point can meet it
+            if now_s - self._received_s[point] > self._deadline_s:
+                self._speeds[point] = 0.0, f"{point}: no contact state"
         self._change(*min(self._speeds.values()))
 
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
         if event.alive_count == 0:
             self._stop("liveliness lost")
+            self._speeds.clear()  # the next monitor may have other contact points
 
     def _stop(self, reason: str) -> None:
         # Each contact point has to report again before the robot may move.

@@ -192,6 +192,10 @@ class MonitorNode(LifecycleBase):
         if self._settings.command_tolerance:
             monitor.expect_commands(self._settings.command_tolerance)
         with self._monitor_lock:
+            if self._encoders and self._encoders.keys() != set(dynamics.contact_points):
+                # Else consumers would wait for the contact points of the robot before.
+                reason = "the contact points change with the robot_description"
+                self._publish(unknown_decision(reason, self.now_ns(), watchdog=True))
             self._drop_monitor()
             monitor.first_cause, monitor.kernel_fault = self._first_cause, self._kernel_fault
             self._monitor = monitor

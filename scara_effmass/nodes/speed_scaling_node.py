@@ -115,12 +115,13 @@ class SpeedScalingNode(LifecycleBase):
 
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
         if event.alive_count == 0:
-            self._stop("liveliness of the monitor lost")
+            self._stop("liveliness of the monitor lost", is_lost=True)
 
-    def _stop(self, reason: str) -> None:
+    def _stop(self, reason: str, *, is_lost: bool = False) -> None:
+        """Publish 0; `is_lost`: the next monitor may have other contact points."""
         with self._lock:
             if self._publishing:
-                self._scaler.stop(reason)
+                (self._scaler.forget if is_lost else self._scaler.stop)(reason)
                 self._send()
 
     def _publish(self) -> None:

@@ -56,6 +56,7 @@ REMEDIES: dict[str, str] = {
     "no mass behind": ROBOT_FILE,
     "no robot_description": "start robot_state_publisher, or give the robot file by `--robot`",
     "robot_description: …": ROBOT_FILE,
+    "the contact points change": "wait for the next joint state, which is assessed with the new robot",
     "the compiled kernel disagrees": "report it; the monitor goes on with Pinocchio alone, or start it again",
     "the assessment": "free the machine of other load, or assess fewer contact points",
     "the monitor was deactivated": "activate the monitor",

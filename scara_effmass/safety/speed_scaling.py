@@ -24,7 +24,8 @@ class SpeedScaler:
     """Turns contact states into a factor from 0 to 1, which falls at once and rises slowly.
 
     It is 0 before the first contact state, and while the last one of any contact point is UNKNOWN, allows nothing, was
-    too old or does not come.
+    too old or does not come. A contact point counts until `forget`, or until the monitor publishes a state without a
+    contact point: it has no robot, or gets another one.
     Times are steady, in [ns], and do not decrease.
     """
 
@@ -48,11 +49,15 @@ class SpeedScaler:
         self._factor = 0.0
 
     def stop(self, reason: str) -> None:
-        """Make the factor 0 until the next valid contact state."""
-        self.reason = reason
+        """Make the factor 0 until each contact point has a valid contact state again."""
+        self.reason, self._factor = reason, 0.0
+        self._bounds = {name: (taken_ns, 0.0) for name, (taken_ns, _) in self._bounds.items()}
+        self._refusals = dict.fromkeys(self._bounds, reason)
+
+    def forget(self, reason: str) -> None:
+        """Make the factor 0 until the next valid contact state, of whatever contact point."""
         self._bounds.clear()
-        self._refusals.clear()
-        self._factor = 0.0
+        self.stop(reason)
 
     def take(self, contact: ContactAssessment, now_ns: int, age_ns: int = 0) -> bool:
         """Take a contact state that was received at `now_ns`, `age_ns` after its joint state was measured.
@@ -60,6 +65,8 @@ class SpeedScaler:
         Return whether the factor falls, which should be sent at once.
         """
         name, speed, allowable_speed = contact.contact_point, contact.speed, contact.allowable_speed
+        if name not in self._bounds and (not name or "" in self._bounds):
+            self.forget("")
         refusal = ""
         if contact.verdict is Verdict.UNKNOWN or not (0.0 <= speed < math.inf and 0.0 < allowable_speed < math.inf):
             refusal = contact.reason or "no speed is allowed"
@@ -67,7 +74,7 @@ class SpeedScaler:
             refusal = f"the state is {age_ns / 1e9:.3f} s old"
         self._refusals.pop(name, None)
         if refusal:
-            self._refusals[name] = f"{name}: {refusal}"
+            self._refusals[name] = f"{name}: {refusal}".removeprefix(": ")
             self._bounds[name], self._factor = (now_ns, 0.0), 0.0
         elif speed == 0.0 or contact.worst_direction_used:  # at rest, which says nothing about the programmed speed
             self._bounds[name] = (now_ns, 1.0)
@@ -80,9 +87,10 @@ class SpeedScaler:
 
     def factor(self, now_ns: int) -> float:
         """Return the factor to send at `now_ns`."""
-        for name, (taken_ns, _) in list(self._bounds.items()):
-            if now_ns - taken_ns > 2 * self.timeout_ns:
-                self.stop(f"{name}: no contact state for {(now_ns - taken_ns) / 1e9:.3f} s")
+        for name, (taken_ns, _) in self._bounds.items():
+            if now_ns - taken_ns > 2 * self.timeout_ns and name not in self._refusals:
+                self._refusals[name] = f"{name}: no contact state for {(now_ns - taken_ns) / 1e9:.3f} s"
+                self._bounds[name], self._factor = (taken_ns, 0.0), 0.0
         if self._bounds:
             self.reason = next(iter(self._refusals.values()), "")
             sent_ns, sent = self._sent[-1]

@@ -430,6 +430,11 @@ class TestRobotDescription:
         assert (invalid.verdict, invalid.contact_point, invalid.allowable_speed) == (ContactState.UNKNOWN, "", 0.0)
         descriptions.publish(String(data=TWO_LINKS))
         assert contact_of("").verdict == ContactState.OK
+        # Consumers must not wait for contact points of the robot before, nor count their last states.
+        descriptions.publish(String(data=TWO_LINKS.replace("hand", "flange")))
+        announced = contact_of("the contact points change")
+        assert (announced.verdict, announced.contact_point, announced.watchdog) == (ContactState.UNKNOWN, "", True)
+        assert contact_of("").contact_point == "flange"
         # A volatile publisher does not match a transient-local subscription.
         harness.node.create_publisher(String, "robot_description", 1)
         assert "a publisher of robot_description cannot be connected: its DURABILITY" in harness.diagnostic(

@@ -167,6 +167,13 @@ def test_consumer_moves_again_only_after_a_permissive_state_of_every_contact_poi
         spin_until((0.0, "tool: why"), ("tool", ContactState.OK, math.nan))
         spin_until((0.2, ""), tool, elbow)
         spin_until((0.0, "tool: why"), ("tool", 9, 0.3))
+        spin_until((0.2, ""), tool, elbow)
+        # The other contact point keeps the deadline of the topic.
+        spin_until((0.0, "tool: no contact state"), elbow)
+        spin_until((0.2, ""), tool, elbow)
+        # The monitor loses its robot and gets one with another contact point.
+        spin_until((0.0, ": why"), ("", ContactState.UNKNOWN, 0.0))
+        spin_until((0.4, ""), ("flange", ContactState.OK, 0.4))
         executor.shutdown()
         consumer.destroy_node()
     finally:

@@ -95,9 +95,41 @@ def test_tightest_contact_point_decides_and_none_may_fall_silent() -> None:
     scaler.take(state(0.3, 0.6), silent_ns)
     assert scaler.factor(silent_ns) == 0.0
     assert scaler.reason == "elbow: no contact state for 0.400 s"
-    # A contact point that never comes again does not hold the factor of the others.
-    scaler.take(state(0.0, 0.6), silent_ns + PERIOD_NS)
-    assert scaler.factor(silent_ns + 2 * PERIOD_NS) > 0.0
+    # The other contact point does not release it, until this one comes again.
+    for now_ns in range(silent_ns, silent_ns + 3 * TIMEOUT_NS, PERIOD_NS):
+        scaler.take(state(0.0, 0.6), now_ns)
+        assert scaler.factor(now_ns) == 0.0
+        assert scaler.reason == "elbow: no contact state for 0.400 s"
+    scaler.take(state(0.0, 0.3, "elbow"), now_ns)
+    assert scaler.factor(now_ns + PERIOD_NS) > 0.0
+    assert scaler.reason == ""
+
+
+def test_after_a_stop_each_contact_point_has_to_release_the_factor() -> None:
+    scaler, now_ns = released(rise_rate=100.0)
+    scaler.take(state(0.0, 0.3, "elbow"), now_ns)
+    scaler.stop("deadline of contact_state missed")
+    scaler.take(state(0.0, 0.6), now_ns + PERIOD_NS)
+    assert scaler.factor(now_ns + 2 * PERIOD_NS) == 0.0
+    assert scaler.reason == "deadline of contact_state missed"
+    scaler.take(state(0.0, 0.3, "elbow"), now_ns + 2 * PERIOD_NS)
+    assert scaler.factor(now_ns + 3 * PERIOD_NS) > 0.0
+
+
+def test_contact_points_count_until_the_monitor_has_another_robot_or_is_lost() -> None:
+    scaler, now_ns = released(rise_rate=100.0)
+    scaler.take(state(0.0, 0.0, "", Verdict.UNKNOWN), now_ns)
+    assert scaler.factor(now_ns) == 0.0
+    assert scaler.reason == "no speed is allowed"
+    for name in ("flange", "gripper"):
+        for _ in range(3 * TIMEOUT_NS // PERIOD_NS):  # longer than the contact point before may be silent
+            now_ns += PERIOD_NS
+            scaler.take(state(0.0, 1.0, name), now_ns)
+            scaler.factor(now_ns)
+        assert scaler.factor(now_ns) == 1.0
+        scaler.forget("liveliness of the monitor lost")
+        assert scaler.factor(now_ns) == 0.0
+        assert scaler.reason == "liveliness of the monitor lost"
 
 
 @given(
