@@ -41,15 +41,15 @@ START_SPREAD_S = 0.01
 CLOCK_SPREAD = 50e-6
 """Largest relative error of the converter clock."""
 RUN_SPACING_NS = 10_000_000_000
-"""From the start of one run to the start of the next."""
+"""Time from the start of one run to the start of the next."""
 PUBLISH_DELAY_NS = 1_000_000
-"""From the last sample of a block to its publication."""
+"""Time from the last sample of a block to its publication."""
 _VARIATION_STREAM = 6
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """Parameters: `repetitions` runs of each configuration with each obstacle mass [kg]."""
+    """Parameters of a campaign: `repetitions` runs of each configuration with each obstacle mass [kg]."""
 
     configurations: tuple[Configuration, ...] = CONFIGURATIONS
     obstacle_masses: tuple[float, ...] = OBSTACLE_MASSES
@@ -89,7 +89,7 @@ class Run(NamedTuple):
 
     @property
     def note(self) -> str:
-        """All settings of the run as text; recordings of the same run have the same note."""
+        """All settings of the run as text, by which a recording of the same run is recognized."""
         setup = self.setup
         settings = {
             "generator": "scara-effmass campaign",
@@ -131,9 +131,9 @@ class CampaignStep(NamedTuple):
 def run_campaign(folder: Path, campaign: Campaign, *, overwrite: bool = False) -> Iterator[CampaignStep]:
     """Record every run of `campaign` as a bag in `folder`; yield after each.
 
-    An existing recording of the same run is kept, so an interrupted campaign can be resumed; with `overwrite` all
-    runs are recorded again. The same versions of the libraries give the same bytes. Raises OutputError where
-    something else exists, or when the disk is full.
+    An existing recording of the same run is kept, so that an interrupted campaign can be resumed; with `overwrite` all
+    runs are recorded again. The same versions of the libraries give the same bytes. Raises OutputError if the bag of a
+    run exists and is not of that run, or if the disk is full.
     """
     for run in campaign.runs:
         path = folder / run.name
@@ -151,7 +151,7 @@ def run_campaign(folder: Path, campaign: Campaign, *, overwrite: bool = False) -
 
 
 def _recorded_note(path: Path) -> str | None:
-    """Return the note of the bag at `path`, None if it is not a complete recording of one run."""
+    """Return the note of the bag at `path`, or None if the bag is not a complete recording of one run."""
     try:
         with open_bag(path) as bag:
             notes = [info.note for _, info in run_infos(bag)]

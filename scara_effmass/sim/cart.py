@@ -9,7 +9,7 @@ from scara_effmass.values import Vector3
 
 UNIT_LENGTH_TOLERANCE = 1e-6
 VISCOUS_SPEED_MPS = 1e-3
-"""Guide friction is proportional to the speed below this, so that it vanishes at rest."""
+"""Speed below which guide friction is proportional to the speed, so that it vanishes at rest."""
 BRAKE_TIME_S = 0.05
 """Time constant of the brake."""
 LINEAR = 1.0
@@ -21,10 +21,10 @@ HERTZ = 1.5
 class Cart:
     """A cart on a guide, in the robot's base frame. Raises SettingsError for impossible values.
 
-    `tip` is the position of the tip at rest [m], `direction` the unit vector along the guide, away from the robot,
-    `mass` m_H, the whole sliding mass [kg]. The force cell sits between the tip and the rest of the cart: `tip_mass`
-    [kg] is in front of it. `surface` is the unit normal of the plate on the robot that the tip touches, None:
-    `direction`. `guide_friction` is in [N]. A brake behind `travel` [m] stops the cart smoothly.
+    `tip` is the position of the tip at rest [m], `direction` the unit vector along the guide, away from the robot, and
+    `mass` the whole sliding mass m_H [kg]. The force cell sits between the tip and the rest of the cart: `tip_mass`
+    [kg] is in front of it. `surface` is the unit normal of the robot's plate that the tip touches; None stands for
+    `direction`. `guide_friction` is in [N]. Beyond `travel` [m] a brake stops the cart smoothly.
     """
 
     tip: Vector3
@@ -60,10 +60,10 @@ class Cart:
 class SpringContact:
     """Contact law of the tip: F = max(0, k d^n + c d'). Raises SettingsError for impossible values.
 
-    `stiffness` is k [N/m^n]. `exponent` n = 1 is a linear spring, 3/2 a Hertz contact. `damping` is c [N s/m] of Kelvin
-    and Voigt, `friction` the Coulomb coefficient between tip and plate. The paper does not give the stiffness
-    of its polyethylene tip, but 160 to 860 N and 1 to 4 ms. The default gives 200 to 510 N and 1.3 to 3.2 ms for the
-    paper's masses and speed.
+    `stiffness` is k [N/m^n]. `exponent` n = 1 is a linear spring, 3/2 a Hertz contact. `damping` is c [N s/m] of the
+    Kelvin-Voigt model, `friction` the Coulomb coefficient between tip and plate. The paper gives no stiffness of its
+    polyethylene tip, but forces of 160 to 860 N and durations of 1 to 4 ms. The default gives 200 to 510 N and 1.3 to
+    3.2 ms for the paper's masses and speed.
     """
 
     stiffness: float = 2.0e6

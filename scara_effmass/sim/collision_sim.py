@@ -2,9 +2,9 @@
 """MuJoCo simulation of a collision: robot, cart, and a spring contact between them.
 
 The contact force is applied between MuJoCo's two half steps. MuJoCo's own contacts are soft constraints whose
-stiffness scales with inertia, so the k of ISO/TS 15066 would not be known. Gravity is left out: guide and quill
-brake carry it, and it does no work in the horizontal plane. The model is made from the robot's Denavit-Hartenberg file
-and is independent of the room `model`.
+stiffness scales with inertia, so the k of ISO/TS 15066 would not be known. Gravity is left out: the guide and the
+brake of the quill carry the weight, and it does no work in the horizontal plane. The model is built from the robot's
+Denavit-Hartenberg file, independently of the room `model`.
 """
 
 import math
@@ -28,14 +28,14 @@ COARSE_STEP_NS = 500_000
 FINE_STEP_NS = 10_000
 """Simulation step near and in contact: 1 % of the paper's shortest contact.
 
-The error of the peak is 0.01 %, and 0.2 % where damping takes a fifth of the peak."""
+The error of the peak is 0.01 %, and 0.2 % if damping reduces the peak by a fifth."""
 FINE_STEP_GAP_M = 1e-3
 """Gap below which steps are fine; the robot closes a quarter of it in one control period."""
 VISCOUS_SPEED_MPS = 5e-3
-"""Tip friction is proportional to the sliding speed below this: it holds, with some creep."""
+"""Sliding speed below which tip friction is proportional to the speed: the tip holds, with some creep."""
 
 TOOL = "tool"
-"""Contact point of the robot file, and the MJCF site there."""
+"""Name of the contact point in the robot file and of the MJCF site there."""
 _DISABLED = ("contact", "constraint", "gravity", "sensor", "actuation", "limit")
 _JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
 _TENSOR_SIZE = 6
@@ -44,7 +44,7 @@ _TENSOR_SIZE = 6
 class ContactSample(NamedTuple):
     """Contact at the beginning of a step: penetration `depth` [m], negative for a gap, and forces [N].
 
-    `force` is along the normal of the plate, `measured` at the force cell, along the guide.
+    `force` acts along the normal of the plate; `measured` is the force at the cell, along the guide.
     """
 
     time_ns: int
@@ -54,7 +54,7 @@ class ContactSample(NamedTuple):
 
 
 class TrueContact(NamedTuple):
-    """One contact, in the axis of the force cell: `peak_force` [N], `impulse` [N s], `duration` [s].
+    """One contact, along the axis of the force cell: `peak_force` [N], `impulse` [N s], `duration` [s].
 
     `speed` is the closing speed of tip and plate along the normal of the plate [m/s].
     """
@@ -139,11 +139,11 @@ class CollisionSim:
         mujoco.mj_forward(self.model, self.data)
 
     def place_cart(self) -> None:
-        """Place the cart at its rest position. Raises ValueError when the tool is in its way."""
+        """Place the cart at its rest position. Raises ValueError if the tool is in its way."""
         self._q[self._n] = self._v[self._n] = 0.0
         mujoco.mj_forward(self.model, self.data)
         if (depth := self._depth()) > 0.0:
-            raise ValueError(f"tool {depth * 1e3:.1f} mm behind the tip: must be in front of it")
+            raise ValueError(f"tool: {depth * 1e3:.1f} mm behind the tip of the cart: must be in front of it")
         self.cart_placed = True
 
     def tool_velocity(self) -> FloatArray:
@@ -165,12 +165,9 @@ class CollisionSim:
     def joint_inertias(self) -> FloatArray:
         """Return the diagonal of the robot's mass matrix (n,) [kg m2, kg]."""
         mujoco.mj_fwdPosition(self.model, self.data)
-        column = np.empty(self.model.nv)
-        inertias = []
-        for unit in np.eye(self.model.nv)[: self._n]:
-            mujoco.mj_mulM(self.model, self.data, column, unit)
-            inertias.append(float(column @ unit))
-        return np.array(inertias)
+        mass_matrix = np.empty((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, self.data, mass_matrix)
+        return np.diag(mass_matrix)[: self._n]
 
     def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """Return the joint torques (m, n) [N m, N] of the motion `q`, `qd`, `qdd` (m, n), without contact."""
@@ -183,7 +180,10 @@ class CollisionSim:
         return np.array(torques)
 
     def advance(self, torque: FloatArray) -> list[ContactSample]:
-        """Advance by one control period with joint torques `torque` (n,) [N m, N]; return the contact, if close."""
+        """Advance by one control period with joint torques `torque` (n,) [N m, N].
+
+        Return the contact at each step, nothing far from contact.
+        """
         close = self._close_to_contact()
         step_ns = FINE_STEP_NS if close else COARSE_STEP_NS
         samples = [self.step(torque, step_ns) for _ in range(CONTROL_PERIOD_NS // step_ns)]
@@ -242,9 +242,9 @@ class CollisionSim:
 
 
 def sim_mjcf(robot: Path, cart: Cart | None = None) -> tuple[str, tuple[str, ...]]:
-    """Return the MJCF of the robot, and of `cart`, and the names of the robot's joints.
+    """Return the MJCF of the robot and `cart`, and the names of the robot's joints.
 
-    The cart's joint comes last. Raises RobotError.
+    The joint of the cart comes last. Raises RobotError.
     """
     rows = read_yaml(robot, RobotError)
     try:
@@ -267,13 +267,13 @@ def sim_mjcf(robot: Path, cart: Cart | None = None) -> tuple[str, tuple[str, ...
 
 
 def _robot_body(document: dict[str, Any]) -> tuple[ET.Element, tuple[str, ...]]:
-    """Return body and joint names: two bodies per Denavit-Hartenberg row.
+    """Return the base body, which contains all others, and the names of the joints.
 
-    The outer body moves with the joint and holds Tx(a) Rx(alpha) of the row before; the inner one, the link, holds
-    Rz(theta) Tz(d) and the inertia.
+    Each Denavit-Hartenberg row makes two bodies. The outer one moves with the joint and holds Tx(a) Rx(alpha) of the
+    row before; the inner one, the link, holds Rz(theta) Tz(d) and the inertia.
     """
     if "rotor_inertia" in document:
-        raise ValueError("rotor_inertia: must be absent: the simulated cell has an armature for each joint only")
+        raise ValueError("rotor_inertia: must be absent: the simulated cell knows only an armature per joint")
     base = parent = ET.Element("body", name="base")
     names = []
     frame = {"pos": "0 0 0"}

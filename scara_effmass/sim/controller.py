@@ -20,7 +20,7 @@ from scara_effmass.values import FloatArray
 
 CONTROL_RATE_HZ = 1e9 / CONTROL_PERIOD_NS
 VELOCITY_TIME_CONSTANT_S = 1e-3
-"""Of the low-pass for the joint velocities."""
+"""Time constant of the low-pass filter for the joint velocities."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class EncoderReading(NamedTuple):
 
 @final
 class JointController:
-    """Moves the robot of a simulation along trajectories."""
+    """Move the robot of a simulation along trajectories."""
 
     def __init__(self, sim: CollisionSim, gains: ServoGains) -> None:
         """Start from the robot's current state, which sets the inertias I of the gains."""
@@ -65,7 +65,7 @@ class JointController:
     def follow(self, q: FloatArray, qd: FloatArray) -> Iterator[tuple[EncoderReading, list[ContactSample]]]:
         """Follow positions and velocities (m, n), one row per control period.
 
-        Yield after each period the reading at its start and the contact during it.
+        After each period yield the encoder reading at its start and the contact during it.
         """
         qdd = np.gradient(qd, 1.0 / CONTROL_RATE_HZ, axis=0)
         for q_plan, qd_plan, planned in zip(q, qd, self._sim.inverse_dynamics(q, qd, qdd), strict=True):

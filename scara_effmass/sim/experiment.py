@@ -39,14 +39,15 @@ from scara_effmass.values import ForceBlock, JointState, RunInfo, Vector3
 ROBOT = ("config", "omron_i4_550l.yaml")
 PATH_M = 0.2
 ACCELERATION = 2.5
-"""On the path [m/s2]; length and acceleration are chosen here, as in the reference recordings."""
+"""Length and acceleration [m/s2] of the path, chosen here, as in the reference recordings."""
 Q3 = 0.236
-"""From the paper [m]."""
+"""Position of the quill [m], from the paper."""
 SPEED = 0.25
-"""Nominal, of the impact [m/s], from the paper."""
+"""Nominal speed of the impact [m/s], from the paper."""
 DWELL_S = 0.3
+"""Rest before and after the path."""
 MIN_CONTACT_STEPS = 40
-"""Steps in the shortest contact; the peak is then 0.1 % off."""
+"""Fewest simulation steps in a contact; the peak is then 0.1 % off."""
 MAX_SPEED_LOSS = 0.1
 """Largest share of the closing speed that damping may take in one step."""
 _ENCODER_STREAM = 5
@@ -77,18 +78,18 @@ CONFIGURATIONS = (
     Configuration("300_0", (0.3, 0.0)),
     Configuration("300_-200", (0.3, -0.2)),
 )
-"""From light to heavy. Only (300, 200) mm is in the text of the paper; the other two are chosen here."""
+"""Ordered from light to heavy. Only (300, 200) mm is in the text of the paper; the other two are chosen here."""
 OBSTACLE_MASSES = (0.50, 2.39, 3.72, 7.35)
 """Masses of the paper's cart [kg]."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImpactSetup:
-    """All parameters of one run. Raises SettingsError for a `speed` [m/s] that the path is too short for.
+    """All parameters of one run. Raises SettingsError if the path is too short for `speed` [m/s].
 
     The tip is `offset` [m] along the path behind the impact point; the robot rests for `dwell` [s] before and after
-    the path. `surface` is the unit normal of the plate, None: along the path. `seed` sets the noise of encoders and
-    stamps; the sensor has its own.
+    the path. `surface` is the unit normal of the plate; None stands for the direction of the path. `seed` sets the
+    noise of encoders and stamps; the sensor has a seed of its own.
     """
 
     configuration: Configuration
@@ -147,8 +148,8 @@ class ImpactSetup:
 class ImpactRun(NamedTuple):
     """A run as the suite would record it, with its ground truth; all stamps are ROS time.
 
-    The true `contacts` begin with the impact. At its onset the robot has the `effective_mass` [kg], MuJoCo's along
-    the normal of the plate; `reduced_mass` [kg] is that of robot and cart.
+    The true `contacts` begin with the impact. `effective_mass` [kg] is that of the robot at the onset along the normal
+    of the plate, by MuJoCo; `reduced_mass` [kg] is that of robot and cart.
     """
 
     setup: ImpactSetup
@@ -167,7 +168,7 @@ class ImpactRun(NamedTuple):
 def build_sim(setup: ImpactSetup) -> tuple[CollisionSim, JointController]:
     """Return simulation and controller of a run: the robot at rest at the impact point, the cart not yet placed.
 
-    Raises SettingsError for a contact too short or too damped for the simulation step.
+    Raises SettingsError if the contact is too short or too damped for the simulation step.
     """
     sim = CollisionSim(share(*ROBOT), setup.cart, setup.contact)
     q = joint_positions_at(setup.configuration.point, setup.configuration.elbow_config, Q3)
@@ -185,7 +186,7 @@ def build_sim(setup: ImpactSetup) -> tuple[CollisionSim, JointController]:
 
 
 def run_impact(setup: ImpactSetup) -> ImpactRun:
-    """Simulate one run. Raises SettingsError as `build_sim`, and where the cart is not hit."""
+    """Simulate one run. Raises SettingsError as `build_sim` does, and if the robot misses the cart."""
     sim, controller = build_sim(setup)
     q, qd = sample_moves(setup.moves, CONTROL_RATE_HZ)
     sim.set_state(q[0], np.zeros_like(q[0]))
@@ -217,7 +218,8 @@ def run_impact(setup: ImpactSetup) -> ImpactRun:
 def _masses(sim: CollisionSim) -> tuple[float, float]:
     """Return effective and reduced mass [kg] along the normal of the plate in the current state.
 
-    The guide lets the cart move along the path only: along the normal, its mass is m_H / cos^2 of the angle between.
+    The guide lets the cart move along the path only: along the normal its mass is m_H / cos^2 of the angle between
+    path and normal.
     """
     normal = np.array(sim.cart.normal)
     effective_mass = sim.effective_mass(normal)

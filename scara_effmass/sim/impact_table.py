@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of random impacts: a CSV file that grows impact by impact, so that an interrupted run can be resumed."""
+"""The table of random impacts: a CSV file that grows with each impact, so that an interrupted run can be resumed."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
@@ -19,9 +19,9 @@ def extend_table(
 ) -> Iterator[int]:
     """Append random impacts of the series `seed` to the CSV file `path` until it has `impacts`; yield their number.
 
-    The last impact of an existing table is simulated again and must be the same: the result is that of a run without
-    interruption. `run` yields the rows of impacts in their order. Raises OutputError where the table is of another seed
-    or version, or cannot be written.
+    The last impact of an existing table is simulated again and must give the same rows, so that the result is that of a
+    run without interruption. `run` simulates impacts by their numbers and yields their rows in that order. Raises
+    OutputError if the table has another seed or version, or cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

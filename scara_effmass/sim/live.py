@@ -27,7 +27,7 @@ from scara_effmass.values import FloatArray, JointState
 FORCE_PERIODS = 10
 """Control periods per portion of force samples."""
 FIRST_DWELL_S = 2.0
-"""Before the first impact: a force node needs one to two seconds to estimate the converter clock."""
+"""Rest before the first impact: a force node needs one to two seconds to estimate the converter clock."""
 QUINTIC_PEAK = 1.875
 """Peak speed of a quintic move over its mean speed."""
 IMPACTS = tuple(product(CONFIGURATIONS, OBSTACLE_MASSES))
@@ -46,7 +46,7 @@ class LiveOutput(NamedTuple):
 class LiveSim:
     """The simulated cell, advanced by the caller's clock; the robot starts at rest.
 
-    The output depends on the arguments only, not on how the caller divides the time: one process can publish the
+    The output depends on the arguments only, not on how the caller divides the time. One process can thus publish the
     joint states and another one the force of the same cell, each from its own LiveSim.
     """
 
@@ -60,8 +60,8 @@ class LiveSim:
     ) -> None:
         """Start at ROS time `start_ns`.
 
-        `impacts` are configuration and obstacle mass [kg] of each impact, repeated forever; all configurations must
-        have the same elbow configuration. `seed` sets the noise of the encoders.
+        `impacts` are the configuration and obstacle mass [kg] of each impact, in an endless cycle; all must have the
+        same elbow configuration. `seed` sets the noise of the encoders.
         """
         self.start_ns = start_ns
         self._impacts = impacts

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the suite would record: joint states from encoders, and force from a model of a PCB 208C03 on an NI-9230.
+"""Simulated measurement: joint states from encoders, and force from a model of a PCB 208C03 on an NI-9230.
 
     sensor range -> decimation filter -> AC coupling -> noise -> 24 bits over 60 V
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from scara_effmass.sim.collision_sim import ContactSample
 
 FULL_SCALE = 30.0
-"""Range of the converter, of either sign [V]."""
+"""Range of the converter, positive and negative [V]."""
 MAX_COUNT = 2**23 - 1
 OVERSAMPLING = 8
 FILTER_DELAY = 38
@@ -38,7 +38,7 @@ _FILTER /= _FILTER.sum()
 TARE_S = 0.5
 BLOCK_S = 0.1
 STAMP_DELAY_S = 0.3e-3
-"""Largest delay of the stamps, constant for a run: the error of the estimated converter clock."""
+"""Largest constant delay of the stamps of a run: the error of the estimated converter clock."""
 STAMP_JITTER_S = 20e-6
 """Largest additional delay of one block."""
 FRAME_ID = "force_sensor"
@@ -73,9 +73,9 @@ def newtons_per_count(sensitivity: float) -> float:
 class ForceSensor:
     """Sensor and converter.
 
-    `sample_rate` is nominal [Hz]; the converter takes more samples with a positive relative `clock_error`.
-    `sensitivity` is in [mV/N], `range` of either sign [N], `noise` a standard deviation [N], `corner` that of the AC
-    coupling [Hz].
+    `sample_rate` is nominal [Hz]; with a positive relative `clock_error` the converter samples faster. `sensitivity` is
+    in [mV/N], `range` the largest force of either sign [N], `noise` a standard deviation [N], and `corner` the corner
+    frequency of the AC coupling [Hz].
     """
 
     sample_rate: float = 12_800.0
@@ -112,14 +112,14 @@ FORCE_SENSOR = ForceSensor()
 
 @final
 class Adc:
-    """Converts the contact force to samples, in portions of any length."""
+    """Convert the contact force to samples, in portions of any length."""
 
     def __init__(self, sensor: ForceSensor, start_ns: int) -> None:
         """Take sample 0 at `start_ns`, after a long time without force."""
         self.sensor = sensor
         self.start_ns = start_ns
         self.samples = 0
-        """number of samples returned so far"""
+        """Number of samples returned so far."""
         self._fine_rate = sensor.true_rate * OVERSAMPLING
         self._fine = np.zeros(_TAPS - 1)
         self._fine_end = 0
@@ -128,7 +128,7 @@ class Adc:
         self._mean = 0.0
 
     def push(self, contact: Sequence[ContactSample], until_ns: int) -> FloatArray:
-        """Add the force up to `until_ns`, zero after the last of `contact`; return the samples (n,) [N] due."""
+        """Add the force up to `until_ns`, zero after the last of `contact`; return the new samples (n,) [N]."""
         self._times += [(sample.time_ns - self.start_ns) / 1e9 for sample in contact]
         self._forces += [sample.measured for sample in contact]
         if not contact or contact[-1].time_ns < until_ns:
@@ -168,9 +168,10 @@ class Adc:
 def measure_force(
     contact: Sequence[ContactSample], start_ns: int, end_ns: int, sensor: ForceSensor, seed: int
 ) -> tuple[ForceBlock, ...]:
-    """Return whole force blocks of a run from `start_ns` to `end_ns` later, when the contact samples begin at 0 ns.
+    """Return the whole force blocks of a run that starts at `start_ns` and lasts `end_ns`.
 
-    The tare precedes the run; `seed` sets the errors of the stamps.
+    The times of the samples in `contact` count from the start of the run, which the tare precedes. `seed` sets the
+    errors of the stamps.
     """
     phase, delay, *jitter = uniform((seed, _STAMP_STREAM), 2 + math.ceil(end_ns / 1e9 / BLOCK_S)).tolist()
     length = round(BLOCK_S * sensor.sample_rate)

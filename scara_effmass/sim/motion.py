@@ -131,7 +131,7 @@ class JointMove:
 
 @dataclass(frozen=True, slots=True)
 class LinearMove:
-    """A straight line of the tool axis from `start` to `end` (x, y) [m]; with equal ends, a dwell.
+    """A straight line of the tool axis from `start` to `end` (x, y) [m]; a dwell if both are equal.
 
     Quill position and tool orientation are constant.
     """

@@ -32,22 +32,22 @@ NOW_NS = 1_767_225_600_000_000_000
 CREEP_MPS = 0.006
 """Speed just above the default `speed_threshold`, below which a contact point has no direction."""
 TINY = 1e-12
-"""Added to joint velocities: the monitor takes a velocity of exactly 0 for a missing one."""
+"""Offset of joint velocities, because the monitor takes a velocity of exactly 0 for a missing one."""
 BELOW = 1.0 - 1e-9
-"""Factor on the largest allowed motion, against rounding."""
+"""Factor on the largest allowed motion that keeps rounding from exceeding it."""
 BANDWIDTHS_HZ = (1.0, 2.0, 5.0, 10.0, 20.0)
 DAMPING_RATIOS = (0.5, 0.7, 1.0)
 FREE, COMPUTED_TORQUE, PER_JOINT = "free", "computed_torque", "per_joint"
-"""Drives: joints free, or on a servo that is coupled or a controller per joint."""
+"""Drives: free joints, or a servo, by computed torque or by a controller per joint."""
 NORMALS = 24
-"""Number of plate normals among which the worst one for drives that push on is searched."""
+"""Number of plate normals among which the worst one for servo drives is searched."""
 MIN_LEVER = 1e-3
-"""Ratio of the speeds of contact point and joints [m] below which a motion is drawn again."""
+"""Ratio of contact point speed to joint speed [m] below which a motion is drawn again."""
 
 _TABLES = read_table(__file__, "random_impacts.yaml")
 NO_MARGINS: Mapping[str, Any] = _TABLES["no_margins"]
 SETTINGS: Mapping[str, Mapping[str, Any]] = _TABLES["settings"]
-"""Settings of the monitor that are compared, beside its defaults."""
+"""Settings of the monitor that are compared, as changes of its defaults."""
 
 
 class RobotCase(NamedTuple):
@@ -69,7 +69,7 @@ class Impact(NamedTuple):
     """One random impact, and the joint velocities `qd` (n,) that each setting allows.
 
     `mass_factors` (n,) are the true masses behind the joints over those of the robot file. `draws` counts the motions
-    until one that no setting allows beyond the speed limit of a joint.
+    drawn until one for which every setting keeps all joints within their speed limits.
     """
 
     robot: str
@@ -107,8 +107,8 @@ class MonitoredArm:
     ) -> tuple[FloatArray, FloatArray]:
         """Return a random pose (n,), and joint velocities (n,) that move contact point `point` at CREEP_MPS.
 
-        A `straight` motion has a random direction, and the smallest joint velocities that it needs; another one has
-        random joint velocities.
+        A `straight` motion has a random direction and the smallest joint velocities for it; otherwise the joint
+        velocities are random.
         """
         while True:
             q = rng.uniform(self.lower, self.upper)
@@ -129,14 +129,14 @@ class MonitoredArm:
         state = JointState(NOW_NS, self.dynamics.robot.joint_names, q, qd)
         decision = monitor.assess(state, NOW_NS)
         if decision is None:
-            raise ValueError("the monitor must know the joints of its own robot")
+            raise ValueError(f"{self.dynamics.robot.name}: the monitor does not know the joints of its own robot")
         contact = decision.contacts[point]
         return contact.reason if contact.verdict is Verdict.UNKNOWN else contact
 
     def allowed(self, q: FloatArray, qd: FloatArray, settings: MonitorSettings, point: int = 0) -> FloatArray | None:
-        """Return `qd` (n,) scaled to exactly the speed that the monitor allows; zeros where it allows no motion.
+        """Return `qd` (n,) scaled to the speed that the monitor allows; zeros if it allows no motion.
 
-        None where a joint would exceed its speed limit, or the monitor has no verdict.
+        None if a joint would exceed its speed limit, or if the monitor has no verdict.
         """
 
         def margin(scale: float) -> float:
@@ -147,7 +147,7 @@ class MonitoredArm:
         slow, fast = margin(1.0), margin(fastest) if fastest > 1.0 else math.nan
         if slow <= 0.0:
             return np.zeros_like(qd)
-        if not fast < 0.0:
+        if not (slow > 0.0 > fast):
             return None
         return qd * (BELOW * float(brentq(margin, 1.0, fastest, xtol=1e-12, rtol=1e-10)))
 
@@ -163,8 +163,8 @@ def arm_of(robot: str) -> MonitoredArm:
 def draw_impact(seed: int, index: int) -> Impact:
     """Return random impact number `index` of the series `seed`.
 
-    Robot, plate normal (the worst one of the pose, or a random one) and drives (joints free, or on a servo) take
-    turns. Motions that a setting allows beyond the speed limit of a joint are drawn again.
+    Robot, plate normal (the worst one of the pose, or a random one) and drives (free joints, or a servo) take turns. A
+    motion is drawn again if a setting allows a joint to exceed its speed limit.
     """
     rng = np.random.default_rng((seed, index))
     turn, robot = divmod(index, len(ROBOTS))
@@ -202,7 +202,7 @@ def draw_impact(seed: int, index: int) -> Impact:
 
 
 def settings_of(dynamics: RobotDynamics, region: str, servo: JointServo) -> dict[str, MonitorSettings]:
-    """Return SETTINGS for one body region and one servo; of another robot than a SCARA without `paper`."""
+    """Return SETTINGS for one body region and one servo; robots other than a SCARA have no setting `paper`."""
     values: dict[str, Any] = {
         "body_regions": (region,),
         "servo": ServoSettings(bandwidth=servo.bandwidth, damping=servo.damping, computed_torque=servo.coupled),
@@ -221,8 +221,8 @@ def _worst_normal(
 ) -> FloatArray:
     """Return the unit normal (3,) along which the force is largest, in the pose of the first touch.
 
-    For a servo by the two-mass model: it is one of (A + s I)^-1 v, from s = 1 / m_H, that of free joints, to infinity,
-    that of an immovable robot.
+    With a servo it follows from the two-mass model: it is one of (A + s I)^-1 v, where s ranges from 1 / m_H, for free
+    joints, to infinity, for an immovable robot.
     """
     free = sim.worst_normal(q, qd, limit.obstacle_mass_kg, point)
     if servo is None:
@@ -245,7 +245,7 @@ def _worst_normal(
 
 
 def simulate(seed: int, index: int) -> list[Row]:
-    """Return a row for each setting of random impact number `index`: units are in the names, vectors are text."""
+    """Return a row for each setting of random impact number `index`; names hold the units, vectors are text."""
     impact = draw_impact(seed, index)
     arm, servo = arm_of(impact.robot), impact.servo
     jacobian, _ = arm.sim.kinematics(impact.q, impact.point)

@@ -32,7 +32,7 @@ from scara_effmass.wire.run_info import run_info_message
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 EPOCH_NS = 1_767_225_600_000_000_000
-"""2026-01-01 00:00:00 UTC, a fictitious start: recordings do not depend on the day they are generated."""
+"""Fictitious start, 2026-01-01 00:00:00 UTC: recordings do not depend on the day they are generated."""
 SEED = 550
 REVISION = 3
 """Increase it when a recording changes."""
@@ -115,7 +115,7 @@ def tour() -> tuple[FloatArray, FloatArray]:
 
 
 class Waypoint(NamedTuple):
-    """Tool position of the tour [m], the duration of the move to it [s], and whether the tool moves on a line."""
+    """Tool position of the tour [m], duration of the move to it [s], and whether that move is a straight line."""
 
     seconds: float
     x: float

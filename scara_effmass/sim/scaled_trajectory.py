@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A joint trajectory with scaled time, followed exactly, as by the joint trajectory controller in position mode."""
+"""A joint trajectory with scaled time, followed exactly, as by joint_trajectory_controller in position mode."""
 
 from collections.abc import Sequence
 
@@ -23,7 +23,7 @@ class ScaledTrajectory:
 
     @property
     def ended(self) -> bool:
-        """Whether the end of the trajectory is reached."""
+        """Whether the motion has reached the end of the trajectory."""
         return self.time >= self._end
 
     def advance(self, factor: float, period: float, stamp_ns: int) -> JointState:

@@ -29,7 +29,7 @@ DURATIONS = (0.5e-3, 4.0e-3)
 REBOUND_SHARE = 0.2
 """Share of random pulses with a rebound."""
 REBOUND_PEAKS = (0.3, 0.6)
-"""Range of a rebound's peak over the first one."""
+"""Range of the ratio of a rebound's peak to the first peak."""
 REBOUND_GAPS = (0.01, 0.03)
 """Range of the time from the end of the first contact to the rebound [s]."""
 _NOISE_STREAM, _PULSE_STREAM = 1, 2
@@ -39,9 +39,9 @@ SAMPLE_RATE = 12_800.0
 BLOCK_SAMPLES = 1280
 BLOCK_NS = 100_000_000
 NOISE = 0.05
-"""[N]"""
+"""Standard deviation of the noise [N]."""
 SENSITIVITY = 2.248
-"""Nominal, of a PCB 208C03 [mV/N]."""
+"""Nominal sensitivity of a PCB 208C03 [mV/N]."""
 SOURCE = "simulated force: noise and half-sine impacts at chosen times, not computed from the motion"
 
 
@@ -68,14 +68,14 @@ class Pulse(NamedTuple):
 
 
 PulseSchedule = Callable[[int, int, int], Iterable[Pulse]]
-"""(channel, first, end) -> all pulses of the channel in the samples from `first` to before `end`, perhaps more."""
+"""(channel, first, end) -> all pulses of the channel in the samples from `first` to before `end`, or more of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class RandomPulses:
     """An endless `PulseSchedule`: one pulse per `period` [s], half to one and a half periods apart.
 
-    It has no state: the number of a pulse is its random key. Pulses may overlap with a period below 0.1 s.
+    It has no state: the number of a pulse is its random key. Pulses may overlap if the period is below 0.1 s.
     """
 
     seed: int

@@ -292,7 +292,7 @@ def test_inverse_dynamics_torques_reproduce_the_motion() -> None:
 def test_cart_in_the_robots_place_is_refused() -> None:
     sim = CollisionSim(ROBOT, Cart((0.25, 0.2, -0.236), (1.0, 0.0, 0.0), 1.0), SpringContact())
     sim.set_state(np.array(joint_positions_at((0.3, 0.2), ElbowConfig.RIGHT, 0.236)), NO_TORQUE)
-    with pytest.raises(ValueError, match=r"tool 50\.0 mm behind the tip: must be in front of it"):
+    with pytest.raises(ValueError, match=r"tool: 50\.0 mm behind the tip of the cart: must be in front of it"):
         sim.place_cart()
     assert not sim.cart_placed
     assert not any(sample.force for sample in sim.advance(NO_TORQUE))
