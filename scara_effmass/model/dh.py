@@ -115,7 +115,7 @@ class DhPayload(DhLink):
 
 
 class DhContactPoint(_Strict):
-    """Point `at` [m] in the frame of `link` (name, or number from 1), that of its com; a list: in the last DH frame."""
+    """Point `at` [m] in the frame of `link` (name, or number from 1), as its com. A list is in the last DH frame."""
 
     link: str | Annotated[int, Strict()] = ""
     at: Point
@@ -178,12 +178,11 @@ def load_dh(path: Path, settings: MonitorSettings) -> Robot:
 
     The payload of `settings` is added to that of the file.
 
-    Raises RobotError for a file that cannot be used, and for settings that the file itself states.
+    Raises RobotError for a file that cannot be used, and for settings that the file must state itself.
     """
-    for key in ("locked_joints",):
-        value = getattr(settings, key)
-        if value and value != type(settings).model_fields[key].default:
-            raise RobotError(f"{key} = {value!r}: must be unset for a DH file: set it in {path}")
+    locked = settings.locked_joints
+    if locked and locked != MonitorSettings.model_fields["locked_joints"].default:
+        raise RobotError(f"locked_joints = {locked!r}: must be unset for a DH file: set it in {path}")
     rows = read_yaml(path, RobotError)
     if isinstance(rows, dict) and any(isinstance(node, dict) and "ros__parameters" in node for node in rows.values()):
         raise RobotError(
@@ -193,7 +192,7 @@ def load_dh(path: Path, settings: MonitorSettings) -> Robot:
         _set_limits(rows, settings.position_limits)
         file = DhFile.model_validate(rows)
     except ValidationError as error:
-        # Where one number or a list may stand, a list fails as a number first.
+        # A list, where a number may stand as well, first fails because it is no number.
         first = min(error.errors(), key=lambda item: item["type"] == "float_type" and isinstance(item["input"], list))
         raise RobotError(f"{path}: {_place(first['loc'], rows)}{broken_rule(first)}") from None
     return _robot(file, str(path), settings)
@@ -208,7 +207,7 @@ def _set_limits(content: Any, limits: Mapping[str, tuple[float, float]]) -> None
 
 
 def _place(keys: Sequence[int | str], rows: Any) -> str:  # noqa: ANN401 - what the file holds
-    """Return the place of an error as people count, with the name: "links 2 (forearm): mass"."""
+    """Return the place of an error, counted from 1 and with the name: "links 2 (forearm): mass"."""
     place = ""
     for key in keys:
         if isinstance(rows, dict):

@@ -29,9 +29,9 @@ from scara_effmass.values import NAN, ZERO_VECTOR, FloatArray, Vector3
 RANK_TOLERANCE = 1e-9
 """Fraction of the largest singular value of J_v below which a direction counts as unreachable."""
 MAX_NEGATIVE = 1e-6
-"""Ratio to its trace of a negative eigenvalue of a mobility that counts as rounding."""
+"""Ratio of a negative eigenvalue of a mobility to its trace, up to which it counts as rounding."""
 EIGENVALUE_ROUNDING = 1e-12
-"""Ratio to its trace of an eigenvalue of J_v J_v^T that counts as 0: its root would be rounding."""
+"""Ratio of an eigenvalue of J_v J_v^T to its trace, up to which it counts as 0: its root would be rounding."""
 MIN_LEVER_M = 1e-9
 """Lever [m] below which a joint does not move the contact point."""
 LUMPED_NOT_DEFINITE = "the lumped mass matrix is singular or not positive definite at this pose"
@@ -47,7 +47,7 @@ class EffectiveMasses(NamedTuple):
     `lumped_reason` then states why. The mobilities A = J_v M^-1 J_v^T [1/kg] of a model are symmetric (3, 3) lists, of
     which `rank` eigenvalues are not 0 outside singular poses; empty without the model. `speed_tolerance` [m/s]
     bounds the error of the speed that the stated errors of the joint velocities can cause. The changes of pose are
-    there for the models that were asked for, unless the contact point is at rest.
+    None for models that `RobotDynamics.effective_masses` was not asked for, and at rest.
     """
 
     speed: float
@@ -146,8 +146,8 @@ class RobotDynamics:
 
         A contact point slower than `speed_threshold` [m/s] has no direction; its masses are of the worst direction.
         `velocity_tolerance` (n,) bounds the errors of `qd`; empty: no errors. `changes` names the models, lumped or
-        full, whose change of pose is computed; with `margin` not of both, but of the lumped one where
-        `EffectiveMasses.lumped_is_heavy_enough`, else of the full one.
+        full, whose change of pose is computed; with `margin` only that of the lumped one where
+        `EffectiveMasses.lumped_is_heavy_enough`, else only that of the full one.
         """
         pairs = list(self._models.values())
         inverses = [self._inverse(model, data, q) for model, data in pairs]
@@ -189,7 +189,7 @@ class RobotDynamics:
         velocity_tolerance: Sequence[float],
         margin: float | None,
     ) -> EffectiveMasses:
-        # Few calls of numpy, each of which costs more than the products of a row, and the rows as lists for the rest.
+        # Few calls of numpy, because each costs more than the products of a row; the rest uses the rows as lists.
         jacobian = self._jacobian(frame, kinematics)
         rows: Matrix = jacobian.tolist()
         vx, vy, vz = _times(rows, qd)
@@ -290,7 +290,7 @@ class RobotDynamics:
         return x, y, z
 
     def drive_acceleration(self, q: FloatArray, contact: int) -> float:
-        """Return the acceleration [m/s2] of a contact point that the effort limits of the joints allow at most.
+        """Return the largest acceleration [m/s2] of a contact point that the effort limits of the joints allow.
 
         That is sum_i |J_v M^-1 e_i| (tau_max,i + |g_i(q)|) over the joints, in the model with the larger sum; infinite
         if an effort limit is unknown. `contact` is an index of `contact_points`. Gravity acts along -z of the base.

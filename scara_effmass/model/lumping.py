@@ -5,9 +5,10 @@ For link i with unit axes u_a (proximal) and u_b (distal), and feet f_a and f_b 
 
     kappa1 (f_a + L1 u_a) + kappa2 (f_b + L2 u_b) = CoM,    kappa1 + kappa2 = 1
 
-Skew axes leave no choice, intersecting ones leave kappa2 and parallel ones L2 - L1: `lumping.free_parameters` chooses.
-Of a prismatic axis only the direction counts, and behind the last joint there is no axis but a direction: where the
-axis as drawn does not serve, it goes through the CoM. `lumping.policy` answers for a link without such masses.
+Skew axes determine the masses. Intersecting axes leave kappa2 free, parallel ones L2 - L1: `lumping.free_parameters`
+says how these are chosen. A prismatic axis has a direction but no place, and so has the axis behind the last joint:
+where such an axis as drawn gives no masses, it is shifted through the CoM. `lumping.policy` says what to do about a
+link without such masses.
 Masses of neighbouring links on the same axis add up, so n joints leave n + 1 masses (Table II of the paper, cited in
 `scara_effmass.model`).
 """
@@ -30,11 +31,11 @@ from scara_effmass.values import FloatArray, Vector3
 ON_AXIS_M = 1e-4
 """Distance [m] below which axes coincide, or a centre of mass lies in their plane: finer than CAD data."""
 RUNAWAY = 10.0
-"""Distance of a mass from the common normal, over the size of the link, above which it runs to infinity."""
+"""Distance of a mass from the common normal, over the size of the link, above which it counts as infinite."""
 FIT_REACH = 3.0
-"""Distance at most of a mass that fits the inertia, beyond the axes, in radii of gyration of the link."""
+"""Largest distance, beyond the axes, of a mass that fits the inertia, in radii of gyration of the link."""
 SINGULAR = 1e-9
-"""Ratio to the largest, of the inertia a joint moves at a pose and of the eigenvalues, below which M is singular."""
+"""Smallest ratio at which M is regular: of the inertia that a joint moves to its largest one, and of eigenvalues."""
 TURNS = (0.0, np.pi / 2.0, -np.pi / 2.0)
 """Joint positions [rad, m] at which axes align, so that a lumped mass matrix can be singular."""
 
@@ -44,8 +45,8 @@ class LumpedLink:
     """One link as two point masses `kappa1 * mass` and `kappa2 * mass` at `point1` and `point2` in its joint frame [m].
 
     `height1` and `height2` are L1 and L2 [m], from the feet of the common normal of its two axes. `axes` is parallel,
-    coincident, intersecting or skew. `on_axes` is False if a mass is beside the axes as drawn. `problem` states with
-    its figure why two masses on the axes cannot reproduce the link, `answer` what `lumping.policy` did about it.
+    coincident, intersecting or skew. `on_axes` is False if a mass is beside the axes as drawn. `problem` states, with
+    a figure, why two masses on the axes cannot reproduce the link, `answer` what `lumping.policy` did about it.
     """
 
     joint: str
@@ -134,7 +135,7 @@ def is_scara(robot: Robot) -> bool:
 
 
 def lumped_suffices(robot: Robot) -> bool:
-    """Return whether the lumped masses of `robot` hold without inertia tensors to compare them with.
+    """Return whether the lumped masses of `robot` suffice without inertia tensors to compare them with.
 
     They do for a SCARA, the arm of the paper, unless its joint 4 moves a contact point, because then the inertia of
     tool and load about that joint counts, which is far more than that of their lumped masses.
@@ -155,8 +156,9 @@ class IndefiniteError(RobotError):
 def lump(robot: Robot) -> LumpedModel:
     """Return the lumped model of `robot` by the settings `robot.lumping`.
 
-    Raises RobotError, naming every link without such masses, if the policy is to refuse; and IndefiniteError. Another
-    policy first tries to answer for those links alone, then also for centres of mass outside the slab between the axes.
+    Raises IndefiniteError, and, if the policy is to refuse, RobotError that names every link without such masses. Any
+    other policy is applied to those links alone, and if M is then indefinite, also to the links whose centre of mass is
+    outside the slab between their axes.
     """
     if robot.masses_reason or robot.coms_reason:
         raise RobotError(robot.masses_reason or robot.coms_reason)
@@ -171,7 +173,7 @@ def lump(robot: Robot) -> LumpedModel:
 
 
 def lumped_links(robot: Robot, *, within_slab: bool = False) -> tuple[LumpedLink, ...]:
-    """Return the masses of each link, those with a `problem` without `answer` included, which `lump` refuses."""
+    """Return the masses of each link, also of those with a `problem` but no `answer`, which `lump` refuses."""
     return tuple(_lumped_link(robot, joint, within_slab=within_slab) for joint in range(1, robot.model.njoints))
 
 
@@ -222,9 +224,9 @@ def _lumped_link(robot: Robot, joint: int, *, within_slab: bool) -> LumpedLink:
     if not link.problem:
         if link.axes != "coincident" or robot.revolute[joint - 1]:
             return replace(link, problem="")
-        # All of it on the distal axis, which slides: M33 = m_l4 + m_l5 of the paper.
+        # The whole mass lies on the distal axis, which slides: M33 = m_l4 + m_l5 of the paper.
         return _with_masses(link, 1.0, near, near, problem="", **at_com)
-    # Only the direction of a prismatic axis counts, and the last link has no distal axis: shift it through the CoM.
+    # A prismatic axis, and the distal axis of the last link, have no place: shift such an axis through the CoM.
     if not robot.revolute[joint - 1]:
         return _with_masses(link, 0.0, com, com, on_axes=False, problem="", **at_com)
     if not (*robot.revolute, False)[joint]:

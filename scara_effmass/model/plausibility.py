@@ -28,7 +28,7 @@ MAX_DENSITY, HIGH_DENSITY, LOW_DENSITY, MIN_DENSITY = 3000.0, 600.0, 1.0, 0.1
 MAX_DISTANCE_M = 5.0
 """Distance of a centre of mass from its joint, or radius of gyration, if it also exceeds three reaches."""
 MIN_DEGREES, MAX_DEGREES = 50.0, 1500.0
-"""Range of a revolute joint [rad] that is one in degrees, if those of all others are; above, there is no limit."""
+"""Between these, the range [rad] of a revolute joint is one in degrees if all are; a wider one means no limit."""
 WIDE_RANGE_RAD, WIDE_RANGE_M, NO_RANGE = 6.0 * math.pi + 0.01, 10.0, 1e5
 MAX_ANGLE_RAD = 7.0
 """Fixed angle that is certainly not in radians: it exceeds one turn."""

@@ -98,7 +98,7 @@ class Robot:
         return robot_mass(self.moving_mass, self.payload_mass)
 
     def frame_indices(self) -> dict[str, int]:
-        """Return the indices of Pinocchio's frames by name: of a contact point named as its link, that of the link."""
+        """Return the indices of Pinocchio's frames by name; the link's, if a contact point has the name of its link."""
         return {frame.name: index for index, frame in reversed([*enumerate(self.model.frames)])}
 
     def mass_matrix(self, model: pin.Model, data: pin.Data, q: FloatArray) -> FloatArray:
@@ -249,7 +249,7 @@ def _payload(settings: MonitorSettings) -> pin.Inertia | None:
 
 
 def _tool_mass(links: Sequence[StatedLink], globs: Sequence[str], origin: str) -> float:
-    """Return the mass [kg] of the `links` whose name matches one of `globs`. Raises RobotError for a glob without."""
+    """Return the mass [kg] of the `links` whose name matches one of `globs`. Raises RobotError for one without."""
     for glob in globs:
         if not any(fnmatchcase(link.name, glob) for link in links):
             names = ", ".join(link.name for link in links)

@@ -38,7 +38,7 @@ def armatures(root: ET.Element, origin: str) -> tuple[dict[str, float], dict[str
             reasons[joints[0]] = "states no rotor inertia"
         else:
             reduction = _first((*actuators, transmission), _REDUCTION, where)
-            armature[joints[0]] = rotor * (1.0 if math.isnan(reduction) else reduction) ** 2
+            armature[joints[0]] = rotor * (1.0 if math.isnan(reduction) else reduction * reduction)
     return armature, {joint: reason for joint, reason in reasons.items() if joint not in armature}
 
 

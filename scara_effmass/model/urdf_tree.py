@@ -107,9 +107,9 @@ class UrdfTree:
         """
         free = {name: parent for name, (parent, joint) in self._parents.items() if joint not in self.locked}
         ranked = []
-        for end in {link, *free} - set(free.values()) | {link}:
-            beyond = self.chain(end)[: len(self.chain(end)) - len(self.chain(link))]
-            if link in self._chain_links(end) and self.locked.isdisjoint(beyond):
+        for end in free.keys() - set(free.values()) | {link}:
+            beyond = self._joints_beyond(link, end)
+            if (beyond or end == link) and self.locked.isdisjoint(beyond):
                 ranked.append((-sum(self.kind(joint) != "fixed" for joint in beyond), -len(beyond), end))
         return min(ranked)[2]
 
@@ -129,8 +129,7 @@ class UrdfTree:
         """Return the mass [kg] of the links that move on `body`."""
         mass = 0.0
         for link in self.stated:
-            links = self._chain_links(link.name)
-            joints = [self._parents[step][1] for step in links[: links.index(body) if body in links else 0]]
+            joints = self._joints_beyond(body, link.name)
             if any(self.kind(joint) != "fixed" and joint not in self.locked for joint in joints):
                 mass += link.mass
         return mass
@@ -144,6 +143,11 @@ class UrdfTree:
             )
         if kind != "fixed" and joint not in self.locked and self.joints[joint].find("mimic") is not None:
             raise RobotError(f"{self.origin}: joint {joint}: must not mimic another joint: fix it with locked_joints")
+
+    def _joints_beyond(self, body: str, link: str) -> list[str]:
+        """Return the joints from `link` up to the link `body`, none if `link` is not on it."""
+        links = self._chain_links(link)
+        return self.chain(link)[: links.index(body) if body in links else 0]
 
     def _chain_links(self, link: str) -> list[str]:
         """Return the links from `link` to the base, cut at the first repetition."""

@@ -287,6 +287,13 @@ class TestTransmission:
         with pytest.raises(RobotError, match=r"arm\.urdf: "):
             parse_urdf(text, "arm.urdf", MonitorSettings())
 
+    def test_reduction_whose_square_overflows_raises(self) -> None:
+        text = arm(
+            transmission("j1", "<motorInertia>1e-4</motorInertia><mechanicalReduction>1e200</mechanicalReduction>")
+        )
+        with pytest.raises(RobotError, match=r"arm\.urdf: rotor inertia: must be at most 1e\+06"):
+            parse_urdf(text, "arm.urdf", MonitorSettings())
+
 
 class TestPublishedArms:
     def test_entry_fills_every_joint_and_names_its_source(self, load_urdf_file: Callable[..., Robot]) -> None:
