@@ -117,6 +117,10 @@ def _run_live(
         assessed_s = at_ns / 1e9
         show_status(contacts, assessed_s - start_s, client.speed_scaling)
 
+    def on_watchdog(contacts: tuple[ContactAssessment, ...]) -> None:
+        if assessed_s > start_s:
+            show_status(contacts, assessed_s - start_s, 0.0)
+
     def on_validation(message: ImpactValidation) -> None:
         stamp = message.header.stamp
         stamps_ns.add(stamp.sec * 1_000_000_000 + stamp.nanosec)
@@ -138,7 +142,7 @@ def _run_live(
         children = [stack.enter_context(processes.ChildProcess(command)) for command in commands]
         if dashboard:  # not one of the children, whose end would end the demo
             stack.enter_context(processes.ChildProcess(dashboard))
-        client = stack.enter_context(MonitorClient(dynamics.contact_points, on_cycle, on_validation))
+        client = stack.enter_context(MonitorClient(dynamics.contact_points, on_cycle, on_validation, on_watchdog))
         show_status = stack.enter_context(live_status(console, visible=not args.json))
         is_ready = processes.spin_until(
             lambda: all(client.has_peers(*end) for end in ENDPOINTS), client, children, processes.START_TIMEOUT_S

@@ -192,6 +192,10 @@ def _run_live(
         live.cycles.append((at_ns, contacts))
         show_status(contacts, (at_ns - first_ns) / 1e9, client.speed_scaling)
 
+    def on_watchdog(contacts: tuple[ContactAssessment, ...]) -> None:
+        if first_ns is not None and live.cycles:
+            show_status(contacts, (live.cycles[-1][0] - first_ns) / 1e9, 0.0)
+
     processes.isolate_ros_domain()
     with ExitStack() as stack:
         commands = (processes.monitor_command(args, settings), processes.visualization_command(settings))
@@ -199,7 +203,7 @@ def _run_live(
         force = stack.enter_context(processes.ChildProcess(force_command)) if bag.force_topic else None
         recorder = stack.enter_context(processes.ChildProcess(processes.record_command(args)))
         nodes.append(recorder)
-        client = stack.enter_context(MonitorClient(tuple(live.series), on_cycle))
+        client = stack.enter_context(MonitorClient(tuple(live.series), on_cycle, on_watchdog=on_watchdog))
         if not processes.spin_until(
             lambda: client.connected, client, [*nodes, *([force] if force else [])], processes.START_TIMEOUT_S
         ):

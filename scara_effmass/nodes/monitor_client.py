@@ -2,6 +2,7 @@
 """Client of the monitor's topics, with its own ROS context."""
 
 import signal
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import final
 
@@ -26,7 +27,7 @@ class MonitorClient(ClientNode):
     """Collects the contact states of each joint state, a cycle. Use it in a `with`, in the main thread.
 
     Counts `cycles` and `watchdog_decisions` (which answer no joint state) and keeps the latest
-    `allowable_speed` [m/s] and `speed_scaling` [0-1].
+    `allowable_speed` [m/s] and `speed_scaling` [0-1]. A joint state of which a message was lost is no cycle.
     """
 
     def __init__(
@@ -34,18 +35,20 @@ class MonitorClient(ClientNode):
         contact_points: Sequence[str],
         on_cycle: OnCycle,
         on_validation: Callable[[ImpactValidation], None] | None = None,
+        on_watchdog: Callable[[tuple[ContactAssessment, ...]], None] = lambda _: None,
     ) -> None:
         """Call `on_cycle(contacts, time_ns)` per joint state, with the monitor's clock at its assessment.
 
-        `on_validation` gets every message of a validator.
+        `contacts` are those of `contact_points`, in that order. `on_watchdog` gets those that answer no joint state,
+        `on_validation` every message of a validator.
         """
         self.cycles = 0
         self.watchdog_decisions = 0
         self.allowable_speed = 0.0
         self.speed_scaling = 0.0
-        self._last_point = contact_points[-1]
-        self._on_cycle = on_cycle
-        self._pending: list[ContactAssessment] = []
+        self._points = list(contact_points)
+        self._on_cycle, self._on_watchdog = on_cycle, on_watchdog
+        self._latest: deque[ContactAssessment] = deque(maxlen=len(self._points))
         self._matched: set[str] = set()
         super().__init__("monitor_client", [Parameter("use_sim_time", value=True)])
         node = self.node
@@ -98,22 +101,17 @@ class MonitorClient(ClientNode):
         return on_matched
 
     def _on_contact_state(self, message: ContactState) -> None:
-        contact = contact_from(message)
-        if contact.watchdog:
-            self.watchdog_decisions += contact.contact_point == self._last_point
+        self._latest.append(contact_from(message))
+        contacts = tuple(self._latest)
+        decisions = {(contact.stamp_ns, contact.watchdog) for contact in contacts}
+        if [contact.contact_point for contact in contacts] != self._points or len(decisions) > 1:
             return
-        pending = self._pending
-        if pending and pending[0].stamp_ns != contact.stamp_ns:
-            self._finish_cycle()
-        pending.append(contact)
-        if contact.contact_point == self._last_point:
-            self._finish_cycle()
-
-    def _finish_cycle(self) -> None:
-        contacts = tuple(self._pending)
-        self._pending.clear()
-        self.cycles += 1
         first = contacts[0]
+        if first.watchdog:
+            self.watchdog_decisions += 1
+            self._on_watchdog(contacts)
+            return
+        self.cycles += 1
         # Stamp plus age is exactly the monitor's clock; a joint state without a stamp has no age.
         time_ns = first.stamp_ns + round(first.input_age * 1e9) if first.stamp_ns else self.now_ns
         self._on_cycle(contacts, time_ns)
