@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Report of random impacts at the allowed speed: how often and how far the peak force exceeds the limit."""
+"""Report of random impacts at the allowed speed: how often and by how much the peak force exceeds the limit."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ DRIVES = {
 }
 PLATES = {"worst": "worst plate normal", "random": "random plate normal"}
 GOALS = (("default", "free"), ("servo", "computed_torque"), ("servo", "per_joint"))
-"""Settings and the drives that they assume, with which the limit must be kept."""
+"""Settings, each with the drives that it assumes: the force must keep the limit."""
 MAX_SHARE = 1e-3
 """Largest share of impacts above the limit that meets the goal."""
 MIN_MEDIAN = 0.75
@@ -78,38 +78,36 @@ class Evidence:
         return np.asarray(self._rows(**values)["ratio"])
 
     def group(self, setting: str, drives: str, plate: str = "", robot: str = "") -> Group | None:
-        """Return the statistics of one group, of all plates or robots where these are empty; None without impacts."""
+        """Return the statistics of one group, None without impacts; an empty plate or robot stands for all of them."""
         chosen = {"setting": setting, "drives": drives, "plate": plate, "robot": robot}
         ratios = self.ratios(**{column: value for column, value in chosen.items() if value})
         if not len(ratios):
             return None
-        count, above = len(ratios), int(np.sum(ratios > 1.0))
-        ends = binomtest(above, count).proportion_ci(CONFIDENCE)  # Clopper and Pearson
-        interval = float(ends.low), float(ends.high)
+        above = int(np.sum(ratios > 1.0))
+        ends = binomtest(above, len(ratios)).proportion_ci(CONFIDENCE)  # Clopper and Pearson
         return Group(
-            setting, drives, plate, robot, count, above, interval, float(ratios.max()), float(np.median(ratios))
+            **chosen,
+            impacts=len(ratios),
+            above=above,
+            interval=(float(ends.low), float(ends.high)),
+            worst=float(ratios.max()),
+            median=float(np.median(ratios)),
         )
 
     def groups(self, plates: tuple[str, ...] = (*PLATES,), robots: tuple[str, ...] = ("",)) -> list[Group]:
-        """Return the groups by drives, plate, robot and setting that have impacts."""
-        found = (self.group(*case) for case in product(LABELS, DRIVES, plates, robots))
-        order = [*DRIVES], [*plates], [*robots], [*LABELS]
-        return sorted(
-            (group for group in found if group),
-            key=lambda group: [
-                names.index(name)
-                for names, name in zip(order, (group.drives, group.plate, group.robot, group.setting), strict=True)
-            ],
-        )
+        """Return the groups that have impacts, in the order of drives, plate, robot and setting."""
+        cases = product(DRIVES, plates, robots, LABELS)
+        groups = (self.group(setting, drives, plate, robot) for drives, plate, robot, setting in cases)
+        return [group for group in groups if group]
 
     def largest(self) -> list[dict[str, Any]]:
-        """Return the rows with the largest peak / limit of settings on the drives that they assume."""
+        """Return the rows with the largest peak / limit, of settings on the drives that they assume."""
         parts = [self._rows(setting=setting, drives=drives) for setting, drives in GOALS]
         rows: list[dict[str, Any]] = pa.concat_tables(parts).sort_by([("ratio", "descending")])[:WORST_ROWS].to_pylist()
         return rows
 
     def goals(self) -> list[tuple[str, str, bool]]:
-        """Return each goal as a subject, the result, and whether it is met."""
+        """Return for each goal its subject, the result, and whether it is met."""
         goals = []
         for setting, drives in GOALS:
             if group := self.group(setting, drives):
@@ -134,10 +132,10 @@ class Evidence:
         }
 
     def _rows(self, **values: str) -> pa.Table:
-        mask = pa.scalar(value=True)
+        rows = self.table
         for column, value in values.items():
-            mask = compute.and_(mask, compute.equal(self.table[column], value))
-        return self.table.filter(mask) if values else self.table
+            rows = rows.filter(compute.equal(rows[column], value))
+        return rows
 
 
 def draw_evidence(evidence: Evidence) -> Figure:

@@ -22,11 +22,10 @@ SUBTITLE_IN = 0.37
 MAX_LINEAR_RATIO = 12.0
 """Maximum ratio of the masses on a linear axis; beyond it the axis is logarithmic."""
 
-_UNKNOWN_STYLE = {"hatch": "////", "edgecolor": "#777777"}
 _VERDICT_STYLES: dict[Verdict, dict[str, Any]] = {
-    verdict: {"facecolor": color, "linewidth": 0.0, **(_UNKNOWN_STYLE if verdict is Verdict.UNKNOWN else {})}
-    for verdict, color in VERDICT_COLORS.items()
+    verdict: {"facecolor": color, "linewidth": 0.0} for verdict, color in VERDICT_COLORS.items()
 }
+_VERDICT_STYLES[Verdict.UNKNOWN] |= {"hatch": "////", "edgecolor": "#777777"}
 _STYLE: dict[Any, Any] = {
     "font.size": 10.0,
     "axes.grid": True,
@@ -44,9 +43,9 @@ def draw_run(
     timeout: float,
     forces: RecordedForce | None = None,
 ) -> Figure:
-    """Return the figure of one contact point; `mass_model` is the mass model that decided the verdict.
+    """Return the figure of one contact point; `mass_model` names the mass model that decides the verdict.
 
-    A silence longer than `timeout` [s] is UNKNOWN. `forces` are drawn in a panel below.
+    A gap longer than `timeout` [s] without joint states is UNKNOWN. `forces` get a panel of their own.
     """
     with mpl.rc_context(_STYLE):
         heights = (0.25, 2.2, 1.6, 1.3) if forces else (0.25, 2.2, 1.6)
@@ -115,7 +114,7 @@ def _draw_masses(axes: Axes, series: TimeSeries, mass_model: str) -> None:
             else:
                 _line(axes, series, values, color=color, linestyle=style, linewidth=1.3, label=label)
     if mass_model in {"largest", "auto"}:
-        label = "largest (decides)" if mass_model == "largest" else "auto (decides)"
+        label = f"{mass_model} (decides)"
         _line(axes, series, series.effective_mass, color="#E69F00", linewidth=4.0, alpha=0.5, label=label)
     masses = np.concatenate([line.get_ydata() for line in axes.get_lines()] or [np.empty(0)])
     masses = masses[np.isfinite(masses)]

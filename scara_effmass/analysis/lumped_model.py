@@ -23,7 +23,8 @@ BALL_PT = 9.0
 class ModelComparison(NamedTuple):
     """Lumped over full mass minus 1, over random poses and directions: percentiles, and the value farthest from 0.
 
-    `lighter` and `too_light` are the shares in which the lumped mass is lighter at all, and by more than the margin.
+    `lighter` is the share of poses in which the lumped mass is lighter, `too_light` that in which it is lighter by more
+    than the margin.
     """
 
     contact_point: str
@@ -46,12 +47,13 @@ class ModelComparison(NamedTuple):
 def compare_models(
     dynamics: RobotDynamics, margin: float, poses: int, seed: int
 ) -> tuple[list[ModelComparison], list[float]]:
-    """Return the comparisons of each contact point, and the share of poses at which it has no lumped mass.
+    """Return the comparisons of each contact point, and the share of poses in which it has no lumped mass.
 
-    `poses` random poses and directions, of the random `seed`, are uniform over the joint ranges, at most half a turn
-    from zero, and over the sphere. Without one of the models there are no comparisons.
+    The random `poses` are uniform over the joint ranges, at most half a turn from zero, their directions over the
+    sphere. Without one of the models there are no comparisons.
     """
     rng, model = np.random.default_rng(seed), dynamics.robot.model
+    # Mobilities (inverse masses) of both models along the direction, by contact point.
     along: list[list[tuple[float, float]]] = [[] for _ in dynamics.contact_points]
     if dynamics.lumped is None or dynamics.full_reason:
         return [], [1.0 for _ in along]
@@ -61,14 +63,19 @@ def compare_models(
         for values, masses in zip(along, dynamics.effective_masses(q, np.zeros(model.nv), 1.0), strict=True):
             if masses.lumped_mobility and not masses.has_massless_direction:
                 lumped, full = (n @ np.array([masses.lumped_mobility, masses.full_mobility]) @ n / (n @ n)).tolist()
-                values.extend([(lumped, full)] if min(lumped, full) > 0.0 else [])
+                if min(lumped, full) > 0.0:
+                    values.append((lumped, full))
+    inverse_obstacle_masses = {"mass": 0.0}
+    inverse_obstacle_masses |= {f"reduced mass, {region}": 1.0 / BODY_REGIONS[region].mass_kg for region in REGIONS}
     comparisons = []
     for point, values in zip(dynamics.contact_points, along, strict=True):
-        for region in ("", *REGIONS) if values else ():
-            lumped, full = np.array(values).T + (1.0 / BODY_REGIONS[region].mass_kg if region else 0.0)
+        if not values:
+            continue
+        for quantity, inverse_obstacle_mass in inverse_obstacle_masses.items():
+            lumped, full = np.array(values).T + inverse_obstacle_mass
             error = full / lumped - 1.0
             p5, p50, p95 = np.percentile(error, (5.0, 50.0, 95.0)).tolist()
-            worst, quantity = float(error[np.argmax(np.abs(error))]), f"reduced mass, {region}" if region else "mass"
+            worst = float(error[np.argmax(np.abs(error))])
             shares = float(np.mean(error < 0.0)), float(np.mean(error < -margin))
             comparisons.append(ModelComparison(point, quantity, p5, p50, p95, worst, *shares))
     return comparisons, [1.0 - len(values) / poses for values in along]
@@ -94,7 +101,7 @@ def draw_masses(robot: Robot, lumped: LumpedModel) -> Figure:
         reach = 0.25 * size * robot.axis_in_joint_frame(joint)
         ends = np.array([place(joint, -reach), place(joint, reach)])
         axes.plot(*ends.T, color=CYCLE[1], linestyle="--", linewidth=1.2, label="" if joint > 1 else "joint axes")
-    labels: dict[tuple[float, ...], str] = {}  # by place, because masses of the SCARA's quill lie at one
+    labels: dict[tuple[float, ...], str] = {}  # by place: masses on the quill of a SCARA coincide
     for number, (mass, at) in enumerate(masses, start=1):
         key = tuple(np.round(at, 3).tolist())
         labels[key] = f"{labels.get(key, '')}   m_l{number} = {mass:.3g} kg"

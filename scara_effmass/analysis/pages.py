@@ -38,13 +38,13 @@ class PageOptions(NamedTuple):
     pdf: bool = False
 
     def files(self) -> list[str]:
-        """Return the names of the files beside the page. Raises OutputError where they cannot be made."""
-        return [PDF] * bool(self.pdf and find_browser())
+        """Return the names of the files beside the page. Raises OutputError if no browser can print them."""
+        return [PDF] if self.pdf and find_browser() else []
 
 
 @lru_cache
 def catalogue(language: str) -> Mapping[str, str]:
-    """Return the texts of `language` by their English ones, with "…" for each number; empty for English."""
+    """Return the texts of `language` by the English ones, with "…" for each number; empty for English."""
     if language == ENGLISH:
         return {}
     texts: dict[str, str] = yaml.safe_load((TEMPLATES / f"{language}.yaml").read_text(encoding="utf-8"))
@@ -52,7 +52,7 @@ def catalogue(language: str) -> Mapping[str, str]:
 
 
 def translated(text: str, language: str) -> str | None:
-    """Return `text` in `language`, its numbers in the same order, None where the catalogue has none."""
+    """Return `text` in `language`, its numbers in the same order, or None if the catalogue lacks it."""
     known = text if language == ENGLISH else catalogue(language).get(_NUMBER.sub("…", text))
     if known is None or "…" not in known:
         return known
@@ -61,19 +61,22 @@ def translated(text: str, language: str) -> str | None:
 
 
 def phrases(text: str, language: str) -> Iterator[tuple[str, bool]]:
-    """Yield the parts of `text` in `language`, split at " · ", ": " and "; ", and whether the catalogue has them."""
+    """Yield the parts of `text` in `language`, and whether the catalogue has each of them.
+
+    A text that the catalogue lacks as a whole is split at " · ", else at ": " or "; " behind a part that it has.
+    """
     whole = translated(text, language)
-    head, dot, tail = text.partition(" · ")
-    for separator in (": ", "; "):
-        if not dot:
-            head, dot, tail = text.partition(separator)
-            dot *= translated(head, language) is not None
-    if whole is not None or not dot:
-        yield (text if whole is None else whole), whole is not None or not text
+    if whole is not None or not text:
+        yield whole or "", True
         return
-    yield from phrases(head, language)
-    yield dot, True
-    yield from phrases(tail, language)
+    for separator in (" · ", ": ", "; "):
+        head, found, tail = text.partition(separator)
+        if found and (separator == " · " or translated(head, language) is not None):
+            yield from phrases(head, language)
+            yield separator, True
+            yield from phrases(tail, language)
+            return
+    yield text, False
 
 
 @lru_cache
@@ -81,7 +84,7 @@ def environment(language: str) -> Environment:
     """Return the Jinja2 environment of a language."""
 
     def t(text: str) -> str:
-        """Return a text from the code; what the catalogue lacks is marked as English."""
+        """Return a text from the code; parts that the catalogue lacks are marked as English."""
         english = Markup('<span lang="en">{}</span>')
         return Markup().join(part if is_known else english.format(part) for part, is_known in phrases(text, language))
 
@@ -119,7 +122,7 @@ def time(stamp_ns: int) -> Markup:
 
 
 def css_string(text: str) -> Markup:
-    """Return `text` as a string of CSS inside of a style element."""
+    """Return `text` as a CSS string for a style element."""
     escaped = re.sub(r'["\\\\<>&\n]', lambda match: f"\\{ord(match.group()):x} ", text)
     return Markup(f'"{escaped}"')  # noqa: S704 - escaped for CSS
 
@@ -127,7 +130,7 @@ def css_string(text: str) -> Markup:
 def setting_rows(
     section: str, settings: BaseModel, chosen: Iterable[str] | None = None, *, changed_only: bool = False
 ) -> Iterator[tuple[str, object, str]]:
-    """Yield name, value and meaning with its unit of the settings whose names contain one of `chosen`."""
+    """Yield name, value and description of the settings whose names contain one of `chosen`, or of all."""
     fields = flat_fields(type(settings))
     for name, field in fields.items():
         value: object = settings
@@ -140,7 +143,7 @@ def setting_rows(
 
 
 def file_hashes(paths: Iterable[Path]) -> list[tuple[str, str]]:
-    """Return path and SHA-256 of each of `paths` that exists. Raises OutputError."""
+    """Return path and SHA-256 of each existing one of `paths`. Raises OutputError."""
     return [(str(path), digest(path, OutputError)) for path in dict.fromkeys(paths) if path.exists()]
 
 
