@@ -151,7 +151,7 @@ class RobotDynamics:
         """
         pairs = list(self._models.values())
         inverses = [self._inverse(model, data, q) for model, data in pairs]
-        wanted = [name in changes for name in self._models]
+        chosen = [name in changes for name in self._models]
         matrices: list[FloatArray | None] = [None for _ in inverses]
 
         def coriolis(index: int) -> FloatArray:
@@ -163,15 +163,15 @@ class RobotDynamics:
 
         # The Coriolis matrix comes with J and dJ/dt.
         kinematics = self._kinematics
-        if any(wanted):
-            coriolis(wanted.index(True))
-            kinematics = pairs[wanted.index(True)][1]
+        if any(chosen):
+            coriolis(chosen.index(True))
+            kinematics = pairs[chosen.index(True)][1]
         else:
             pin.computeJointJacobians(self.robot.model, kinematics, q)
         rates = qd.tolist()
         return [
             self._at_contact(
-                rates, kinematics, frame, rank, inverses, wanted, coriolis, speed_threshold, velocity_tolerance, margin
+                rates, kinematics, frame, rank, inverses, chosen, coriolis, speed_threshold, velocity_tolerance, margin
             )
             for _, frame, rank in self.contacts
         ]
@@ -183,7 +183,7 @@ class RobotDynamics:
         frame: int,
         rank: int,
         inverses: list[FloatArray],
-        wanted: list[bool],
+        chosen: list[bool],
         coriolis: Callable[[int], FloatArray],
         speed_threshold: float,
         velocity_tolerance: Sequence[float],
@@ -217,15 +217,15 @@ class RobotDynamics:
                 if not moving or abs(nx * x + ny * y + nz * z) > MIN_LEVER_M:
                     lumped = NAN
                     reason = massless_text(self.robot.joint_names[joint])
-        if margin is not None and len(wanted) > 1:
+        if margin is not None and len(chosen) > 1:
             takes_lumped = _is_heavy_enough([] if has_massless_direction else lumped_mobility, full_mobility, margin)
-            wanted = [wanted[0] and takes_lumped, wanted[1] and not takes_lumped]
-        changes: list[PoseChange | None] = [None for _ in wanted]
-        if moving and any(wanted):
+            chosen = [chosen[0] and takes_lumped, chosen[1] and not takes_lumped]
+        changes: list[PoseChange | None] = [None for _ in chosen]
+        if moving and any(chosen):
             jacobian_rate = self._jacobian_rate(frame, kinematics)
             held = _times(jacobian_rate.tolist(), qd)
             for i, response in enumerate(responses):
-                if wanted[i]:
+                if chosen[i]:
                     # K = dJ/dt - J M^-1 C: K qd accelerates the point of free joints, and dA/dt = Z + Z^T.
                     rate: Matrix = (jacobian_rate - response.dot(coriolis(i))).tolist()
                     turning = [[_dot(row, column) for column in response_rows[i]] for row in rate]

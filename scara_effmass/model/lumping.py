@@ -126,11 +126,8 @@ def is_scara(robot: Robot) -> bool:
     if robot.revolute != (True, True, False, True):
         return False
     axes = [_distal_axis(robot, joint) for joint in range(1, 5)]
-    parallel = all(
-        np.linalg.norm(np.cross(robot.axis_in_joint_frame(joint), axes[joint - 1][1])) < PARALLEL
-        for joint in range(1, 5)
-    )
     point, axis = axes[2]
+    parallel = all(_are_parallel(robot.axis_in_joint_frame(joint), axes[joint - 1][1]) for joint in range(1, 5))
     return parallel and float(np.linalg.norm(point - (point @ axis) * axis)) < ON_AXIS_M
 
 
@@ -207,12 +204,16 @@ def _distal_axis(robot: Robot, joint: int) -> tuple[FloatArray, FloatArray]:
     return placement.translation.copy(), placement.rotation @ robot.axis_in_joint_frame(joint + 1)
 
 
+def _are_parallel(axis: FloatArray, distal: FloatArray) -> bool:
+    return float(np.linalg.norm(np.cross(axis, distal))) <= PARALLEL
+
+
 def _lumped_link(robot: Robot, joint: int, *, within_slab: bool) -> LumpedLink:
     """Return the masses of the link behind `joint`, by the policy if its axes as drawn have none."""
     name, body, axis = robot.joint_names[joint - 1], robot.model.inertias[joint], robot.axis_in_joint_frame(joint)
     point, distal = _distal_axis(robot, joint)
     fit = robot.lumping.free_parameters is FreeParameters.FIT_INERTIA and not robot.inertias_reason
-    parallel = float(np.linalg.norm(np.cross(axis, distal))) <= PARALLEL
+    parallel = _are_parallel(axis, distal)
     drawn = _DrawnLink(name, body, axis, point, distal, fit, within_slab)
     link = _parallel_axes(drawn) if parallel else _crossed_axes(drawn)
     com, height = np.array(body.lever), float(body.lever @ axis)
@@ -313,14 +314,14 @@ def _crossed_axes(drawn: _DrawnLink) -> LumpedLink:
         kappa2 = least if problem else kappa2
     elif fit and total > 0.0:
         # sqrt(kappa1 kappa2) r = second / s distal - first s axis with s^2 = kappa2 / kappa1 = t.
-        one, other = mass * first**2 * _unit_inertia(axis), mass * second**2 * _unit_inertia(distal)
+        linear, inverse = mass * first**2 * _unit_inertia(axis), mass * second**2 * _unit_inertia(distal)
         mixed = np.outer(axis, distal) + np.outer(distal, axis)
         rest = -mass * first * second * (2.0 * (axis @ distal) * np.eye(3) - mixed) - body.inertia
-        slope = _dot(one, one), _dot(rest, one), 0.0, -_dot(rest, other), -_dot(other, other)
+        slope = _dot(linear, linear), _dot(rest, linear), 0.0, -_dot(rest, inverse), -_dot(inverse, inverse)
         reach = total + FIT_REACH * _gyration(body)
         high, low = reach / max(abs(first), 1e-9 * reach), max(abs(second), 1e-9 * reach) / reach
         ratio = kappa2 / (1.0 - kappa2) if kappa2 < 1.0 else high
-        ratio = _minimum(slope, lambda t: np.linalg.norm(one * t + other / t + rest), ratio, low, high)
+        ratio = _minimum(slope, lambda t: np.linalg.norm(linear * t + inverse / t + rest), ratio, low, high)
         kappa2 = ratio / (1.0 + ratio)
     height1 = first / (1.0 - kappa2) if kappa2 < 1.0 else 0.0
     height2 = second / kappa2 if kappa2 > 0.0 else 0.0
@@ -330,9 +331,9 @@ def _crossed_axes(drawn: _DrawnLink) -> LumpedLink:
 
 def _along(vector: FloatArray, axis: FloatArray, distal: FloatArray) -> tuple[float, float]:
     """Return the components of `vector` along two unit vectors that are not parallel; that across both is dropped."""
-    cosine, one, other = float(axis @ distal), float(vector @ axis), float(vector @ distal)
+    cosine, along, along_distal = float(axis @ distal), float(vector @ axis), float(vector @ distal)
     square = 1.0 - cosine * cosine
-    return (one - cosine * other) / square, (other - cosine * one) / square
+    return (along - cosine * along_distal) / square, (along_distal - cosine * along) / square
 
 
 def _minimum(

@@ -223,8 +223,8 @@ def build_robot(
         notes=(*notes, *load_notes, *check.notes, *rotors.notes, *filter(None, [rotors.warning])),
         **fields,
     )
-    found = judge(robot)
-    return replace(robot, reach=found.reach, units_reason=found.units, notes=(*robot.notes, *found.notes))
+    judged = judge(robot)
+    return replace(robot, reach=judged.reach, units_reason=judged.units, notes=(*robot.notes, *judged.notes))
 
 
 def inertia_tensor(entries: Sequence[float]) -> FloatArray:

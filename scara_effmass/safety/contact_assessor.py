@@ -541,19 +541,19 @@ def _difference(contact: ContactAssessment, expected: ContactAssessment, toleran
     if expected.smallest_singular_value < SINGULAR:
         tolerance = max(tolerance, SINGULAR)
     for field in ContactAssessment._fields:
-        value, wanted = getattr(contact, field), getattr(expected, field)
-        if value != wanted and field != "reason" and not _is_close(value, wanted, tolerance):
+        value, reference = getattr(contact, field), getattr(expected, field)
+        if value != reference and field != "reason" and not _is_close(value, reference, tolerance):
             return field
     return ""
 
 
-def _is_close(value: Any, wanted: Any, tolerance: float) -> bool:  # noqa: ANN401 - any field
+def _is_close(value: Any, reference: Any, tolerance: float) -> bool:  # noqa: ANN401 - any field
     if isinstance(value, tuple):
-        return all(_is_close(a, b, tolerance) for a, b in zip(value, wanted, strict=True))
+        return all(_is_close(a, b, tolerance) for a, b in zip(value, reference, strict=True))
     if isinstance(value, (str, bool, Verdict)):
         return False
-    both_nan = math.isnan(value) and math.isnan(wanted)
-    return both_nan or math.isclose(value, wanted, rel_tol=tolerance, abs_tol=tolerance)
+    both_nan = math.isnan(value) and math.isnan(reference)
+    return both_nan or math.isclose(value, reference, rel_tol=tolerance, abs_tol=tolerance)
 
 
 def _reason_at(reasons: Reasons, columns: FloatArray, index: int) -> str:

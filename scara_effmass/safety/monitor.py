@@ -9,10 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.errors import EffmassError, RobotError
-from scara_effmass.iso15066 import (
-    SpeedLimits,
-    limits_for,
-)
+from scara_effmass.iso15066 import SpeedLimits, limits_for
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety.contact_assessor import ContactAssessor
 from scara_effmass.safety.debounce import UNKNOWN, VIOLATION, VerdictDebouncer, severity
