@@ -2,7 +2,7 @@
 """Diagnostics of the validation: state of the series, and impacts and messages that are not part of it."""
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -27,15 +27,15 @@ def series_status(
     undecodable: Counter[str],
     incompatible_qos: Collection[str],
     *,
-    contact_states: int,
+    contact_states: Mapping[str, int],
     robot: str,
     unheard: str = "",
 ) -> DiagnosticStatus:
     """Return the status of the series.
 
-    `contact_states` came since the last report, without those of the watchdog. `undecodable` counts messages by error;
-    `incompatible_qos` has a line per endpoint that cannot be connected.
-    `unheard` says that an input has no publisher.
+    `contact_states` counts those since the last report by contact point, without those of the watchdog. `undecodable`
+    counts messages by error; `incompatible_qos` has a line per endpoint that cannot be connected. `unheard` says that
+    an input has no publisher.
     """
     result = validator.result()
     selected, fit = next((model.overall, model.fit) for model in result.models if model.model == result.model)
@@ -43,8 +43,9 @@ def series_status(
     unpaired = sum(result.unpaired.values())
     if not problem and unpaired:
         problem = f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}"
-    if not problem and not contact_states:
-        problem = "no contact states"
+    if not problem and not contact_states.get(result.contact_point):
+        others = ", ".join(sorted(contact_states))
+        problem = f"no contact states of {result.contact_point}, only of {others}" if others else "no contact states"
     if not problem and result.waiting:
         problem = f"{result.waiting} impacts wait for contact states"
     values: dict[str, object] = {

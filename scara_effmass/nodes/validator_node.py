@@ -71,7 +71,7 @@ class ValidatorNode(LifecycleBase):
         """Create the endpoints."""
         settings = self._settings
         self._undecodable: Counter[str] = Counter()
-        self._contact_states = 0
+        self._contact_states: Counter[str] = Counter()
         self._validator = Validator(settings)
         self._detector = Detector(settings.detection)
         self._publisher = self.create_owned_publisher(ImpactValidation, topics.IMPACT_VALIDATION, topics.STREAM_QOS)
@@ -91,7 +91,8 @@ class ValidatorNode(LifecycleBase):
 
     def _on_contact_state(self, message: ContactState) -> None:
         if self.active:
-            self._contact_states += not message.watchdog
+            if not message.watchdog:
+                self._contact_states[message.contact_point] += 1
             self._publish(self._validator.add_state(contact_from(message), self.now_ns()))
 
     def _on_impact(self, data: bytes) -> None:
@@ -152,7 +153,7 @@ class ValidatorNode(LifecycleBase):
             )
 
     def _statuses(self) -> list[DiagnosticStatus]:
-        contact_states, self._contact_states = self._contact_states, 0
+        contact_states, self._contact_states = self._contact_states, Counter()
         force = (topics.FORCE, "ForceBlock") if self._settings.find_impacts else (topics.IMPACT, "Impact")
         inputs = ((topics.CONTACT_STATE, "ContactState"), force)
         unheard = (no_publisher(self, topic, f"scara_effmass_msgs/msg/{kind}") for topic, kind in inputs)
