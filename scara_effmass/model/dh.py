@@ -164,13 +164,17 @@ class DhFile(_Strict):
         return self
 
     def link_number(self, link: str | int, key: str) -> int:
-        """Return the number of `link`, 0 for an empty name. Raises ValueError for an unknown one, naming `key`."""
+        """Return the number of `link`, 0 for an empty name. Raises ValueError that names `key` for any other."""
         names = [link.name for link in self.links]
-        if link in ("", *names):
-            return 0 if not link else names.index(str(link)) + 1
-        if isinstance(link, int) and 1 <= link <= len(names):
-            return link
-        raise ValueError(f"{key}: link = {link!r}: must be 1 to {len(names)}, or one of {', '.join(names)}")
+        if link == "":
+            return 0
+        numbers = [number for number, name in enumerate(names, start=1) if link in {number, name}]
+        if len(numbers) == 1:
+            return numbers[0]
+        rule = f"1 to {len(names)}, or one of {', '.join(names)}"
+        if numbers:
+            rule = "a number, because several links have this name"
+        raise ValueError(f"{key}: link = {link!r}: must be {rule}")
 
 
 def load_dh(path: Path, settings: MonitorSettings) -> Robot:

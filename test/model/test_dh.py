@@ -145,6 +145,18 @@ def test_wrong_value_is_named(
     assert "\n" not in str(error.value)
 
 
+def test_contact_point_on_one_of_two_links_of_the_same_name_needs_its_number(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+) -> None:
+    omron_rows["links"][1]["name"] = omron_rows["links"][0]["name"]
+    omron_rows["contact_points"] = {"elbow": {"link": "link1", "at": [0.0, 0.0, 0.0]}}
+    with pytest.raises(RobotError, match=r"contact_points.elbow: link = 'link1': must be a number, because several"):
+        load_rows(omron_rows)
+    omron_rows["contact_points"]["elbow"]["link"] = 2
+    robot = load_rows(omron_rows)
+    assert robot.model.frames[robot.contact_frames["elbow"]].parentJoint == 2
+
+
 def test_name_of_one_letter_is_valid(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
     robot = load_rows(omron_rows | {"robot": "r", "base_frame": "b"})
     assert (robot.name, robot.base_frame) == ("r", "b")
