@@ -12,7 +12,7 @@ from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.diagnostics import status
 from scara_effmass.nodes.terminal import CHANGES, REMEDY
-from scara_effmass.safety import Monitor
+from scara_effmass.safety import Cause, Monitor
 from scara_effmass.safety.debounce import severity
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MassModel
@@ -123,6 +123,11 @@ def input_status(
     return status("input", f"{received} joint states", values, problem=problem)
 
 
+def cause_text(cause: Cause) -> str:
+    """Return the contact point and its reason."""
+    return f"{cause.contact_point}: {cause.reason}".removeprefix(": ")
+
+
 def _model_status(monitor: Monitor) -> DiagnosticStatus:
     dynamics, robot, cause = monitor.dynamics, monitor.dynamics.robot, monitor.first_cause
     values = {
@@ -139,7 +144,7 @@ def _model_status(monitor: Monitor) -> DiagnosticStatus:
         "kernel disagreements": int(bool(monitor.kernel_fault)),  # the first one is the last
         "limits": EDITION,
         "limits hash": TABLE_HASH,
-        "first cause": f"{cause.verdict.name} at {cause.stamp_ns / 1e9:.6f} s: {cause.reason}" if cause else "",
+        "first cause": f"{cause.verdict.name} at {cause.stamp_ns / 1e9:.6f} s: {cause_text(cause)}" if cause else "",
         **{f"decisions {verdict.name}": count for verdict, count in monitor.verdicts.items()},
     }
     missing = missing_models(dynamics)

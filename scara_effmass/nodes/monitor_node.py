@@ -31,6 +31,7 @@ from scara_effmass.nodes.kernel_loader import KernelLoader
 from scara_effmass.nodes.lifecycle import LifecycleBase, RCLError, run, with_info
 from scara_effmass.nodes.monitor_health import (
     Latencies,
+    cause_text,
     input_status,
     missing_models,
     monitor_statuses,
@@ -360,7 +361,7 @@ class MonitorNode(LifecycleBase):
             if self._monitor is not None:
                 cause = self._monitor.first_cause
                 self._monitor.reset()
-        return f"cleared: {cause.verdict.name}: {cause.reason}" if cause else "nothing was latched"
+        return f"cleared: {cause.verdict.name}: {cause_text(cause)}" if cause else "nothing was latched"
 
     def _on_clock_jump(self, jump: TimeJump) -> None:
         """Take each step of /clock; system time gives none."""

@@ -207,7 +207,7 @@ def test_latch_survives_a_new_robot_and_cleanup_and_ends_by_reset(new_harness: C
     assert harness.change_state(Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE)
     harness.spin_until(lambda: latched_answer().startswith("latched until reset: tip: robot_description: "))
     response = harness.call_service(Trigger, "reset", Trigger.Request())
-    assert response.message.startswith("cleared: UNKNOWN: robot_description: ")
+    assert response.message.startswith("cleared: UNKNOWN: tip: robot_description: ")
     answer(harness, ContactState.OK, **valid)
     # A reset without a robot clears what the next one would take over.
     descriptions.publish(String(data="<robot>"))

@@ -7,10 +7,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
-from scara_effmass.nodes.monitor_health import monitor_statuses
-from scara_effmass.safety import Monitor, unknown_decision
+from scara_effmass.nodes.monitor_health import monitor_statuses, worst_contacts
+from scara_effmass.safety import Cause, Monitor, unknown_contact, unknown_decision
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share
+from scara_effmass.values import Decision, Verdict
 
 
 def model_status(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[str, str]]:
@@ -52,6 +53,37 @@ def test_kernel_that_disagreed_is_a_warning_and_counted() -> None:
         assert values["kernel disagreements"] == count
         assert status.message.startswith(fault)
         assert status.level == DiagnosticStatus.WARN
+
+
+def decision(*verdicts: tuple[str, Verdict]) -> Decision:
+    contacts = (unknown_contact(name, f"of {name}", 1, 0.0)._replace(verdict=verdict) for name, verdict in verdicts)
+    return Decision(tuple(contacts), 0.0, 0.0)
+
+
+def test_first_cause_names_its_contact_point() -> None:
+    monitor = Monitor(RobotDynamics(load_robot()), MonitorSettings())
+    monitor.first_cause = Cause(1_500_000_000, "elbow", Verdict.VIOLATION, "too fast")
+    _, status = monitor_statuses(monitor, (), {}, DiagnosticStatus())
+    values = {pair.key: pair.value for pair in status.values}
+    assert values["first cause"] == "VIOLATION at 1.500000 s: elbow: too fast"
+
+
+def test_each_contact_point_reports_its_own_worst_since_the_last_report() -> None:
+    changes = [
+        decision(("elbow", Verdict.VIOLATION), ("tool", Verdict.OK), ("rim", Verdict.WARN)),
+        decision(("elbow", Verdict.OK), ("tool", Verdict.UNKNOWN), ("rim", Verdict.OK)),
+        decision(("elbow", Verdict.OK), ("tool", Verdict.WARN), ("rim", Verdict.OK)),
+    ]
+    latest = decision(("elbow", Verdict.OK), ("tool", Verdict.OK), ("rim", Verdict.VIOLATION))
+    worst = worst_contacts(latest, changes)
+    assert {contact.contact_point: contact.verdict.name for contact in worst} == {
+        "elbow": "VIOLATION",
+        "tool": "UNKNOWN",
+        "rim": "VIOLATION",
+    }
+    statuses = monitor_statuses(None, worst, {}, DiagnosticStatus())
+    assert [status.name for status in statuses[1:]] == ["contact elbow", "contact tool", "contact rim"]
+    assert {status.level for status in statuses[1:]} == {DiagnosticStatus.ERROR}
 
 
 def test_missing_lumped_model_is_a_warning_only_where_it_decides() -> None:

@@ -252,7 +252,7 @@ class TestParameters:
             assert harness.scalars == {"allowable_speed": [0.0], "speed_scaling": [0.0]}
             response = harness.call_service(Trigger, "reset", Trigger.Request())
             assert response.success
-            assert response.message.startswith("cleared: VIOLATION: ")
+            assert response.message.startswith("cleared: VIOLATION: tool: ")
             assert harness.response_to(joint_state()).verdict == ContactState.OK
         finally:
             assert harness.set_parameters(latch=False, person_speed=0.0) == ""
