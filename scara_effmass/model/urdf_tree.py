@@ -123,7 +123,7 @@ class UrdfTree:
         while body in self._parents and self.kind(self._parents[body][1]) == "fixed":
             body = self._parents[body][0]
         light = self._mass_beyond(body) < LIGHT_SHARE * self._mass_beyond(self.base)
-        return self.tip(link) if light or body == self.base else self.tip(body)
+        return self.tip(link if light else body)
 
     def _mass_beyond(self, body: str) -> float:
         """Return the mass [kg] of the links that move on `body`."""
