@@ -53,9 +53,11 @@ def catalogue(language: str) -> Mapping[str, str]:
 
 def translated(text: str, language: str) -> str | None:
     """Return `text` in `language`, its numbers in the same order, or None if the catalogue lacks it."""
-    known = text if language == ENGLISH else catalogue(language).get(_NUMBER.sub("…", text))
-    if known is None or "…" not in known:
-        return known
+    if language == ENGLISH:
+        return text
+    known = None if "…" in text else catalogue(language).get(_NUMBER.sub("…", text))
+    if known is None:
+        return None
     numbers = (match.group() for match in _NUMBER.finditer(text))
     return re.sub("…", lambda _: next(numbers), known)
 

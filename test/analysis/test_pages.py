@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from jinja2 import nodes
 from jinja2.ext import extract_from_ast
@@ -94,6 +94,8 @@ def test_numbers_of_a_text_from_the_code_are_kept() -> None:
 
 
 @given(st.text(min_size=1))
+@example("run … 2")
+@example("too few contacts: … of 3")
 def test_no_text_from_the_code_is_lost_or_unescaped(text: str) -> None:
     assert "".join(part for part, _ in phrases(text, "en")) == text
     shown = environment("de").from_string("{{ text | t }}").render(text=text)
