@@ -78,7 +78,9 @@ class DhJoint(_Strict):
 
     def link_in_joint(self) -> pin.SE3:
         """Return the pose of the link frame (on the axis, x along the common normal) in the moving joint frame."""
-        return pin.SE3(_rotation_z(self.theta), np.array([0.0, 0.0, self.d]))
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return pin.SE3(rotation, np.array([0.0, 0.0, self.d]))
 
     def next_in_joint(self) -> pin.SE3:
         """Return the pose of the DH frame, in which the next joint moves, in the moving joint frame."""
@@ -292,8 +294,3 @@ def _tensor(inertia: Inertia | None) -> FloatArray:
         # A planar robot states I_zz alone; equal halves for I_xx and I_yy satisfy the triangle inequality.
         return np.diag([inertia / 2.0, inertia / 2.0, inertia])
     return inertia_tensor(inertia)
-
-
-def _rotation_z(angle: float) -> FloatArray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
