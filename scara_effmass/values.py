@@ -28,6 +28,11 @@ NONE_SATURATED: NDArray[np.uint32] = np.empty(0, np.uint32)
 NONE_SATURATED.flags.writeable = False
 
 
+def true_runs(mask: BoolArray) -> NDArray[np.intp]:
+    """Return start and stop (k, 2) of each run of True in `mask` (n,)."""
+    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
+
+
 class Payload(NamedTuple):
     """Load on the last link, unchecked: `mass` [kg], centre of mass `com` [m] and `inertia` about it [kg m2].
 

@@ -13,10 +13,10 @@ from typing import final
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import DaqError, DeviceLostError, DeviceMissingError, OverrunError
 from scara_effmass.settings import DaqSettings
+from scara_effmass.wire.cdr import NS
 
-NS = 1_000_000_000
 LATENCY_WINDOW_S = 10.0
-"""Reads that count for the latency; the clocks of host and device, 100 ppm apart, drift by a millisecond meanwhile."""
+"""Time over which the latency is determined; two clocks that differ by 100 ppm drift by 1 ms meanwhile."""
 
 
 class AcquisitionState(Enum):
@@ -36,16 +36,16 @@ class AcquisitionStatistics:
 
     state: AcquisitionState
     reason: str
-    """Why it waits or has failed; after the end of a recording, what could not be read."""
+    """Why the acquisition waits or has failed; after the end of a recording, what could not be read."""
     samples_read: int
     samples_dropped: int
-    """Samples that were read but did not fit into the queue."""
+    """Samples that were read, but did not fit into the queue."""
     samples_lost: int
-    """Samples that never came: the device lost them or was disconnected."""
+    """Samples that never arrived: the device lost them or was disconnected."""
     samples_waiting: int
     reconnects: int
     latency_p50_s: float
-    """See `ReadLatency`; NaN of a recording."""
+    """See `ReadLatency`; NaN for a recording."""
     latency_max_s: float
 
 
@@ -53,8 +53,8 @@ class AcquisitionStatistics:
 class SampleQueue:
     """Bounded queue between two threads.
 
-    A reading that does not fit is dropped, and counted as lost in the next one that fits. With `block`, `put` waits
-    until it fits or the queue is closed.
+    A reading that does not fit is dropped, and the next one that fits states its samples as lost. With `block`, `put`
+    waits until the reading fits or the queue is closed.
     """
 
     def __init__(self, *, block: bool) -> None:
@@ -68,7 +68,7 @@ class SampleQueue:
         self.dropped_samples = 0
 
     def put(self, reading: Reading, max_samples: float) -> None:
-        """Add a reading if the queue is empty or then holds at most `max_samples`; otherwise drop it or wait."""
+        """Add a reading if the queue is empty, or if it fits into `max_samples`; otherwise drop it or wait."""
         count = reading.samples.shape[1]
         with self._changed:
             while self._block and not self._closed and not self._fits(count, max_samples):
@@ -91,7 +91,7 @@ class SampleQueue:
         return readings
 
     def close(self) -> None:
-        """End a `put` that waits."""
+        """End a waiting `put`."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -102,9 +102,9 @@ class SampleQueue:
 
 @final
 class ReadLatency:
-    """Estimate when a sample can be read at the earliest, and how much later each read was.
+    """Estimate the earliest time at which a sample can be read, and how much later each read was.
 
-    A read can be late but never early, so the earliest reads of the last 10 s mark when a sample can be read.
+    A read can be late but never early. The earliest reads of the last 10 s therefore show when samples are available.
     """
 
     def __init__(self, sample_rate: float) -> None:
@@ -113,7 +113,7 @@ class ReadLatency:
         self._latencies: deque[tuple[int, float]] = deque()
 
     def add(self, end: int, read_ns: int) -> None:
-        """Add a read: all samples before number `end` had been read at the steady time `read_ns`."""
+        """Add a read: at the steady time `read_ns`, all samples before number `end` had been read."""
         origin_ns = read_ns - self._span_ns(end)
         expired_ns = read_ns - round(LATENCY_WINDOW_S * NS)
         while self._earliest and self._earliest[-1][1] >= origin_ns:
@@ -126,7 +126,7 @@ class ReadLatency:
             self._latencies.popleft()
 
     def time_ns(self, number: int) -> int:
-        """Return the steady time at which sample `number` can be read at the earliest; needs a read before."""
+        """Return the earliest steady time at which sample `number` can be read; requires an earlier read."""
         return self._earliest[0][1] + self._span_ns(number)
 
     def latencies(self) -> tuple[float, float]:
@@ -144,13 +144,13 @@ class ReadLatency:
 class Acquisition:
     """Read a source and queue its readings; public members may be used from any thread.
 
-    The queue holds `settings.backlog` [s]. A reading that does not fit is dropped and counted as lost in the next
-    one, except from an unpaced source, which waits.
+    The queue holds `settings.backlog` [s]. A reading that does not fit is dropped, and the next one states its samples
+    as lost; an unpaced source waits instead.
 
-    After a lost device or an overrun the acquisition restarts the source every `settings.ni9230.retry_time` until it
-    returns samples. `Reading.run` then increases, and sample numbers continue after the gap: the time without samples
-    on the steady clock times the sample rate, as accurate as the latency of a read. Any other error ends the
-    acquisition and is its `failure`.
+    After a lost device or an overrun, the acquisition restarts the source every `settings.ni9230.retry_time` until it
+    returns samples. Then `Reading.run` increases, and the sample numbers continue after the gap. The gap is the time
+    without samples on the steady clock, times the sample rate; it is as accurate as the latency of a read. Any other
+    error ends the acquisition and becomes its `failure`.
     """
 
     def __init__(
@@ -162,8 +162,7 @@ class Acquisition:
     ) -> None:
         """Take over a source that has not been started.
 
-        `notify` is called in the acquisition thread when readings, the state or the failure may have changed; it must
-        not block.
+        The acquisition thread calls `notify`, which must not block, when readings, state or failure may have changed.
         """
         self.source = source
         self._notify = notify
@@ -176,21 +175,21 @@ class Acquisition:
         self._stopping = threading.Event()
 
         self._lock = threading.Lock()
-        """Guards all below."""
+        """Guards all attributes below."""
         self._state, self._reason = AcquisitionState.IDLE, ""
         self._failure: Exception | None = None
         self._samples_read = self._samples_lost = 0
         self._is_recording = False
         self._end = 0
-        """Number of the next sample if none is missing."""
+        """Number of the next sample if none is lost."""
         self._due_ns = 0
-        """Steady time at which that sample was due when the run started."""
+        """Steady time at which that sample was due at the start of the run."""
         self._run = 0
         self._run_first: int | None = None
         """Number of the first sample of this run, lost or not; None before its first reading."""
 
     def start(self) -> None:
-        """Start the source and the thread; raises DaqError, and RuntimeError when called twice."""
+        """Start the source and the thread. Raises DaqError, or RuntimeError when called twice."""
         if self._thread is not None:
             raise RuntimeError("an acquisition can start only once")
         self.source.start()
@@ -212,12 +211,12 @@ class Acquisition:
 
     @property
     def failure(self) -> Exception | None:
-        """Error that ended the acquisition."""
+        """Error that ended the acquisition, or None."""
         return self._failure
 
     @property
     def ended(self) -> bool:
-        """Whether the source has ended and all its readings were taken."""
+        """Whether the source has ended and all of its readings were taken."""
         return self._state is AcquisitionState.ENDED and not self._queue.samples
 
     def statistics(self) -> AcquisitionStatistics:
@@ -298,8 +297,8 @@ class Acquisition:
         self._set_state(AcquisitionState.RUNNING)
 
     def _restart(self, error: DaqError) -> None:
-        """Close and start the source until that works; its next readings are another run."""
-        # A device that starts but returns no samples must not be restarted without a pause.
+        """Close and start the source until that succeeds; its next readings belong to a new run."""
+        # A device that starts but returns no samples must not be restarted over and over without a pause.
         pause = self._run_first is None
         if self._run_first is not None:
             self._due_ns = self._latency.time_ns(self._end - self._run_first)

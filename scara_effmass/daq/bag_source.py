@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force from a bag: read its ForceBlocks or wrenches, count the samples that are missing, play them at their pace."""
+"""Force from a bag: read its ForceBlocks or wrenches, count missing samples, and play them at their recorded pace."""
 
 import math
 import threading
@@ -24,23 +24,23 @@ from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import FORCE_BLOCK, WRENCH, WRENCH_STAMPED
 
 POLL_S = 0.005
-"""Polling period of the clock, which may be simulated."""
+"""Polling period of the clock, which may be a simulated one."""
 MAX_LEAD_NS = 10 * NS
-"""A clock that starts up to this much before the bag belongs to a replay of it."""
+"""A clock that starts at most this much before the bag is that of a replay of the bag."""
 RELATIVE_NS = 10**8 * NS
-"""Stamps before this, in 1973, are relative to the start of the recording."""
+"""Earlier stamps (before 1973) are relative to the start of the recording."""
 CLOCK_STEP_NS = NS // 10
-"""A clock that goes back by more was set back; adjusted clocks go back by less."""
+"""A clock that goes back by more has been set back; clocks that are adjusted go back by less."""
 MAX_FORCE = 1e9
 """[N]; no sensor measures more."""
 MAX_RATE_DRIFT = 0.01
 """Largest relative difference between the sample rates of two blocks of one recording."""
 MAX_OVERLAP_NS = NS
-"""A block that overlaps by less is a repetition and left out; if stamps go back further, a clock was set."""
+"""A block that overlaps by less is a repetition and is left out; if stamps go back further, a clock was set back."""
 
 
 def _topic(bag: Bag, name: str, convert: str) -> Topic:
-    """Return the topic `name`, or the only one with ForceBlocks, else with wrenches."""
+    """Return the topic `name`; if empty, the only topic of ForceBlocks or, without ForceBlocks, of wrenches."""
     full = [topic for topic in bag.topics if topic.count]
     blocks = [topic for topic in full if topic.type == FORCE_BLOCK]
     topics = blocks or [topic for topic in full if topic.type in {WRENCH_STAMPED, WRENCH}]
@@ -54,7 +54,7 @@ def _topic(bag: Bag, name: str, convert: str) -> Topic:
 
 
 def _ordered(blocks: Iterator[ForceBlock], sample_rate: float, origin: str) -> Iterator[ForceBlock]:
-    """Yield the blocks in the order of their stamps; `lost_samples` becomes the number missing before each block.
+    """Yield the blocks in the order of their stamps, each with the number of samples missing before it.
 
     Repeated and late blocks are left out.
     """
@@ -70,7 +70,7 @@ def _ordered(blocks: Iterator[ForceBlock], sample_rate: float, origin: str) -> I
             if block.stamp_ns <= last.stamp_ns:
                 continue
             lost = block.first_sample - last.first_sample - len(last.force)
-            if lost < 0:  # the measurement was restarted: only the stamps tell
+            if lost < 0:  # the measurement was restarted, so only the stamps show what is missing
                 lost = max(0, round((block.stamp_ns - end_ns) / NS * sample_rate))
             lost = max(lost, block.lost_samples)
         last = block
@@ -88,19 +88,19 @@ def _check_block(block: ForceBlock, sample_rate: float, origin: str) -> None:
 
 @final
 class BagSource(ForceSource):
-    """Play the ForceBlocks or wrenches of a bag by the ROS clock; each block comes at the time of its last sample.
+    """Play the ForceBlocks or wrenches of a bag by the ROS clock; each block is due at the time of its last sample.
 
-    If the clock starts within the span of the bag or up to 10 s before it, the bag is being replayed on that clock:
-    stamps are times of the clock, and a late start catches up. Otherwise, and with the stamps `now`, the first sample
-    is due at the start and the others follow at `bag.rate` times the original speed. A clock at 0 has not started
-    yet. With a rate of 0 each block is due at once.
+    If the clock starts within the time span of the bag, or up to 10 s before it, the bag is being replayed on that
+    clock: stamps are times of the clock, and blocks that are already due come at once. Otherwise, and with the stamps
+    `now`, the first sample is due at the start, and the others follow at `bag.rate` times the original speed. A clock
+    at 0 has not started yet. With a rate of 0, each block is due at once.
 
-    With the stamps `now`, and where the bag has relative stamps, the first stamp is moved to the start. Samples that
-    are not finite or absurdly large become NaN.
+    With the stamps `now`, or if the bag has relative stamps, stamps are shifted such that the first one is the start.
+    Samples that are not finite or absurdly large become NaN.
 
-    When the clock of a replay goes back, as in a loop, playing continues there as another run; what was due before
-    and did not come, at least one sample, is lost. When another clock goes back, playing continues without a pause,
-    as another run if the stamps move with the clock. A bag that had ended stays ended.
+    When the clock of a replay goes back, as in a loop, playing continues there as a new run; the samples that were due
+    before and not returned, at least one, count as lost. When any other clock goes back, playing continues without a
+    pause; if the stamps move with the clock, as a new run. A bag that has ended stays ended.
     """
 
     filter_delay = 0.0  # recorded stamps are those of the force
@@ -115,7 +115,7 @@ class BagSource(ForceSource):
         self.is_unpaced = settings.bag.rate == 0.0
         self.subscriber_timeout = settings.bag.subscriber_timeout
         self._settings = settings.bag
-        self._sensor = settings.sensor.model_copy(update={"invert": False})  # the signal conditioner inverts
+        self._sensor = settings.sensor.model_copy(update={"invert": False})  # the signal conditioner inverts the sign
         self._now_ns = now_ns
         self._reading = threading.Lock()
         self._closing = threading.Event()
@@ -126,7 +126,7 @@ class BagSource(ForceSource):
         self._begin_ns: int | None = None
         """Time on the clock at which the first sample is due; None before the clock has started."""
         self._is_replay = False
-        """The clock is that of a replay of this bag."""
+        """Whether the clock is that of a replay of this bag."""
         self._latest_ns = 0
         """Latest time on the clock since it was last set back."""
         self._shift_ns = 0
@@ -145,14 +145,14 @@ class BagSource(ForceSource):
 
     @property
     def waiting_for(self) -> str:
-        """Time on the clock that the next block is waiting for."""
+        """Time on the clock that the next block waits for."""
         begin_ns, block, now = self._begin_ns, self._block, f"now {self._latest_ns / NS:.3f} s"
         if begin_ns is None or block is None:
             return f"the clock to start ({now})"
         return f"the clock to reach {self._due_ns(block, begin_ns) / NS:.3f} s ({now})"
 
     def start(self) -> None:
-        """Open the bag; raises BagError or SettingsError."""
+        """Open the bag. Raises BagError or SettingsError."""
         if not self._settings.path:
             raise SettingsError("bag.path is empty: must be the bag to play")
         self.close()
@@ -169,9 +169,9 @@ class BagSource(ForceSource):
             raise
 
     def read(self, timeout_s: float) -> Reading | None:
-        """Return the next block when it is due; None if it is not within `timeout_s` [s], or at the end.
+        """Return the next block when it is due; None if it is not due within `timeout_s` [s], or at the end.
 
-        Raises BagError where the bag is damaged.
+        Raises BagError if the bag is damaged.
         """
         deadline = time.monotonic() + timeout_s
         with self._reading:
@@ -202,7 +202,7 @@ class BagSource(ForceSource):
                 self._bag = None
 
     def _open(self) -> ForceBlock:
-        """Open the bag, find its topic of ForceBlocks and return the first block. Raises BagError."""
+        """Open the bag, find its topic of force and return the first block. Raises BagError."""
         path = Path(self._settings.path)
         convert = f"convert its force first: scara-effmass import {path} -o BAG"
         if path.is_file() and path.suffix.lower() in IMPORTERS:
@@ -252,7 +252,7 @@ class BagSource(ForceSource):
             self._is_replay = True
 
     def _follow_clock(self, now_ns: int) -> None:
-        """Continue from `now_ns` if the clock was set back."""
+        """Continue from `now_ns` if the clock has been set back."""
         latest_ns = self._latest_ns
         back_ns = latest_ns - now_ns
         if back_ns <= CLOCK_STEP_NS:
@@ -270,7 +270,7 @@ class BagSource(ForceSource):
             self._run += 1
 
     def _seek(self, latest_ns: int, now_ns: int) -> None:
-        """Open the bag again, and continue with the first block that ends after `now_ns`."""
+        """Open the bag again, and continue with the first block that ends at `now_ns` or later."""
         lost, waiting = 0, self._block
         if waiting is not None and self._next_sample:
             lost = max(1, 1 + int((latest_ns - waiting.stamp_ns) / NS * self.sample_rate))

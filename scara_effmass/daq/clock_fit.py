@@ -9,25 +9,25 @@ from typing import NamedTuple, final
 import numpy as np
 
 BIN_S = 1.0
-"""Length of a bin; each bin keeps its earliest read."""
+"""Width of a bin; each bin keeps its earliest read."""
 BINS = 30
-"""Bins that determine the rate: enough for a few ppm, few enough to follow a clock that is being slewed."""
+"""Bins that determine the rate: enough for a few ppm, and few enough to follow a clock that is being slewed."""
 MIN_SLOPE_BINS = 8
-"""With fewer bins, two late ones, which JUMP_TIME_S allows, would affect more than half of the slopes."""
+"""Two bins may be late (JUMP_TIME_S); with fewer bins in total, they would affect more than half of the slopes."""
 OFFSET_BINS = 5
-"""Latest bins that determine the offset; with more, an error of the rate would move it further."""
+"""Latest bins that determine the offset; with more, an error of the rate would have a larger effect on it."""
 SETTLED_READS = 10
-"""All of ten reads are later than their mean delay once in 22 000 times (e^-10)."""
+"""That all of ten reads are later than their mean delay happens once in 22 000 times (e^-10)."""
 START_UNCERTAINTY_S = 10e-3
-"""Delay that a single read may have."""
+"""Possible delay of a single read."""
 JUMP_S = 5e-3
-"""A larger deviation from the fit is a jump of one of the two clocks."""
+"""A larger deviation from the fit means that one of the two clocks has jumped."""
 JUMP_TIME_S = 2.0
-"""Time for which reads must be late by the same amount, within JUMP_S, to count as a jump."""
+"""Reads that are late by the same amount, within JUMP_S, for this time show a jump."""
 
 
 class _Point(NamedTuple):
-    """A read: nominal time since the origin [s], and its delay in ROS time against that [s]."""
+    """A read: `x`, nominal time since the origin [s]; `y`, ROS time since the origin minus `x` [s]."""
 
     x: float
     y: float
@@ -37,18 +37,18 @@ class _Point(NamedTuple):
 class ClockFit:
     """Fit the sample numbers of a device to ROS time while it runs.
 
-    A read comes after its last sample by a delay that is often small, sometimes large and never negative, so the
-    earliest reads determine the fit and not their mean. The rate is the median of the slopes between the earliest
+    A read follows its last sample after a delay that is often small, sometimes large and never negative. The fit
+    therefore uses the earliest reads and not their mean. The rate is the median of the slopes between the earliest
     reads of each second (Theil-Sen estimator) over the last 30 s. The offset puts the line through the earliest read
-    of the last 5 s. The smallest delay cannot be observed: stamps are late by it.
+    of the last 5 s. The smallest delay cannot be observed; stamps are late by it.
 
-    Times are integers in nanoseconds and floats hold only differences, because a float of nanoseconds since 1970 is
-    too coarse. The stamp of a sample depends on its number alone; no error accumulates.
+    Times are integers in nanoseconds, and floats hold only differences: nanoseconds since 1970 in a float would be too
+    coarse. The stamp of a sample depends on its number alone, so no error accumulates.
 
     From the tenth read on, the fit moves back by at most one sample per read, so that stamps ascend; the rest follows
-    with later reads and is part of `residual`. When a read is 5 ms earlier than the fit, or the reads of 2 s are late
-    by the same amount of at least 5 ms, a clock has jumped: the fit restarts, and stamps may step. Reads that queued
-    up during a stall become less and less late and are no jump.
+    with later reads and is part of `residual`. A clock has jumped when a read is 5 ms earlier than the fit, or when the
+    reads of 2 s are late by the same amount of at least 5 ms. The fit then restarts, and stamps may step. Reads that
+    queued up during a stall are less and less late, which is no jump.
     """
 
     def __init__(self, nominal_rate: float) -> None:
@@ -57,11 +57,11 @@ class ClockFit:
         self.sample_rate = nominal_rate
         """Measured against ROS time [Hz]; nominal during the first seconds."""
         self.residual = START_UNCERTAINTY_S
-        """Uncertainty of a stamp [s]: the earliest reads of nine in ten seconds deviate from the fit by less.
+        """Uncertainty of a stamp [s]: in nine of ten seconds, the earliest read deviates from the fit by less.
 
         At first it is at least 10 ms divided by the number of reads, and at least the median delay of the reads.
-        After a jump it starts at the size of the jump and falls by a factor of e per read. The part of a backward
-        move that is still due is added.
+        After a jump it starts at the size of the jump and falls by a factor of e per read. The part by which the fit
+        must still move back is added.
         """
         self.restarts = 0
         """How often a settled fit restarted because a clock had jumped."""
@@ -71,7 +71,7 @@ class ClockFit:
 
     @property
     def settled(self) -> bool:
-        """Whether there were enough reads for an early one among them."""
+        """Whether there were enough reads for one of them to be early."""
         return self._reads > SETTLED_READS
 
     def stamp_ns(self, sample: int) -> int:
@@ -124,7 +124,7 @@ class ClockFit:
             self._late_reads = 0
             return late_s < -JUMP_S
         if not self._late_reads or late_s < self._late_s - JUMP_S:
-            # The reads before were delayed by more.
+            # The reads before were later than this one.
             self._late_reads, self._late_s, self._late_time_s = 1, late_s, 0.0
         elif late_s <= self._late_s + JUMP_S:
             # A constant delay: the time of the host advances with that of the device.
@@ -136,7 +136,7 @@ class ClockFit:
         host_s = sum(point)
         if len(self._bins) < OFFSET_BINS:
             self._first_y.append(point.y)
-        # By host time, so that reads that queued up during a stall are in one bin.
+        # Bins are in host time, so that reads which queued up during a stall share one bin.
         if host_s < self._bin_end:
             self._earliest = min(self._earliest, point, key=self._intercept)
             return
@@ -157,7 +157,7 @@ class ClockFit:
         return min(map(self._intercept, (*list(self._bins)[-OFFSET_BINS:], self._earliest)))
 
     def _move_line(self, last: int, x: float) -> None:
-        """Put the line through the earliest reads, with no sample before the one that precedes it."""
+        """Put the line through the earliest reads, but so that no sample is stamped before its predecessor."""
         fit_ns = self._origin_ns + round((x + self._slope * x + self._offset()) * 1e9)
         behind_ns = 0
         if self.settled:
@@ -171,7 +171,7 @@ class ClockFit:
 
 
 def _median_slope(points: deque[_Point]) -> float:
-    """Return the median of the slopes between all pairs of points; it tolerates a quarter of outliers."""
+    """Return the median of the slopes between all pairs of points; up to a quarter of the points may be outliers."""
     x, y = np.array(points).T
     i, j = np.triu_indices(len(points), 1)
     return float(np.median((y[j] - y[i]) / (x[j] - x[i])))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Condition the signal of a force source: sign, filter, tare, stamps and saturation, as ForceBlocks."""
+"""Convert the samples of a force source to ForceBlocks: sign, filter, tare, stamps and saturation."""
 
 from __future__ import annotations
 
@@ -14,25 +14,33 @@ from scara_effmass.daq.clock_fit import ClockFit
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.daq.tare import Tare
 from scara_effmass.settings import DaqSettings, FilterKind
-from scara_effmass.values import MAX_LOST_SAMPLES, NONE_SATURATED, RANGE_TOLERANCE, BoolArray, FloatArray, ForceBlock
+from scara_effmass.values import (
+    MAX_LOST_SAMPLES,
+    NONE_SATURATED,
+    RANGE_TOLERANCE,
+    BoolArray,
+    FloatArray,
+    ForceBlock,
+    true_runs,
+)
+from scara_effmass.wire.cdr import NS
 
 if TYPE_CHECKING:
     from scara_effmass.daq.lowpass import Lowpass
 
-NS = 1e9
 NO_FORCE: FloatArray = np.empty(0)
 NO_FORCE.flags.writeable = False
 
 
 class SignalConditioner:
-    """Convert the readings of one source to force blocks of each channel.
+    """Convert the readings of one source to the force blocks of each channel.
 
-    A `ClockFit` stamps the readings of a device, the same for all channels; recordings have stamps. The delays of the
-    source and of the low-pass are subtracted from the stamps and stated in the blocks.
+    A `ClockFit` stamps the readings of a device, equally for all channels; recordings have their own stamps. The delays
+    of the source and of the low-pass are subtracted from the stamps and stated in the blocks.
     """
 
     def __init__(self, source: ForceSource, settings: DaqSettings) -> None:
-        """Expect readings of `source`, which has been started. Raises SettingsError if the filter does not fit."""
+        """Prepare for readings of `source`, which has been started. Raises SettingsError for an impossible filter."""
         self._source = source
         self._limit = min(source.limit, settings.sensor.range) * (1.0 - RANGE_TOLERANCE)
         self._sign = -1.0 if settings.sensor.invert else 1.0
@@ -42,7 +50,7 @@ class SignalConditioner:
         self.clock = ClockFit(source.sample_rate)
         """Unused for recordings."""
         self.channels = tuple(
-            # Each sensor has a place of its own; the first one has the frame of the settings.
+            # Each sensor has its own frame; that of the first one is in the settings.
             ForceChannel(name, f"{settings.frame_id}_{name}" if number else settings.frame_id, settings, source)
             for number, name in enumerate(source.channels)
         )
@@ -58,10 +66,10 @@ class SignalConditioner:
             channel.begin_tare()
 
     def blocks(self, reading: Reading) -> list[list[ForceBlock]]:
-        """Return the blocks of each channel: one, or none or several around samples that are not finite."""
+        """Return the blocks of each channel: usually one; none or several if some samples are not finite."""
         n = reading.samples.shape[1]
         first = reading.first_sample
-        # After a restart of the numbers only the source knows what is missing.
+        # If the sample numbers restart, only the source knows what is missing.
         lost = reading.lost if self._end is None else max(reading.lost, first - self._end)
         self._end = first + n
         sample_rate, residual = self._source.sample_rate, reading.clock_residual
@@ -92,7 +100,7 @@ class SignalConditioner:
             relative_uncertainty=self._uncertainty if stated is None else stated,
         )
         saturated: Sequence[BoolArray | None] = [None] * len(self.channels)
-        # The comparison is False with NaN, too, so it alone covers the usual case.
+        # With NaN the comparisons are false, so they alone recognize the usual case.
         if reading.saturated is not None or not (n and -self._limit < force.min() and force.max() < self._limit):
             beyond = np.abs(force) >= self._limit
             saturated = list(beyond if reading.saturated is None else beyond | reading.saturated)
@@ -105,13 +113,13 @@ class SignalConditioner:
 class ForceChannel:
     """Filter and tare the samples of one channel, and count them.
 
-    Blocks are never held back: before the first tare is complete they state a tare of 0 with the stamp 0, and a new
-    tare applies from the next reading on. Force plus tare, which the sensor read, has no step there. A refused tare
+    Blocks are never held back: until the first tare is complete, they state a tare of 0 with the stamp 0. A new tare
+    applies from the next reading on; force plus tare, which is what the sensor read, has no step there. A refused tare
     changes nothing and sets `tare_problem`.
     """
 
     def __init__(self, name: str, frame_id: str, settings: DaqSettings, source: ForceSource) -> None:
-        """Expect samples of `source`."""
+        """Prepare for samples of `source`."""
         self.name = name
         self.frame_id = frame_id
         self.samples = 0
@@ -122,7 +130,7 @@ class ForceChannel:
         """[N]"""
         self.tare_stamp_ns = 0
         self.tare_problem = ""
-        """Why the latest tare was refused; empty otherwise."""
+        """Why the latest tare was refused; empty if it was not."""
         self._settings = settings
         self._sample_rate = source.sample_rate
         self._lowpass = _lowpass(settings, source.sample_rate)
@@ -140,7 +148,7 @@ class ForceChannel:
 
     @property
     def lost(self) -> int:
-        """Samples that never came or were not finite."""
+        """Samples that never arrived or were not finite."""
         return self._lost + self._missing
 
     @property
@@ -156,12 +164,12 @@ class ForceChannel:
     def blocks(self, common: ForceBlock, force: FloatArray, saturated: BoolArray | None) -> Iterator[ForceBlock]:
         """Yield the finished blocks of one reading.
 
-        `common` holds the fields that all channels share. `force` (n,) is in [N] as the sensor measured it.
-        `saturated` (n,) marks samples at the end of the range; None if all samples are finite and none is marked.
+        `common` holds the fields that all channels share. `force` (n,) is in [N], as the sensor measured it.
+        `saturated` (n,) marks samples at the end of the range; None if there are none, and all samples are finite.
         """
         self._missing += common.lost_samples
         end = 0
-        for start, stop in [(0, force.size)] if saturated is None else _finite_runs(force):
+        for start, stop in [(0, force.size)] if saturated is None else true_runs(np.isfinite(force)).tolist():
             self._missing += start - end
             yield self._block(common, start, force[start:stop], None if saturated is None else saturated[start:stop])
             end = stop
@@ -198,7 +206,7 @@ class ForceChannel:
         return block
 
     def _influenced(self, saturated: BoolArray | None, n: int) -> NDArray[np.uint32]:
-        """Return the indices of the outputs that a saturated sample influences through the low-pass."""
+        """Return the indices of the outputs that saturated samples influence through the low-pass."""
         if saturated is None and self._since_saturated > self._memory:
             return NONE_SATURATED
         index = np.arange(n)
@@ -229,10 +237,3 @@ def _lowpass(settings: DaqSettings, sample_rate: float) -> Lowpass | None:
     # scipy takes a second and 80 MB to load.
     lowpass: Lowpass = import_module("scara_effmass.daq.lowpass").make_lowpass(settings.filter, sample_rate)
     return lowpass
-
-
-def _finite_runs(force: FloatArray) -> Iterator[tuple[int, int]]:
-    """Yield start and stop of each run of finite samples."""
-    finite = np.concatenate(([False], np.isfinite(force), [False]))
-    edges = np.flatnonzero(finite[1:] != finite[:-1])
-    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)

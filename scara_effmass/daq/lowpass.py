@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optional low-pass filters that state their delay. Importing this module loads scipy: import it only when needed."""
+"""Optional low-pass filters with a known delay. This module loads scipy: import it only when it is needed."""
 
 import math
 
@@ -11,33 +11,34 @@ from scara_effmass.settings import FilterKind, FilterSettings
 from scara_effmass.values import FloatArray
 
 NEGLIGIBLE = 1e-3
-"""Remaining fraction of a sample's influence on the output that is neglected."""
+"""Share of a sample's influence on the output below which it is neglected."""
 HALF_WIDTH = 4.0
 """Half the length of the Gaussian in standard deviations; 6e-5 of it lies outside."""
 MAX_TAPS = 4001
-"""With more taps, filtering a block would take longer than measuring it."""
+"""With more taps, it would take longer to filter a block than to measure it."""
 
 
 class Lowpass:
-    """Digital filter of one channel, called with consecutive samples in portions of any size.
+    """Digital filter of one channel, called with consecutive portions of samples, of any size.
 
-    It starts as if the first sample had been constant before, so a constant passes unchanged.
+    It starts as if all samples before had equalled the first one, so a constant passes unchanged.
     """
 
     def __init__(self, numerator: FloatArray, denominator: FloatArray, delay: float, memory: int) -> None:
         """Create the filter with these coefficients and a gain of 1 at frequency 0."""
         self.delay = delay
-        """[samples]; where it depends on the frequency, that of slow signals."""
+        """[samples]; if it depends on the frequency, that of slow signals."""
         self.memory = memory
-        """Number of outputs, after the one at its own index, that a sample influences."""
+        """Number of outputs after its own index that a sample influences."""
         self._coefficients = numerator, denominator
-        # State after a long constant 1: element k is the sum of numerator - denominator beyond k.
+        # State after a long constant 1, as `signal.lfilter_zi`, which needs a matrix of taps x taps.
+        # Element k is the sum of numerator - denominator beyond k.
         rest = numerator - np.pad(denominator, (0, numerator.size - denominator.size))
         self._steady = np.cumsum(rest[:0:-1])[::-1]
         self._state: FloatArray | None = None
 
     def __call__(self, samples: FloatArray) -> FloatArray:
-        """Return as many outputs as samples, not shifted by the delay."""
+        """Return one output for each sample; the delay is not compensated."""
         if not samples.size:
             return samples
         state = self._steady * samples[0] if self._state is None else self._state
@@ -46,14 +47,14 @@ class Lowpass:
         return output
 
     def reset(self) -> None:
-        """Discard the past, as after a gap."""
+        """Forget earlier samples, as after a gap."""
         self._state = None
 
 
 def make_lowpass(settings: FilterSettings, sample_rate: float) -> Lowpass:
-    """Return the low-pass of `settings`, whose kind is not none, for samples at `sample_rate` [Hz].
+    """Return the low-pass of `settings`, whose kind must not be none, for samples at `sample_rate` [Hz].
 
-    Raises SettingsError when the sample rate is too low, or far too high, for the cutoff.
+    Raises SettingsError if the sample rate is too low, or far too high, for the cutoff.
     """
     if not settings.cutoff < sample_rate / 2.0:
         raise SettingsError(
@@ -66,7 +67,7 @@ def make_lowpass(settings: FilterSettings, sample_rate: float) -> Lowpass:
 def _butterworth(cutoff: float, sample_rate: float) -> Lowpass:
     """Return a causal second-order low-pass with half the power at the cutoff.
 
-    The output does not depend on the size of the portions, bit for bit.
+    The output is the same to the last bit for portions of any size.
     """
     numerator, denominator = signal.butter(2, cutoff, fs=sample_rate)
     _, delays = signal.group_delay((numerator, denominator), w=[0.0])
@@ -79,7 +80,7 @@ def _gaussian(cutoff: float, sample_rate: float) -> Lowpass:
     """Return a low-pass with Gaussian taps and half the power at the cutoff; it delays all frequencies equally.
 
     No tap is negative, so peaks do not grow and impacts have no echo. The size of the portions changes the output by
-    about 1e-15 of the largest sample. Raises SettingsError when it needs more than MAX_TAPS.
+    about 1e-15 of the largest sample. Raises SettingsError if the filter needs more than MAX_TAPS.
     """
     # |H| = exp(-(2 pi f sigma)² / 2) of the continuous Gaussian, 1/sqrt(2) at the cutoff
     width = math.sqrt(math.log(2.0)) / (2.0 * math.pi * cutoff) * sample_rate

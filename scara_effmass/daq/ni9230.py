@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The source `ni9230`: IEPE force sensors on an NI-9230 or another module that supplies them, through NI-DAQmx."""
+"""The source `ni9230`: IEPE force sensors on an NI-9230, or another module with IEPE supply, through NI-DAQmx."""
 
 import math
 import re
@@ -26,16 +26,16 @@ from scara_effmass.settings import DaqSettings
 from scara_effmass.values import BoolArray, FloatArray
 
 BUFFER_TIME_S = 10.0
-"""Buffer of the driver: how long reading may pause without a loss."""
+"""Size of the driver's buffer: reading may pause for this time without a loss."""
 
 
 @final
 class Ni9230Source(ForceSource):
-    """Samples of the channels in `settings.ni9230`, one block each `settings.block_time`.
+    """Samples of the channels in `settings.ni9230`, one block every `settings.block_time`.
 
-    The driver numbers samples without a gap or fails, so `Reading.lost` is 0; the caller finds from the time what is
-    missing after an OverrunError or a DeviceLostError. The driver states that a channel was overloaded, but not when:
-    its samples at the limit are marked, or the whole reading if there is none.
+    The driver returns samples without a gap or fails, so `Reading.lost` is 0; after an OverrunError or a
+    DeviceLostError, the caller determines from the time what is missing. The driver states that a channel was
+    overloaded, but not when: its samples at the limit are marked as saturated or, if there are none, all of them.
     """
 
     def __init__(self, settings: DaqSettings, now_ns: Callable[[], int]) -> None:
@@ -51,12 +51,12 @@ class Ni9230Source(ForceSource):
         self._subject = f"ni9230.channels = {', '.join(settings.ni9230.channels)}"
         self._was_connected = False
         self._lock = threading.RLock()
-        """Held during calls of the driver except the abort of a task."""
+        """Held during all calls of the driver except the one that aborts a task."""
         self._closing = False
         self._task: Any = None
         self._next = 0
         self._failure: DaqError | None = None
-        """Error that came with the samples of the last reading; the next one raises it."""
+        """Error that came with the samples of the last reading; the next `read` raises it."""
 
     @property
     def ended(self) -> bool:
@@ -79,7 +79,7 @@ class Ni9230Source(ForceSource):
             self._was_connected = True
 
     def read(self, timeout_s: float) -> Reading | None:
-        """Return the next block, or the part of it that came within `timeout_s` [s]; None if no sample did."""
+        """Return the next block, or the part of it that came within `timeout_s` [s]; None if no sample came."""
         with self._lock:
             if self._task is None or self._closing or self.ended:
                 return None
@@ -88,7 +88,7 @@ class Ni9230Source(ForceSource):
             count = self._fill(timeout_s)
             if not count:
                 return None
-            # After a partial read the channels follow each other without a gap.
+            # After a partial read, the channels directly follow each other in the buffer.
             samples = self._buffer[: len(self.channels) * count].reshape(len(self.channels), count).copy()
             saturated = self._saturated(samples)
             samples.flags.writeable = False
@@ -145,7 +145,7 @@ class Ni9230Source(ForceSource):
         self._detects_overload = True
 
     def _delay(self, channel: Any) -> float:  # noqa: ANN401 - nidaqmx has no types
-        """Return the delay of the converter's filter [s] that the driver, or else the settings state."""
+        """Return the delay of the converter's filter [s] from the driver or, if it states none, from the settings."""
         delay: float | None = optional(channel, "ai_filter_delay")
         per_second = {
             constants.DigitalWidthUnits.SECONDS: 1.0,
@@ -205,7 +205,7 @@ class Ni9230Source(ForceSource):
 
 
 def _topic_names(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return names that a topic can end with: of the channel, or of device and channel if two channels are alike."""
+    """Return names for the ends of topics: that of the channel; with that of the device if two channels are alike."""
     short = [name.rpartition("/")[2] for name in names]
     unique = short if len(set(short)) == len(short) else names
     return tuple(re.sub(r"\W", "_", name) for name in unique)

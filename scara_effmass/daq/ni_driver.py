@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Devices and errors of the driver NI-DAQmx.
 
-Only this module imports NI's Python client, which can be imported without the driver.
+Only this module imports NI's Python client. The client can be imported without the driver.
 """
 
 import math
@@ -37,9 +37,9 @@ __all__ = [
 ]
 
 SAMPLES_NOT_YET_AVAILABLE = -200284
-"""A read timed out; its buffer holds the samples so far."""
+"""A read has timed out; its buffer holds the samples that came until then."""
 INVALID_VALUE = -200077
-"""The device does not support a value; the message names the property."""
+"""The device does not support the value of a property, which the message names."""
 
 
 class _Meaning(NamedTuple):
@@ -63,22 +63,22 @@ _KEYS = {
     "Excit": "ni9230.current",
     "Sensitivity": "sensor.sensitivity",
 }
-"""Parameter for each property of the driver, by a part of the property's name."""
+"""Parameter of this package for each property of the driver, by a part of the property's name."""
 
 _DETAILS = ("Property:", "Requested Value:", "Possible Values:", "Maximum Value:", "Minimum Value:")
 
 
 class Device(NamedTuple):
-    """A device that the driver knows: a chassis, a module in it, or a device without a chassis."""
+    """Device known to the driver: a chassis, a module in it, or a device without a chassis."""
 
     name: str
     product: str
     simulated: bool
-    """A simulated device of the driver."""
+    """Whether the driver simulates the device."""
     channels: tuple[str, ...]
-    """Channels that can measure with an IEPE force sensor."""
+    """Channels that support an IEPE force sensor."""
     problem: str
-    """Why the device cannot be queried, for instance while it is disconnected; empty otherwise."""
+    """Why the device cannot be queried, for example because it is disconnected; empty if it can."""
 
 
 def driver_version() -> str:
@@ -88,7 +88,7 @@ def driver_version() -> str:
 
 
 def devices() -> tuple[Device, ...]:
-    """Return the devices that are connected, or were and are still known to the driver. Raises DaqError."""
+    """Return the devices known to the driver, connected or not. Raises DaqError."""
     with translated("NI-DAQmx"):
         return tuple(_query(device) for device in System.local().devices)
 
@@ -104,7 +104,7 @@ def _query(device: Any) -> Device:  # noqa: ANN401 - nidaqmx has no types
 
 
 def optional(item: Any, name: str) -> Any:  # noqa: ANN401 - nidaqmx has no types
-    """Return a property of an object of NI's client; None where the device lacks it or it is no positive number."""
+    """Return a property of an object of NI's client; None if the device lacks it or it is no positive number."""
     with suppress(errors.Error):
         value = getattr(item, name)
         return None if isinstance(value, float) and not 0.0 < value < math.inf else value
@@ -147,7 +147,7 @@ def _alternatives() -> str:
 def explain(code: int, message: str, subject: str, *, was_connected: bool = False, addition: str = "") -> DaqError:
     """Return the error for `code` in one line: subject, remedy, `addition`, and the driver's `message`.
 
-    A device that does not answer is lost if it `was_connected` before, else missing; likewise an unknown name.
+    A device that does not answer, or whose name is unknown, is lost if it `was_connected` before, otherwise missing.
     """
     meaning = next((meaning for meaning in _MEANINGS.values() if code in meaning.codes), None)
     if meaning is None:
@@ -159,7 +159,7 @@ def explain(code: int, message: str, subject: str, *, was_connected: bool = Fals
         meaning = _LOST
     elif not was_connected and meaning is _LOST:
         meaning = _Meaning((), DeviceMissingError, "the device does not answer; connect and power it")
-    # The first line of the message, and those that state the property and its possible values.
+    # Keep the first line of the message, and the lines with the property and its possible values.
     lines = [line.strip() for line in message.splitlines() if line.strip()]
     text = "; ".join([*lines[:1], *(line for line in lines[1:] if line.startswith(_DETAILS))]) or "no description"
     return meaning.error(f"{subject}: {meaning.advice}{addition} (NI-DAQmx {code}: {text})")

@@ -20,7 +20,7 @@ MS = 1_000_000
 class SimCellSource(SimSource):
     """Force on the cart of the simulated cell, in blocks of `block_time` of ROS time.
 
-    The simulation depends on `sim.seed` and `sim.start` alone: `sim_node` with the same values publishes the joint
+    The simulation depends on `sim.seed` and `sim.start` alone, so `sim_node` with the same values publishes the joint
     states of the same cell.
     """
 

@@ -14,25 +14,25 @@ from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.settings import DaqSettings, SimScene
 from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
 from scara_effmass.values import FloatArray
+from scara_effmass.wire.cdr import NS
 
-NS = 1_000_000_000
 MAX_POLL_S = 0.005
-"""Longest polling period of the clock that sets the pace: ROS time may run at any speed."""
+"""Longest polling period of the clock that sets the pace; ROS time may run at any speed."""
 
 
 def make_sim_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
     """Return the source of the scene `settings.sim.scene`."""
     if settings.sim.scene is SimScene.HALF_SINES:
         return HalfSineSource(settings, now_ns)
-    # MuJoCo, only for the scene that needs it
+    # Import MuJoCo only for the scene that needs it.
     source: ForceSource = import_module("scara_effmass.daq.sim_cell_source").SimCellSource(settings, now_ns)
     return source
 
 
 class SimSource(ForceSource):
-    """Simulated force; each block is computed ahead and returned when it is due, as by a device.
+    """Simulated force; each block is computed ahead and returned when it is due, as a device would do.
 
-    A block that is not read in time waits, and no sample is ever lost.
+    A block that is not read in time waits, so no sample is lost.
     """
 
     simulated = True
@@ -48,7 +48,7 @@ class SimSource(ForceSource):
         self._next: tuple[int, int, FloatArray] | None = None
 
     def compute_blocks(self) -> Iterator[tuple[int, int, FloatArray]]:
-        """Yield for each block when it is due [ns], the number of its first sample, and its samples (channels, n)."""
+        """Yield the time [ns] at which each block is due, its first sample number, and its samples (channels, n)."""
         raise NotImplementedError
 
     def start(self) -> None:
@@ -58,7 +58,7 @@ class SimSource(ForceSource):
         self._closed.clear()
 
     def read(self, timeout_s: float) -> Reading | None:
-        """Return the next block when it is due; None if that takes longer or the source was closed."""
+        """Return the next block when it is due; None if that takes longer than `timeout_s` or the source is closed."""
         blocks = self._blocks
         if blocks is None:
             return None
@@ -75,7 +75,7 @@ class SimSource(ForceSource):
         return Reading(first, samples, 0, self._now_ns(), saturated=saturated if saturated.any() else None)
 
     def close(self) -> None:
-        """End a `read` that waits, and delete the simulation."""
+        """End a waiting `read`, and delete the simulation."""
         self._closed.set()
         self._blocks = None
 
@@ -84,7 +84,7 @@ class SimSource(ForceSource):
 class HalfSineSource(SimSource):
     """Noise and half-sine impacts, one block each `block_time`.
 
-    The steady clock sets the pace, whatever ROS time does; the simulated converter deviates from it by
+    The pace is that of the steady clock and not of ROS time; the simulated converter deviates from it by
     `sim.clock_error`.
     """
 

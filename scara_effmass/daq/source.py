@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interface of all force sources."""
+"""Interface of all force sources."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -13,60 +13,60 @@ class Reading(NamedTuple):
     """Consecutive samples of all channels as a source returned them; arrays are read-only."""
 
     first_sample: int
-    """Number of the first sample since `start`, lost samples included."""
+    """Number of the first sample, counted from `start` and including lost samples."""
     samples: FloatArray
     """(channels, n) [N]"""
     lost: int
-    """Samples missing right before the first one."""
+    """Number of samples missing directly before the first one."""
     read_ns: int
-    """ROS time of the host when the last sample was known to exist."""
+    """ROS time of the host at which the last sample existed."""
     stamp_ns: int | None = None
-    """Time of the first sample; None of a device, whose stamps a `ClockFit` estimates."""
+    """Time of the first sample; None for a device, whose stamps are estimated by a `ClockFit`."""
     clock_residual: float = 0.0
     """Uncertainty of `stamp_ns` [s]."""
     saturated: BoolArray | None = None
-    """(channels, n), marks samples at the end of the measuring range; None where there is none."""
+    """(channels, n), marks samples at the end of the measuring range; None if there are none."""
     run: int = 0
-    """Increases when the source was restarted and its clock must be estimated anew."""
+    """Increases when the source restarts and its clock must be estimated again."""
     relative_uncertainty: float | None = None
-    """Uncertainty that a recording states; None: the settings state it."""
+    """Uncertainty stated by a recording; None: that of the settings applies."""
 
 
 class ForceSource(Protocol):
-    """A source of force. Its constructor takes the settings and the ROS clock, and opens nothing.
+    """Source of force. Its constructor takes the settings and the ROS clock, and opens nothing.
 
     All methods but `close` may raise DaqError; after a DeviceLostError or OverrunError, `close` and `start` may help.
-    Attributes are valid from the end of `start` on.
+    Attributes are valid once `start` has returned.
     """
 
     simulated: bool
-    """The samples are computed, not measured."""
+    """Whether the samples are computed and not measured."""
     channels: tuple[str, ...]
-    """Short names, one per row of samples; final from the constructor on unless there is only one."""
+    """Short names, one per row of samples; if there are several, the constructor sets their final values."""
     description: str
-    """Device or file in one phrase; the `source` of ForceBlock."""
+    """Short description of the device or file: the `source` of ForceBlock."""
     requested_rate: float
     sample_rate: float
-    """Nominal rate [Hz] as far as the source knows it."""
+    """Nominal rate [Hz], as precisely as the source knows it."""
     limit: float
     """Largest magnitude that the source can read [N]; infinite when unknown."""
     filter_delay: float
     """Delay from the force to its sample [s]."""
     uses_ros_time: bool = False
-    """The samples follow the ROS clock, so `use_sim_time` is allowed."""
+    """Whether the samples follow the ROS clock; only then is `use_sim_time` allowed."""
     is_unpaced: bool = False
-    """Samples come as fast as they are taken, so the acquisition must wait rather than drop them."""
+    """Whether samples come as fast as they are taken; the acquisition then waits and drops none."""
     subscriber_timeout: float = 0.0
-    """How long to wait for a subscriber before `start` [s]; 0: start at once."""
+    """How long to wait for a subscriber before `start` [s]; 0: not at all."""
 
     def start(self) -> None:
         """Open the source and start to acquire at sample 0."""
 
     def read(self, timeout_s: float) -> Reading | None:
-        """Return the next block of samples; None when none came within `timeout_s` [s] or the source has ended."""
+        """Return the next block of samples; None if none came within `timeout_s` [s] or the source has ended."""
 
     def close(self) -> None:
-        """Release everything; a `read` in another thread returns None. May be called at any time, and again."""
+        """Release everything; a `read` in another thread returns None. May be called at any time and repeatedly."""
 
     @property
     def ended(self) -> bool:
@@ -80,7 +80,7 @@ class ForceSource(Protocol):
 
     @property
     def waiting_for(self) -> str:
-        """What the next block is waiting for, where the source knows it."""
+        """What the next block waits for, if the source knows it."""
         return ""
 
 
@@ -89,11 +89,11 @@ SOURCES = {
     ForceSourceKind.BAG: "scara_effmass.daq.bag_source:BagSource",
     ForceSourceKind.SIM: "scara_effmass.daq.sim_source:make_sim_source",
 }
-"""Constructor of each source; its module, and the driver it needs, is imported when it is chosen."""
+"""Constructor of each source; its module, and with it a driver, is imported only when the source is selected."""
 
 
 def make_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
-    """Return the source that `settings` select; `now_ns` returns the ROS time. Raises DaqError or SettingsError."""
+    """Return the source selected in `settings`; `now_ns` returns the ROS time. Raises DaqError or SettingsError."""
     module, _, name = SOURCES[settings.source].partition(":")
     source: ForceSource = getattr(import_module(module), name)(settings, now_ns)
     return source

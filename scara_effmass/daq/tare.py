@@ -8,16 +8,16 @@ from scara_effmass.settings import TareSettings
 from scara_effmass.values import BoolArray, FloatArray
 
 PARTS = 10
-"""Parts of a tare; a short disturbance affects one or two of them."""
+"""Number of parts; a short disturbance affects one or two of them."""
 MIN_PARTS = 7
-"""Valid parts, so that the median is that of valid ones."""
+"""Minimum number of valid parts; the median then lies among valid ones."""
 
 
 class Tare:
     """Median of the means of ten consecutive parts of a signal.
 
-    An impact falls into one or two parts and moves the median by no more than the noise. With fewer than seven parts
-    within the tolerance of the median and free of saturated samples, the sensor was not at rest and there is no result.
+    An impact falls into one or two parts, which move the median by no more than the noise. The sensor was at rest if at
+    least seven parts have no saturated sample and are within the tolerance of the median; otherwise there is no result.
     """
 
     def __init__(self, settings: TareSettings, sample_rate: float) -> None:
@@ -33,13 +33,13 @@ class Tare:
         return self._force.size == self._length
 
     def add(self, force: FloatArray, saturated_samples: NDArray[np.uint32]) -> None:
-        """Add the next samples, finite, [N]; those beyond the end are ignored. Indices as in `ForceBlock`."""
+        """Add the next samples [N], all finite; those after the end are ignored. Indices are as in `ForceBlock`."""
         saturated = np.isin(np.arange(force.size), saturated_samples)
         self._force = np.concatenate((self._force, force))[: self._length]
         self._saturated = np.concatenate((self._saturated, saturated))[: self._length]
 
     def result(self) -> float | str:
-        """Return the zero force [N], or why there is none; only when `done`."""
+        """Return the zero force [N], or the reason why there is none. Requires `done`."""
         valid = ~self._saturated.reshape(PARTS, -1).any(axis=1)
         means = self._force.reshape(PARTS, -1)[valid].mean(axis=1)
         if means.size < MIN_PARTS:

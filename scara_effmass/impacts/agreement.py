@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predicted peak forces, and their agreement with measured ones over a series.
 
-The model is F = x sqrt(k), x = v sqrt(mu) (ISO/TS 15066, Annex A: E = mu v^2 / 2 = F^2 / (2 k)). Every call recomputes
-the whole series, with exactly rounded sums (`math.fsum`).
+The model is F = x sqrt(k) with x = v sqrt(mu) (ISO/TS 15066, Annex A: E = mu v^2 / 2 = F^2 / (2 k)). Every call
+recomputes the whole series. Sums are exactly rounded (`math.fsum`), so the order of the impacts does not matter.
 """
 
 import math
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # loads scipy.special at its first use; scipy.stats takes a second to import
+import scipy  # loads scipy.special on first use; importing scipy.stats would take a second
 
 from scara_effmass.impacts.impact_matcher import MatchedImpact
 from scara_effmass.impacts.mass_fit import CONFIDENCE, Interval, MassFit, fit_masses
@@ -20,21 +20,22 @@ from scara_effmass.values import FloatArray, Prediction
 LIMITS = 1.96
 """Half-width of the 95 % limits of agreement, in standard deviations (Bland and Altman 1986)."""
 MIN_RELATIVE_RANGE = 0.05
-"""Minimum relative range of x for a correlation; speeds of repeated impacts alone scatter by +-2 %."""
+"""Minimum relative range of x for a correlation: the speeds of repeated impacts scatter by +-2 % anyway."""
 ROUNDING = 1e-12
-"""Relative tolerance for rounding: a single impact fits its own stiffness exactly."""
+"""Relative tolerance for rounding errors: a single impact fits its own stiffness exactly."""
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
     """Agreement of predicted and measured forces of `count` impacts. Forces in [N], stiffness in [N/m].
 
-    `correlation` is Pearson's r of F and x; 0 if undefined, then `correlation_reason` is set. `fitted_stiffness` is k
-    of the least-squares line F = sqrt(k) x through the origin, 0 below two impacts; `stiffness` is the one used for
-    the predictions. Intervals are at 95 % and assume independent, normal residuals. `bias` and `rmse` are of predicted
-    - measured, `relative_rmse` is relative to the mean measured force, `limits` are bias +- 1.96 standard deviations
-    (n - 1). `non_conservative` counts predictions below the measured force, `shortfalls` those below it by more than
-    the tolerance; `largest_shortfall` is relative, 0 without shortfall. None: too few impacts or no correlation.
+    `correlation` is Pearson's r of F and x; if it is undefined, it is 0 and `correlation_reason` states why.
+    `fitted_stiffness` is k of the least-squares line F = sqrt(k) x through the origin, 0 below two impacts; `stiffness`
+    is the one used for the predictions. Intervals are at 95 %, for independent and normal residuals; they are None if
+    there are too few impacts, or no correlation. `bias` and `rmse` are those of predicted - measured; `relative_rmse`
+    is relative to the mean measured force; `limits` are bias +- 1.96 standard deviations (n - 1). `non_conservative`
+    counts predictions below the measured force, `shortfalls` those below it by more than the tolerance.
+    `largest_shortfall` is relative, and 0 if there is none.
     """
 
     count: int
@@ -56,7 +57,7 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Relative RMSE of the models on the same `count` impacts, best first; `text` states the result."""
+    """Relative RMSE of the models on the same `count` impacts, best model first; `text` states the result."""
 
     count: int
     relative_rmse: Mapping[str, float]
@@ -66,7 +67,7 @@ class Comparison:
 def agreement(x: FloatArray, force: FloatArray, stiffness: float = 0.0, shortfall_tolerance: float = 0.1) -> Agreement:
     """Return the agreement of measured `force` (n,) [N] with F = x sqrt(k), `x` (n,) = v sqrt(mu) [m/s sqrt(kg)].
 
-    Both must be positive. `stiffness` [N/m] is used for the predictions; 0: the fitted stiffness.
+    Both must be positive. The predictions use `stiffness` [N/m]; 0: the fitted stiffness.
     """
     n = x.size
     slope = math.fsum(x * force) / math.fsum(x * x) if n else 0.0
@@ -113,19 +114,19 @@ def predict(model: str, match: MatchedImpact, stiffness: float) -> Prediction:
 
 
 def model_agreement(model: str, matches: Iterable[MatchedImpact], *options: float) -> Agreement:
-    """Return `agreement` of `model`, with its `options`, over the matches for which it has a mass."""
+    """Return `agreement` (with its `options`) of `model` over the matches for which the model has a mass."""
     usable = [match for match in matches if match.has_mass(model)]
     x = np.array([root_force(match, model) for match in usable])
     return agreement(x, np.array([match.impact.peak_force for match in usable]), *options)
 
 
 def root_force(match: MatchedImpact, model: str) -> float:
-    """Return the predicted force over sqrt(k), v sqrt(mu) [m/s sqrt(kg)] along the axis of the sensor."""
+    """Return the predicted force divided by sqrt(k): v sqrt(mu) [m/s sqrt(kg)] along the axis of the sensor."""
     return force_per_root_stiffness(match.state.speed, match.reduced_mass(model)) * match.force_share
 
 
 def model_fit(model: str, matches: Iterable[MatchedImpact]) -> MassFit:
-    """Return `fit_masses` of `model` over the matches for which it has a mass, and an impulse is known."""
+    """Return `fit_masses` of `model` over the matches with a known impulse for which the model has a mass."""
     usable = [match for match in matches if match.has_mass(model) and match.impulse > 0.0]
 
     def values(quantity: Callable[[MatchedImpact], float]) -> FloatArray:
@@ -144,7 +145,7 @@ def model_fit(model: str, matches: Iterable[MatchedImpact]) -> MassFit:
 def compare_models(models: Iterable[str], matches: Sequence[MatchedImpact]) -> Comparison:
     """Rank the models that have a mass by relative RMSE, on the impacts for which all of them have one.
 
-    Each model has its own fitted stiffness. Models are not told apart if no reduced mass varies over the series.
+    Each model has its own fitted stiffness. If no reduced mass varies over the series, the models cannot be told apart.
     """
     present = [model for model in models if any(match.has_mass(model) for match in matches)]
     common = [match for match in matches if all(match.has_mass(model) for model in present)]
@@ -156,8 +157,8 @@ def compare_models(models: Iterable[str], matches: Sequence[MatchedImpact]) -> C
 def compare(agreements: Mapping[str, Agreement], *, same_mass: bool) -> Comparison:
     """Rank the models by relative RMSE.
 
-    `agreements` by model must be on the same impacts, each with the fitted stiffness. `same_mass`: no model's reduced
-    mass varies over the series.
+    `agreements`, by model, must be of the same impacts, each with the fitted stiffness. `same_mass`: the reduced mass
+    does not vary over the series in any model.
     """
     order = dict(sorted(agreements.items(), key=lambda item: item[1].relative_rmse))
     errors = {model: agreement.relative_rmse for model, agreement in order.items()}
@@ -178,7 +179,7 @@ def compare(agreements: Mapping[str, Agreement], *, same_mass: bool) -> Comparis
 
 
 def _correlation(x: FloatArray, y: FloatArray) -> float:
-    """Return Pearson's r of x and y, which must vary."""
+    """Return Pearson's r of x and y, neither of which may be constant."""
     dx, dy = x - _mean(x), y - _mean(y)
     xx, xy, yy = math.fsum(dx * dx), math.fsum(dx * dy), math.fsum(dy * dy)
     return min(1.0, max(-1.0, xy / math.sqrt(xx * yy)))
@@ -196,7 +197,7 @@ def _correlation_reason(x: FloatArray, force: FloatArray) -> str:
 
 
 def _slope_interval(slope: float, x: FloatArray, y: FloatArray, degrees: int) -> Interval | None:
-    """Return the interval of the `slope` of y = slope x (Student's t with `degrees` of freedom)."""
+    """Return the interval of the `slope` in y = slope x (Student's t with `degrees` of freedom)."""
     if degrees < 1:
         return None
     half = _quantile(degrees) * math.sqrt(math.fsum((y - slope * x) ** 2) / math.fsum(x * x) / degrees)
@@ -225,6 +226,6 @@ def _mean(values: FloatArray) -> float:
 def _max_rmse_ratio(count: int) -> float:
     """Return the 95 % limit of the ratio of two RMSE over `count` impacts with equal error variance.
 
-    Snedecor's F assumes independent errors; errors on the same impacts correlate, so their ratio is smaller.
+    Snedecor's F assumes independent errors; errors on the same impacts are correlated, so their ratio is smaller.
     """
     return math.sqrt(scipy.special.fdtri(count - 1, count - 1, (1.0 + CONFIDENCE) / 2.0))

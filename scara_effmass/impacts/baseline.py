@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Baseline of the force: its level and noise without contact, and the runs of equal samples that are normal for it."""
+"""Baseline of the force: level and noise without contact, and how long runs of equal samples normally get."""
 
 from __future__ import annotations
 
@@ -9,35 +9,34 @@ from collections.abc import Callable, Iterable
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scara_effmass.settings import DetectionSettings
-from scara_effmass.values import BoolArray, FloatArray
+from scara_effmass.values import BoolArray, FloatArray, true_runs
 
 BASELINE_FRAMES = 5
 """Number of quiet frames that define a baseline."""
 MIN_FLAT_RUN = 3
 """Minimum number of equal consecutive samples in a dropout."""
 MIN_ZERO_RUN = 2
-"""The same for exact zeros."""
+"""Minimum number of consecutive exact zeros in a dropout."""
 _MAX_SUBSAMPLES = 128
-"""Samples per frame that enter the statistics, evenly spaced: bounds the work at any sample rate."""
+"""Number of evenly spaced samples per frame that enter the statistics; bounds the work at any sample rate."""
 _GAUSSIAN = 1.4826
-"""Standard deviation over median absolute deviation of Gaussian noise: 1 / Phi^-1(3/4)."""
+"""Standard deviation / median absolute deviation of Gaussian noise: 1 / Phi^-1(3/4)."""
 _QUANTISED = 0.7413
-"""Maximum standard deviation [steps] of Gaussian noise that rounds half of its samples to one value."""
+"""Maximum standard deviation [quantization steps] of Gaussian noise of which half is rounded to one value."""
 _FLAT_RUN_PROBABILITY = 1e-12
-"""Less probable runs of equal samples are dropouts; about 1e-4 false ones an hour at 12.8 kS/s."""
+"""Runs of equal samples that are less probable are dropouts; at 12.8 kS/s about 1e-4 an hour are false."""
 _ZERO_RUN_PROBABILITY = 1e-6
-"""The same for exact zeros, the output of converters without a signal; they are searched near contacts only."""
+"""The same for exact zeros, which converters output without a signal; they are only searched near contacts."""
 _FINE_SHARE = 0.1
-"""Maximum share of equal consecutive samples at rest of a sensor with fine resolution; dropouts included."""
+"""Maximum share of samples that equal the previous one, at rest, for a sensor of fine resolution; with dropouts."""
 
 
 class Frame:
-    """The `samples` (n,) [N] of a frame that are not NaN, their extremes, and at most 128 evenly spaced `subsamples`.
+    """The finite `samples` (n,) [N] of a frame, their extremes, and at most 128 evenly spaced `subsamples`.
 
-    `is_present` if at least half of the samples are not NaN.
+    `is_present`: at least half of the samples are finite.
     """
 
     def __init__(self, samples: FloatArray) -> None:
@@ -53,7 +52,7 @@ class Frame:
 
 
 def median_and_deviation(samples: FloatArray) -> tuple[float, float]:
-    """Return median and robust standard deviation of `samples` (n,); zero where more than half are equal."""
+    """Return median and robust standard deviation of `samples` (n,); the latter is 0 if more than half are equal."""
     centre = float(np.median(samples))
     return centre, _GAUSSIAN * float(np.median(np.abs(samples - centre)))
 
@@ -65,14 +64,8 @@ def quantisation_deviation(samples: FloatArray, centre: float) -> float:
 
 
 def improbable_run_length(share: float, probability: float) -> int:
-    """Return the minimum length of a run that is less probable than `probability`; each sample has the given share."""
+    """Return the minimum length of a run that is less probable than `probability`; `share` is that of one sample."""
     return math.ceil(math.log(probability) / math.log(share)) if share < 1.0 else sys.maxsize
-
-
-def runs(mask: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return start and stop of each run of True in `mask` (n,)."""
-    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
-    return edges[::2], edges[1::2]
 
 
 def longest_flat_run(samples: FloatArray) -> int:
@@ -80,14 +73,13 @@ def longest_flat_run(samples: FloatArray) -> int:
     equal = samples[1:] == samples[:-1]
     if not (equal[1:] & equal[:-1]).any():
         return 1 + int(equal.any())  # fast path: usually no three samples are equal
-    start, stop = runs(equal)
-    return 1 + int((stop - start).max(initial=0))
+    return 1 + int(np.diff(true_runs(equal)).max(initial=0))
 
 
 class Baseline:
     """Level and noise of the latest quiet frames, and the thresholds derived from them, all in [N] as measured.
 
-    Every statistic is computed on demand: usually the extremes of a frame suffice to call it quiet.
+    Statistics are computed on demand, because the extremes of a frame usually suffice to show that it is quiet.
     """
 
     def __init__(self, settings: DetectionSettings, frames: Iterable[Frame] = ()) -> None:
@@ -95,7 +87,7 @@ class Baseline:
         self._frames = tuple(frames)[-BASELINE_FRAMES:]
 
     def extended(self, frames: Iterable[Frame]) -> Baseline:
-        """Return the baseline after further quiet `frames`, which displace the oldest ones."""
+        """Return the baseline after further quiet `frames`, which replace the oldest ones."""
         return Baseline(self._settings, (*self._frames, *frames))
 
     @property
@@ -110,7 +102,7 @@ class Baseline:
 
     @cached_property
     def threshold(self) -> float:
-        """Force above the baseline that a contact exceeds."""
+        """Force above the baseline beyond which there is a contact."""
         return self.threshold_for(self.noise) if self._frames else math.inf
 
     @cached_property
@@ -127,7 +119,7 @@ class Baseline:
         return max(MIN_ZERO_RUN, improbable_run_length(share, _ZERO_RUN_PROBABILITY))
 
     def threshold_for(self, noise: float) -> float:
-        """Return the contact threshold in `noise` [N], at least that of the baseline."""
+        """Return the contact threshold for `noise` [N]; at least that of the baseline."""
         return max(self._settings.threshold, self._settings.noise_factor * max(noise, self.noise))
 
     def is_quiet(self, frame: Frame) -> bool:
@@ -135,7 +127,7 @@ class Baseline:
         if not frame.is_present:
             return False
         low, high = min([f.low for f in self._frames]), max([f.high for f in self._frames])
-        # Fast path without statistics: the baseline lies between the extremes of its frames.
+        # Fast path without statistics: the level of the baseline lies between the extremes of its frames.
         is_near = high - self._settings.threshold <= frame.low and frame.high <= low + self._settings.threshold
         if not is_near and not self.force - self.threshold <= frame.low <= frame.high <= self.force + self.threshold:
             return False
@@ -157,7 +149,7 @@ class Baseline:
             return 0.0, 0.0
         parts = [frame.subsamples for frame in self._frames]
         force, noise = median_and_deviation(np.concatenate(parts))
-        if noise == 0.0:  # frame by frame: a contact before the first baseline affects the minority of frames
+        if noise == 0.0:  # by frame: a contact before the first baseline affects only a minority of the frames
             noise = float(np.median([quantisation_deviation(part, force) for part in parts]))
         return force, noise
 
@@ -167,6 +159,6 @@ class Baseline:
         return self._share(lambda samples: samples[1:] == samples[:-1])
 
     def _share(self, mark: Callable[[FloatArray], BoolArray]) -> float:
-        """Return the share of samples that `mark` marks; counts one more, so that it is never zero."""
+        """Return the share of samples that `mark` marks; one more is counted, so that it is never zero."""
         marked = sum(int(np.count_nonzero(mark(frame.samples))) for frame in self._frames)
         return (1 + marked) / (1 + sum(frame.samples.size for frame in self._frames))

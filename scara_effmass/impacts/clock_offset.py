@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Offset between the clocks of force and joint states, from the kink of the velocity at the impact."""
+"""Offset between the clocks of force and joint states, from the kink in the velocity at an impact."""
 
 import math
 from collections.abc import Iterable
@@ -10,19 +10,20 @@ import numpy as np
 from scara_effmass.values import FloatArray
 
 WINDOW = 0.05
-"""Time before and after the onset of the force in which the kink is searched [s]."""
+"""The kink is searched within this time before and after the onset of the force [s]."""
 LONGEST_CONTACT_S = 0.01
-"""Longest contact [s] whose kink is found with joint states of 100 Hz: most of the window must be without contact."""
+"""Longest contact [s] whose kink is found with joint states at 100 Hz; most of the window must be without contact."""
 MIN_STATES = 8
 MIN_LOSS = 0.02
-"""Share of the speed that a kink takes at least."""
+"""Minimum relative loss of speed at a kink."""
 EARLIER_SHARE = 0.25
-"""The kink is the first loss of this share of the largest one: a rebound may take more speed than the impact."""
+"""The kink is the first loss above this share of the largest one; a rebound may take more speed than the impact."""
 MIN_RIVAL_LOSS = 0.1
-"""Share of the largest sudden loss of speed that another one has at least to vote for the offset of a recording."""
+"""Sudden losses of speed below this share of the largest one do not vote for the offset of a recording."""
 MAX_RIVAL = 0.9
+"""No offset is found if another one has more than this share of its votes."""
 MAX_VOTERS = 500
-"""Impacts and kinks that vote, the strongest."""
+"""Maximum number of impacts, and of kinks, that vote: the strongest ones."""
 NOISE_FACTOR = 6.0
 """A kink exceeds this multiple of the robust standard deviation of all changes of speed in the window."""
 
@@ -31,7 +32,7 @@ class ClockOffset(NamedTuple):
     """Offset of the joint clock from the force clock [s] over `impacts` that show a kink.
 
     Positive: the force is stamped earlier than the joint states. `offset` is the median, `low` and `high` are the
-    extremes, `resolution` half of the longest state period. `beyond` impacts exceed the tolerance.
+    extremes, `resolution` is half of the longest period of the states. `beyond` impacts exceed the tolerance.
     """
 
     impacts: int
@@ -43,7 +44,7 @@ class ClockOffset(NamedTuple):
 
 
 class Kink(NamedTuple):
-    """Delay of the velocity's kink behind the onset of the force, and half of the period of the states [s]."""
+    """Delay of the kink in the velocity after the onset of the force, and half the period of the states [s]."""
 
     delay: float
     resolution: float
@@ -52,8 +53,8 @@ class Kink(NamedTuple):
 def velocity_kink(seconds: FloatArray, velocity: FloatArray, duration: float) -> Kink | None:
     """Return the first large sudden loss of speed in `velocity` (n, 3) [m/s] at the `seconds` (n,) after the onset.
 
-    The middle of a contact of `duration` [s] is where half of the loss has happened. None if there are too few states,
-    or no loss of at least MIN_LOSS that stands out.
+    Half of the loss has occurred in the middle of a contact of `duration` [s]. None if there are too few states, or no
+    loss of at least MIN_LOSS that stands out from the noise.
     """
     if len(seconds) < MIN_STATES:
         return None
@@ -92,8 +93,8 @@ def recording_offset(
     """Return the offset of the clock of `velocity` (n, 3) [m/s] at `seconds` (n,) from that of m impacts.
 
     The impacts have `onsets` (m,) [s], `impulses` (m,) [N s] and `durations` (m,) [s]. Each pair of an impact and a
-    sudden loss of speed votes for an offset, with the product of impulse and loss; kinks near the best one refine it.
-    None if no loss stands out, or another offset has more than MAX_RIVAL of its votes.
+    sudden loss of speed votes for an offset with the product of impulse and loss; kinks near the best offset refine it.
+    None if no loss stands out, or if another offset has more than MAX_RIVAL of the votes of the best one.
     """
     if not len(onsets) or len(seconds) < MIN_STATES:
         return None
@@ -102,7 +103,7 @@ def recording_offset(
     speeds = np.linalg.norm(velocity, axis=1)
     after = np.column_stack([np.interp(seconds + width, seconds, component) for component in velocity.T])
     loss = speeds - np.einsum("ij,ij->i", after, velocity) / np.maximum(speeds, np.finfo(float).tiny)
-    sudden = loss - np.interp(seconds - width, seconds, loss)  # braking is as strong before
+    sudden = loss - np.interp(seconds - width, seconds, loss)  # braking is just as strong before
     begins = np.flatnonzero(sudden > max(MIN_RIVAL_LOSS * sudden.max(), MIN_LOSS * speeds.max()))
     if not begins.size:
         return None
@@ -119,27 +120,27 @@ def recording_offset(
     rivals = np.abs(offsets - offsets[best]) > WINDOW
     if rivals.any() and sums[rivals].max() > MAX_RIVAL * sums[best]:
         return None
-    found = []
+    near: list[Kink] = []
     for onset, duration in zip(onsets + offsets[best], durations, strict=True):
         window = slice(*np.searchsorted(seconds, [onset - WINDOW, onset + WINDOW]))
-        kink = velocity_kink(seconds[window] - onset, velocity[window], float(duration))
-        found += [] if kink is None else [kink]
-    if not found:
+        if kink := velocity_kink(seconds[window] - onset, velocity[window], float(duration)):
+            near.append(kink)
+    if not near:
         return None
-    return Kink(float(offsets[best] + np.median([kink.delay for kink in found])), max(k.resolution for k in found))
+    return Kink(float(offsets[best] + np.median([kink.delay for kink in near])), max(k.resolution for k in near))
 
 
 def clock_offset(kinks: Iterable[Kink], tolerance: float) -> ClockOffset:
-    """Return the offset of a series; without kinks its resolution is infinite."""
-    found = list(kinks)
-    if not found:
+    """Return the offset of a series; without kinks, its resolution is infinite."""
+    kinks = list(kinks)
+    if not kinks:
         return ClockOffset(0, math.nan, math.nan, math.nan, math.inf, 0)
-    delays = np.array([kink.delay for kink in found])
+    delays = np.array([kink.delay for kink in kinks])
     return ClockOffset(
-        impacts=len(found),
+        impacts=len(kinks),
         offset=float(np.median(delays)),
         low=float(delays.min()),
         high=float(delays.max()),
-        resolution=max(kink.resolution for kink in found),
+        resolution=max(kink.resolution for kink in kinks),
         beyond=int(np.count_nonzero(np.abs(delays) > tolerance)),
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Acceptance of a series: accepted, rejected, or not decidable with what to measure next."""
+"""Acceptance of a series: accepted, rejected, or not decidable, with the next measurement to make."""
 
 import hashlib
 import json
@@ -16,13 +16,13 @@ from scara_effmass.settings import CriterionSettings
 from scara_effmass.values import FloatArray
 
 MAX_BEYOND_SHARE = 0.2
-"""Share of impacts whose clock offset may exceed the tolerance: a rebound can hide the kink."""
+"""Maximum share of impacts whose clock offset exceeds the tolerance: a rebound can hide the kink."""
 MIN_KINK_SHARE = 0.5
-"""Minimum share of impacts that show a kink of the velocity."""
+"""Minimum share of impacts with a kink in the velocity."""
 MAX_EXPONENT_HALF_WIDTH = 0.05
-"""Half of the distance between the exponents of a linear spring (0.5) and a Hertz contact (0.6)."""
+"""Half the difference between the exponents of a linear spring (0.5) and a Hertz contact (0.6)."""
 LIGHT, HEAVY = 0.25, 3.0
-"""m_H / m_n of obstacles that fix the gain and that show the mass: mu / m_n is 0.2 and 0.75."""
+"""m_H / m_n of the obstacles that determine the gain and the mass; their mu / m_n is 0.2 and 0.75."""
 
 
 class Decision(NamedTuple):
@@ -34,10 +34,10 @@ class Decision(NamedTuple):
 
 
 class Series(NamedTuple):
-    """What a decision depends on. `masses` and `obstacle_masses` (n,) [kg] are along the normals of the plates.
+    """Inputs of a decision. `masses` and `obstacle_masses` (n,) [kg] are along the normals of the plates.
 
-    `left_out` counts impacts that could not be paired with the robot, `left_out_reason` is their most frequent reason.
-    `one_pose`: the effective mass hardly varies in any model. `gain_tolerance` is relative.
+    `left_out` impacts could not be paired with the robot; `left_out_reason` is the most frequent reason. `one_pose`:
+    the effective mass hardly varies in any model. `gain_tolerance` is relative.
     """
 
     agreement: Agreement
@@ -58,10 +58,10 @@ def criterion_hash(criterion: CriterionSettings) -> str:
 
 
 def decide(criterion: CriterionSettings, series: Series, problem: str = "") -> Decision:
-    """Return the decision; `problem` is one of the clocks or of the sign of the force, which rejects the series.
+    """Return the decision. A `problem` with the clocks or with the sign of the force rejects the series.
 
-    A series of too few impacts is not decidable; any other one is rejected if a condition says so, and not decidable if
-    nothing rejects it but it could not have found an error.
+    A series of too few impacts is not decidable. Any other series is rejected if it violates a condition, and not
+    decidable if it violates none but could not have shown an error.
     """
     if problem:
         return Decision(accepted=False, decidable=True, reason=problem)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Impact detection in a stream of force blocks; the same live and offline.
 
-Samples are processed in frames aligned to the sample number, so neither the block length nor the start of the recording
-matters. Quiet frames define the baseline. The first other frame starts a segment, which the next quiet frame ends; the
-segment is then classified as a whole.
+Samples are processed in frames that are aligned to the sample number, so neither the block length nor the start of the
+recording matters. Quiet frames define the baseline. The first frame that is not quiet starts a segment, and the next
+quiet frame ends it; then the segment is classified as a whole.
 """
 
 import math
@@ -12,13 +12,13 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from scara_effmass.impacts.baseline import BASELINE_FRAMES, Baseline, Frame, runs
+from scara_effmass.impacts.baseline import BASELINE_FRAMES, Baseline, Frame
 from scara_effmass.impacts.segment import DetectedContact, classify
 from scara_effmass.settings import DetectionSettings
-from scara_effmass.values import BoolArray, FloatArray, ForceBlock, Impact
+from scara_effmass.values import BoolArray, FloatArray, ForceBlock, Impact, true_runs
 
 FRAME_TIME = 0.05
-"""Approximate length of a frame [s]: long against an impact, short against the start of a recording."""
+"""Approximate length of a frame [s]: much longer than an impact, much shorter than the quiet start of a recording."""
 MIN_FRAME_SAMPLES = 10
 GAP_TIME = 0.3e-3
 """Minimum time without force between two contacts [s]; at least MIN_GAP_SAMPLES samples."""
@@ -26,11 +26,11 @@ MIN_GAP_SAMPLES = 2
 SAME_RATE = 0.01
 """Maximum relative change of the sample rate within a recording; the clock fit varies it a little."""
 MIN_QUIET_SHARE = 0.6
-"""Minimum share of quiet frames for a baseline when the recording ends before five frames are quiet."""
+"""Minimum share of quiet frames for a baseline if the recording ends before five frames are quiet."""
 QUIET_LEVEL = 0.75
-"""Maximum median [threshold] of the quiet frame that ends a segment; a higher one is a noisy load."""
+"""Maximum median of the quiet frame that ends a segment, as a share of the threshold; above, it is a noisy load."""
 RESPONSE_TIME = 0.5
-"""A tensile pulse within this time after a contact [s] is the response of sensor, converter or structure to it."""
+"""A tensile pulse within this time after a contact [s] is a response of sensor, converter or structure to it."""
 
 
 def finite_parts(block: ForceBlock) -> list[ForceBlock]:
@@ -41,24 +41,24 @@ def finite_parts(block: ForceBlock) -> list[ForceBlock]:
     saturated = block.saturated_samples
     return [
         block._replace(
-            stamp_ns=block.stamp_ns + round(int(start) / block.sample_rate * 1e9),
-            first_sample=block.first_sample + int(start),
+            stamp_ns=block.stamp_ns + round(start / block.sample_rate * 1e9),
+            first_sample=block.first_sample + start,
             force=block.force[start:stop],
             saturated_samples=saturated[(saturated >= start) & (saturated < stop)] - np.uint32(start),
         )
-        for start, stop in zip(*runs(finite), strict=True)
+        for start, stop in true_runs(finite).tolist()
     ]
 
 
 class SampleBuffer:
-    """Latest samples of a stream as the sensor read them: the tare is added back, so a new tare is no step."""
+    """Latest samples of a stream as the sensor read them: the tare is added back, so that a new tare is not a step."""
 
     def __init__(self, first_sample: int) -> None:
         self.first = self.end = first_sample
         self._blocks: deque[ForceBlock] = deque()
 
     def append(self, block: ForceBlock) -> None:
-        """Add a block; samples missing before it become NaN, stamped by the block before."""
+        """Add a block; missing samples before it become NaN, with stamps that follow the block before them."""
         if missing := block.first_sample - self.end:
             last = self._blocks[-1]
             stamp_ns = last.stamp_ns + round((self.end - last.first_sample) / last.sample_rate * 1e9)
@@ -98,14 +98,16 @@ class SampleBuffer:
 class Detector:
     """Detects impacts in the blocks of one channel, of any sample rate and block length.
 
-    An impact is returned once a quiet frame has followed it; in a train of contacts that may take `settings.longest`.
-    Counted from the beginning: `dropouts`; `glitches` (single samples); `sustained_contacts`, longer than
-    `settings.longest`; `tensile_pulses`, which would be impacts with the sign of the force inverted: `sensor.invert`
-    may be wrong. Pulses that follow a contact do not count: AC coupling and ringing respond to compression with
-    tension. Neither does force below the baseline for BASELINE_FRAMES frames, which is a load that was removed.
+    An impact is returned once a quiet frame has followed it; in a train of contacts, that may take `settings.longest`.
 
-    A sustained contact ends when the force is released, or steady for `settings.longest`, which makes the load the
-    baseline. How the load swings until then is neither an impact nor another sustained contact.
+    Counted from the beginning: `dropouts`; `glitches` (single samples); `sustained_contacts`, longer than
+    `settings.longest`; and `tensile_pulses`, which would be impacts if the sign of the force were inverted, and hint at
+    a wrong `sensor.invert`. Pulses that follow a contact do not count, because AC coupling and ringing respond to
+    compression with tension. Force below the baseline for BASELINE_FRAMES frames does not count either: it is a load
+    that was removed.
+
+    A sustained contact ends when the force is released, or when it has been steady for `settings.longest`; that load
+    then becomes the baseline. Until then, swings of the load are neither impacts nor further sustained contacts.
 
     Detectors that start at different samples of a stream return the same impacts to the last bit once they have
     settled: after BASELINE_FRAMES + 3 consecutive quiet frames (0.4 s at 12.8 kS/s) and `settings.rebound_time`
@@ -117,13 +119,13 @@ class Detector:
         self._rate = math.nan
         self.dropouts = self.glitches = self.sustained_contacts = self.tensile_pulses = 0
         self.settled = False
-        """Whether the baseline is known at the latest sample; impacts are detected only then."""
+        """Whether the baseline is known at the latest sample; only then are impacts detected."""
         self._restart()
 
     def feed(self, block: ForceBlock) -> list[Impact]:
         """Return the impacts that end with `block`, in order.
 
-        Samples that are not finite count as lost. A contact that is still there after lost samples is one incomplete
+        Samples that are not finite count as lost. A contact that continues after lost samples is one incomplete
         contact. A lower sample number or another sample rate starts a new recording.
         """
         impacts: list[Impact] = []
@@ -162,10 +164,10 @@ class Detector:
         self._candidates: deque[Frame] = deque(maxlen=self._load_frames)
         self._held_from = first_sample
         self._first_search = True
-        self._is_loaded = False  # a sustained contact may go on
+        self._is_loaded = False  # whether a sustained contact may still continue
 
     def _join(self, block: ForceBlock) -> list[Impact]:
-        """Prepare for `block`; return the impacts that end before it, if it does not continue the samples before."""
+        """Prepare for `block`; if it does not continue the samples before, return the impacts that end before it."""
         missing = block.first_sample - self._buffer.end
         same_rate = abs(block.sample_rate - self._rate) <= SAME_RATE * self._rate
         self._rate = block.sample_rate
@@ -175,7 +177,7 @@ class Detector:
         impacts = self._close()
         if not same_rate or missing:
             self._restart()
-        # A power of two: sample rates that differ by the clock error have the same frames.
+        # The size is doubled in whole steps, so that sample rates that differ by a clock error have the same frames.
         doublings = max(0, round(math.log2(FRAME_TIME * self._rate / MIN_FRAME_SAMPLES)))
         self._frame_size = MIN_FRAME_SAMPLES << doublings
         self._load_frames = max(BASELINE_FRAMES, math.ceil(self._settings.longest * self._rate / self._frame_size))
@@ -183,7 +185,7 @@ class Detector:
         return impacts
 
     def _frame_end(self, index: int) -> int:
-        """Return where the frame of sample `index` ends."""
+        """Return the end of the frame that contains sample `index`."""
         return (index // self._frame_size + 1) * self._frame_size
 
     def _advance(self) -> list[Impact]:
@@ -200,7 +202,7 @@ class Detector:
         return impacts
 
     def _search_baseline(self, frame: Frame) -> None:
-        """Search a baseline; once it is known, the held samples are processed again."""
+        """Search for a baseline; once it is known, process the held samples again."""
         if frame.is_present:
             self._candidates.append(frame)
         hold = BASELINE_FRAMES * self._frame_size
@@ -214,23 +216,23 @@ class Detector:
             self._held_from = self._frame_end(self._held_from)
 
     def _is_moving_load(self, recent: Iterable[Frame]) -> bool:
-        """Return whether `recent` are above the lost baseline and have not been within a threshold for `longest`."""
+        """Return whether `recent` is above the lost baseline and the force was not within a threshold for `longest`."""
         levels, recent_levels = ([f.median_and_deviation[0] for f in frames] for frames in (self._candidates, recent))
         is_load = not self._first_search and np.median(recent_levels) > self._baseline.force + self._baseline.threshold
         return bool(is_load and (len(levels) < self._load_frames or np.ptp(levels) > self._baseline.threshold))
 
     def _adopt(self, frames: Iterable[Frame]) -> None:
-        """Adopt `frames` as the baseline unless the signal is stuck where it was noisy before."""
+        """Adopt `frames` as the baseline, unless the signal is stuck but was noisy before."""
         baseline = Baseline(self._settings, frames)
         if baseline.noise > 0.0 or self._baseline.flat_run > BASELINE_FRAMES * self._frame_size:
             self._baseline = baseline
             self._settled = True
             self._processed = self._held_from
             if not self._first_search:
-                self._counted = self._held_from + 1  # what continues there was counted when it started
+                self._counted = self._held_from + 1  # events that continue from before have been counted
 
     def _lose_baseline(self, start: int) -> list[Impact]:
-        """Report the segment from `start` and search another baseline from here on."""
+        """Report the segment from `start`, and search for another baseline from here on."""
         sustained = self.sustained_contacts
         impacts = self._report(self._classify(start, self._processed), start)
         self._is_loaded |= self.sustained_contacts > sustained
@@ -268,7 +270,7 @@ class Detector:
         return []
 
     def _update_baseline(self, frame: Frame) -> None:
-        """Add the quiet frame before `frame` to the baseline if both its neighbours are quiet."""
+        """Add the quiet frame before `frame` to the baseline if both of its neighbours are quiet."""
         self._quiet_frames += 1
         self._is_loaded = False
         if self._quiet_frames >= 3 and self._previous_quiet is not None:
@@ -288,7 +290,7 @@ class Detector:
         return self._report(finished, start)
 
     def _close(self) -> list[Impact]:
-        """Return the impacts of the pending samples, which nothing continues."""
+        """Return the impacts in the pending samples, which no further samples continue."""
         buffer = self._buffer
         impacts: list[Impact] = []
         if not self._settled:
@@ -306,7 +308,7 @@ class Detector:
         return impacts
 
     def _classify(self, start: int, stop: int) -> list[DetectedContact]:
-        """Return the contacts in the samples [start, stop), and count what was not counted before."""
+        """Return the contacts in the samples [start, stop), and count new dropouts, glitches and tensile pulses."""
         buffer = self._buffer
         gap = max(round(GAP_TIME * buffer.block_at(start).sample_rate), MIN_GAP_SAMPLES)
         samples, saturated = buffer.samples(start, stop), buffer.saturated(start, stop)
@@ -330,12 +332,12 @@ class Detector:
         return contact.last - contact.first >= round(self._settings.longest * sample_rate)
 
     def _report(self, contacts: Iterable[DetectedContact], start: int) -> list[Impact]:
-        """Return the impacts among `contacts` of the segment that starts at sample `start`; count the others."""
+        """Return the impacts among `contacts` of the segment from sample `start` on; count sustained contacts."""
         impacts: list[Impact] = []
         for contact in contacts:
             if self._is_sustained(contact, start):
                 self.sustained_contacts += not self._is_loaded
-            elif contact.complete or not self._is_loaded:  # otherwise the end of a sustained contact
+            elif contact.complete or not self._is_loaded:  # otherwise it is the end of a sustained contact
                 impacts.append(self._impact(contact, start))
             self._last = start + contact.last
         return impacts

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Match impacts with the contact states at their onsets.
 
-Impacts are matched in the order of arrival, each as soon as the states around its onset have arrived. The outcome
-depends on stamps and arrival times only, not on how the two streams interleave.
+Impacts are matched in the order of arrival, each as soon as the states around its onset have arrived. The result
+depends only on stamps and arrival times, not on the interleaving of the two streams.
 """
 
 import math
@@ -21,20 +21,20 @@ from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo, Vec
 
 MAX_STAMP_NS = 2**63 - 1
 MIN_PEAK_FORCE = 1e-6
-"""Smaller peak forces [N] are rounding errors; the squares of much smaller ones are zero."""
+"""Smaller peak forces [N] are rounding errors, and the squares of much smaller ones are zero."""
 MAX_CLOCK_RESIDUAL_S = 60.0
-"""Largest uncertainty of a stamp [s]; no contact state can be matched with another."""
+"""Maximum uncertainty of a stamp [s]; beyond it, no contact state can be matched."""
 MIN_NORMAL_COMPONENT = 0.1
-"""Smallest component of the velocity, or of the axis of the sensor, along the normal of the plate."""
+"""Minimum component of the velocity, or of the sensor's axis, along the normal of the plate."""
 MAX_LAGS = 1000
-"""Maximum number of lags kept, for force blocks and impacts each."""
+"""Maximum number of lags that are kept, each for force blocks and for impacts."""
 
 
 class Run(NamedTuple):
     """Conditions from `since_ns` on: obstacle mass [kg] (0: unknown) and name of the robot configuration.
 
-    `normal` is that of the plate, `guide` the direction in which the obstacle moves and the sensor measures; both are
-    unit vectors in the base frame. None: along the velocity, along `normal`.
+    `normal` is that of the plate; None: along the velocity. `guide` is the direction in which the obstacle moves and
+    the sensor measures; None: along `normal`. Both are unit vectors in the base frame.
     """
 
     since_ns: int
@@ -45,7 +45,7 @@ class Run(NamedTuple):
 
     @property
     def force_share(self) -> float:
-        """Component of the normal along the axis of the sensor: measured force / force along the normal."""
+        """Component of the normal along the axis of the sensor, that is, measured force / force along the normal."""
         return abs(_dot(self.normal, self.guide)) if self.normal and self.guide else 1.0
 
 
@@ -80,7 +80,7 @@ class RunHistory:
         configuration: str | None = None,
         normal: Vector3 | None = None,
     ) -> None:
-        """Begin a run with changed settings; None keeps the current value. Raises SettingsError."""
+        """Begin a run with changed settings; None keeps a value. Raises SettingsError."""
         check_run_info(RunInfo(obstacle_mass=obstacle_mass or 0.0))
         stated = {"obstacle_mass": obstacle_mass, "configuration": configuration, "normal": normal}
         changes: dict[str, Any] = {name: value for name, value in stated.items() if value is not None}
@@ -88,9 +88,9 @@ class RunHistory:
         self._insert(self.at(since_ns)._replace(since_ns=since_ns, **changes))
 
     def begin(self, info: RunInfo, received_ns: int) -> None:
-        """Begin the run that `info` describes; the settings replace values that it does not state.
+        """Begin the run that `info` describes; values that it does not state are those of the settings.
 
-        Raises SettingsError for an invalid value; the obstacle mass is unknown from then on.
+        Raises SettingsError for an invalid value; then the obstacle mass is unknown.
         """
         try:
             check_run_info(info)
@@ -103,7 +103,7 @@ class RunHistory:
         self._insert(Run(since_ns, mass, configuration, normal, _unit(info.guide_direction)))
 
     def forget_obstacle(self, since_ns: int) -> None:
-        """Begin a run with unknown obstacle mass."""
+        """Begin a run with an unknown obstacle mass."""
         self._insert(self.at(since_ns)._replace(since_ns=since_ns, obstacle_mass=0.0))
 
     def at(self, stamp_ns: int) -> Run:
@@ -112,11 +112,11 @@ class RunHistory:
 
     @property
     def latest(self) -> Run:
-        """Run that began last."""
+        """The run that began last."""
         return self._runs[-1]
 
     def restart(self) -> None:
-        """Keep only the latest run, valid from time 0: the clock restarts."""
+        """Keep only the latest run, valid from time 0, because the clock restarts."""
         self._runs = [self._runs[-1]._replace(since_ns=0)]
 
     def _insert(self, run: Run) -> None:
@@ -125,10 +125,10 @@ class RunHistory:
 
 
 class ForceClock:
-    """Detect force and contact states on different clocks.
+    """Detect that force and contact states are stamped by different clocks.
 
-    Both carry ROS time and arrive soon after, so their lags (arrival - stamp) may differ only by a bounded delay.
-    Without arrival times, only stamps without any overlap show different clocks.
+    Both are stamped in ROS time and arrive soon after, so the difference of their lags (arrival - stamp) is bounded.
+    Without arrival times, different clocks only show if the stamps do not overlap at all.
     """
 
     def __init__(self, settings: ValidatorSettings) -> None:
@@ -143,22 +143,22 @@ class ForceClock:
         self._impact_stamps: list[int] = []  # first and last one
 
     def add_block(self, block: ForceBlock, received_ns: int) -> None:
-        """Add the lag of a force block, which is complete at its last sample."""
+        """Add the lag of a force block, counted from its last sample."""
         if received_ns and block.sample_rate > 0.0:
             self._block_lags.append(received_ns - block.stamp_ns - block.force.size / block.sample_rate * NANOSECONDS)
 
     def add_impact(self, impact: Impact, received_ns: int) -> None:
-        """Add the lag of an impact, which arrives up to `settings.impact_delay` after its onset."""
+        """Add the lag of an impact, which may arrive up to `settings.impact_delay` after its onset."""
         stamps = [*self._impact_stamps, impact.stamp_ns]
         self._impact_stamps = [min(stamps), max(stamps)]
         if received_ns:
             self._impact_lags.append(received_ns - impact.stamp_ns)
 
     def problem(self, states: StateHistory) -> str:
-        """Return the clock problem in one sentence; empty if none is detected."""
+        """Return the problem with the clocks in one sentence; empty if there is none."""
         lag = states.lag_ns
         if lag is not None and (self._block_lags or self._impact_lags):
-            # Impacts arrive with an unknown delay, blocks do not.
+            # Blocks are preferred: impacts arrive with an unknown delay.
             offset = median(self._block_lags or self._impact_lags) - lag
             max_delay_ns = self._tolerance_ns if self._block_lags else self._delay_ns
             if not -self._tolerance_ns <= offset <= max_delay_ns:
@@ -175,7 +175,7 @@ class ForceClock:
 
 
 class MatchedImpact(NamedTuple):
-    """An impact, the robot state at its onset along the normal of the plate, and the run that it belongs to."""
+    """An impact, the robot state along the normal of the plate at its onset, and its run."""
 
     impact: Impact
     state: OnsetState
@@ -184,12 +184,12 @@ class MatchedImpact(NamedTuple):
 
     @property
     def force_share(self) -> float:
-        """That of the run."""
+        """See `Run.force_share`."""
         return self.run.force_share
 
     @property
     def obstacle_mass(self) -> float:
-        """Mass of the obstacle along the normal [kg]: one on an oblique guide yields less."""
+        """Mass of the obstacle along the normal [kg]; on an oblique guide, it is larger."""
         return self.run.obstacle_mass / self.force_share**2
 
     @property
@@ -199,7 +199,7 @@ class MatchedImpact(NamedTuple):
 
     @property
     def measured_mass(self) -> float:
-        """Effective mass of the robot by impulse and speed [kg]; 0 if unknown, infinite if beyond measurement."""
+        """Effective mass of the robot from impulse and speed [kg]; 0: unknown, infinite: too large to be measured."""
         if not self.impulse > 0.0:
             return 0.0
         mobility = self.state.speed / self.impulse - 1.0 / self.obstacle_mass
@@ -215,9 +215,9 @@ class MatchedImpact(NamedTuple):
 
 
 class ImpactMatcher:
-    """Match each impact with the robot state at its onset, or record why that fails.
+    """Match each impact with the robot state at its onset, or record why this is impossible.
 
-    Every impact is matched, in `refused`, or `waiting`.
+    Every impact is either matched, or in `refused`, or in `waiting`.
     """
 
     def __init__(self, settings: ValidatorSettings) -> None:
@@ -230,7 +230,7 @@ class ImpactMatcher:
         self.reset()
 
     def reset(self) -> None:
-        """Begin a new series; keep contact states and runs."""
+        """Begin a new series; contact states and runs are kept."""
         self.waiting: deque[tuple[Impact, int]] = deque()  # impacts and their times of arrival
         self.clock.clear()
         self.states.late = 0
@@ -238,7 +238,7 @@ class ImpactMatcher:
         self.refused: list[RefusedImpact] = []
 
     def begin_recording(self) -> None:
-        """Drop everything that depends on the stamps of the previous recording."""
+        """Discard everything that depends on the stamps of the previous recording."""
         self.states.clear()
         self.clock.clear()
         self.runs.restart()
@@ -251,7 +251,7 @@ class ImpactMatcher:
         self.waiting.append((impact, received_ns))
 
     def refuse(self, impact: Impact, rejection: Rejection, *, excluded: bool = False) -> None:
-        """Record an impact that does not enter the series."""
+        """Record an impact that is left out of the series."""
         self.refused.append(
             RefusedImpact(
                 stamp_ns=impact.stamp_ns,
@@ -263,7 +263,7 @@ class ImpactMatcher:
         )
 
     def matches(self, *, flush: bool) -> Iterator[MatchedImpact]:
-        """Yield the impacts that can be matched now, in order. `flush`: no more states will arrive."""
+        """Yield in order the impacts that can be matched now. `flush`: no more states will arrive."""
         while self.waiting and (flush or self._ready(*self.waiting[0])):
             impact, received_ns = self.waiting.popleft()
             if reason := _invalid_reason(impact):
@@ -273,7 +273,7 @@ class ImpactMatcher:
             if self._settings.obstacle_fixed:
                 run = run._replace(obstacle_mass=math.inf)
             state = self._onset_state(impact, received_ns, run.normal)
-            if not run.force_share >= MIN_NORMAL_COMPONENT:  # normal and guide can be of different sources
+            if not run.force_share >= MIN_NORMAL_COMPONENT:  # normal and guide can come from different sources
                 self.refuse(impact, Rejection("the guide lies in the plate", "check plate_normal and guide_direction"))
             elif isinstance(state, Rejection):
                 self.refuse(impact, state)
@@ -284,7 +284,7 @@ class ImpactMatcher:
                 yield MatchedImpact(impact, state, run, kink)
 
     def _ready(self, impact: Impact, received_ns: int) -> bool:
-        """Return whether every relevant state has arrived, by stamp, or the maximum wait is over."""
+        """Return whether all relevant states have arrived, judged by their stamps, or the maximum wait is over."""
         if _invalid_reason(impact):
             return True
         covered_ns = max(self._uncertainty_ns(impact), round(WINDOW * NANOSECONDS))
@@ -293,7 +293,7 @@ class ImpactMatcher:
         return received_ns > 0 and self.states.last_arrival_ns > received_ns + self._max_wait_ns
 
     def _deadline_ns(self, received_ns: int) -> int:
-        """Return until when states count that arrive after an impact; 0: all."""
+        """Return the latest arrival time of states that count for an impact; 0: all states count."""
         return received_ns + self._max_wait_ns if received_ns and self.states.last_arrival_ns else 0
 
     def _onset_state(self, impact: Impact, received_ns: int, normal: Vector3 | None) -> OnsetState | Rejection:
@@ -328,7 +328,7 @@ def _unit(vector: Vector3) -> Vector3 | None:
 
 
 def _invalid_reason(impact: Impact) -> str:
-    """Return why `impact` is not a valid measurement of a collision; empty if it is valid."""
+    """Return why `impact` is not a valid measurement of a collision; empty if it is."""
     if impact.clipped:
         return "clipped: the force reached the end of the measuring range"
     if impact.incomplete:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured peak forces, converted to body regions and compared with their limits."""
+"""Convert measured peak forces to body regions and compare them with the limits."""
 
 import math
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ from scara_effmass.iso15066 import Limit, reduced_mass
 
 
 class RegionForce(NamedTuple):
-    """Force [N] that an impact would have on a body `region`, and its `limit` [N] by `criterion`."""
+    """Force [N] that an impact would exert on a body `region`, and the `limit` [N] of that region by `criterion`."""
 
     region: str
     force: float
@@ -18,7 +18,7 @@ class RegionForce(NamedTuple):
 
     @property
     def exceeds(self) -> bool:
-        """Whether the force is above the limit."""
+        """Whether the force exceeds the limit."""
         return self.force > self.limit
 
 
@@ -28,7 +28,7 @@ NO_REGION = RegionForce("", 0.0, 0.0, "")
 def region_force(
     limits: Iterable[Limit], peak: float, robot_mass: float, device_mass: float, stiffness: float
 ) -> RegionForce:
-    """Return the region whose force comes closest to its limit, or exceeds it most.
+    """Return the region whose force is closest to its limit or exceeds it most.
 
     The measuring device, of `device_mass` [kg] (infinite: fixed) and `stiffness` [N/m], measured the `peak` [N]. The
     energy mu v^2 / 2 = F^2 / (2 k) of ISO/TS 15066, Annex A, at the same speed v gives the force on a region,
@@ -47,7 +47,7 @@ def region_force(
 def worst_force(
     limits: Iterable[Limit], peak: float, robot_masses: Iterable[float], device_mass: float, stiffness: float
 ) -> RegionForce:
-    """Return the largest `region_force` over the limit for the `robot_masses` [kg]; 0 is an unknown mass."""
+    """Return the `region_force` that is largest relative to its limit, for any of `robot_masses` [kg]; 0: unknown."""
     limits = list(limits)
     forces = [region_force(limits, peak, mass, device_mass, stiffness) for mass in robot_masses if mass]
     return max(forces, key=lambda region: region.force / (region.limit or math.inf), default=NO_REGION)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robot mass, force gain and contact law of a series, from the impulses up to the peaks.
 
-The impulse J from the onset to the peak is the relative momentum mu v_n of robot and obstacle, for any stiffness and
-contact law without damping. A sensor of gain g and a robot of s times the mass of its model measure
+Without damping, the impulse J from the onset to the peak is the relative momentum mu v_n of robot and obstacle,
+whatever the stiffness and the contact law. With a sensor of gain g and a robot of s times the mass of its model,
 
     J = g v_n mu,  mu = 1 / (1 / (s m_n) + 1 / m_H)
 
-Light obstacles (mu near m_H) fix g, heavy ones show s. The contact law F = K d^n gives F ~ (J v_n)^p, p = n / (n + 1).
+Light obstacles (mu near m_H) determine g, heavy ones s. The contact law F = K d^n gives F ~ (J v_n)^p, p = n / (n + 1).
 """
 
 import math
@@ -14,19 +14,19 @@ from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # loads scipy.optimize and scipy.special at their first use
+import scipy  # loads scipy.optimize and scipy.special on first use
 
 from scara_effmass.values import FloatArray
 
 CONFIDENCE = 0.95
 MIN_IMPULSE_ERROR = 0.005
-"""Relative error of an impulse or peak at the least: what is left of ideal impacts, see docs/power.md."""
+"""Minimum relative error of an impulse or peak: that of ideal impacts, see docs/power.md."""
 SAME_MASS = 0.02
-"""Effective masses of one configuration within this relative distance belong to one pose."""
+"""Effective masses of one configuration that differ by less than this share belong to one pose."""
 MIN_SHARE_RANGE = 0.05
-"""Smallest range of mu / m_n, the sensitivity to s, that separates s from g."""
+"""Minimum range of mu / m_n, the sensitivity to s, at which s can be told from g."""
 MIN_LOG_RANGE = 0.05
-"""Smallest range of log(J v_n) that shows the contact law."""
+"""Minimum range of log(J v_n) at which the contact law shows."""
 _LOG_BOUND = math.log(1e3)
 
 
@@ -48,10 +48,10 @@ class MassFit(NamedTuple):
     """Gain g and mass scale s of one model over `impacts`, with their intervals at 95 %.
 
     Impacts of one pose and obstacle share the errors of model and obstacle, so their mean counts as one of `cells`.
-    `detectable_mass_error` is the smallest relative error of the masses that the series finds with 95 % probability,
-    infinite if it cannot tell g and s apart. `scatter` is the relative standard deviation of the cells about the fit,
-    `worst_obstacle` [kg] the obstacle with the largest mean deviation of the impulses from the fit, `worst_deviation`.
-    `exponent` is p of F ~ (J v_n)^p, NaN if J v_n does not vary.
+    `detectable_mass_error` is the smallest relative error of the masses that the series shows with a probability of
+    95 %; infinite if it cannot tell g and s apart. `scatter` is the relative standard deviation of the cells about the
+    fit. `worst_obstacle` [kg] is the obstacle whose impulses deviate most from the fit on average, by
+    `worst_deviation`. `exponent` is p of F ~ (J v_n)^p; NaN if J v_n does not vary.
     """
 
     impacts: int
@@ -74,7 +74,7 @@ NO_FIT = MassFit(
 
 
 def pose_cells(configurations: Sequence[Hashable], masses: FloatArray, obstacle_masses: FloatArray) -> list[int]:
-    """Return the number of the cell of each impact: same configuration and obstacle, effective masses close together.
+    """Return the cell number of each impact; a cell has one configuration, one obstacle, and close effective masses.
 
     `masses` and `obstacle_masses` (n,) are in [kg].
     """
@@ -98,8 +98,9 @@ def fit_masses(
 ) -> MassFit:
     """Fit g, s and p to n impacts, all quantities (n,), positive and along the normal of the contact.
 
-    `impulses` J [N s], `speeds` v_n [m/s], `peaks` F [N], `masses` m_n and `obstacle_masses` m_H [kg]; m_H may be
-    infinite. Least squares of log(J / v_n) over the cells, Student's t; `configurations` are names of poses.
+    `impulses` are J [N s], `speeds` v_n [m/s], `peaks` F [N], `masses` m_n and `obstacle_masses` m_H [kg], which may be
+    infinite; `configurations` are names of poses. The method is least squares of log(J / v_n) over the cells, with
+    intervals by Student's t.
     """
     if not impulses.size:
         return NO_FIT
@@ -166,7 +167,7 @@ def _exponent(energy: FloatArray, force: FloatArray) -> tuple[float, Interval]:
 
 
 def _scaled(value: float, log_half: float) -> Interval:
-    """Return the interval of `value` with the half-width `log_half` of its logarithm."""
+    """Return the interval of `value` whose logarithm has the half-width `log_half`."""
     if not log_half < _LOG_BOUND:
         return UNKNOWN_SCALE
     return Interval(value * math.exp(-log_half), value * math.exp(log_half))

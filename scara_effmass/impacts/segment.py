@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A segment of force with activity, classified as a whole: contacts, tensile pulses, dropouts, glitches.
+"""Classification of a segment of force with activity: contacts, tensile pulses, dropouts, glitches.
 
 Forces are in [N], positions and durations in samples.
 """
@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.impacts.baseline import MIN_ZERO_RUN, Baseline, median_and_deviation, runs
-from scara_effmass.values import BoolArray, FloatArray
+from scara_effmass.impacts.baseline import MIN_ZERO_RUN, Baseline, median_and_deviation
+from scara_effmass.values import BoolArray, FloatArray, true_runs
 
 FLANK_LOW = 0.1
 """A flank is extrapolated from this share of the peak ..."""
@@ -21,19 +21,19 @@ FLANK_HIGH = 0.5
 MIN_INCOMPLETE_SAMPLES = 3
 """Minimum number of samples of a contact that is not complete."""
 PEAK_SHARE = 0.8
-"""The time of the peak is that of a polynomial through the samples above this share of it."""
+"""A polynomial through the samples above this share of the peak gives its time."""
 MIN_CUBIC_SAMPLES = 6
 _GLITCH_SHARE = 0.25
-"""The neighbours of a glitch are below this share of it, which excludes half-sines of 2.4 samples and more."""
+"""The neighbours of a glitch are below this share of it; half-sines of 2.4 samples and more are therefore none."""
 _MIN_REST_SAMPLES, _MIN_REST_GAPS, _REST_SPREAD = 8, 5, 2.0
-"""Between two contacts the force is at rest if so many samples, and minimum gaps, have a median and an interquartile
-range of at most this [noise]."""
+"""Between two contacts, the force is at rest if it lasts for this many samples and minimum gaps, and if its median
+and interquartile range are at most this multiple of the noise."""
 _RELEASE = 0.5
 """A contact ends below this share of the threshold."""
 
 
 class DetectedContact(NamedTuple):
-    """One contact, positions counted from the start of the segment."""
+    """One contact; positions count from the start of the segment."""
 
     first: int
     """First and last sample above the release level."""
@@ -47,16 +47,16 @@ class DetectedContact(NamedTuple):
     compression_area: float
     """[N samples] above baseline, from the onset to the peak"""
     complete: bool
-    """Both flanks were recorded."""
+    """Whether both flanks were recorded."""
     clipped: bool = False
 
 
 class Segment(NamedTuple):
-    """Content of a segment; dropouts and glitches by the sample at which they start."""
+    """Content of a segment; dropouts and glitches are given by their first samples."""
 
     contacts: list[DetectedContact]
     tensile_pulses: list[DetectedContact]
-    """Contacts of the force with its sign inverted."""
+    """Contacts that the force has if its sign is inverted."""
     dropouts: NDArray[np.intp]
     glitches: NDArray[np.intp]
 
@@ -64,7 +64,7 @@ class Segment(NamedTuple):
 def classify(
     samples: FloatArray, saturated: BoolArray, baseline: Baseline, gap: int, margin: int, longest: int = sys.maxsize
 ) -> Segment:
-    """Return the content of `samples` (n,) [N]; those that are missing are NaN.
+    """Return the content of `samples` (n,) [N]; missing samples are NaN.
 
     Contacts are separated by at least `gap` samples without force. A contact is complete only if the `margin` samples
     before it are at the baseline. A load that swings for `longest` samples is one contact.
@@ -75,7 +75,7 @@ def classify(
     for start, stop in zip(dropouts, dropout_ends, strict=True):
         valid[start:stop] = False
     if baseline.zero_run == MIN_ZERO_RUN:
-        valid[[0, -1]] &= samples[[0, -1]] != 0.0  # perhaps one of several
+        valid[[0, -1]] &= samples[[0, -1]] != 0.0  # they may belong to a run that continues outside
     force[~valid] = 0.0
     threshold = _threshold(force, valid, baseline, gap)
     glitches = lone_samples(force, threshold)
@@ -97,10 +97,10 @@ def flat_runs(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return start and stop of each dropout in `samples` (n,).
 
-    A dropout is a run of at least `flat_run` equal samples, or of `zero_run` exact zeros. Samples that are `saturated`
-    (n,) do not count: they repeat at the end of the measuring range.
+    A dropout is a run of at least `flat_run` equal samples, or of `zero_run` exact zeros. `saturated` (n,) samples do
+    not count, because they repeat at the end of the measuring range.
     """
-    first, last = runs((samples[1:] == samples[:-1]) & ~saturated[1:])
+    first, last = true_runs((samples[1:] == samples[:-1]) & ~saturated[1:]).T
     long_enough = last - first + 1 >= np.where(samples[first] == 0.0, zero_run, flat_run)
     return first[long_enough], last[long_enough] + 1
 
@@ -108,8 +108,8 @@ def flat_runs(
 def lone_samples(force: FloatArray, threshold: float) -> NDArray[np.intp]:
     """Return the positions in `force` (n,) above baseline of single samples far from both neighbours.
 
-    Either the sample exceeds `threshold` and its neighbours are near the baseline, or the other way around. A sample
-    next to such a hole is no spike.
+    Either the sample exceeds `threshold` and its neighbours are near the baseline (a spike), or the other way around (a
+    hole). A sample next to a hole is not a spike.
     """
     previous, current, following = force[:-2], force[1:-1], force[2:]
     size = np.abs(current)
@@ -125,8 +125,8 @@ def lone_samples(force: FloatArray, threshold: float) -> NDArray[np.intp]:
 def separate(force: FloatArray, valid: BoolArray, threshold: float, gap: int) -> list[tuple[int, int]]:
     """Return first and last sample of each contact in `force` (n,) [N] above baseline.
 
-    A contact exceeds `threshold` once and stays above half of it. It ends after `gap` samples below that; samples that
-    are not `valid` (n,) do not count.
+    A contact exceeds `threshold` at least once, and ends when the force is below half of it for `gap` samples; samples
+    that are not `valid` (n,) do not count.
     """
     above = np.flatnonzero((force > _RELEASE * threshold) & valid)
     if not above.size:
@@ -149,9 +149,9 @@ def interpolated_peak(force: FloatArray, index: int) -> float:
 def flank_onset(force: FloatArray, first: int, peak: float) -> tuple[float, bool]:
     """Return where the rising flank before sample `first` leaves the baseline, and whether the flank was recorded.
 
-    The line through the crossings of FLANK_LOW and FLANK_HIGH of the `peak` is extrapolated to zero, at most to the
-    last sample below zero or to the first sample of `force`. A valley between two contacts higher than FLANK_LOW takes
-    its place. The onset is not after `first`, where contact is certain.
+    The line through the points where the flank crosses FLANK_LOW and FLANK_HIGH of the `peak` is extrapolated to zero,
+    but not beyond the last sample below zero or the first sample of `force`. If the force between two contacts does not
+    fall to FLANK_LOW, its minimum takes that place. The onset is not after `first`, where there is certainly contact.
     """
     high = FLANK_HIGH * peak
     high_index = first + int(np.argmax(force[first:] > high))
@@ -171,9 +171,9 @@ def flank_onset(force: FloatArray, first: int, peak: float) -> tuple[float, bool
 def compression_area(force: FloatArray, onset: float, index: int) -> float:
     """Return the integral [N samples] of `force` (n,) [N] from `onset` [samples] to the peak near sample `index`.
 
-    Near its top the force is so flat that noise moves the largest sample; the time of the peak is therefore that of a
-    least-squares cubic, or of a parabola through few samples. The trapezoidal sum is corrected for the curvature
-    (Euler-Maclaurin; the slope is 0 at the peak).
+    The force is so flat near its top that noise decides which sample is the largest. The time of the peak is therefore
+    that of a least-squares cubic, or of a parabola if there are few samples. The trapezoidal sum is corrected for the
+    curvature (Euler-Maclaurin; the slope is 0 at the peak).
     """
     top = force > PEAK_SHARE * force[index]
     low = index - int(np.argmin(top[index::-1])) + 1 if not top[: index + 1].all() else 0
@@ -198,8 +198,8 @@ def compression_area(force: FloatArray, onset: float, index: int) -> float:
 def measure(force: FloatArray, first: int, last: int, earliest: int, latest: int, *, intact: bool) -> DetectedContact:
     """Return the contact from sample `first` to `last` of `force` (n,) [N] above baseline.
 
-    Samples before `earliest` or after `latest` do not belong to it. The peak is interpolated only if the contact is
-    `intact`: no sample clipped or missing.
+    Samples before `earliest` or after `latest` belong to other contacts. The peak is interpolated only if the contact
+    is `intact`: no sample is clipped or missing.
     """
     part = force[earliest : latest + 1]
     begin, stop = first - earliest, last - earliest
@@ -244,10 +244,10 @@ def _contacts(
             and last < force.size - 1
             and bool(valid[max(math.floor(contact.onset), 0) : math.ceil(contact.end) + 1].all())
             and (before.size < MIN_INCOMPLETE_SAMPLES or abs(float(np.median(before))) <= threshold)
-            # A baseline taken under a load that was then released is too high; a contact rings below it as well.
+            # If a load was released after the baseline was taken, the force is below it; also while a contact rings.
             and bool(number or np.count_nonzero(before < -threshold) < MIN_INCOMPLETE_SAMPLES)
         )
-        # A contact compresses the sensor in sum; noise does not.
+        # In total, a contact compresses the sensor; noise does not.
         if contact.area > 0.0 and (complete or np.count_nonzero(valid[first : last + 1]) >= MIN_INCOMPLETE_SAMPLES):
             contacts.append(contact._replace(complete=complete, clipped=clipped))
     return contacts
@@ -256,9 +256,9 @@ def _contacts(
 def _join_loads(
     contacts: list[DetectedContact], force: FloatArray, baseline: Baseline, longest: int, min_rest: int
 ) -> list[DetectedContact]:
-    """Return `contacts`; those between which the `force` (n,) [N] swings for `longest` samples about a load are one.
+    """Return `contacts`, in which those during which the `force` (n,) [N] swings about a load are joined.
 
-    The force does not swing where it is at rest for `min_rest` samples.
+    The force must swing for `longest` samples, without being at rest for `min_rest` samples.
     """
     chains = [contacts[:1]]
     for contact in contacts[1:]:
@@ -279,8 +279,7 @@ def _join_loads(
 def _threshold(force: FloatArray, valid: BoolArray, baseline: Baseline, gap: int) -> float:
     """Return the contact threshold [N].
 
-    It is that of the baseline, raised where the force outside the contacts is noisier than the baseline, as it is while
-    the structure rings.
+    It is that of the baseline, but higher if the force outside the contacts is noisier, as while the structure rings.
     """
     outside = valid.copy()
     for first, last in separate(force, valid, baseline.threshold, gap):
@@ -290,5 +289,5 @@ def _threshold(force: FloatArray, valid: BoolArray, baseline: Baseline, gap: int
 
 
 def _crossing(force: FloatArray, index: int, value: float) -> float:
-    """Return where the line from the sample at `index` to the next one reaches `value`."""
+    """Return the position at which the line from sample `index` to the next one reaches `value`."""
     return index + (value - float(force[index])) / float(force[index + 1] - force[index])

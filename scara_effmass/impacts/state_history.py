@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recent contact states, and the robot state at the onset of an impact.
 
-The contact changes the robot's velocity from the onset on. A state after the onset is used only if it continues the
-motion before the onset.
+From the onset on, the contact changes the robot's velocity. A state after the onset is therefore used only if it
+continues the motion before the onset.
 """
 
 import math
@@ -21,11 +21,11 @@ from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vecto
 NANOSECONDS = 1e9
 MODELS = ("lumped", "full", "iso")
 AUTO_SHARE = 0.9
-"""Share of the full mass below which the model auto does not take the lumped one, as by the monitor's model_margin."""
+"""The model auto does not use a lumped mass below this share of the full one; compare model_margin of the monitor."""
 TREND_STATES = 5
-"""Maximum number of states before the impact in the trend."""
+"""Maximum number of states before the impact that form the trend."""
 MIN_DIRECTION_LENGTH = 0.5
-"""Minimum length of an interpolated direction: two unit vectors 120 degrees apart have a mean of this length."""
+"""Minimum length of an interpolated direction; the mean of two unit vectors 120 degrees apart has this length."""
 _SPEED, _DIRECTION, _MASSES, _LUMPED, _FULL = 0, slice(1, 4), slice(4, 7), slice(7, 13), slice(13, 19)
 
 
@@ -33,8 +33,8 @@ class OnsetState(NamedTuple):
     """Contact point at the onset: `speed` [m/s], unit `direction`, `masses` [kg] by model.
 
     A mass is NaN if the model has none. `from_trend`: extrapolated from the states before the onset, because the
-    contact had already slowed the robot. `mobilities` are those of the lumped and of the full model, as
-    `ContactAssessment` has them.
+    contact had already slowed the robot. `mobilities` are those of the lumped and of the full model, as in
+    `ContactAssessment`.
     """
 
     speed: float
@@ -44,21 +44,21 @@ class OnsetState(NamedTuple):
     mobilities: tuple[Mobility6, Mobility6]
 
     def along(self, normal: Vector3) -> "OnsetState":
-        """Return speed and masses along the unit vector `normal` of the plate, of either sign."""
+        """Return the state with speed and masses along the plate's unit vector `normal`, of either sign."""
         lumped, full = (_mass_along(mobility, normal) for mobility in self.mobilities)
         speed = self.speed * abs(sum(n * d for n, d in zip(normal, self.direction, strict=True)))
         return self._replace(speed=speed, masses=_by_model(lumped, full, self.masses["iso"]))
 
 
 class Rejection(NamedTuple):
-    """Why an impact is not in the series: a category, and the details of this impact."""
+    """Why an impact is left out of the series: a category, and details of this impact."""
 
     reason: str
     detail: str = ""
 
 
 class _State(NamedTuple):
-    """A received contact state; `row` has speed, direction and masses, `unknown` the reason if it has no motion."""
+    """A received contact state. `row`: speed, direction, masses and mobilities; `unknown`: why it has no motion."""
 
     stamp_ns: int
     received_ns: int
@@ -71,7 +71,7 @@ class StateHistory:
     """Contact states of one contact point over at least the last `settings.history`, in stamp order.
 
     States that arrive out of order are dropped and counted in `late`. `first_ns` is the stamp of the first state,
-    `last_arrival_ns` the latest arrival time; 0: unknown.
+    `last_arrival_ns` is the latest arrival time; 0: unknown.
     """
 
     def __init__(self, settings: ValidatorSettings) -> None:
@@ -82,7 +82,7 @@ class StateHistory:
         self.clear()
 
     def clear(self) -> None:
-        """Drop all states."""
+        """Discard all states."""
         self._states: list[_State] = []
         self.first_ns = 0
         self.last_arrival_ns = 0
@@ -103,14 +103,14 @@ class StateHistory:
         return float(np.median([state.received_ns - state.stamp_ns for state in self._states]))
 
     def is_clock_reset(self, stamp_ns: int) -> bool:
-        """Return whether `stamp_ns` is older than the history: the clock jumped back or a new recording began."""
+        """Return whether `stamp_ns` is older than the history: the clock jumped back, or a new recording began."""
         return bool(self._states) and 0 < stamp_ns < self.last_ns - self._history_ns
 
     def add(self, contact: ContactAssessment, received_ns: int) -> None:
         """Add a state that arrived at `received_ns` (0: unknown)."""
         self.last_arrival_ns = max(received_ns, self.last_arrival_ns)
         if contact.stamp_ns <= self.last_ns:
-            # The monitor repeats the last stamp when joint states stop; that is not out of order.
+            # When joint states stop, the monitor repeats the last stamp, which is not out of order.
             self.late += contact.stamp_ns < self.last_ns
             return
         self.first_ns = self.first_ns or contact.stamp_ns
@@ -127,7 +127,7 @@ class StateHistory:
     def lag_at(self, onset_ns: int, deadline_ns: int) -> int | None:
         """Return arrival - stamp of the last state up to the onset, or of the first state if all are later.
 
-        Uses the states that arrived by `deadline_ns` (0: all). None without states.
+        Only states that arrived by `deadline_ns` (0: all) count. None if there are none.
         """
         if not (known := self._received_count(deadline_ns)):
             return None
@@ -160,7 +160,7 @@ class StateHistory:
         return OnsetState(float(row[_SPEED]), (x, y, z), _by_model(*row[_MASSES].tolist()), from_trend, mobilities)
 
     def kink(self, onset_ns: int, duration: float, deadline_ns: int = 0) -> Kink | None:
-        """Return the kink of the velocity near `onset_ns` due to a contact of `duration` [s]; arguments as `at`."""
+        """Return the kink in the velocity near `onset_ns` from a contact of `duration` [s]; see `at`."""
         known = self._received_count(deadline_ns)
         window_ns = round(WINDOW * NANOSECONDS)
         states = self._states[self._count(onset_ns - window_ns, known) : self._count(onset_ns + window_ns, known)]
@@ -179,7 +179,7 @@ class StateHistory:
         return bisect_right(self._states, deadline_ns, key=attrgetter("received_ns")) if deadline_ns else len(self)
 
     def _interpolate(self, onset_ns: int, uncertainty_ns: int, before: int, after: int) -> tuple[FloatArray, bool]:
-        """Return the row at the onset, and whether it is from the trend instead of the states `before` and `after`."""
+        """Return the row at the onset, and whether it is from the trend, not from the states `before` and `after`."""
         latest_ns = onset_ns - uncertainty_ns
         earliest_ns = latest_ns - round(2.0 * self._tolerance * NANOSECONDS)
         stop = self._count(latest_ns, before + 1)
@@ -198,14 +198,14 @@ class StateHistory:
         return (1.0 - weight) * first + weight * last, False
 
     def _slowed(self, row: FloatArray, expected: FloatArray) -> bool:
-        """Return whether `row` is slower along the `expected` direction than expected."""
+        """Return whether `row` is slower than `expected`, along the expected direction."""
         length = float(np.linalg.norm(expected[_DIRECTION]))
         along = row[_SPEED] * float(row[_DIRECTION] @ expected[_DIRECTION]) / length if length else 0.0
         return bool(along < (1.0 - self._settings.slowing) * expected[_SPEED])
 
 
 def _by_model(lumped: float, full: float, iso: float) -> dict[str, float]:
-    """Return the masses by name; the largest is that of all which exist, as the monitor takes it."""
+    """Return the masses by name; "largest" is the largest of those that exist, as in the monitor."""
     masses = dict(zip(MODELS, (lumped, full, iso), strict=True))
     known = full if math.isnan(lumped) or lumped < AUTO_SHARE * full else lumped
     auto = iso if math.isnan(known) else known
@@ -213,7 +213,7 @@ def _by_model(lumped: float, full: float, iso: float) -> dict[str, float]:
 
 
 def _mass_along(mobility: Mobility6, normal: Vector3) -> float:
-    """Return 1 / (n^T A n) [kg]; NaN where no joint moves the point along n, or without the model."""
+    """Return 1 / (n^T A n) [kg]; NaN if no joint moves the point along n, or if there is no model."""
     inverse = mobility_along(matrix_of(mobility), normal)
     return 1.0 / inverse if inverse > 0.0 else math.nan
 

@@ -30,15 +30,15 @@ from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RefusedI
 Key = TypeVar("Key", str, float)
 
 WRONG_SIGN_FORCE = 10.0
-"""Minimum tensile force [N] that counts as inverted compression; it must also exceed WRONG_SIGN_RATIO x the maximum."""
+"""Minimum tensile force [N] that shows a wrong sign; it must also exceed WRONG_SIGN_RATIO times the maximum force."""
 WRONG_SIGN_RATIO = 3.0
 
 
 class ModelResult(NamedTuple):
     """Agreement of one effective-mass model with the series, overall and by group.
 
-    Group predictions use the stiffness of the whole series. `reason` states why the model is not accepted;
-    `decidable` is false if the series could not have found an error.
+    Predictions of a group use the stiffness of the whole series. `reason` states why the model is not accepted;
+    `decidable` is false if the series could not have shown an error.
     """
 
     model: str
@@ -64,13 +64,13 @@ class _Summary(NamedTuple):
 
 
 class Result(NamedTuple):
-    """Whole series; `seen` = number of `impacts` + sums of `excluded` and `unpaired` + `waiting`.
+    """Result of the whole series; `seen` = number of `impacts` + sums of `excluded` and `unpaired` + `waiting`.
 
-    `model` is the selected effective-mass model; `accepted` and `reason` refer to it. `models` are lumped, full, iso,
-    and largest if selected. Predictions in `impacts` use the stiffness of the whole series. `excluded` and `unpaired`
-    count by reason, `refused` lists each impact. `clock` and `force_sign` describe a problem with the clocks or the
-    sign of the force; empty: none detected. `clock_offset` is that of the impacts in the series. `gain_tolerance` is
-    that of the sensor, `exceedances` counts impacts whose force on a body region is above its limit.
+    `model` is the selected effective-mass model, to which `accepted` and `reason` refer. `models` are lumped, full and
+    iso, and the selected one. Predictions in `impacts` use the stiffness of the whole series. `excluded` and `unpaired`
+    count the impacts in `refused` by reason. `clock` and `force_sign` describe a problem with the clocks or the sign of
+    the force; empty: none. `clock_offset` is that of the impacts in the series. `gain_tolerance` is that of the sensor.
+    `exceedances` counts the impacts whose force on a body region is above its limit.
     """
 
     model: str
@@ -98,7 +98,7 @@ class Result(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """One line: accepted, or why not."""
+        """One line: accepted, or the reason why not."""
         if self.accepted:
             return "accepted"
         return f"{'not accepted' if self.decidable else 'not decidable'}: {self.reason}"
@@ -139,9 +139,9 @@ class Validator:
         return validated + self._validate() if self._matcher.waiting else validated
 
     def _is_selected(self, contact: ContactAssessment) -> bool:
-        """Return whether `contact` is of the contact point of the series: without a setting the first of a joint state.
+        """Return whether `contact` is of the contact point of the series, by default the first one of each joint state.
 
-        A subscriber can miss the first one while it joins; another one is then selected until the first one comes.
+        A new subscriber can miss the first point of a joint state; another one is selected until that one comes.
         """
         name, selected = contact.contact_point, self._contact_point
         begins = not contact.watchdog and contact.stamp_ns != self._stamp_ns
@@ -165,18 +165,18 @@ class Validator:
         return self._validate()
 
     def add_force(self, block: ForceBlock, received_ns: int) -> None:
-        """Add a force block to the checks of the clocks and of the sign of the force."""
+        """Check the clocks and the sign of the force with a force block."""
         self._matcher.clock.add_block(block, received_ns)
         self._stated_uncertainty = max(self._stated_uncertainty, block.relative_uncertainty)
         finite = block.force[np.isfinite(block.force)]
-        if finite.size >= 2:  # a force that holds for two samples: one alone is a glitch
+        if finite.size >= 2:  # the force must last for two samples; a single one can be a glitch
             self._min_force = min(self._min_force, float(np.maximum(finite[1:], finite[:-1]).min()))
             self._max_force = max(self._max_force, float(np.minimum(finite[1:], finite[:-1]).max()))
 
     def begin_run(self, info: RunInfo, received_ns: int) -> int:
-        """Begin the run that `info` describes; return how many impacts of this run were validated in the one before.
+        """Begin the run that `info` describes; return how many of its impacts were validated in the run before.
 
-        They leave the series: their obstacle was that of another run. Raises SettingsError for an invalid value.
+        They leave the series, because another obstacle was assumed. Raises SettingsError for an invalid value.
         """
         self.runs.begin(info, received_ns)
         since_ns = info.stamp_ns or received_ns
@@ -189,13 +189,13 @@ class Validator:
         return len(late)
 
     def finish(self) -> list[ValidatedImpact]:
-        """Match all waiting impacts without further states; return newly validated impacts."""
+        """Match all waiting impacts without waiting for further states; return newly validated impacts."""
         return self._validate(flush=True)
 
     def begin_recording(self) -> list[ValidatedImpact]:
-        """Finish, then continue the series with a new recording or a reset clock; return newly validated impacts.
+        """Finish, and continue the series with a new recording or after a reset of the clock.
 
-        The latest run stays valid until another one begins.
+        Returns newly validated impacts. The latest run stays valid until another one begins.
         """
         validated = self.finish()
         problems = self._problems()
@@ -205,9 +205,9 @@ class Validator:
         return validated
 
     def extend(self, other: "Validator") -> tuple[int, int]:
-        """Add the finished recordings of a validator with the same settings; return how many impacts and refused ones.
+        """Add the finished recordings of a validator with the same settings.
 
-        The result is that of recordings which this validator saw itself.
+        The result is as if this validator had seen them itself. Returns the numbers of matched and refused impacts.
         """
         mine, its = self._matcher, other._matcher  # noqa: SLF001 - of the same class
         self._matches += other._matches  # noqa: SLF001
@@ -282,9 +282,9 @@ class Validator:
         return validated
 
     def _summary(self, problem: str) -> _Summary:
-        """Return agreement, fit and decision of each model; `problem` is one of the clocks or the sign of the force.
+        """Return agreement, fit and decision of each model; `problem` is one with the clocks or the sign of the force.
 
-        But for the problem it does not depend on the order of arrival.
+        Apart from the problem, the result does not depend on the order of arrival.
         """
         unpaired = Counter(impact.reason for impact in self._matcher.refused if not impact.excluded)
         kinks = (match.kink for match in self._matches if match.kink is not None)
@@ -310,7 +310,7 @@ class Validator:
         return _Summary(outcomes, clock, exceedances)
 
     def _region_force(self, match: MatchedImpact, stiffness: float) -> RegionForce:
-        """Return the force on the most endangered body region, with the mass of the model or the measured one."""
+        """Return the force on the most endangered body region, for the worse of modelled and measured mass."""
         peak = match.impact.peak_force / match.force_share
         masses = (match.state.masses[self._model], match.measured_mass)
         return worst_force(self._limits, peak, masses, match.obstacle_mass, stiffness)
@@ -320,7 +320,7 @@ class Validator:
         return self._stated_uncertainty or self.settings.criterion.gain_tolerance
 
     def _one_pose(self) -> bool:
-        """Return whether neither the lumped nor the full mass varies over the series."""
+        """Return whether neither lumped nor full mass varies over the series."""
         for model in (MassModel.LUMPED.value, MassModel.FULL.value):
             masses = [match.state.masses[model] for match in self._matches if match.has_mass(model)]
             if masses and max(masses) - min(masses) > MIN_RELATIVE_RANGE * max(masses):
@@ -331,7 +331,7 @@ class Validator:
         return model_agreement(model, matches, stiffness, self.settings.criterion.shortfall_tolerance)
 
     def _validated_impact(self, match: MatchedImpact, summary: _Summary) -> ValidatedImpact:
-        """Return predictions and limit for `match`, and the `summary` of the series."""
+        """Return predictions and limit for `match`, with the `summary` of the series."""
         impact, state, run, kink = match
         predictions = {
             model: predict(model, match, outcome.agreement.stiffness)
@@ -394,12 +394,12 @@ class Validator:
         return {name: self._agreement(model, groups[name], stiffness) for name in sorted(groups)}
 
     def _clear_problems(self, clock: str = "", force_sign: str = "") -> None:
-        """Forget the force; keep the problems of earlier recordings."""
+        """Forget the force extremes, and keep the problems of earlier recordings."""
         self._min_force = self._max_force = 0.0
         self._past_problems = clock, force_sign
 
     def _problems(self) -> tuple[str, str]:
-        """Return the problem with the clocks and that with the sign of the force; empty: none."""
+        """Return the problem with the clocks, and that with the sign of the force; empty: none."""
         clock, force_sign = self._past_problems
         if self._min_force < -max(WRONG_SIGN_FORCE, WRONG_SIGN_RATIO * self._max_force):
             low, high = f"{self._min_force:.0f} N", f"{self._max_force:.0f} N"

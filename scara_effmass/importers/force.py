@@ -13,7 +13,7 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers import BAG_IMPORTER, IMPORTERS
 from scara_effmass.settings import ImportSettings
-from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, FloatArray, ForceBlock
+from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, FloatArray, ForceBlock, true_runs
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
@@ -145,15 +145,14 @@ def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iter
         force.flags.writeable = False
         first += block.lost_samples
         lost += block.lost_samples
-        for run in np.split(np.arange(len(force)), np.flatnonzero(np.diff(valid)) + 1):
-            if not valid[run[0]]:
-                lost += len(run)
-                continue
-            run_force = force[run[0] : run[-1] + 1]
+        end = 0
+        for start, stop in true_runs(valid).tolist():
+            lost += start - end
+            run_force = force[start:stop]
             yield ForceBlock(
-                stamp_ns=block.stamp_ns + round(run[0] / file.sample_rate * NS),
+                stamp_ns=block.stamp_ns + round(start / file.sample_rate * NS),
                 frame_id=settings.frame_id,
-                first_sample=first + int(run[0]),
+                first_sample=first + start,
                 sample_rate=file.sample_rate,
                 force=run_force,
                 lost_samples=min(lost, MAX_LOST_SAMPLES),
@@ -164,7 +163,8 @@ def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iter
                 # The sensor behind a file in newtons is unknown.
                 relative_uncertainty=sensor.sensitivity_uncertainty if is_voltage and not file.simulated else 0.0,
             )
-            lost, is_empty = 0, False
+            lost, end, is_empty = 0, stop, False
+        lost += len(force) - end
         first += len(force)
     if is_empty:
         raise BagError(f"{path}: {file.description}: has no finite sample")

@@ -16,7 +16,7 @@ from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.importers.force import ForceFile
 from scara_effmass.importers.uniform_sampling import uniform_samples
 from scara_effmass.settings import ImportSettings
-from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray, true_runs
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
 
@@ -119,8 +119,7 @@ def _sort(log_times_ns: IntArray, stamps_ns: IntArray, values: FloatArray, origi
     head_ns = np.sort(differences_ns[:HEAD])
     deviation_ns = differences_ns - head_ns[(len(head_ns) - 1) // 2]
     valid = np.abs(deviation_ns) <= MAX_DELAY_NS
-    edges = np.flatnonzero(np.diff(np.concatenate(([True], valid, [True]))))
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+    for start, stop in true_runs(~valid).tolist():
         if stop - start >= CLOCK_STEP_RUN:
             at = start + CLOCK_STEP_RUN - 1
             step = f"{deviation_ns[at] / NS:.3f} s off from {log_times_ns[at] / NS:.6f} s on"

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.daq.acquisition import LATENCY_WINDOW_S, NS, ReadLatency
+from scara_effmass.daq.acquisition import LATENCY_WINDOW_S, ReadLatency
+from scara_effmass.wire.cdr import NS
 
 RATE = 10_000.0
 BLOCK = 1000

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.baseline import Baseline, Frame, longest_flat_run, runs
+from scara_effmass.impacts.baseline import Baseline, Frame, longest_flat_run
 from scara_effmass.impacts.detector import SampleBuffer, finite_parts
 from scara_effmass.impacts.segment import (
     classify,
@@ -21,6 +21,7 @@ from scara_effmass.impacts.segment import (
     separate,
 )
 from scara_effmass.settings import DetectionSettings
+from scara_effmass.values import true_runs
 
 if TYPE_CHECKING:
     from scara_effmass.values import FloatArray
@@ -170,7 +171,7 @@ def test_contacts_are_apart_after_a_gap() -> None:
 @given(st.lists(st.booleans(), max_size=40))
 def test_runs_are_those_of_groupby(mask: list[bool]) -> None:
     expected = [list(group) for value, group in groupby(range(len(mask)), mask.__getitem__) if value]
-    first, stop = runs(np.array(mask, dtype=np.bool_))
+    first, stop = true_runs(np.array(mask, dtype=np.bool_)).T
     assert [list(range(i, k)) for i, k in zip(first, stop, strict=True)] == expected
 
 
