@@ -46,6 +46,15 @@ def test_what_pulls_more_than_it_pushes_is_no_contact() -> None:
     assert len(classify(samples, marks, baseline, 4, 0).contacts) == 1
 
 
+def test_contact_ends_before_the_first_sample_of_the_next_one() -> None:
+    """Its slow fall, extrapolated to zero, would end inside the next contact."""
+    baseline = Baseline(DetectionSettings(), [Frame(noise(FRAME)) for _ in range(BASELINE_FRAMES)])
+    force = np.zeros(60)
+    force[20:33] = [8.0, 16.0, 12.0, 9.0, 7.0, 6.0, 5.0, 2.45, 2.3, 60.0, 80.0, 60.0, 30.0]
+    first, second = classify(force, np.zeros(60, dtype=np.bool_), baseline, 2, 10).contacts
+    assert (first.end, second.first) == (28.0, 29)
+
+
 def test_frames_beside_a_contact_do_not_enter_the_noise(detect: Detect, add_pulse: AddPulse) -> None:
     plain = noise(300 * FRAME)
     for first in range(9, 300, 5):
