@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from scara_effmass.values import FloatArray, Impact
 
 MEDIAN_S, LINE_S = 0.25, 0.5
-"""Duration before and after the contact that enters the median and the line."""
+"""Durations before and after the contact over which the median and the line are taken."""
 
 
 class Motion(NamedTuple):
@@ -53,7 +53,7 @@ def main(folder: Path) -> None:
 
 
 def impacts_in(path: Path, run: str) -> list[tuple[float, Impact]]:
-    """Return onset [s] after the first sample, and impact, for each impact of one run."""
+    """Return for each impact of one run its onset [s] after the first sample, and the impact."""
     columns = {"topic": f"{run}: Force (N)", "time_column": f"{run}: Time (s)"}
     settings = checked(ImportSettings, {**columns, "sensor.invert": True}, "cart impacts")
     detector = Detector(DetectionSettings(threshold=0.5))
@@ -70,7 +70,7 @@ def read_columns(path: Path) -> dict[str, tuple[str, ...]]:
 
 
 def motion_of(columns: dict[str, tuple[str, ...]], run: str) -> Motion:
-    """Return the motion of one run; some files contain it in every fourth row only."""
+    """Return the motion of one run. Some files have it in every fourth row only."""
     times, velocities = (
         np.array([float(cell or "nan") for cell in columns[f"{run}: {what}"]])
         for what in ("Time (s)", "Velocity (m/s)")
@@ -80,15 +80,15 @@ def motion_of(columns: dict[str, tuple[str, ...]], run: str) -> Motion:
 
 
 def change_by_medians(motion: Motion, onset: float, end: float) -> float:
-    """Return the decrease of the cart's speed over the contact [m/s], from medians, which tolerate outliers."""
+    """Return by how much the contact slows the cart [m/s], from medians, which tolerate outliers."""
     before, after = adjacent(motion, onset, end, MEDIAN_S)
     return float(np.median(motion.velocity_m_s[before]) - np.median(motion.velocity_m_s[after]))
 
 
 def change_by_lines(motion: Motion, onset: float, end: float) -> float:
-    """Return the decrease of speed from lines before and after, extrapolated to the middle of the contact.
+    """Return by how much the contact slows the cart [m/s], from lines extrapolated to the middle of the contact.
 
-    This removes the effect of slope and friction if they are equal before and after. Theil-Sen lines tolerate outliers.
+    This removes the effect of slope and friction if it is equal before and after. Theil-Sen lines tolerate outliers.
     """
     middle = (onset + end) / 2.0
     speeds_m_s = []

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw one array of effective_mass_markers of a recording: draw_markers.py BAG SECONDS IMAGE."""
+"""Draw the effective_mass_markers of a recording at one time.
+
+    python examples/draw_markers.py BAG SECONDS IMAGE
+
+SECONDS count from the first markers in BAG.
+"""
 
 import sys
 from collections.abc import Iterator
@@ -51,7 +56,7 @@ def draw(axes: Any, marker: Any) -> None:  # noqa: ANN401 - matplotlib's 3-D axe
 
 
 def main(bag: str, seconds: str, image: str) -> None:
-    """Draw the array nearest to `seconds`."""
+    """Draw the marker array nearest to `seconds` and write it to the file `image`."""
     _, nearest = min(arrays(Path(bag)), key=lambda item: abs(item[0] - float(seconds)))
     figure = Figure(figsize=(9.0, 5.2), facecolor="#303030")
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d", facecolor="#303030", computed_zorder=False)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated impacts on plates that are not square to the path, one of them tilted out of the plane.
+"""Simulate impacts on plates that are turned and tilted against the path.
 
 Effective mass and impact speed are those along the normal n of the plate. The force cell measures the component of the
-force along its axis d, the path. Prints the simulated peak force of each plate beside v_n sqrt(mu k) (n . d).
+force along its axis d, the path. Prints the simulated peak force for each plate beside v_n sqrt(mu k) (n . d).
 """
 
 from __future__ import annotations
