@@ -98,7 +98,8 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) 
     if past is not None and past.end_ns is not None:
         ago_s = (now_ns - past.end_ns) / 1e9
         lasted_s = (past.end_ns - past.start_ns) / 1e9
-        parts.append(Text(f"before: {past.verdict.name} until {ago_s:.0f} s ago, for {lasted_s:.2f} s: {past.cause}"))
+        cause = f"{past.contact_point}: {past.cause}".removeprefix(": ")
+        parts.append(Text(f"before: {past.verdict.name} until {ago_s:.0f} s ago, for {lasted_s:.2f} s: {cause}"))
     if status.impacts:
         impact = status.impacts[-1]
         validation = impact.validation

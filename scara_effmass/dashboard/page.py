@@ -124,8 +124,8 @@ class Page:
             self._panel.classes(remove=" ".join(Verdict.__members__), add=verdict.name)
             self._icon.content = _icon(verdict)
             self._word.text = verdict.name
-        reason = f"{status.contact_point}: {status.reason}".strip(": ") if status.reason else _ALL_OK
-        self._reason.text = reason
+        is_ok = verdict is Verdict.OK
+        self._reason.text = _ALL_OK if is_ok else f"{status.contact_point}: {status.reason}".strip(": ")
         advice = remedy(status.reason)
         self._remedy.text = f"Remedy: {advice}.".replace("`", "") if advice else ""
         self._now.content = _now(status)

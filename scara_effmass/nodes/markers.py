@@ -52,13 +52,17 @@ def contact_markers(
     """Yield what is known of each contact point: verdict, mass ellipsoid, velocity, allowable speed, worst normal.
 
     `places` are the positions [m] of the contact points; others only have a text above the base, and UNKNOWN only its
-    text. The ellipsoid has a semi-axis of `ellipsoid_scale` [m] at 1 kg, an arrow `arrow_scale` [m] at 1 m/s.
+    text. The ellipsoid has a semi-axis of `ellipsoid_scale` [m] at 1 kg, an arrow `arrow_scale` [m] at 1 m/s. Texts of
+    contact points at the same place are stacked, so that none covers another.
     """
+    drawn: list[FloatArray] = []
     for index, contact in enumerate(contacts):
         color = VERDICT_COLORS[contact.verdict]
         x, y, z = places.get(contact.contact_point, (0.0, 0.0, index * TEXT_LIFT_M))
         at = np.array([x, y, z])
-        text = (x, y, z + (TEXT_LIFT_M if z > -TEXT_LIFT_M else -TEXT_LIFT_M))  # away from the base
+        lift = TEXT_LIFT_M * (1 + sum(np.linalg.norm(at - other) < TEXT_HEIGHT_M for other in drawn))
+        drawn.append(at)
+        text = (x, y, z + (lift if z > -TEXT_LIFT_M else -lift))  # away from the base
         words = _words(contact, simulated=simulated)
         yield _marker(Marker.TEXT_VIEW_FACING, "verdict", index, color, (0.0, 0.0, TEXT_HEIGHT_M), text, text=words)
         is_finite = np.isfinite([*contact.direction, *contact.mobility]).all()

@@ -69,6 +69,25 @@ def test_unknown_shares_no_line_with_ok_and_shows_no_number() -> None:
     assert not any("0.325" in line or "1.204" in line for line in unknown)
 
 
+def test_worst_contact_point_is_named_and_comes_first() -> None:
+    cell = CellStatus(0)
+    cell.timeout_ns = S
+    verdicts = {"tool": Verdict.OK, "elbow": Verdict.WARN, "rim": Verdict.VIOLATION, "flange": Verdict.VIOLATION}
+    for place, (name, verdict) in enumerate(verdicts.items()):
+        contact = unknown_contact(name, f"of {name}", 1, 0.0)
+        contact = contact._replace(verdict=verdict, speed=1.0, allowable_speed=0.9 + 0.1 * (verdict is Verdict.OK))
+        cell.take_contact(contact._replace(speed=1.0 + 0.1 * place), 3 * S)
+    shown = lines(cell, 4 * S, 120, 40)
+    assert "VIOLATION at flange for 1 s" in [line.strip() for line in shown]
+    assert "of flange" in shown
+    rows = [line.split()[:2] for line in shown if line.split()[:1] and line.split()[0] in verdicts]
+    assert rows == [["rim", "VIOLATION"], ["flange", "VIOLATION"], ["elbow", "WARN"], ["tool", "OK"]]
+    cell.take_contact(unknown_contact("tool", "no joint state", 1, 0.0), 3 * S)
+    shown = lines(cell, 4 * S, 120, 40)
+    assert "UNKNOWN at tool for 1 s" in [line.strip() for line in shown]
+    assert not any(re.search(r"OK|WARN|VIOLATION", line) for line in shown if "before:" not in line)
+
+
 def test_silence_and_a_missing_monitor_turn_an_ok_screen_to_unknown() -> None:
     cell = status(Verdict.OK)
     cell.update(3 * S + S + 1)
@@ -85,7 +104,7 @@ def test_screen_shows_impact_past_episode_and_simulation() -> None:
     cell.take_contact(cell.contacts["tool"]._replace(verdict=Verdict.OK), 4 * S)
     cell.take_impact(Impact(S, "cell", 123.4, *(2e-3, 0.3, 0.0, False, False, 0, 0.0, 0.1, 1e-4, "t", True)), 4 * S)
     text = " ".join(lines(cell, 6 * S, 120, 40))
-    assert "before: VIOLATION until 2 s ago, for 1.00 s: 0.4 m/s is above" in text
+    assert "before: VIOLATION until 2 s ago, for 1.00 s: tool: 0.4 m/s is above" in text
     assert "last impact: peak 123.4 N, 2 s ago" in text
     assert "SIMULATED: force" in text
 

@@ -138,6 +138,18 @@ def test_contact_point_without_a_place_has_its_word_above_the_base() -> None:
     assert markers[1].text == "robot: UNKNOWN\nwhy"
 
 
+@pytest.mark.parametrize("z", [0.3, -0.3])
+def test_words_of_contact_points_at_one_place_do_not_cover_each_other(z: float) -> None:
+    """The OK of the flange would hide the VIOLATION of the tool."""
+    names = ("elbow", "tool", "flange", "rim")
+    places = dict.fromkeys(names, (0.4, 0.0, z)) | {"elbow": (0.2, 0.0, z)}
+    contacts = [assessed()._replace(contact_point=name) for name in names]
+    markers = contact_markers(contacts, places, simulated=False, **SCALES)
+    at = {marker.text.partition(":")[0]: marker.pose.position.z for marker in markers if marker.ns == "verdict"}
+    away = math.copysign(0.2, z)
+    assert [at[name] - z for name in names] == pytest.approx([away, away, 2.0 * away, 3.0 * away])
+
+
 def test_numbers_that_are_not_finite_leave_only_the_word() -> None:
     contact = assessed()
     for broken in ({"lumped_mobility": (math.nan,) * 6}, {"direction": (math.inf, 0.0, 0.0)}):
