@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Growth of the force by the change of pose: derivatives by finite differences, and the speed that it leaves."""
+"""Growth of the force by the change of pose: derivatives by finite differences, and the speed that remains allowed."""
 
 import math
 from dataclasses import replace

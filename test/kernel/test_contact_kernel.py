@@ -30,7 +30,7 @@ ROBOTS = [REPOSITORY / "config" / "omron_i4_550l.yaml", *sorted(REPOSITORY.glob(
 STATES = 48
 TOLERANCE = 1e-10
 SINGULAR = 1e-6
-"""Smallest singular value below which a pose counts as singular, and tolerance there: what is left has cancelled."""
+"""Smallest singular value below which a pose counts as singular, and the tolerance there: leading digits cancel."""
 ROUNDED = {"kinova": 1e-6, "ur10_robot": 1e-8}
 """Tolerance of lumped models of tiny inertia (2.5e-7 kg m2), which Pinocchio's inverse rounds; see the test of CRBA."""
 CANCELLED = 1e-5

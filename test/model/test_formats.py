@@ -207,7 +207,7 @@ class TestElbow:
     def test_mass_is_the_closed_form_of_the_planar_mechanism(
         self, omron_file: Path, q1: float, q2: float, rate: float
     ) -> None:
-        """The elbow moves with M2 and the part of M3 that link 2 cannot let go: M2 + M3 sin²(q2), at l1 q1'."""
+        """The elbow moves M2, and M3 only along link 2: M2 + M3 sin²(q2), at the speed l1 q1'."""
         robot = load_robot(omron_file)
         dynamics = RobotDynamics(robot)
         assert dynamics.lumped is not None

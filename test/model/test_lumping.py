@@ -494,7 +494,7 @@ def test_counterweight_on_parallel_axes_is_moved_to_the_proximal_one(
 
 
 def test_wrist_without_mass_beside_its_axes_has_no_lumped_mass(load_urdf_file: Callable[..., Robot]) -> None:
-    """Joint 5 of this UR5 moves no lumped mass, but the tool: zero mass along n is no answer."""
+    """Joint 5 of this UR5 moves the tool but no lumped mass: a mass of zero along n would be wrong."""
     dynamics = RobotDynamics(load_urdf_file("ur5_robot.urdf"))
     assert dynamics.lumped is not None
     assert dynamics.lumped.massless_joints == (4, 5)

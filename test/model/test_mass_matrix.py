@@ -143,7 +143,7 @@ def test_jacobian_agrees_with_finite_differences(
 
 def test_lumped_mass_matrix_is_eq_14(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
     for link in omron_rows["links"]:
-        link["com"][2] = 0.07  # heights count for nothing on parallel axes, and must not do harm
+        link["com"][2] = 0.07  # heights do not matter on parallel axes, and must change nothing
     dynamics = RobotDynamics(load_rows(omron_rows))
     assert dynamics.lumped is not None
     model = dynamics.lumped.model

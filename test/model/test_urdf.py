@@ -239,7 +239,7 @@ class TestFixedJoints:
             parse(joint_limits=("j5=-1 1",))
 
     def test_joints_beyond_a_contact_point_move(self) -> None:
-        # What the elbow presents depends on how the forearm lies, so q2 must stay in the model.
+        # The masses at the elbow depend on the pose of the forearm, so q2 must stay in the model.
         robot = parse(contact_points=("fore",), payload_mass=0.25)
         assert robot.joint_names == ("j1", "j2", "j3", "j4")
         dynamics = RobotDynamics(robot)

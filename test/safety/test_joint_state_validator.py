@@ -340,7 +340,7 @@ class TestZeroVelocity:
         assert set(verdicts[first_ok:]) == {Verdict.OK}
 
     def test_velocity_of_one_sample_confirms_no_zeros(self, scara: RobotDynamics) -> None:
-        """Joint 1 states a velocity, but its position stays: that contradicts, and confirms nothing."""
+        """Joint 1 reports a velocity, but its position does not change: a contradiction confirms nothing."""
         feed = Feed(make_monitor(scara))
         verdicts = [feed(state(velocity=(0.5, 0.0, 0.0, 0.0)))[0] for _ in range(300)]
         assert set(verdicts) == {Verdict.UNKNOWN}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A payload by topic: no speed is allowed before its first message, nor after one that no load can have."""
+"""A payload by topic: no speed is allowed before its first message, nor after an impossible one."""
 
 import math
 
@@ -100,6 +100,6 @@ def test_settings_changed_meanwhile_keep_the_payload(awaiting: Monitor) -> None:
     ],
 )
 def test_topic_and_parameters_exclude_each_other(name: str, value: object, text: str) -> None:
-    """A parameter that changed beside the topic would take the place of the payload that the topic told."""
+    """A parameter that changed beside the topic would replace the payload that the topic stated."""
     with pytest.raises(SettingsError, match=rf"payload_topic = 'payload': .*must be empty with {name} = {text}"):
         checked(MonitorSettings, {name: value, "payload_topic": "payload"}, "cell.yaml")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays of joint states and of verdicts give, bit for bit, what one after the other gives."""
+"""Arrays of joint states and verdicts give, bit for bit, the results of one joint state after another."""
 
 from __future__ import annotations
 
