@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Advise a speed factor for each segment of a recorded path, such that no state exceeds its allowable speed.
 
-Along a path a factor scales all joint velocities, so direction and mass stay. The allowable speed still depends on the
-speed a little, through the change of pose and the tolerance of the velocities: the factors are iterated, and the
-re-timed motion is assessed as the monitor assesses it. Between segments the factor changes no faster than the largest
-recorded acceleration of each joint allows: with x = s^2 over the path time t, q'' = x q''_rec + x' q'_rec / 2.
+A factor scales all joint velocities, so directions and masses along the path stay the same. The allowable speed still
+depends on the speed a little, through the change of pose and the tolerance of the velocities. The factors are therefore
+iterated, and the re-timed motion is assessed as the monitor does it. Between segments the factor changes no faster than
+the largest recorded acceleration of each joint allows: for the factor s and x = s^2 over the path time t,
+q'' = x q''_rec + x' q'_rec / 2.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -25,16 +26,17 @@ ITERATIONS = 30
 PRECISION = 0.99
 """Minimum ratio of an accepted factor to the smallest factor that is known to be too large."""
 MIN_FACTOR = 0.02
-"""Minimum factor; a segment that needs less gets none."""
+"""Minimum factor; a segment that needs a smaller one gets none."""
 MAX_STEP_S = 0.02
+"""Longest time between two states of the re-timed motion, unless the recorded ones are further apart."""
 IntArray = NDArray[np.intp]
 
 
 class Motion:
-    """Joint states of one path, in order, with times (m,) [s] from the first, positions and velocities (m, n)."""
+    """Joint states of one path in order: times (m,) [s] since the first one, positions and velocities (m, n)."""
 
     def __init__(self, states: Sequence[JointState], origin: str) -> None:
-        """Use `states` of `origin`. Raises BagError unless they can be re-timed."""
+        """Take the `states` recorded in `origin`. Raises BagError if they cannot be re-timed."""
         names = states[0].names
         if not all(
             state.names == names and len(names) == len(state.position) == len(state.velocity) for state in states
@@ -50,8 +52,8 @@ class Motion:
     def segments(self, count: int | None, rest_speed: float) -> IntArray:
         """Return the number of the segment of each state (m,).
 
-        None: motions and standstills, in which no joint is faster than `rest_speed` [rad/s, m/s]. 0: every state is a
-        segment. Else `count` segments of equal recorded time.
+        `count` segments last equally long. With 0 every state is a segment; with None each motion and each standstill
+        is one, where a standstill has no joint faster than `rest_speed` [rad/s, m/s].
         """
         if count is None:
             moves = np.abs(self.qd).max(axis=1) > rest_speed
@@ -62,9 +64,9 @@ class Motion:
         return np.asarray(np.minimum(self.time / self.time[-1] * count, count - 1), np.intp)
 
     def at_factors(self, factors: FloatArray) -> tuple[list[JointState], FloatArray]:
-        """Return the states of the motion at `factors` (m,) of its states and their path times [s].
+        """Return the states of the motion re-timed by the `factors` (m,) of its states, and their path times [s].
 
-        States are added so that they are no further apart than 0.02 s, or than the recorded ones usually are.
+        States are added where they would be further apart than 0.02 s and than the recorded ones usually are.
         """
         s = self._ramped(factors)
         step = np.diff(self.time)
@@ -81,15 +83,15 @@ class Motion:
         return [JointState(stamp_ns, first.names, *row) for stamp_ns, *row in rows], path_time
 
     def _ramped(self, factors: FloatArray) -> FloatArray:
-        """Return the largest factors of at most `factors` that keep to the largest recorded accelerations."""
+        """Return the largest factors up to `factors` with which no joint exceeds its largest recorded acceleration."""
         step = np.diff(self.time)[:, np.newaxis]
         acceleration = np.diff(self.qd, axis=0) / step
         largest = np.abs(acceleration).max(axis=0)
         c = self.qd[:-1] / (2.0 * step)
         a, c = acceleration * np.sign(c), np.abs(c) + 1e-12
         ends = np.concatenate((factors[:1], factors, factors[-1:]))
-        x = np.minimum(factors, np.minimum(ends[:-2], ends[2:])) ** 2  # of both segments at a border
-        for i in range(len(step) - 1, -1, -1):  # slow down in time
+        x = np.minimum(factors, np.minimum(ends[:-2], ends[2:])) ** 2  # at a border the smaller factor of both segments
+        for i in range(len(step) - 1, -1, -1):  # backwards, so that the motion slows down in time
             slope = c[i] - a[i]
             bounds = np.where(slope > 0.0, (largest + c[i] * x[i + 1]) / np.maximum(slope, 1e-12), np.inf)
             x[i] = min(x[i], bounds.min())
@@ -99,10 +101,11 @@ class Motion:
 
 
 class Advice(NamedTuple):
-    """Factors (k,) of the segments, NaN where no speed can be advised, and what decides each of them.
+    """Factors (k,) of the segments, NaN where no speed can be advised, and the reason of each factor.
 
-    `segment` is that of each recorded state (m,). `states`, at the `path_time` [s] of the recording, are the re-timed
-    motion; there are none without all factors. `recorded` (m,) and `advised` are speeds over allowed ones, at most 3.
+    `segment` is that of each recorded state (m,). `states` are the re-timed motion, each at a `path_time` [s] of the
+    recording; they are empty if a factor is missing. `recorded` (m,) and `advised` are ratios of speed to allowable
+    speed, at most 3.
     """
 
     segment: IntArray
@@ -119,10 +122,11 @@ class Advice(NamedTuple):
         if self.states:
             stamps = np.array([state.stamp_ns - self.states[0].stamp_ns for state in self.states]) / 1e9
             advised = np.interp(motion.time, self.path_time, stamps)
-        sums = [np.zeros(len(self.factors)) for _ in range(2)]
-        for total, time in zip(sums, (motion.time, advised), strict=True):
-            np.add.at(total, self.segment[:-1], np.diff(time))
-        return sums[0], sums[1]
+        before, after = (
+            np.bincount(self.segment[:-1], np.diff(time), len(self.factors)).astype(float)
+            for time in (motion.time, advised)
+        )
+        return before, after
 
 
 def advise(
@@ -133,10 +137,11 @@ def advise(
     rest_speed: float,
     share: float = 1.0,
 ) -> Advice:
-    """Return the largest factors, at most 1, with speeds of at most `share` of the allowable ones.
+    """Return the largest factors, at most 1, for which no speed exceeds `share` of the allowable speed.
 
-    `recorded` are the decisions on the motion, `decide` gives those of a fresh monitor. For `count` and `rest_speed`
-    see `Motion.segments`. UNKNOWN at a standstill, which has no speed to scale, does not count.
+    `recorded` are the decisions on the recorded motion; `decide` returns those of a fresh monitor on a re-timed one.
+    `count` and `rest_speed` are those of `Motion.segments`. UNKNOWN at a standstill does not count, because there is no
+    speed to scale.
     """
     segment = motion.segments(count, rest_speed)
     first = last = _allowed_factors(recorded, motion.qd, share, rest_speed)
@@ -154,7 +159,7 @@ def advise(
         is_found = (good >= np.minimum(bad * PRECISION, 1.0)) & (good > 0.0)
         if np.all(fits & is_found):
             break
-        # The next factor: as the allowable speed says, if that lies within what is known, else the mean.
+        # The next factor follows from the allowable speed if it lies between the bounds, else it is their mean.
         guess = factors * change * (1.0 - 1e-4)
         mean = np.sqrt(np.maximum(good, 0.2 * bad) * np.minimum(bad, 1.0))
         factors = np.where(is_found, good, np.where((guess > good) & (guess < PRECISION * bad), guess, mean))
@@ -175,7 +180,7 @@ def advise(
 def _allowed_factors(
     decisions: Iterable[Decision], qd: FloatArray, share: float, rest_speed: float
 ) -> tuple[FloatArray, list[str]]:
-    """Return the factor (m,) by which each state may change, -1 if UNKNOWN, 0 if no speed is allowed, and why."""
+    """Return the factor (m,) that each state still allows, 0 if it allows no speed, -1 if UNKNOWN, and the reasons."""
     rows = [min(_allowed(contact, share) for contact in decision.contacts) for decision in decisions]
     factors = np.array([factor for factor, _ in rows])
     factors[(factors < 0.0) & (np.abs(qd).max(axis=1) <= rest_speed)] = np.inf
@@ -192,7 +197,7 @@ def _allowed(contact: ContactAssessment, share: float) -> tuple[float, str]:
 
 
 def _smallest(allowed: tuple[FloatArray, list[str]], owner: IntArray, count: int) -> tuple[FloatArray, list[str]]:
-    """Return the smallest factor and its reason of each of `count` segments, to which `owner` assigns the states."""
+    """Return the smallest factor of each of `count` segments and its reason; `owner` is the segment of each state."""
     factors, texts = allowed
     smallest, reasons = np.full(count, np.inf), [""] * count
     np.minimum.at(smallest, owner, factors)

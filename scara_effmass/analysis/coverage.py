@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coverage of recordings: what of joint ranges, poses, directions and speeds they contain; mergeable counts."""
+"""Coverage of recordings: counts of joint positions, poses, directions and speeds, which can be merged."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from scara_effmass.values import ContactAssessment, FloatArray, JointState
 POSITIONS = 24
 """Bins of each joint's range."""
 POSE_BINS = 4
-"""Bins of each joint's range whose combinations are the poses."""
+"""Bins of each joint's range for poses; a pose is a combination of bins."""
 AZIMUTHS, ELEVATIONS = 12, 7
 """Bins of the directions, of equal area on the sphere; horizontal ones are in the middle of a bin."""
 SPEEDS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
@@ -33,10 +33,10 @@ SPEEDS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 
 
 class Coverage(BaseModel):
-    """Number of joint states in each bin of a quantity: "position JOINT", "direction POINT" and "speed POINT".
+    """Number of joint states in each bin of "position JOINT", "direction POINT" and "speed POINT".
 
-    `ranges` are those of the joints [rad, m] by name, one turn where there is no limit. `poses` are the visited
-    combinations of POSE_BINS bins per joint, as numbers with that base.
+    `ranges` are those of the joints [rad, m] by name; one without limits is a full turn. `poses` are the visited
+    combinations of POSE_BINS bins per joint, as numbers to that base.
     """
 
     robot: str
@@ -57,19 +57,19 @@ class Coverage(BaseModel):
         return cls(robot=robot.name, ranges=dict(zip(robot.joint_names, ranges, strict=True)), counts=counts)
 
     def begin(self, recording: str) -> None:
-        """Start a recording. Raises SettingsError for one that has been counted."""
+        """Start a recording. Raises SettingsError if it has been counted already."""
         if recording in self.recordings:
             raise SettingsError(f"{recording}: must not be counted twice")
         self.recordings.append(recording)
 
     def add(self, state: JointState, contacts: Sequence[ContactAssessment]) -> None:
-        """Count a joint state with its assessments, unless it was invalid."""
+        """Count a joint state with its assessments; an invalid one is left out."""
         if not all(contact.effective_mass > 0.0 for contact in contacts):
             return
         self.joint_states += 1
         position_of, pose = dict(zip(state.names, state.position.tolist(), strict=True)), 0
         for name, (lower, upper) in self.ranges.items():
-            # The tolerance of the limits lets positions lie a little outside.
+            # The monitor's tolerance admits positions slightly outside of the limits.
             share = min(max((position_of[name] - lower) / (upper - lower), 0.0), 1.0 - 1e-12)
             self.counts[f"position {name}"][int(share * POSITIONS)] += 1
             pose = pose * POSE_BINS + int(share * POSE_BINS)
@@ -83,7 +83,7 @@ class Coverage(BaseModel):
                 self.counts[f"direction {contact.contact_point}"][elevation * AZIMUTHS + azimuth] += 1
 
     def merge(self, path: Path) -> None:
-        """Add the coverage in the file `path`. Raises SettingsError for one of another robot or a recording twice."""
+        """Add the coverage in the file `path`. Raises SettingsError for another robot, or a recording counted twice."""
         try:
             values = json.loads(path.read_text(encoding="utf-8"))["coverage"]
         except (OSError, ValueError, KeyError, TypeError):
@@ -91,7 +91,7 @@ class Coverage(BaseModel):
         self.extend(checked(Coverage, values, str(path)), path)
 
     def extend(self, other: Coverage, path: Path) -> None:
-        """Add the coverage `other` of `path`. Raises SettingsError as `merge`."""
+        """Add the coverage `other`, which belongs to `path`. Raises SettingsError as `merge` does."""
         for text, own, its in (
             ("robot and ranges", (self.robot, self.ranges), (other.robot, other.ranges)),
             ("bins", *({name: len(bins) for name, bins in one.counts.items()} for one in (self, other))),
@@ -113,7 +113,7 @@ class Coverage(BaseModel):
         return {**shares, "poses": len(self.poses) / POSE_BINS ** len(self.ranges), "fastest_bin_from_m_s": fastest}
 
     def figure(self) -> Figure:
-        """Return the bins of the joints, and of direction and speed of each contact point."""
+        """Draw the bins of the joints, and of direction and speed of each contact point."""
         points = [name.partition(" ")[2] for name in self.counts if name.startswith("direction ")]
         with mpl.rc_context(STYLE):
             height = 0.32 * len(self.ranges) + 1.4

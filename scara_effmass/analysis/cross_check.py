@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compare the assessment of many joint states at once with that of the monitor, as a second channel."""
+"""Compare the bulk assessment of joint states with that of the monitor, which serves as a second channel."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from scara_effmass.kernel.contact_columns import LABELS, NUMBERS
 from scara_effmass.values import BoolArray
 
 TOLERANCE = 1e-10
-"""Largest difference of a number, relative to the number where that exceeds 1."""
+"""Largest difference of two numbers, relative for numbers above 1."""
 
 
 def cross_checked(
     source: str, states: Iterator[AssessedStates], reference: Iterator[AssessedStates]
 ) -> Iterator[AssessedStates]:
-    """Yield `states` of the recording `source`, whose batches are those of `reference`.
+    """Yield the batches of `states`, from the recording `source`, while they agree with those of `reference`.
 
     Raises CrossCheckError, which names the first difference.
     """
@@ -39,12 +39,12 @@ def cross_checked(
 
 
 def first_difference(states: AssessedStates, reference: AssessedStates) -> tuple[int, str] | None:
-    """Return the first row in which `states` differ from `reference`, and the difference in words."""
+    """Return the first row in which `states` differs from `reference`, and the difference in words."""
     return min(differences(states, reference), key=lambda difference: difference[0], default=None)
 
 
 def differences(states: AssessedStates, reference: AssessedStates) -> Iterator[tuple[int, str]]:
-    """Yield the first row in which each column of `states` differs from `reference`, and the difference in words."""
+    """Yield for each column of `states` the first row that differs from `reference`, and the difference in words."""
     for (name, own), (_, other) in zip(_columns(states), _columns(reference), strict=True):
         differs = _differs(own, other)
         if differs.any():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A dataset of assessments: a Parquet file for each recording, by cell and day, which is not assessed twice."""
+"""A dataset of assessments: a Parquet file per recording, by cell and day; no recording is assessed twice."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.url import Url
 
 RECORDS = "_results"
-"""Folder of the results of the recordings; readers of datasets skip names that begin with _."""
+"""Folder with the results of the recordings; readers of datasets skip names that begin with _."""
 UNKNOWN_CELL = "unknown"
 
 
 class Record(NamedTuple):
-    """Result of one recording, `key` of what it depends on, and the `part` of the dataset that holds its states."""
+    """Result of one recording: `key` is a hash of all that it depends on, `part` the file of the assessed states."""
 
     key: str
     part: str
@@ -42,7 +42,7 @@ _RECORD = TypeAdapter(Record, config={"ser_json_inf_nan": "constants"})
 
 
 def cell_of(path: Path) -> str:
-    """Return the cell of a recording, from a folder `cell=NAME` above it."""
+    """Return the cell of a recording by the folder `cell=NAME` that contains it, UNKNOWN_CELL without one."""
     return next((part[5:] for part in reversed(path.parts) if part.startswith("cell=")), UNKNOWN_CELL)
 
 
