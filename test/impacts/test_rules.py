@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from scara_effmass.impacts.baseline import BASELINE_FRAMES, Baseline, Frame
-from scara_effmass.impacts.detector import Detector
+from scara_effmass.impacts.detector import Detector, SampleBuffer
 from scara_effmass.impacts.segment import classify, flank_onset
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import FloatArray, Impact
@@ -53,6 +53,10 @@ def test_contact_ends_before_the_first_sample_of_the_next_one() -> None:
     force[20:33] = [8.0, 16.0, 12.0, 9.0, 7.0, 6.0, 5.0, 2.45, 2.3, 60.0, 80.0, 60.0, 30.0]
     first, second = classify(force, np.zeros(60, dtype=np.bool_), baseline, 2, 10).contacts
     assert (first.end, second.first) == (28.0, 29)
+
+
+def test_buffer_without_blocks_has_no_samples() -> None:
+    assert SampleBuffer(100).samples(100, 110).size == 0
 
 
 def test_frames_beside_a_contact_do_not_enter_the_noise(detect: Detect, add_pulse: AddPulse) -> None:
