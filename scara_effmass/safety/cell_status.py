@@ -197,6 +197,8 @@ class CellStatus:
     def take_publisher(self, timeout_ns: int, *, exists: bool) -> None:
         """Take whether contact states have a publisher, and the time within which it promises a message."""
         self.has_monitor, self.timeout_ns = exists, timeout_ns
+        if not exists:
+            self._forget_contacts()  # the next monitor may have other contact points
 
     def take_other_monitor(self, at_ns: int) -> None:
         """Note that another monitor publishes: a successor, or a second one unless the first is silent."""

@@ -123,6 +123,30 @@ def test_points_of_an_earlier_monitor_are_forgotten() -> None:
     assert (status.verdict, list(status.contacts)) == (Verdict.OK, ["flange"])
 
 
+def test_points_of_a_monitor_that_ended_are_forgotten() -> None:
+    status = ok_cell()
+    status.take_publisher(400 * MS, exists=False)
+    status.update(S)
+    status.take_publisher(400 * MS, exists=True)
+    status.update(2 * S)
+    assert (status.verdict, status.reason) == (Verdict.UNKNOWN, "no contact state yet")
+    status.take_contact(contact(point="flange"), 9 * S)
+    assert (status.verdict, list(status.contacts)) == (Verdict.OK, ["flange"])
+
+
+@given(st.permutations(["tool", "elbow", "rim"]), st.sampled_from(["tool", "elbow", "rim"]))
+def test_a_contact_point_that_disappears_stays_unknown_and_is_named(order: list[str], gone: str) -> None:
+    status = CellStatus(0)
+    status.take_publisher(400 * MS, exists=True)
+    for step in range(100):
+        for place, name in enumerate(order):
+            if step < 10 or name != gone:
+                status.take_contact(contact(point=name), S + 10 * MS * step + place)
+        is_silent = step > 50
+        assert status.verdict is (Verdict.UNKNOWN if is_silent else Verdict.OK) or 48 <= step <= 50
+    assert (status.contact_point, status.reason[:21]) == (gone, "the monitor is silent")
+
+
 def test_episodes_have_cause_start_and_end() -> None:
     status = ok_cell(S)
     status.take_contact(contact(Verdict.WARN, reason="close"), S + 10)
