@@ -496,14 +496,13 @@ def test_counterweight_on_parallel_axes_is_moved_to_the_proximal_one(
 def test_centre_of_mass_beyond_the_distal_axis_is_moved_onto_it(
     omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
 ) -> None:
-    omron_rows["links"][0]["com"] = [0.05, 0.0, 0.0]
-    omron_rows["links"][1]["com"] = [1.5 * 0.275, 0.0, 0.0]
+    """The counterweight of the second link makes M indefinite."""
+    omron_rows["links"][0]["com"] = [1.5 * 0.275, 0.0, 0.0]
+    omron_rows["links"][1]["com"] = [-0.2, 0.0, 0.0]
     robot = load_rows(omron_rows)
-    links = lump(replace(robot, lumping=LumpingSettings(policy=LumpingPolicy.PROJECT_COM))).links
-    assert (links[1].kappa2, links[1].answer) == (1.0, "its centre of mass moved by 137.5 mm")
-    assert (
-        links[1].problem == "its centre of mass lies outside the slab between its axes: kappa2 = 1.5 makes M indefinite"
-    )
+    link = lump(replace(robot, lumping=LumpingSettings(policy=LumpingPolicy.PROJECT_COM))).links[0]
+    assert (link.kappa2, link.answer) == (1.0, "its centre of mass moved by 137.5 mm")
+    assert link.problem == "its centre of mass lies outside the slab between its axes: kappa2 = 1.5 makes M indefinite"
 
 
 def test_wrist_without_mass_beside_its_axes_has_no_lumped_mass(load_urdf_file: Callable[..., Robot]) -> None:
