@@ -14,11 +14,11 @@ from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.force import BLOCK_TIME_S, UNITS, ForceFile, SampleBlock, select_unit
 from scara_effmass.settings import ImportSettings
 from scara_effmass.values import FloatArray
-from scara_effmass.wire.cdr import NS
+from scara_effmass.wire.cdr import MAX_SEC, NS
 
 MAX_SPAN_S = 1e9
 
-# nptdms logs what it also raises.
+# nptdms also logs the errors that it raises.
 log_manager.set_level(logging.CRITICAL)
 
 SPELLINGS = {"newton": "N", "newtons": "N", "kilonewton": "kN", "kilonewtons": "kN", "volt": "V", "volts": "V"}
@@ -28,7 +28,7 @@ SPELLINGS = {"newton": "N", "newtons": "N", "kilonewton": "kN", "kilonewtons": "
 def open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
     """Read the channel `settings.topic` ("group/channel") of a TDMS file.
 
-    The properties wf_increment, wf_start_time and wf_start_offset state the times, unit_string the unit. Raises
+    The properties wf_increment, wf_start_time and wf_start_offset give the times, unit_string gives the unit. Raises
     BagError or SettingsError.
     """
     file = _read(path)
@@ -42,7 +42,10 @@ def open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
     if not abs(offset) < MAX_SPAN_S:
         raise BagError(f"{origin}: wf_start_offset = {offset:g}: must be less than {MAX_SPAN_S:g} s")
     start = channel.properties.get("wf_start_time")
-    start_ns = int(start.astype("datetime64[ns]").astype(np.int64)) if isinstance(start, np.datetime64) else 0
+    start_us = int(start.astype("datetime64[us]").astype(np.int64)) if isinstance(start, np.datetime64) else 0
+    start_ns = 1000 * start_us + round(offset * NS)
+    if not -MAX_SEC * NS <= start_ns <= (MAX_SEC - increment * len(channel)) * NS:
+        raise BagError(f"{origin}: wf_start_time = {start}: must be within {MAX_SEC} s of 1970")
     unit = select_unit(settings.unit, _unit(channel), origin)
     is_cut = file.file_status.incomplete_final_segment
     losses = (f"{path}: is cut off in its last segment; the rest is lost",) if is_cut else ()
@@ -50,7 +53,7 @@ def open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
         description=f"{path.name}, {name}",
         unit=unit,
         sample_rate=1.0 / increment,
-        blocks=_blocks(np.asarray(channel[:], np.float64), start_ns + round(offset * NS), increment),
+        blocks=_blocks(np.asarray(channel[:], np.float64), start_ns, increment),
         losses=lambda: losses,
     )
 
@@ -72,7 +75,7 @@ def _read(path: Path) -> Any:  # noqa: ANN401 - nptdms has no types
 
 
 def _channel(path: Path, file: Any, topic: str) -> tuple[Any, str]:  # noqa: ANN401 - nptdms has no types
-    """Return the channel `topic`, or the only one that can be force, and its name."""
+    """Return the channel `topic` (empty: the only one that can be force) and its name."""
     channels = {
         f"{group.name}/{channel.name}": channel
         for group in file.groups()

@@ -86,6 +86,16 @@ def test_values_that_are_not_finite_are_lost(tmp_path: Path) -> None:
         ({"g/c": {"wf_increment": 1e300}}, {}, r"g/c: wf_increment = 1e\+300: must be the sampling period"),
         ({"g/c": {"wf_start_offset": float("inf")}}, {}, "g/c: wf_start_offset = inf: must be less than"),
         ({"g/c": {"wf_increment": "soon"}}, {}, "g/c: wf_increment = 'soon': must be a number"),
+        (
+            {"g/c": {"wf_start_time": np.datetime64("1900-01-01", "us")}},
+            {},
+            "g/c: wf_start_time = 1900-01-01T00.*: must be",
+        ),
+        (
+            {"g/c": {"wf_start_time": np.datetime64("2040-01-01", "us")}},
+            {},
+            "g/c: wf_start_time = 2040-01-01T00.*: must be",
+        ),
         ({"g/c": {"unit_string": "kip"}}, {}, "g/c: has the unit 'kip'; convert it, or set unit to one of N, kN, lbf"),
         ({"g/c": {}}, {"unit": "kN"}, "g/c: unit = kN: must be empty, the file states N"),
         ({"g/a": {}, "g/b": {}}, {}, "topic is empty: must be one of g/a, g/b"),
