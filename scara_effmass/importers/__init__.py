@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force from the files of other programs, converted to ForceBlocks."""
+"""Import force and joint states from files of other programs."""
 
 CSV_IMPORTER = "scara_effmass.importers.csv_file:open_csv"
 IMPORTERS = {
@@ -8,6 +8,6 @@ IMPORTERS = {
     ".txt": CSV_IMPORTER,
     ".tdms": "scara_effmass.importers.tdms_file:open_tdms",
 }
-"""Function that opens files with a suffix; its module is imported when it is needed."""
+"""Function that opens files with this suffix; its module is imported only when it is needed."""
 BAG_IMPORTER = "scara_effmass.importers.wrench_topic:open_wrench_topic"
-"""Function that opens anything else, which must be a bag."""
+"""Function that opens all other paths, which must be bags."""

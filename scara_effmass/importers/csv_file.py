@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force from a CSV file: a header row, a column of times and a column of force."""
+"""Force from a CSV file with a header row, a column of times and a column of force."""
 
 import csv
 import math
@@ -22,9 +22,9 @@ Rows = Iterator[tuple[int, list[str]]]
 DELIMITERS = ",;\t"
 NS_PER_UNIT = {"s": NS, "sec": NS, "ms": 1_000_000, "us": 1000, "µs": 1000, "ns": 1}
 BINARY_CHECK = 4096
-"""Characters at the start of a file that show whether it is text."""
+"""Number of characters at the start of a file by which text is recognized."""
 MAX_DIGITS = 20
-"""Digits of a time in nanoseconds that a stamp can hold."""
+"""Maximum number of digits of an integer time; longer ones are read as floats."""
 
 BRACKETED = re.compile(r".*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*")
 SUFFIXED = re.compile(r".*_([A-Za-z]+)\s*")
@@ -35,7 +35,7 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     """Read the column `settings.topic` at the times in `settings.time_column`.
 
     Fields are separated by comma, semicolon or tab. The header states units, as in "Force (N)" or "force_n"; times
-    without a unit are in seconds. Rows in which either field is blank are skipped. Raises BagError or SettingsError.
+    without a unit are in seconds. Rows without time or force are skipped. Raises BagError or SettingsError.
     """
     header, rows = _read(path)
     time = _column(header, settings.time_column or header[0], "time_column", path)
@@ -47,7 +47,7 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     time_unit = _unit(header[time]) or "s"
     if time_unit not in NS_PER_UNIT:
         raise BagError(f"{path}: {header[time]}: has the unit {time_unit}; must be one of {', '.join(NS_PER_UNIT)}")
-    # A long file has millions of rows; arrays hold one in 16 bytes.
+    # A long file has millions of rows; these arrays need 16 bytes for each.
     stamps_ns, values = array("q"), array("d")
     for stamp_ns, value in _samples(path, header, rows, time, force, NS_PER_UNIT[time_unit]):
         stamps_ns.append(stamp_ns)
@@ -60,7 +60,7 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
 
 
 def _read(path: Path) -> tuple[list[str], Rows]:
-    """Return the header, and an iterator of the rows below with their line numbers."""
+    """Return the header, and an iterator over the rows below it with their line numbers."""
     lines = _lines(path)
     numbered = enumerate(lines)
     start, first = next(((n, line) for n, line in numbered if line.strip() and not line.startswith("#")), (0, ""))
@@ -78,7 +78,7 @@ def _read(path: Path) -> tuple[list[str], Rows]:
 
 def _lines(path: Path) -> Iterator[str]:
     try:
-        # Other columns may have names in any encoding.
+        # Names of other columns may be in any encoding.
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             if "\0" in file.read(BINARY_CHECK):
                 raise BagError(f"{path}: must be text in UTF-8")
@@ -106,7 +106,7 @@ def _column(header: Sequence[str], name: str, key: str, path: Path) -> int:
 
 
 def _force_column(header: Sequence[str], time: int, path: Path) -> str:
-    """Return the only column that can be force, one with a unit of force first."""
+    """Return the only column that can be force; columns with a unit of force have priority."""
     others = [name for number, name in enumerate(header) if number != time]
     candidates = [name for name in others if _unit(name) in UNITS] or others
     if len(candidates) == 1:
@@ -115,7 +115,7 @@ def _force_column(header: Sequence[str], time: int, path: Path) -> str:
 
 
 def _unit(name: str) -> str:
-    """Return the unit at the end of a column name, empty where there is none."""
+    """Return the unit at the end of a column name; empty if there is none."""
     if match := BRACKETED.fullmatch(name):
         return match[1].replace("\u03bc", "\u00b5")  # Greek mu and micro sign look the same
     match = SUFFIXED.fullmatch(name)
@@ -132,7 +132,7 @@ def _samples(
             continue
         value = _number(row[force], f"{path}: line {line}: {header[force]}")
         origin = f"{path}: line {line}: {header[time]}"
-        # A float has too few digits for a date in nanoseconds.
+        # A float has too few digits for nanoseconds since 1970.
         is_integer = row[time].isdecimal() and len(row[time]) <= MAX_DIGITS
         seconds = int(row[time]) if is_integer else _number(row[time], origin)
         if not previous <= seconds < math.inf:

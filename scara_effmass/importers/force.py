@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force recordings of other programs as ForceBlocks, one by one or written to a bag."""
+"""Convert force recordings of other programs to ForceBlocks, one by one or in a bag."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ MAX_VALUE = 1e9
 class SampleBlock(NamedTuple):
     """Consecutive samples (n,) from `stamp_ns` on.
 
-    `clock_residual` [s] is the uncertainty of the stamp; `lost_samples` are missing right before the block.
+    `clock_residual` [s] is the uncertainty of the stamp; `lost_samples` are missing directly before the block.
     """
 
     stamp_ns: int
@@ -45,7 +45,7 @@ class SampleBlock(NamedTuple):
 class ForceFile:
     """An open force recording with a constant `sample_rate` [Hz].
 
-    `losses` returns one line for each part that could not be read so far; read it after `blocks`.
+    `losses` returns one line for each part that could not be read so far; call it after reading `blocks`.
     """
 
     description: str
@@ -74,7 +74,7 @@ class ImportedTopic:
 
 
 def import_force(path: Path, settings: ImportSettings) -> tuple[ForceFile, Iterator[ForceBlock]]:
-    """Return a CSV or TDMS file, or a topic of wrenches or numbers of a bag, and its force in newtons.
+    """Open a CSV or TDMS file, or a topic of wrenches or numbers in a bag; return it, and its force in newtons.
 
     Values that are not finite numbers count as lost samples. Raises BagError or SettingsError.
     """
@@ -84,9 +84,9 @@ def import_force(path: Path, settings: ImportSettings) -> tuple[ForceFile, Itera
 
 
 def select_unit(setting: str, stated: str, origin: str) -> str:
-    """Return the unit that the setting or the file states; either may be empty.
+    """Return the unit stated by the setting or by the file; either may be empty.
 
-    Raises SettingsError when neither states one of UNITS, or when they differ.
+    Raises SettingsError if neither is one of UNITS, or if they differ.
     """
     choices = ", ".join(UNITS)
     if not setting and not stated:
@@ -101,10 +101,10 @@ def select_unit(setting: str, stated: str, origin: str) -> str:
 def write_force_bag(
     paths: Sequence[Path], output: Path, settings: ImportSettings, *, overwrite: bool = False
 ) -> tuple[ImportedTopic, ...]:
-    """Write the force in `paths` to a new bag and return what its topics hold.
+    """Write the force in `paths` to a new bag, and return a summary of each topic.
 
     The first file is on the topic force, the next ones are on force/file1, force/file2 and so on. Raises BagError,
-    SettingsError or OutputError, and leaves no incomplete bag then.
+    SettingsError or OutputError; no incomplete bag remains.
     """
     with BagWriter(output, overwrite=overwrite) as bag:
         return tuple(
@@ -129,7 +129,7 @@ def _write_topic(bag: BagWriter, topic: str, path: Path, settings: ImportSetting
 
 
 def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iterator[ForceBlock]:
-    """Yield the finite samples in newtons, compression positive; a block ends before one that is not finite."""
+    """Yield the finite samples in newtons, compression positive; a block ends before a sample that is not finite."""
     sensor = settings.sensor
     is_voltage = file.unit in VOLT_PER_UNIT
     unit_scale = VOLT_PER_UNIT[file.unit] if is_voltage else NEWTON_PER_UNIT[file.unit]
@@ -138,7 +138,7 @@ def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iter
     first = lost = 0
     is_empty = True
     for block in file.blocks:
-        with np.errstate(over="ignore", invalid="ignore"):  # damaged files have huge numbers and signalling NaN
+        with np.errstate(over="ignore", invalid="ignore"):  # damaged files hold huge numbers and signalling NaN
             values = block.samples * unit_scale
             force = values * newton_scale
         valid = np.abs(values) <= MAX_VALUE
@@ -160,7 +160,7 @@ def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iter
                 clock_residual=block.clock_residual,
                 source=file.description,
                 simulated=file.simulated,
-                # The sensor behind a file in newtons is unknown.
+                # For a file in newtons, the sensor is unknown.
                 relative_uncertainty=sensor.sensitivity_uncertainty if is_voltage and not file.simulated else 0.0,
             )
             lost, end, is_empty = 0, stop, False

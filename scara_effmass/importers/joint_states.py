@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint states from a CSV file, such as a log of UR's RTDE or of `ros2 topic echo --csv`, by a mapping file."""
+"""Joint states from a CSV file, such as a log of UR's RTDE or `ros2 topic echo --csv`, read by a mapping file."""
 
 import csv
 import math
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -23,11 +24,11 @@ Column = StrictInt | str
 """Name of a column, or its number from 0."""
 SCALES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}
 FIRST_NS = NS
-"""Stamp of the first joint state where the times begin at 0 or before, which is no valid stamp."""
+"""Stamp of the first joint state if the times begin at 0 or before, which would be no valid stamp."""
 
 
 class JointColumns(FrozenSettings):
-    """Columns of one joint; `unit` is that of its position, and per second of its velocity."""
+    """Columns of one joint; its position is in `unit`, its velocity in `unit` per second."""
 
     position: Column
     velocity: Column | None = None
@@ -35,7 +36,7 @@ class JointColumns(FrozenSettings):
 
 
 class JointTable(FrozenSettings):
-    """Content of a mapping file; `time` is one column, or two with seconds and nanoseconds."""
+    """Content of a mapping file; `time` is one column, or two columns with seconds and nanoseconds."""
 
     time: Column | tuple[Column, Column]
     time_unit: Literal["s", "ms", "us", "ns"] = "s"
@@ -45,7 +46,7 @@ class JointTable(FrozenSettings):
 
 
 class ImportedJointStates(NamedTuple):
-    """What a CSV file held; `shift_s` was added to its times."""
+    """Summary of an imported CSV file; `shift_s` was added to its times."""
 
     joint_states: int
     first_stamp_s: float
@@ -57,7 +58,7 @@ class ImportedJointStates(NamedTuple):
 def write_joint_state_bag(path: Path, mapping: Path, output: Path, *, overwrite: bool = False) -> ImportedJointStates:
     """Write the joint states in the CSV file `path` to the topic joint_states of a new bag.
 
-    Raises BagError, SettingsError or OutputError, and leaves no incomplete bag then.
+    Raises BagError, SettingsError or OutputError; no incomplete bag remains.
     """
     content = read_yaml(mapping, SettingsError)
     if not isinstance(content, Mapping):
@@ -83,24 +84,15 @@ def write_joint_state_bag(path: Path, mapping: Path, output: Path, *, overwrite:
 
 
 def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tuple[int, JointState]]:
-    """Yield line and joint state of each row; blank rows are skipped."""
+    """Yield the line number and joint state of each row; blank rows are skipped."""
     names, joints = tuple(table.joints), tuple(table.joints.values())
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = csv.reader(file, delimiter=table.delimiter, skipinitialspace=True)
             header = [name.strip() for name in next(rows, [])] if table.header else []
-
-            def index(column: Column, key: str) -> int:
-                if isinstance(column, int) and column < 0:
-                    raise SettingsError(f"{mapping}: {key} = {column}: must be a name, or a number from 0")
-                if isinstance(column, str) and header.count(column) != 1:
-                    one = f"must be one of {', '.join(header)}" if header else "must be a number without header"
-                    raise SettingsError(f"{mapping}: {key} = {column}: {one}")
-                return header.index(column) if isinstance(column, str) else column
-
-            times = [
-                index(column, "time") for column in (table.time if isinstance(table.time, tuple) else [table.time])
-            ]
+            index = partial(_index, mapping, header)
+            stated_times = table.time if isinstance(table.time, tuple) else (table.time,)
+            times = [index(column, "time") for column in stated_times]
             positions = [index(joint.position, f"joints.{name}.position") for name, joint in table.joints.items()]
             velocities = [
                 index(joint.velocity, f"joints.{name}.velocity")
@@ -124,12 +116,22 @@ def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tupl
         raise BagError(f"{path}: cannot be read: {error}") from None
 
 
+def _index(mapping: Path, header: list[str], column: Column, key: str) -> int:
+    """Return the number of a column."""
+    if isinstance(column, int) and column < 0:
+        raise SettingsError(f"{mapping}: {key} = {column}: must be a name, or a number from 0")
+    if isinstance(column, str) and header.count(column) != 1:
+        rule = f"must be one of {', '.join(header)}" if header else "must be a number without header"
+        raise SettingsError(f"{mapping}: {key} = {column}: {rule}")
+    return header.index(column) if isinstance(column, str) else column
+
+
 def _stamp_ns(cells: list[str], ns_per_unit: int) -> int:
     """Return the time in one cell, or in two with seconds and nanoseconds. Raises ValueError, OverflowError."""
     if len(cells) > 1:
         stamp_ns = int(cells[0]) * NS + int(cells[1])
     else:
-        # A float has too few digits for a date in nanoseconds.
+        # A float has too few digits for nanoseconds since 1970.
         stamp_ns = int(cells[0]) * ns_per_unit if cells[0].isdecimal() else round(float(cells[0]) * ns_per_unit)
     if abs(stamp_ns) > MAX_SEC * NS:
         raise OverflowError

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convert stamped samples to blocks of uniform sampling.
 
-A sensor measures at a constant rate, but the stamps jitter, come in bursts, and samples are missing. A delayed
-sample shifts its own stamp; a missing sample shifts all stamps after it. The minimum delay within a window of
-samples tells the two apart.
+A sensor measures at a constant rate, but stamps jitter or come in bursts, and samples may be missing. A delayed sample
+shifts only its own stamp; a missing sample shifts all stamps after it. The minimum delay within a window of samples
+tells the two apart.
 """
 
 from collections.abc import Iterator
@@ -21,22 +21,22 @@ from scara_effmass.wire.cdr import NS
 IntArray = NDArray[np.int64]
 
 HEAD = 4096
-"""Samples that determine the rate."""
+"""Number of samples that determine the rate."""
 CHUNK = 4096
-"""Samples that are numbered at a time."""
+"""Number of samples that are numbered at a time."""
 WINDOW = 64
-"""Samples whose minimum delay is compared with that of the samples before."""
+"""Number of samples whose minimum delay is compared with that of the samples before them."""
 LAGS = (1, 4, 16, 64, 256, 1024)
 STEP_TOLERANCE, MIN_EVEN_STEPS = 0.25, 0.75
-"""Stamps are not bursts if this share of steps is within this fraction of a period."""
+"""Stamps are no bursts if this share of the steps (MIN_EVEN_STEPS) deviates by less than this share of the period."""
 NOISE_FACTOR = 2.0
-"""Two windows without a gap rarely differ by more than this multiple of the usual delay."""
+"""The delays of two windows without a gap rarely differ by more than this multiple of the usual delay."""
 BURST_ROUNDS = 4
 MAX_LOSS = 0.5
 
 
 class _Sampling(NamedTuple):
-    """Sampling period, and the delay steps [ns] that show a gap; the second one for a window cut short at the end."""
+    """Sampling period, and the steps of the delay [ns] that show a gap: normally, and near the end of the samples."""
 
     period_ns: float
     threshold_ns: float
@@ -48,8 +48,9 @@ def uniform_samples(
 ) -> tuple[float, Iterator[SampleBlock]]:
     """Return the rate [Hz] and blocks of up to `block_time` [s] of `values` (n,) with ascending stamps (n,) [ns].
 
-    A block ends before a gap. Its stamp is the median of what its samples state for the first one; the root mean
-    square of the deviations is its `clock_residual`. Raises ValueError when the rate is not constant.
+    A block ends before a gap. Each stamp in a block gives an estimate of the time of its first sample; their median is
+    the stamp of the block, and their RMS deviation from it is the `clock_residual`. Raises ValueError if the rate is
+    not constant.
     """
     if len(stamps_ns) < 2:
         raise ValueError(f"has {len(stamps_ns)} samples; must have at least 2")
@@ -74,13 +75,13 @@ def _blocks(stamps_ns: IntArray, values: FloatArray, sampling: _Sampling, size: 
 
 
 def _sample_numbers(stamps_ns: IntArray, sampling: _Sampling) -> IntArray:
-    """Return the number of each sample, counting missing ones."""
+    """Return the number of each sample; missing samples count."""
     count = len(stamps_ns)
     numbers = np.arange(count)
     missing = 0
     for first in range(0, count, CHUNK):
         stop = min(first + CHUNK, count)
-        # The samples around a chunk tell its late samples from gaps.
+        # The samples around a chunk show whether its samples are late or follow a gap.
         begin, end = max(0, first - WINDOW), min(stop + WINDOW, count)
         numbers[first:end] = np.arange(first, end) + missing
         delay_ns = (stamps_ns[begin:end] - stamps_ns[0]) - numbers[begin:end] * sampling.period_ns
@@ -98,7 +99,7 @@ def _sample_numbers(stamps_ns: IntArray, sampling: _Sampling) -> IntArray:
 
 
 def _delay_steps(delay_ns: FloatArray) -> FloatArray:
-    """Return the rise of the minimum delay from the window before each sample to the window that starts with it."""
+    """Return the increase of the minimum delay from the window before each sample to the window that begins with it."""
     infinite = np.full(WINDOW, np.inf)
     minimum = sliding_window_view(np.concatenate((infinite, delay_ns, infinite)), WINDOW).min(axis=1)
     steps: FloatArray = minimum[WINDOW : WINDOW + len(delay_ns)] - minimum[: len(delay_ns)]
@@ -106,7 +107,7 @@ def _delay_steps(delay_ns: FloatArray) -> FloatArray:
 
 
 def _sampling(stamps_ns: IntArray) -> _Sampling:
-    """Return the sampling of samples of which most are present."""
+    """Determine the sampling; most of the samples must be present."""
     period_ns = _rough_period_ns(stamps_ns)
     if period_ns <= 0.0:
         raise ValueError("its times do not advance; must be times at a constant rate")
@@ -132,12 +133,12 @@ def _rough_period_ns(stamps_ns: IntArray) -> float:
     period_ns = float(np.median(steps_ns))
     half = len(stamps_ns) // 2
     if period_ns > 0.0 and np.mean(np.abs(steps_ns - period_ns) <= STEP_TOLERANCE * period_ns) >= MIN_EVEN_STEPS:
-        # A shorter lag gives the number of periods, missing ones included, in a longer one.
+        # The period from a shorter lag gives the number of periods in a longer one, including missing samples.
         for lag in (lag for lag in LAGS if lag <= half):
             spans_ns = stamps_ns[lag:] - stamps_ns[:-lag]
             period_ns = float(spans_ns.sum() / np.round(spans_ns / period_ns).sum())
         return period_ns
-    # Bursts: compare the least delayed sample of each window with that of the next.
+    # In bursts, compare the least delayed sample of each window with that of the next window.
     lag = min(WINDOW, half)
     period_ns = float(np.median(stamps_ns[lag:] - stamps_ns[:-lag])) / lag
     for _ in range(BURST_ROUNDS if half >= WINDOW else 0):
@@ -148,11 +149,11 @@ def _rough_period_ns(stamps_ns: IntArray) -> float:
 
 
 def _delay_ns(stamps_ns: IntArray, period_ns: float) -> FloatArray:
-    """Return the delay of each sample against the first one, if none is missing."""
+    """Return the delay of each sample relative to the first one, for samples without a gap."""
     delay_ns: FloatArray = (stamps_ns - stamps_ns[0]) - np.arange(len(stamps_ns)) * period_ns
     return delay_ns
 
 
 def _windows(values: FloatArray, size: int) -> FloatArray:
-    """Return consecutive windows (k, size) without the remainder."""
+    """Return consecutive windows (k, size); the remainder is left out."""
     return values[: len(values) // size * size].reshape(-1, size)

@@ -21,19 +21,19 @@ from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
 
 TYPES = (WRENCH_STAMPED, WRENCH, FLOAT64)
-"""Message types that can hold force; the first type with a topic is taken."""
+"""Message types that can hold force, by priority."""
 HEAD = 1000
-"""Messages that determine the usual difference between stamp and log time."""
+"""Number of messages that determine the usual difference of stamp and log time."""
 MAX_DELAY_NS = 5 * NS
-"""A stamp that deviates from the usual difference by more is invalid."""
+"""A stamp whose difference to the log time deviates by more than this from the usual one is invalid."""
 CLOCK_STEP_RUN = 100
-"""Invalid stamps in a row that show a clock step."""
+"""Number of consecutive invalid stamps that shows a clock step."""
 
 
 def open_wrench_topic(path: Path, settings: ImportSettings) -> ForceFile:
-    """Read the force along `settings.axis`, or its norm, of a topic of wrenches, or a topic of Float64.
+    """Read the force (along `settings.axis`, or its norm) from a topic of wrenches, or from a topic of Float64.
 
-    Times are those of the header, or the log times where no header is stamped. Raises BagError.
+    Times are those of the headers, or the log times if the headers have no stamps. Raises BagError.
     """
     with open_bag(path) as bag:
         topic = _topic(bag, settings.topic)
@@ -61,7 +61,7 @@ def open_wrench_topic(path: Path, settings: ImportSettings) -> ForceFile:
 
 
 def _topic(bag: Bag, name: str) -> Topic:
-    """Return the topic `name`, or the only one that can be force."""
+    """Return the topic `name`; if empty, the only one that can be force."""
     topics = [topic for topic in bag.topics if topic.type in TYPES and topic.count]
     if name:
         candidates = [topic for topic in topics if topic.name in {name, f"/{name}"}]
@@ -78,9 +78,9 @@ def _topic(bag: Bag, name: str) -> Topic:
 
 
 def _read(bag: Bag, topic: Topic, axis: str) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return log times and header stamps [ns], 0 where the type has none, and values (n,).
+    """Return log times, header stamps (0 if the type has none) [ns], and values (n,).
 
-    Messages that cannot be decoded leave a gap in the sequence of times.
+    Messages that cannot be decoded are left out and leave a gap in the times.
     """
     log_times_ns, stamps_ns, values = array("q"), array("q"), array("d")
     reason = ""
@@ -114,7 +114,7 @@ def _component(force: Any, axis: str) -> float:  # noqa: ANN401 - a class that t
 
 
 def _sort(log_times_ns: IntArray, stamps_ns: IntArray, values: FloatArray, origin: str) -> tuple[IntArray, FloatArray]:
-    """Return stamps and values in the order of the stamps, without invalid stamps."""
+    """Return stamps and values in the order of the stamps; invalid stamps are left out."""
     differences_ns = stamps_ns - log_times_ns
     head_ns = np.sort(differences_ns[:HEAD])
     deviation_ns = differences_ns - head_ns[(len(head_ns) - 1) // 2]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings, from which the ROS parameters, the YAML files and --help are derived."""
+"""Settings; ROS parameters, YAML files and --help are derived from them."""
 
 from scara_effmass.settings.daq import (
     BagSettings,

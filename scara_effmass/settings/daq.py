@@ -30,11 +30,11 @@ class ForceSourceKind(str, Enum):
 
 
 class FilterKind(str, Enum):
-    """Low-pass over the force; its delay is subtracted from the stamps and published."""
+    """Low-pass filter of the force; its delay is subtracted from the stamps and published."""
 
     NONE = "none"
     CAUSAL = "causal"
-    """Butterworth of second order: short delay, which depends on the frequency."""
+    """Second-order Butterworth: a short delay that depends on the frequency."""
     ZERO_PHASE = "zero_phase"
     """Gaussian FIR: the same delay for all frequencies, no overshoot."""
 
@@ -189,7 +189,7 @@ class DaqSettings(FrozenSettings):
 
 
 class ImportSettings(FrozenSettings):
-    """Select the force in a file and state what the file does not."""
+    """Select the force in a file, and state what the file does not."""
 
     topic: str = tunable("", "topic, CSV column or TDMS channel of the force; empty: the only one")
     axis: str = tunable("z", "force of a wrench: x, y, z, or norm, |F| without a sign", pattern=AXIS)

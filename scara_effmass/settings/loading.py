@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Load and check settings from files and parameters; an error is one line."""
+"""Load settings from files and parameters, and check them; an error is one line."""
 
 import math
 import re
@@ -19,20 +19,20 @@ from scara_effmass.input_files import read_yaml
 Settings = TypeVar("Settings", bound=BaseModel)
 
 READ_ONLY: dict[str, Any] = {"read_only": True}
-"""Marks a setting that cannot change on a running node, such as hardware and robot."""
+"""Marks a setting that cannot change while the node runs, such as hardware and robot."""
 
 NODE_ONLY = frozenset(
     {"robot", "autostart", "status_period", "command_tolerance", "use_sim_time", "stop_at_end", "find_impacts"}
     | {"report_folder", "thread_priority"}
 )
-"""Parameters of nodes alone: a shared file may hold them, offline commands ignore them."""
+"""Parameters of nodes only: a shared file may contain them, and offline commands ignore them."""
 
 FORMER_UNITS = {
     "contact_area": ("contact_area_m2", 1e-4),
     "max_pressure": ("max_pressure_pa", 1e4),
     "stiffness": ("stiffness_n_m", 1e3),
 }
-"""SI name, and its value for 1, of the former parameters in cm2, N/cm2 and N/mm; they are refused, not converted."""
+"""SI name and SI value of 1 unit of the former parameters in cm2, N/cm2 and N/mm, which are refused, not converted."""
 
 _GROUP = "must hold keys with their values"
 _RULES = {
@@ -42,16 +42,16 @@ _RULES = {
     "model_type": _GROUP,
     "dict_type": _GROUP,
 }
-"""Rules by pydantic's type of error, where its own text speaks of Python."""
+"""Rules by pydantic's type of error, for which pydantic's own text is about Python."""
 
 
 def fixed(default: object, description: str, **limits: Any) -> Any:  # noqa: ANN401 - as pydantic's Field
-    """Return the field of a setting that cannot change on a running node."""
+    """Return the field of a setting that cannot change while the node runs."""
     return Field(default, description=description, json_schema_extra=READ_ONLY, **limits)
 
 
 def tunable(default: object, description: str, **limits: Any) -> Any:  # noqa: ANN401 - as pydantic's Field
-    """Return the field of a setting that can change on a running node."""
+    """Return the field of a setting that can change while the node runs."""
     return Field(default, description=description, **limits)
 
 
@@ -62,9 +62,9 @@ class FrozenSettings(BaseModel):
 
 
 def checked(kind: type[Settings], values: Mapping[str, Any], origin: str) -> Settings:
-    """Return the settings in `values`, whose groups are dotted keys ("filter.cutoff") or mappings.
+    """Return the settings in `values`; groups are dotted keys ("filter.cutoff") or mappings.
 
-    Raises SettingsError, in which `origin` names the file or node.
+    Raises SettingsError with `origin`, the name of the file or node.
     """
     try:
         return kind.model_validate(_grouped(values))
@@ -78,7 +78,7 @@ def checked(kind: type[Settings], values: Mapping[str, Any], origin: str) -> Set
 
 
 def broken_rule(problem: Mapping[str, Any]) -> str:
-    """Return value and rule of a pydantic error, as " = -1: must be greater than 0"."""
+    """Return value and rule of a pydantic error, such as " = -1: must be greater than 0"."""
     value, kind = problem["input"], problem["type"]
     text = "" if isinstance(value, dict) or kind in {"missing", "key"} else f" = {reprlib.repr(value)}"
     rule = number_rule(value) if kind == "float_type" else _RULES.get(kind, problem["msg"])
@@ -86,7 +86,7 @@ def broken_rule(problem: Mapping[str, Any]) -> str:
 
 
 def number_rule(value: object) -> str:
-    """Return the rule for a `value` that is not a number; it says how to write 5,1 and pi."""
+    """Return the rule for a `value` that is not a number; it explains how to write 5,1 and pi."""
     try:
         number = float(str(value).replace(",", "."))
     except ValueError:
@@ -95,7 +95,7 @@ def number_rule(value: object) -> str:
 
 
 def check_types(kind: type[BaseModel], values: Mapping[str, Any], origin: str) -> None:
-    """Require the types of ROS parameters in `values`, by flat name: as ROS, from a file and from a node alike.
+    """Require in `values`, by flat name, the types that ROS requires of parameters, for files and nodes alike.
 
     Raises SettingsError.
     """
@@ -138,18 +138,18 @@ def flat_fields(settings: type[BaseModel], prefix: str = "") -> dict[str, FieldI
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Return the rule for an unknown `name`: the most similar of `names`, or all of them."""
+    """Return the rule for an unknown `name`: the most similar one of `names`, or all of them."""
     names = list(names)
     return f"must be {' or '.join(get_close_matches(name, names, n=1)) or ', '.join(names) or 'absent'}"
 
 
 def rescaled(value: float, factor: float) -> float:
-    """Return `value` * `factor` without the rounding error of a change of units, as it is written in a file."""
+    """Return `value` * `factor` without the rounding error of a change of units, to be written into a file."""
     return float(f"{value * factor:.12g}")
 
 
 def former_unit(name: str, value: object, kind: type[BaseModel]) -> str:
-    """Return the rule for a former `name` of a field of `kind` with the converted `value`; empty for other names."""
+    """Return the rule, with the converted `value`, for a former `name` of a field of `kind`; empty for other names."""
     new_name, factor = FORMER_UNITS.get(name, ("", 1.0))
     if new_name not in kind.model_fields:
         return ""
@@ -160,8 +160,8 @@ def former_unit(name: str, value: object, kind: type[BaseModel]) -> str:
 def load_settings(kind: type[Settings], path: Path, node: str, other_nodes: Collection[str] = ()) -> Settings:
     """Return the settings of `node` ("monitor") in the ROS parameter file at `path`.
 
-    The file holds `/**`, `node` or `/**/node` over `ros__parameters`, as written by `ros2 param dump`. Parameters of
-    other nodes are ignored; a file for `other_nodes` alone gives the defaults. Raises SettingsError.
+    The file contains `/**`, `node` or `/**/node` over `ros__parameters`, as written by `ros2 param dump`. Parameters of
+    other nodes are ignored; a file that is only for `other_nodes` gives the defaults. Raises SettingsError.
     """
     parameters: dict[str, Any] = {}
     for owner, stated in parameter_sections(path, node, other_nodes):
@@ -175,9 +175,9 @@ def load_settings(kind: type[Settings], path: Path, node: str, other_nodes: Coll
 def parameter_sections(
     path: Path, node: str, other_nodes: Collection[str] | None = None
 ) -> list[tuple[str, dict[str, Any]]]:
-    """Return the owner, ** or `node`, and the parameters by flat name of the sections that apply to `node`.
+    """Return owner (** or `node`) and parameters, by flat name, of the sections that apply to `node`.
 
-    Raises SettingsError, also for a file without any unless it is for `other_nodes`; None: for whatever nodes.
+    Raises SettingsError, also if there is none, unless the file is for one of `other_nodes` (None: any node).
     """
     document = read_yaml(path, SettingsError)
     if not isinstance(document, dict) or not document:
@@ -193,7 +193,7 @@ def parameter_sections(
 
 
 def is_foreign(name: str, kind: type[BaseModel]) -> bool:
-    """Return whether `name` is not a field of `kind`, nor one in another unit, misspelt, or of one of its groups."""
+    """Return whether `name` is no field of `kind`: neither a present, former or misspelt one, nor one in a group."""
     fields = flat_fields(kind)
     own = name in fields or name.partition(".")[0] in kind.model_fields or former_unit(name, 0.0, kind)
     return not (own or get_close_matches(name, fields, n=1, cutoff=0.8))

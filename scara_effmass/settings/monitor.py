@@ -16,7 +16,7 @@ from scara_effmass.values import Payload, Vector3
 
 
 class MassModel(str, Enum):
-    """Effective mass behind the verdict."""
+    """Effective mass on which the verdict is based."""
 
     LUMPED = "lumped"
     FULL = "full"
@@ -26,14 +26,14 @@ class MassModel(str, Enum):
 
 
 class ContactType(str, Enum):
-    """Free impact, or body part clamped between the robot and a fixed object (ISO/TS 15066, 5.5.5.2)."""
+    """Free impact, or a body part clamped between the robot and a fixed object (ISO/TS 15066, 5.5.5.2)."""
 
     TRANSIENT = "transient"
     QUASI_STATIC = "quasi_static"
 
 
 class Drives(str, Enum):
-    """Reaction of the drives during a contact: joints free, on a servo whose reference moves on, or immovable."""
+    """Reaction of the drives during a contact: free joints, a servo whose reference moves on, or immovable joints."""
 
     FREE = "free"
     SERVO = "servo"
@@ -41,7 +41,7 @@ class Drives(str, Enum):
 
 
 class VelocitySource(str, Enum):
-    """Joint velocities: as reported, or computed from positions and header stamps."""
+    """Source of the joint velocities: as reported, or computed from positions and header stamps."""
 
     REPORTED = "reported"
     FROM_POSITIONS = "from_positions"
@@ -66,7 +66,7 @@ class ServoSettings(FrozenSettings):
 
 
 class LumpingPolicy(str, Enum):
-    """What to do with a link that two masses on its axes cannot reproduce."""
+    """Treatment of a link that two masses on its axes cannot reproduce."""
 
     REFUSE = "refuse"
     PROJECT_COM = "project_com"
@@ -74,7 +74,7 @@ class LumpingPolicy(str, Enum):
 
 
 class FreeParameters(str, Enum):
-    """Choice among the pairs of masses that reproduce mass and centre of mass of a link."""
+    """Choice among the pairs of masses that reproduce the mass and centre of mass of a link."""
 
     MINIMUM_SPREAD = "minimum_spread"
     FIT_INERTIA = "fit_inertia"
@@ -295,7 +295,7 @@ class MonitorSettings(FrozenSettings):
 
     @property
     def filters_velocity(self) -> bool:
-        """Whether velocities are computed from positions or filtered, and depend on earlier joint states."""
+        """Whether velocities are filtered or computed from positions, and so depend on earlier joint states."""
         return self.velocity_source is VelocitySource.FROM_POSITIONS or self.velocity_window > 0.0
 
     @property
@@ -310,11 +310,11 @@ class MonitorSettings(FrozenSettings):
 
     @property
     def payload(self) -> Payload:
-        """Payload that the settings state."""
+        """Payload stated in the settings."""
         return Payload(self.payload_mass, self.payload_com, self.payload_inertia)
 
     def with_payload(self, payload: Payload) -> Self:
-        """Return these settings with a `payload` of `payload_topic`. Raises SettingsError if it is out of range."""
+        """Return these settings with a `payload` from `payload_topic`. Raises SettingsError if it is out of range."""
         values = {f"payload_{name}": value for name, value in payload._asdict().items()}
         checked(MonitorSettings, values, self.payload_topic)
         return self.model_copy(update=values)
@@ -331,7 +331,7 @@ class MonitorSettings(FrozenSettings):
 
     @property
     def robot_path(self) -> Path:
-        """Path of the robot file: `robot`, or the shipped Omron i4-550L where that is empty."""
+        """Path of the robot file: `robot`, or the shipped Omron i4-550L if that is empty."""
         return Path(self.robot) if self.robot else share("config", "omron_i4_550l.yaml")
 
 
@@ -368,7 +368,7 @@ def _limits(entries: tuple[str, ...]) -> dict[str, tuple[float, float]]:
 
 
 def unit_vector(text: str) -> Vector3 | None:
-    """Return the unit vector along the three numbers in `text`, or None if they give none."""
+    """Return the unit vector along the three numbers in `text`, or None if there is none."""
     try:
         x, y, z = map(float, text.split())
     except ValueError:

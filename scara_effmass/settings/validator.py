@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the validator: matching of impacts and contact states, and the acceptance criterion."""
+"""Settings of the validator: matching of impacts with contact states, and acceptance criterion."""
 
 from pydantic import field_validator
 
@@ -12,7 +12,7 @@ MAX_OBSTACLE_MASS = 1000.0
 
 
 class CriterionSettings(FrozenSettings):
-    """Acceptance criterion of a series: fixed at start, and published as a hash with every result."""
+    """Acceptance criterion of a series; fixed at the start, and its hash is published with every result."""
 
     least_count: int = fixed(6, "minimum number of impacts", ge=2)
     mass_tolerance: float = fixed(
@@ -114,7 +114,7 @@ class ValidatorSettings(FrozenSettings):
 
     @property
     def limit_settings(self) -> MonitorSettings:
-        """Settings of the monitor that hold the limits of these body regions."""
+        """Settings of a monitor with the limits of these body regions."""
         return MonitorSettings(
             body_regions=self.body_regions, contact=self.contact, contact_area_m2=self.contact_area_m2
         )

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """CDR encoding and decoding of messages whose fields are numbers, strings and sequences.
 
-CDR (OMG DDSI-RTPS 10, XCDR version 1): two bytes of byte order and two of options; then each number is aligned to its
-size, counted from byte 4; strings and sequences begin with their length as uint32. Padding bytes are arbitrary.
+CDR (OMG DDSI-RTPS 10, XCDR version 1) begins with two bytes for the byte order and two for options. Each number is
+aligned to its size, counted from byte 4. Strings and sequences begin with their length as uint32. Padding bytes are
+arbitrary.
 """
 
 import struct
@@ -19,14 +20,14 @@ LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 BYTE_ORDERS: dict[bytes, Literal["<", ">"]] = {b"\x00\x00": ">", b"\x00\x01": "<"}
 
 ORIGIN = 4
-"""Origin of the alignment: the end of the encapsulation header."""
+"""Offset from which alignment counts: the end of the encapsulation header."""
 
 STAMP_AT = 4
 FRAME_AT = 12
 """Offset of frame_id in a message that begins with a std_msgs/Header."""
 
 MAX_TAIL = 15
-"""Bytes that may follow the last field: rclpy adds 4 for each empty sequence, other libraries pad."""
+"""Number of bytes that may follow the last field: rclpy adds 4 for each empty sequence, other libraries pad."""
 
 NS = 1_000_000_000
 COUNT = struct.Struct("<I")
@@ -34,7 +35,7 @@ MAX_SEC = 2**31 - 1
 
 
 def sec_and_nanosec(stamp_ns: int) -> tuple[int, int]:
-    """Return the fields of a builtin_interfaces/Time, limited to the year 2038."""
+    """Return the fields of a builtin_interfaces/Time, which ends in 2038."""
     sec, nanosec = divmod(stamp_ns, NS)
     return min(sec, MAX_SEC), nanosec
 
@@ -58,15 +59,13 @@ FORMATS = {
     "vector": ("3d", 8),
     "time": ("iI", 4),
 }
-"""Formats of `struct` and alignment of the fields of fixed size; times are int [ns], vectors (x, y, z)."""
-
+"""Format of `struct`, and alignment, of the fields of fixed size; times are int [ns], vectors are (x, y, z)."""
 
 _PACK = {kind: (struct.Struct(f"<{layout}").pack, size) for kind, (layout, size) in FORMATS.items()}
 DTYPES = {"float64[]": "<f8", "uint32[]": "<u4"}
 
-
 MESSAGES: Mapping[str, Mapping[str, str]] = read_table(__file__, "messages.yaml")
-"""Kinds of the fields of each message, in their order."""
+"""Kinds of the fields of each message, in the order of its definition."""
 
 
 def encode(message_type: str, values: Mapping[str, Any]) -> bytes:
@@ -81,7 +80,7 @@ def encode(message_type: str, values: Mapping[str, Any]) -> bytes:
 
 
 def _append(data: bytearray, kind: str, value: Any) -> None:  # noqa: ANN401 - a value of this kind
-    """Append a field to the message in place: copies of a long message cost more than all other fields."""
+    """Append a field to the message in place, because copying a long message takes longer than its fields."""
     if kind in FORMATS:
         pack, size = _PACK[kind]
         numbers = sec_and_nanosec(value) if kind == "time" else value if kind == "vector" else (value,)
@@ -100,7 +99,7 @@ def _append(data: bytearray, kind: str, value: Any) -> None:  # noqa: ANN401 - a
 
 
 def decode(data: bytes, message_type: str) -> dict[str, Any]:
-    """Return the fields of a message, CDR of either byte order; see `encode`. Raises DecodeError."""
+    """Return the fields of a message in CDR of either byte order; see `encode`. Raises DecodeError."""
     cursor = Cursor(data, message_type)
     fields = MESSAGES[message_type]
     values = {name: cursor.read(name, kind) for name, kind in fields.items()}
@@ -111,7 +110,7 @@ def decode(data: bytes, message_type: str) -> dict[str, Any]:
 class Cursor:
     """Reads the fields of a message one after the other.
 
-    Methods raise DecodeError, which names the `message_type`, if the bytes are invalid. `fixed` collects the byte
+    If the bytes are invalid, methods raise a DecodeError that names the `message_type`. `fixed` collects the byte
     ranges (start, stop) of lengths and texts, which determine the layout.
     """
 
@@ -130,7 +129,7 @@ class Cursor:
         return DecodeError(f"{self.message_type}: {reason}")
 
     def aligned(self, size: int) -> int:
-        """Return the next offset that is aligned for a number of `size` bytes."""
+        """Return the next offset at which a number of `size` bytes is aligned."""
         return self.at + (ORIGIN - self.at) % size
 
     def count(self, field: str, size: int) -> int:
@@ -153,7 +152,7 @@ class Cursor:
         return start, count
 
     def read(self, field: str, kind: str) -> Any:  # noqa: ANN401 - a value of this kind
-        """Read a field of a kind as in `encode`; arrays are read-only and in native byte order."""
+        """Read a field of a kind that `encode` lists; arrays are read-only and in native byte order."""
         if kind == "text":
             return self.text(field)
         if kind in DTYPES:
@@ -188,7 +187,7 @@ class Cursor:
 
     def _array(self, field: str, dtype: np.dtype[Any]) -> NDArray[Any]:
         start, count = self.skip_numbers(field, dtype.itemsize)
-        # A copy, because numbers in the message are not aligned in memory.
+        # Slicing copies the bytes: within the message, numbers are not aligned in memory.
         items = np.frombuffer(self._data[start : start + count * dtype.itemsize], dtype)
         items = items.astype(dtype.newbyteorder("="), copy=False)
         items.flags.writeable = False

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convert ContactState messages to and from `ContactAssessment`, and encode Float64 messages.
 
-Packing with `struct` takes a fifth of the time of rclpy, which matters three times per cycle. Tests compare the layout
-with rclpy and rosbags.
+Packing with `struct` takes a fifth of the time that rclpy takes; this happens three times in each cycle. Tests compare
+the layout with rclpy and rosbags.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _TAIL = struct.Struct("<5d")
 
 
 def contact_from(message: ContactState) -> ContactAssessment:
-    """Return the assessment in `message`; UNKNOWN without numbers for a verdict that is none."""
+    """Return the assessment in `message`; UNKNOWN without numbers if its verdict is invalid."""
     stamp_ns = message.header.stamp.sec * NS + message.header.stamp.nanosec
     if message.verdict not in _VERDICTS:
         return unknown_contact(message.contact_point, f"verdict = {message.verdict}: must be 0 to 3", stamp_ns, 0.0)
@@ -50,7 +50,7 @@ def contact_from(message: ContactState) -> ContactAssessment:
 def glance(data: bytes) -> tuple[str, float, float, int]:
     """Return contact point, speed and allowable speed [m/s], and verdict number of a little-endian ContactState.
 
-    This takes a tenth of the time of decoding all of it. Raises DecodeError for a message that ends too early.
+    This takes a tenth of the time for decoding the whole message. Raises DecodeError if the message ends too early.
     """
     try:
         name_at = _aligned(FRAME_AT + 4 + COUNT.unpack_from(data, FRAME_AT)[0])
@@ -77,13 +77,13 @@ def float64_message(value: float) -> bytes:
 
 
 class ContactStateEncoder:
-    """Encodes the ContactState messages of one contact point; unchanged texts are encoded once."""
+    """Encodes the ContactState messages of one contact point; texts are encoded only when they change."""
 
     __slots__ = ("_encoded_models", "_encoded_texts", "_head", "_start", "_texts")
 
     def __init__(self, contact_point: str, frame_id: str) -> None:
-        """Encode for `contact_point`; `frame_id` is the frame of its direction."""
-        # Doubles are aligned to 8 bytes after the first 4; the stamp in front is 8 bytes long.
+        """Prepare to encode states of `contact_point`; `frame_id` is the frame of its direction."""
+        # Doubles are aligned to 8 bytes from byte 4 on; the stamp before the head is 8 bytes long.
         self._head = padded(with_text(with_text(b"", frame_id), contact_point))
         self._start = struct.Struct(f"<4siI{len(self._head)}s{_DOUBLES}d")
         self._texts: tuple[object, ...] = ()

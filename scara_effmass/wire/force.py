@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Convert the ForceBlock and Impact messages to and from the values of the same names.
+"""Convert ForceBlock and Impact messages to and from the values of the same names.
 
 Tests compare both layouts with rclpy and rosbags.
 """
@@ -11,20 +11,20 @@ from scara_effmass.values import MAX_LOST_SAMPLES, ForceBlock, Impact
 from scara_effmass.wire.cdr import decode, encode
 
 _SAMPLE_RATES = (1e-3, 1e9)
-"""Range of sample rates [Hz]; times computed from others overflow."""
+"""Range of sample rates [Hz]; with others, computed times would overflow."""
 _MAX_SAMPLE = 2**53
-"""Index up to which 64-bit floats count samples; largest size of any number of an impact."""
+"""Maximum index that a 64-bit float counts exactly, and maximum size of the numbers of an impact."""
 _IMPACT_NUMBERS = ("peak_force", "duration", "impulse", "onset_sample", "baseline", "noise", "compression_impulse")
 
 
 def force_block_message(block: ForceBlock) -> bytes:
-    """Return the CDR bytes of a ForceBlock; `lost_samples` is limited to the range of its field."""
+    """Return the CDR bytes of a ForceBlock; `lost_samples` is limited to the range of the field."""
     lost_samples, saturated = min(block.lost_samples, MAX_LOST_SAMPLES), bool(len(block.saturated_samples))
     return encode("ForceBlock", {**block._asdict(), "lost_samples": lost_samples, "saturated": saturated})
 
 
 def decode_force_block(data: bytes) -> ForceBlock:
-    """Return the ForceBlock in `data`, CDR of either byte order. Raises DecodeError.
+    """Return the ForceBlock in `data` (CDR of either byte order). Raises DecodeError.
 
     If `saturated` is true without `saturated_samples`, all samples count as saturated.
     """
@@ -54,7 +54,7 @@ def impact_message(impact: Impact) -> bytes:
 
 
 def decode_impact(data: bytes) -> Impact:
-    """Return the Impact in `data`, CDR of either byte order. Raises DecodeError."""
+    """Return the Impact in `data` (CDR of either byte order). Raises DecodeError."""
     values = decode(data, "Impact")
     for name in _IMPACT_NUMBERS:
         if not abs(values[name]) <= _MAX_SAMPLE:

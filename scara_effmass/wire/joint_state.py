@@ -10,15 +10,16 @@ from scara_effmass.values import JointState
 from scara_effmass.wire.cdr import FRAME_AT, NS, Cursor, encode
 
 MAX_NAMES = 1000
-"""Maximum number of names in a JointState; decoding many more would delay the next message."""
+"""Maximum number of names in a JointState; decoding many more would delay the next messages."""
 
 
 @dataclass(frozen=True, slots=True)
 class JointStateLayout:
-    """Byte offsets of the fields of a JointState, which stay the same while a publisher keeps its names.
+    """Byte offsets of the fields of a JointState, which do not change while a publisher sends the same names.
 
-    Offsets (`..._at`) and `size` are in bytes from the start of the message, counts in float64. `fixed` are the byte
-    ranges (start, stop) of lengths and names: messages of equal size and equal bytes there have the same layout.
+    Offsets (`..._at`) and `size` are in bytes from the start of the message; counts are numbers of float64. `fixed` are
+    the byte ranges (start, stop) of lengths and names. Messages of equal size with equal bytes there have the same
+    layout.
     """
 
     byte_order: str
@@ -35,7 +36,7 @@ class JointStateLayout:
 
 
 def joint_state_layout(data: bytes) -> JointStateLayout:
-    """Return the layout of the JointState in `data`. Raises DecodeError for a length beyond message or MAX_NAMES."""
+    """Return the layout of the JointState in `data`. Raises DecodeError if a length is beyond message or MAX_NAMES."""
     cursor = Cursor(data, "JointState")
     cursor.at = FRAME_AT
     frame_size = cursor.count("header.frame_id", 1)
@@ -72,7 +73,7 @@ def joint_state_message(state: JointState, frame_id: str = "") -> bytes:
 
 
 class JointStateDecoder:
-    """Decodes JointState messages; fast while the layout stays the same. Not thread-safe.
+    """Decodes JointState messages; fast as long as the layout does not change. Not thread-safe.
 
     Consecutive states with equal names share one tuple of names.
     """
@@ -82,9 +83,9 @@ class JointStateDecoder:
         self._names: tuple[str, ...] = ()
 
     def decode(self, data: bytes) -> JointState:
-        """Return the JointState in `data`, CDR of either byte order. Raises DecodeError.
+        """Return the JointState in `data` (CDR of either byte order). Raises DecodeError.
 
-        Its arrays are read-only, aligned float64 in native byte order. Effort is checked but not decoded.
+        Its arrays are read-only, aligned float64 in native byte order. Effort is checked, but not decoded.
         """
         if len(data) != self._size:
             self._learn_layout(data)
@@ -97,7 +98,7 @@ class JointStateDecoder:
         ):
             self._learn_layout(data)
             order, sec, nanosec, prefix, velocity_count, effort_count = self._unpack(data)
-        # One copy holds position and velocity; in the message itself they are not aligned.
+        # One copy holds position and velocity; within the message they are not aligned.
         values = np.frombuffer(data[self._first : self._last], self._dtype)
         if not self._native:
             values = values.astype(np.float64)

@@ -24,9 +24,9 @@ _TYPE = re.compile(r"(?P<package>[a-z][a-z0-9_]*)/msg/(?P<name>[A-Z][A-Za-z0-9]*
 
 
 def message_class(message_type: str) -> type | None:
-    """Return the class of a type such as "std_msgs/msg/String", None if it is not installed."""
+    """Return the class of a type such as "std_msgs/msg/String"; None if it is not installed."""
     match = _TYPE.fullmatch(message_type)
-    # A type name from a recording must never import a module that is not a message package.
+    # A type name in a recording must never cause the import of a module that is not a message package.
     if match is None or not any((folder / "msg").is_dir() for folder in _package_folders(match["package"])):
         return None
     installed_class: type | None = getattr(import_module(f"{match['package']}.msg"), match["name"], None)
@@ -34,7 +34,7 @@ def message_class(message_type: str) -> type | None:
 
 
 def message_definition(message_type: str) -> str:
-    """Return the text of the installed .msg file of a type, empty if there is none."""
+    """Return the text of the installed .msg file of a type; empty if there is none."""
     match = _TYPE.fullmatch(message_type)
     files = definition_files(match["package"]) if match else []
     return next((file.read_text(encoding="utf-8") for file in files if match and file.stem == match["name"]), "")

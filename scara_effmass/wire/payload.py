@@ -7,7 +7,7 @@ from scara_effmass.wire.cdr import decode
 
 
 def decode_payload(data: bytes) -> Payload | str:
-    """Return the payload in the Inertia `data`, CDR of either byte order, or why it is unknown. No value is checked."""
+    """Return the payload in `data` (Inertia in CDR of either byte order), unchecked, or why it is unknown."""
     try:
         m, com, ixx, ixy, ixz, iyy, iyz, izz = decode(data, "Inertia").values()
     except DecodeError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Convert run information to and from CDR (`RunInfo.msg`), and from the JSON text of older recordings."""
+"""Convert run information to and from CDR (`RunInfo.msg`), and from the JSON text in older recordings."""
 
 import json
 import math
@@ -10,7 +10,7 @@ from scara_effmass.wire.cdr import decode, encode
 
 LATEST_NS = 2**63 - 1
 UNUSABLE_NS = LATEST_NS + 1
-"""Replaces an invalid time in JSON."""
+"""Stands for an invalid time in JSON."""
 
 
 def run_info_message(info: RunInfo) -> bytes:
@@ -19,14 +19,14 @@ def run_info_message(info: RunInfo) -> bytes:
 
 
 def decode_run_info(data: bytes) -> RunInfo:
-    """Return the RunInfo in `data`, CDR of either byte order, with unchecked values. Raises DecodeError."""
+    """Return the RunInfo in `data` (CDR of either byte order), unchecked. Raises DecodeError."""
     return RunInfo(**decode(data, "RunInfo"))
 
 
 def run_info_from_json(text: str) -> RunInfo | None:
-    """Return the run information in the JSON `text` of an older recording, None if it is not a JSON object.
+    """Return the run information in the JSON `text` of an older recording; None if it is not a JSON object.
 
-    A value of the wrong type becomes a value that `impacts.impact_matcher.check_run_info` refuses.
+    A value of the wrong type is replaced with one that `impacts.impact_matcher.check_run_info` refuses.
     """
     try:
         fields = json.loads(text)
@@ -56,7 +56,7 @@ def run_info_from_json(text: str) -> RunInfo | None:
 
 
 def _number(value: Any) -> float:  # noqa: ANN401 - any JSON value
-    """Return `value` as float: 0 if it is missing, NaN if it is not a number."""
+    """Return `value` as a float: 0 if it is missing, NaN if it is not a number."""
     if value is None:
         return 0.0
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -65,13 +65,13 @@ def _number(value: Any) -> float:  # noqa: ANN401 - any JSON value
 
 
 def _known(value: Any) -> float:  # noqa: ANN401 - any JSON value
-    """Return a ground truth, 0 if it is unknown or not a positive number."""
+    """Return a value of the ground truth; 0 if it is unknown or not a positive number."""
     number = _number(value)
     return number if 0.0 < number < math.inf else 0.0
 
 
 def _vector_from(values: Any) -> Vector3:  # noqa: ANN401 - any JSON value
-    """Return a list of two or three numbers as a vector, NaN if it is anything else."""
+    """Return a list of two or three numbers as a vector; NaN for anything else."""
     numbers = [_number(value) for value in values] if isinstance(values, list) else []
     x, y, z = {2: [*numbers, 0.0], 3: numbers}.get(len(numbers), [math.nan] * 3)
     return (x, y, z)
