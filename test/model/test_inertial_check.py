@@ -30,3 +30,9 @@ def test_one_plausible_link_makes_the_others_a_note() -> None:
 def test_identity_within_a_millionth_is_a_placeholder(deviation: float, *, found: bool) -> None:
     check = check_inertials([link(name, inertia=1.0 + deviation) for name in "ab"])
     assert ("placeholders" in check.inertias) == found
+
+
+@pytest.mark.parametrize(("inertia", "found"), [(1.0, True), (3.0, True), (2.0, False)])
+def test_identity_and_mass_times_identity_are_placeholders(inertia: float, *, found: bool) -> None:
+    check = check_inertials([link(name, mass=3.0, inertia=inertia) for name in "ab"])
+    assert ("placeholders" in check.inertias) == found
