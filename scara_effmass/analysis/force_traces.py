@@ -18,25 +18,28 @@ from scara_effmass.values import FloatArray, ForceBlock
 from scara_effmass.wire.cdr import NS
 
 BEFORE_S = 0.01
-"""Time before the onset, whose median is the baseline."""
+"""Time before the onset; its median force is the baseline."""
 LOW_SHARE = 0.1
-"""Share of the peak above which a contact lasts."""
+"""Share of the peak; the contact lasts while the force is above it."""
 AFTER_S = 0.1
 """Longest time after the onset in a report."""
 LEFT, RIGHT, BASE, TOP = 46.0, 314.0, 126.0, 16.0
 """Edges of the axes of a drawing [pixel]."""
-COLUMNS, SHOWN_DURATIONS = 120, 4.0
+COLUMNS = 120
+"""Columns of pixels to which a drawn trace is decimated."""
+SHOWN_DURATIONS = 4.0
+"""Width of a drawing in durations of the contact."""
 
 
 class ForceTrace(NamedTuple):
-    """Force (n,) above the baseline [N] at the `time` (n,) since the onset [s]; empty without force blocks."""
+    """Force (n,) [N] above the baseline at `time` (n,) [s] since the onset; empty without force blocks."""
 
     time: FloatArray
     force: FloatArray
 
     @property
     def duration(self) -> float | None:
-        """Time above `LOW_SHARE` of the peak [s], None if a flank is missing."""
+        """Time above `LOW_SHARE` of the peak [s], None if the rising or falling edge is missing."""
         if not self.force.size:
             return None
         peak = int(self.force.argmax())
@@ -46,7 +49,7 @@ class ForceTrace(NamedTuple):
 
     @property
     def sampling_loss(self) -> float | None:
-        """Largest share of the peak that a half-sine of this duration can lose between two samples."""
+        """Largest share of the peak of a half-sine of this duration that can fall between two samples."""
         duration = self.duration
         if duration is None:
             return None
@@ -54,7 +57,7 @@ class ForceTrace(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """A trace in the coordinates of the SVG in `macros.html` [pixel], and the ends of its axes [N, ms]."""
+    """A trace in SVG coordinates [pixel] for `macros.html`, and the ends of its axes [N, ms]."""
 
     points: str
     predicted_y: float | None
@@ -78,12 +81,12 @@ class ShownTrace(NamedTuple):
 
 
 def sampling_loss(duration: float, rate: float) -> float:
-    """Return 1 - cos(pi / (2 T f)), for a half-sine of `duration` T [s] that is sampled at `rate` f [Hz]."""
+    """Return 1 - cos(pi / (2 T f)) for a half-sine of `duration` T [s] sampled at `rate` f [Hz]."""
     return 1.0 - math.cos(min(0.5 * math.pi / (duration * rate), 0.5 * math.pi))
 
 
 def draw_trace(trace: ForceTrace, predicted: float | None) -> Drawing:
-    """Return the drawing of a trace that is not empty, and of the `predicted` peak [N]."""
+    """Return the drawing of a non-empty trace and of the `predicted` peak [N]."""
     end = _round_up(min(SHOWN_DURATIONS * (trace.duration or AFTER_S), float(trace.time[-1])))
     shown = (trace.time >= -0.2 * end) & (trace.time <= end)
     time, force = decimate(trace.time[shown], trace.force[shown], COLUMNS)
@@ -103,7 +106,7 @@ NO_TRACE = ForceTrace(np.empty(0), np.empty(0))
 
 
 def force_traces(recording: ValidatedRecording, settings: ImportSettings, after_s: float) -> list[ForceTrace]:
-    """Return the force of each impact of `recording`, as `file_traces`. Raises BagError."""
+    """Return the force of each impact of `recording`, up to `after_s` after its onset. Raises BagError."""
     onsets = [impact.stamp_ns for impact in recording.impacts]
     if recording.force_clock:
         return file_traces(recording.files[-1], settings, onsets, after_s, recording.force_offset)
@@ -112,7 +115,7 @@ def force_traces(recording: ValidatedRecording, settings: ImportSettings, after_
 
 
 def _round_up(value: float) -> float:
-    """Return the next end of an axis: two digits, the second one even."""
+    """Return the next larger end of an axis: a number of two digits, the second one even."""
     step = 10.0 ** math.floor(math.log10(value)) / 5.0
     return float(f"{step * math.ceil(value / step):.2g}")
 
@@ -120,9 +123,9 @@ def _round_up(value: float) -> float:
 def file_traces(
     path: Path, settings: ImportSettings, onsets_ns: Iterable[int], after_s: float, offset_s: float = 0.0
 ) -> list[ForceTrace]:
-    """Return the force in the file or bag at `path` from each of `onsets_ns` until the next one, at most `after_s`.
+    """Return the force in the file or bag at `path` from each of `onsets_ns` to the next one, at most for `after_s`.
 
-    `offset_s` is added to its stamps. Raises BagError, SettingsError.
+    `offset_s` is added to the stamps of the file. Raises BagError, SettingsError.
     """
     onsets = np.array(list(onsets_ns), np.int64)
     following = [min(onsets[onsets > onset], default=math.inf) for onset in onsets]
@@ -141,15 +144,15 @@ def file_traces(
 
 
 def recorded_traces(forces: RecordedForce, title: str) -> list[ShownTrace]:
-    """Return the impacts that were detected live, without rebounds."""
-    found = []
+    """Return the recorded impacts that are no rebounds."""
+    traces = []
     for impact in forces.impacts:
         time = (forces.stamp_ns - impact.stamp_ns) / NS
         inside = (time >= -BEFORE_S) & (time <= AFTER_S) & np.isfinite(forces.force)
         if not impact.rebound and inside.any():
             trace = _above_baseline(time[inside], forces.force[inside])
-            found += shown(title, impact.stamp_ns, trace, simulated=impact.simulated, peak=impact.peak_force)
-    return found
+            traces += shown(title, impact.stamp_ns, trace, simulated=impact.simulated, peak=impact.peak_force)
+    return traces
 
 
 def _above_baseline(time: FloatArray, force: FloatArray) -> ForceTrace:
@@ -167,7 +170,7 @@ def shown(
     predicted: float | None = None,
     speed: float | None = None,
 ) -> list[ShownTrace]:
-    """Return the trace of an impact as a report shows it, nothing for one that ends before it."""
+    """Return the trace of an impact as a report shows it; none if the trace ends before the onset."""
     if not (trace.time.size and trace.time[-1] > 0.0):
         return []
     drawing = draw_trace(trace, predicted)

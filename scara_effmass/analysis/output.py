@@ -29,7 +29,7 @@ def check_output_files(folder: Path, names: Iterable[str], *, overwrite: bool) -
 
 @contextmanager
 def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
-    """Give a temporary path to write to in a `with`; it becomes `path` at the end, or is removed after an error.
+    """Yield a temporary path to write to, which becomes `path` at the end, or is removed after an error.
 
     Missing parent folders are created. Raises OutputError.
     """

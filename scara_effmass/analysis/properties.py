@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Temporal properties that verdicts must have, in signal temporal logic (STL), evaluated by RTAMT.
 
-RTAMT is pure Python, and its time grows with the square of the length of a signal. Verdicts are therefore evaluated as
-runs of equal ones, which loses nothing, and a few hundred runs at a time.
+The time that RTAMT takes grows with the square of the length of a signal. Verdicts are therefore evaluated as runs of
+equal verdicts, which loses nothing, and a few hundred runs at a time.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ Array = NDArray[Any]
 class Property(NamedTuple):
     """An STL formula over `severity` (0 OK to 3 UNKNOWN) and the other signals of `_signals`.
 
-    Whole numbers are compared with halves: a robustness of 0 decides nothing.
-    With `on_stamps` its time is that of the header stamps, else the log time; a `live` one holds for recordings only.
+    Whole numbers are compared with halves, because a robustness of 0 would decide nothing. `on_stamps` evaluates at the
+    header stamps in place of the log times. A `live` property applies to recordings of a live monitor only.
     """
 
     text: str
@@ -51,7 +51,7 @@ PROPERTIES = tuple(Property(**values) for values in read_table(__file__, "proper
 
 
 class PropertyResult(NamedTuple):
-    """How often a property is violated, and where first; `evaluated` is the number of verdicts."""
+    """Number of `violations` of a property among the `evaluated` verdicts, and place and time of the first one."""
 
     verdicts: str
     text: str
@@ -79,11 +79,11 @@ _NEVER_NS = np.iinfo(np.int64).max
 _NS = 1e9
 _INSTANT_S = 1e-9
 _SLACK_S = 1e-6
-"""Below a bound that a verdict may just reach."""
+"""Margin below the release time, which a verdict may just reach."""
 
 
 def check_assessment(table: Path, bags: Sequence[Path], settings: MonitorSettings) -> list[PropertyResult]:
-    """Evaluate a file that `assess` wrote, .parquet, .csv or .mcap, and the verdicts that `bags` recorded live."""
+    """Evaluate the verdicts in a file of `assess` (.parquet, .csv or .mcap), and those that `bags` recorded live."""
     blocks = _recorded(table) if table.suffix == ".mcap" else _rows(table)
     assessed = _check("assessed verdicts", blocks, settings)
     return assessed + [result for bag in bags for result in check_recording(bag, settings)]
@@ -132,7 +132,7 @@ def _recorded(path: Path) -> Iterator[tuple[str, Columns]]:
 
 
 class _Trace:
-    """Runs of equal verdicts of one contact point; `columns` are their first and last values, in ns and SI units."""
+    """Collect the runs of equal verdicts of one contact point."""
 
     def __init__(self, max_gap_ns: float) -> None:
         self.count = 0
@@ -148,7 +148,7 @@ class _Trace:
         level = np.array([_SEVERITIES[name] for name in block["verdict"]])
         is_cause = np.array([not text.startswith(_NOT_A_CAUSE) for text in reason]) & ~watchdog
         cause = np.where(is_cause, level, 0)
-        # A refused joint state may have any stamp; its UNKNOWN counts between its neighbours.
+        # The stamp of a refused joint state may be anything: its UNKNOWN counts at a time between its neighbours.
         has_time = ~watchdog & (cause < _SEVERITIES["UNKNOWN"])
         index, count = np.arange(level.size), level.size
         before = np.maximum.accumulate(np.where(has_time, index, -1))
@@ -179,7 +179,7 @@ class _Trace:
         )
 
     def columns(self) -> dict[str, Array]:
-        """Return the columns of all runs."""
+        """Return the columns of all runs: times of the first and the last verdict [ns], and the worst values."""
         return {name: np.concatenate([block[name] for block in self._blocks]) for name in self._blocks[0]}
 
 
@@ -201,7 +201,7 @@ def _check(
             mine = points == point
             mine_only = {name: np.asarray(block[name], dtype=object)[mine] for name in _COLUMNS}
             traces[f"{source}: {point}"].add(mine_only)
-        if end_ns:  # a monitor without a robot has one contact point, and others with it
+        if end_ns:  # by topic: the names of the contact points change when the monitor gets its robot
             topics[source].add(block)
     results, count = [], sum(trace.count for trace in traces.values())
     for rule in PROPERTIES:
@@ -219,10 +219,10 @@ def _violations(rule: Property, bounds: Mapping[str, float], runs: dict[str, Arr
     """Return the times [s] at which a property begins to be violated."""
     formula = rule.formula.format(**bounds)
     clock = "stamp" if rule.on_stamps else "log"
-    if rule.on_stamps:  # the watchdog repeats a stamp, and its verdict does not affect later ones
+    if rule.on_stamps:  # the watchdog repeats a stamp, and its verdicts do not affect later ones
         runs = {name: values[~runs["watchdog"]] for name, values in runs.items()}
     found: list[float] = []
-    # Where stamps go back, the clock of the monitor did, and it discarded its history.
+    # Stamps go back where the clock of the monitor went back and the monitor discarded its history.
     parts = np.split(np.arange(runs[clock].size), np.flatnonzero(np.diff(runs[clock]) < 0) + 1)
     for part in parts:
         start_ns, end_ns = runs[clock][part], runs[f"{clock}_end"][part]
@@ -245,7 +245,7 @@ def _violations(rule: Property, bounds: Mapping[str, float], runs: dict[str, Arr
 
 
 def _signals(runs: dict[str, Array], clock: str, origin_ns: int, until_s: float) -> dict[str, list[list[float]]]:
-    """Return the signals as steps [time in s, value] up to `until_s`; `cause` and `answer` end with their run."""
+    """Return the signals as steps [time in s, value] up to `until_s`; `cause` and `answer` are 0 between two runs."""
     start_s, end_s = ((runs[name] - origin_ns) / _NS for name in (clock, f"{clock}_end"))
     start_s = np.maximum.accumulate(start_s + _INSTANT_S / 10.0 * np.arange(start_s.size))  # steps need different times
     stop_s = max(until_s, float(start_s[-1]), float(end_s[-1])) + 2.0 * _INSTANT_S
@@ -266,7 +266,7 @@ def _signals(runs: dict[str, Array], clock: str, origin_ns: int, until_s: float)
 
 
 def _evaluate(formula: str, signals: dict[str, list[list[float]]]) -> list[list[float]]:
-    """Return the robustness of an STL formula as steps; below 0 it is violated."""
+    """Return the robustness of an STL formula as steps [time in s, value]; below 0 the formula is violated."""
     spec = rtamt.StlDenseTimeSpecification()
     used = [name for name in signals if name in formula]
     for name in used:

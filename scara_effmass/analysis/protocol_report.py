@@ -42,11 +42,12 @@ def write_report(protocol: Protocol, path: Path, folder: Path, options: PageOpti
         budgets=[(test.id, uncertainty(test, device) if device else None) for test, device in devices],
         files=file_hashes(Path(os.path.normpath(item)) for item in (path, *data, *photos)),
     )
-    write_report_files(folder, {PAGE: page, RECORD: content}, [], overwrite=overwrite, pdf_of=PAGE * options.pdf)
+    pdf_of = PAGE if options.pdf else None
+    write_report_files(folder, {PAGE: page, RECORD: content}, [], overwrite=overwrite, pdf_of=pdf_of)
 
 
 def _traces(protocol: Protocol, folder: Path) -> Iterator[ShownTrace]:
-    """Yield the force of the contacts whose raw data can be read without further settings."""
+    """Yield the force of the contacts whose raw data needs no further settings to be read."""
     for test in protocol.tests:
         items = [
             (f"{test.id}, {number}", round(item.time.timestamp() * 1e6) * 1000, item)
@@ -54,7 +55,7 @@ def _traces(protocol: Protocol, folder: Path) -> Iterator[ShownTrace]:
             if item.raw_data and item.time and item.transient_peak_n is not None
         ]
         for (name, offset_s), group in groupby(items, lambda entry: (entry[2].raw_data, entry[2].raw_offset_s or 0.0)):
-            contacts = list(group)  # of one file, which is read once
+            contacts = list(group)  # of one file, so that it is read once
             with suppress(EffmassError):
                 onsets_ns = [onset_ns for _, onset_ns, _ in contacts]
                 traces = file_traces(folder / str(name), ImportSettings(), onsets_ns, AFTER_S, offset_s)

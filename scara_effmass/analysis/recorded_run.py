@@ -39,7 +39,7 @@ class Measurement(NamedTuple):
 
 
 class RecordedForce(NamedTuple):
-    """Force (n,) [N] at the ROS times `stamp_ns` (n,), with one NaN in each gap, and its impacts."""
+    """Force (n,) [N] at the ROS times `stamp_ns` (n,), with one NaN in each gap, and the impacts in it."""
 
     stamp_ns: NDArray[np.int64]
     force: FloatArray
@@ -87,7 +87,7 @@ def run_infos(bag: Bag) -> list[RunInfo]:
 
 
 def read_force(bag: Bag) -> RecordedForce | None:
-    """Return the first force topic of `bag`, or None without force. Raises BagError."""
+    """Return the force on the first force topic of `bag`, or None without force. Raises BagError."""
     topic, impact_topic = (
         next((topic.name for topic in bag.topics if topic.type == kind), "") for kind in (FORCE_BLOCK, IMPACT)
     )
@@ -115,16 +115,16 @@ def read_force(bag: Bag) -> RecordedForce | None:
 
 
 def detected_impacts(blocks: Iterable[ForceBlock]) -> tuple[Impact, ...]:
-    """Return the impacts in `blocks`, by the default settings of the detection."""
+    """Return the impacts that the detector finds in `blocks` with its default settings."""
     detector = Detector(DetectionSettings())
     return (*chain.from_iterable(map(detector.feed, blocks)), *detector.finish())
 
 
 def measurement_topic(bag: Bag, name: str) -> Topic:
-    """Return the topic `name`, or without a name the one of the first type in USUAL that the bag has.
+    """Return the topic `name`, or without a name that of the first type in USUAL that the bag has.
 
-    Of several topics of that type, the one with the usual name is taken. Raises BagError, with the topics of these
-    types, when none or several remain.
+    Of several topics of that type, the one with the usual name is taken. Raises BagError, which lists the topics of all
+    these types, if none or several remain.
     """
     candidates = [topic for kind in USUAL for topic in bag.topics if topic.type == kind and topic.count]
     if not candidates:
@@ -141,7 +141,7 @@ def measurement_topic(bag: Bag, name: str) -> Topic:
 
 
 def file_measurements(path: Path, settings: ImportSettings, unreadable: Counter[str]) -> Iterator[Measurement]:
-    """Yield the force in a CSV or TDMS file, whose log times are its stamps, or the measurements in a bag.
+    """Yield the measurements in a bag, or the force in a CSV or TDMS file, with the ends of its blocks as log times.
 
     Raises BagError or SettingsError.
     """
@@ -156,8 +156,8 @@ def file_measurements(path: Path, settings: ImportSettings, unreadable: Counter[
 def measurements(bag: Bag, topic: Topic, settings: ImportSettings, unreadable: Counter[str]) -> Iterator[Measurement]:
     """Yield the force blocks or impacts of `topic`; count messages that cannot be decoded in `unreadable`.
 
-    Wrenches are imported as force blocks, as `settings` state. Raises BagError when the recording has another
-    definition of the type, or wrenches cannot be imported.
+    Wrenches are imported as force blocks with `settings`. Raises BagError if the recording has another definition of
+    the type, or if wrenches cannot be imported.
     """
     if topic.type in {WRENCH_STAMPED, WRENCH}:
         yield from _import_wrenches(bag, settings.model_copy(update={"topic": topic.name}))
@@ -173,7 +173,7 @@ def measurements(bag: Bag, topic: Topic, settings: ImportSettings, unreadable: C
 
 
 def _import_wrenches(bag: Bag, settings: ImportSettings) -> Iterator[Measurement]:
-    """Yield the imported force of a topic of wrenches; log times keep their distance from the stamps of the first."""
+    """Yield the force of a topic of wrenches; the log time of the first message places all blocks in log time."""
     first_log_ns = next(message.log_time_ns for message in bag.messages([settings.topic]))
     first_stamp_ns: int | None = None
     _, blocks = import_force(bag.path, settings)

@@ -21,7 +21,7 @@ DPI = 140
 
 
 class ReportFigure(NamedTuple):
-    """A figure of a report: PNG, which is also part of the page, and SVG."""
+    """A figure of a report as PNG, which the page embeds, and as SVG."""
 
     name: str
     title: str
@@ -31,14 +31,14 @@ class ReportFigure(NamedTuple):
 
     @property
     def data_uri(self) -> str:
-        """PNG as a `data:` address."""
+        """PNG as a `data:` URI."""
         return f"data:image/png;base64,{b64encode(self.png).decode('ascii')}"
 
 
 def report_figure(name: str, title: str, caption: str, figure: Figure, language: str = "en") -> ReportFigure:
-    """Return `figure` as PNG and SVG, byte for byte the same every time; its texts are translated to `language`.
+    """Return `figure` as PNG and SVG, with its texts in `language`; equal figures give equal bytes.
 
-    The layout is computed once; `savefig` would compute it twice per format.
+    The layout is computed once, where `savefig` would compute it twice per format.
     """
 
     def local(text: str) -> str:
@@ -67,7 +67,7 @@ def write_report_files(
     figures: Sequence[ReportFigure],
     *,
     overwrite: bool,
-    pdf_of: str = "",
+    pdf_of: str | None = None,
 ) -> None:
     """Write `texts` by file name, `figures`, and the page `pdf_of` as PDF into `folder`, all or none.
 

@@ -63,7 +63,7 @@ class RunReport:
     def add(
         self, series: TimeSeries, contact_point: str, run: str, *, generated: bool, forces: RecordedForce | None
     ) -> None:
-        """Draw `contact_point` in the run named `run`, with the forces of that run."""
+        """Draw `contact_point` in the run `run`, with the forces of that run."""
         if not len(series.time):
             return
         settings, model = self._settings, self._settings.effective_mass_model.value
@@ -115,7 +115,7 @@ class RunReport:
     ) -> dict[str, Any]:
         """Write all files; return the summary, which is `result` with figures and episodes. Raises OutputError.
 
-        `paths` are the files whose hashes the page states, besides that of the robot.
+        The page states the hashes of `paths` and of the robot file.
         """
         figures = [section[0] for section in self._sections]
         names = [str(self._folder / name) for name in figure_files(figure.name for figure in figures)]
@@ -142,13 +142,14 @@ class RunReport:
             files=file_hashes([*paths, settings.robot_path]),
             setting_rows=list(setting_rows("monitor", settings, changed_only=True)),
         )
-        texts: dict[str, str | bytes | dict[str, Any]] = {PAGE: page, SUMMARY: summary}
-        pdf_of = PAGE * self._options.pdf
-        write_report_files(self._folder, texts, figures, overwrite=self._overwrite, pdf_of=pdf_of)
+        pdf_of = PAGE if self._options.pdf else None
+        write_report_files(
+            self._folder, {PAGE: page, SUMMARY: summary}, figures, overwrite=self._overwrite, pdf_of=pdf_of
+        )
         return summary
 
     def _regions(self) -> Iterator[tuple[Limit, int, float | None, str]]:
-        """Yield each limit with the intervals that it governs, their smallest margin [m/s] and worst verdict."""
+        """Yield each limit with the number of episodes that it governs, their smallest margin [m/s], worst verdict."""
         for limit in limits_for(self._settings):
             own = [item for item in self._episodes if item["body_region"] == limit.region]
             margins = [item["min_margin_m_s"] for item in own if item["min_margin_m_s"] is not None]

@@ -77,7 +77,7 @@ def color(number: int, count: int) -> tuple[float, float, float, float]:
 
 
 def configuration_label(configuration: str) -> str:
-    """Return the label of a configuration, with `$` escaped for matplotlib."""
+    """Return the label of a configuration, with `$` escaped for Matplotlib."""
     return configuration.replace("$", r"\$") or "not named"
 
 
@@ -234,7 +234,7 @@ def _mean(values: Iterable[float]) -> float:
 
 
 def _single(title: str, xlabel: str, ylabel: str, result: Result) -> tuple[Figure, Axes, Marks]:
-    """Return a figure with one pair of axes, and the marks of the impacts; without impacts the axes say so."""
+    """Return a figure with one pair of axes, and the marks of the impacts; without impacts a text says so."""
     figure = new_figure(10.5, 4.9, title)
     axes = figure.subplots()
     axes.set(xlabel=xlabel, ylabel=ylabel)

@@ -70,7 +70,8 @@ def write_report(
             figures.append(report_figure(plot.name, plot.title, plot.caption, drawing, options.language))
     results = record(validation, settings, robot)
     page = _page(validation, figures, settings, robot, options.language)
-    write_report_files(folder, {PAGE: page, RECORD: results}, figures, overwrite=overwrite, pdf_of=PAGE * options.pdf)
+    pdf_of = PAGE if options.pdf else None
+    write_report_files(folder, {PAGE: page, RECORD: results}, figures, overwrite=overwrite, pdf_of=pdf_of)
     return results
 
 
@@ -174,9 +175,9 @@ def record(validation: Validation, settings: ValidationSettings, robot: Robot) -
 
 
 def deviations(validation: Validation) -> list[tuple[str, int, float, float]]:
-    """Return quantity, number of impacts, mean and farthest from zero of the deviations, estimate / true value - 1.
+    """Return quantity, number of impacts, and mean and largest deviation of the estimates from the true values.
 
-    They are over all recordings of a single impact that state the true values.
+    A deviation is estimate / true value - 1, in a recording of a single impact that states the true values.
     """
     by_quantity: dict[str, list[float]] = {}
     for recording in validation.recordings:
@@ -201,7 +202,7 @@ def _recording_deviations(recording: ValidatedRecording) -> Iterator[tuple[str, 
 
 
 def stated_stiffness(validation: Validation) -> float | None:
-    """Return the stiffness [N/m] of the simulated contact; None if unknown, not unique, or not a linear spring."""
+    """Return the stiffness [N/m] of the simulated contact, None if it is unknown, not unique, or not linear."""
     infos = [info for recording in validation.recordings for info in recording.infos]
     contacts = {(info.contact_stiffness, info.contact_exponent) for info in infos}
     ((stiffness, exponent),) = contacts if len(contacts) == 1 else ((0.0, 0.0),)
@@ -267,7 +268,7 @@ def _page(
 
 
 def _verdict(result: Result) -> str:
-    """Return the word that styles the verdict: a force above a limit is a violation, whatever the model is worth."""
+    """Return the verdict that the page shows: a force above a limit is a violation, however good the model is."""
     if result.exceedances or (result.decidable and not result.accepted):
         return Verdict.VIOLATION.name
     return Verdict.OK.name if result.accepted else Verdict.UNKNOWN.name
@@ -276,26 +277,21 @@ def _verdict(result: Result) -> str:
 def _regions(validation: Validation, settings: ValidationSettings) -> Iterator[tuple[Limit, float | None]]:
     """Yield each limit with the largest force [N] of the impacts on its region, None without impacts."""
     for limit in limits_for(settings.validator.limit_settings):
-        yield (
-            limit,
-            max(
-                (
-                    worst_force(
-                        [limit],
-                        impact.measured_force / impact.force_share,
-                        (impact.effective_mass, impact.measured_effective_mass),
-                        math.inf if settings.validator.obstacle_fixed else impact.obstacle_mass / impact.force_share**2,
-                        impact.stiffness,
-                    ).force
-                    for impact in validation.result.impacts
-                ),
-                default=None,
-            ),
-        )
+        forces = [
+            worst_force(
+                [limit],
+                impact.measured_force / impact.force_share,
+                (impact.effective_mass, impact.measured_effective_mass),
+                math.inf if settings.validator.obstacle_fixed else impact.obstacle_mass / impact.force_share**2,
+                impact.stiffness,
+            ).force
+            for impact in validation.result.impacts
+        ]
+        yield limit, max(forces, default=None)
 
 
 def _plain(value: Any, without: str = "") -> Any:  # noqa: ANN401 - any part of a result
-    """Return `value` as JSON types; fields of tuples and dataclasses, but the one named `without`, become keys."""
+    """Return `value` as JSON types; named tuples and dataclasses become objects, without the field `without`."""
     if is_dataclass(value):
         value = {field.name: getattr(value, field.name) for field in fields(value)}
     elif hasattr(value, "_asdict"):
