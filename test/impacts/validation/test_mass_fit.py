@@ -12,10 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
+from scara_effmass.impacts.agreement import model_fit
+from scara_effmass.impacts.impact_matcher import MatchedImpact, Run
 from scara_effmass.impacts.mass_fit import MIN_IMPULSE_ERROR, NO_FIT, MassFit, fit_masses, pose_cells
+from scara_effmass.impacts.state_history import OnsetState
+from scara_effmass.values import NO_MOBILITY
 
 if TYPE_CHECKING:
     from scara_effmass.values import FloatArray
+    from test.impacts.validation.conftest import MakeImpact
 
 POSES = np.array([0.981, 1.247, 2.891])
 CARTS = np.array([0.50, 2.39, 3.72, 7.35])
@@ -55,6 +60,18 @@ def test_obstacles_too_much_alike_give_neither_gain_nor_scale(heaviest: float) -
     result = fit_masses(mu * speeds, speeds, 500.0 * np.sqrt(mu), masses, obstacles, list("aaaa"))
     shares = obstacles / (1.0 + obstacles)
     assert (result.gain_interval == NO_FIT.gain_interval) == (np.ptp(shares) < 0.05)
+
+
+def test_fit_leaves_out_impacts_without_an_impulse_or_without_the_mass_of_the_model(make_impact: MakeImpact) -> None:
+    matches = [
+        MatchedImpact(
+            make_impact(0, compression_impulse=impulse),
+            OnsetState(0.25, (1.0, 0.0, 0.0), {"full": mass}, False, (NO_MOBILITY, NO_MOBILITY)),  # noqa: FBT003
+            Run(0, 2.39, "a"),
+        )
+        for impulse, mass in ((0.2, 1.0), (0.0, 1.0), (0.2, math.nan), (0.2, 1.1))
+    ]
+    assert model_fit("full", matches).impacts == 2
 
 
 def test_intervals_of_a_noisy_series_are_those_of_the_general_optimiser() -> None:
