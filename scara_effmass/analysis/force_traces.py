@@ -32,10 +32,14 @@ SHOWN_DURATIONS = 4.0
 
 
 class ForceTrace(NamedTuple):
-    """Force (n,) [N] above the baseline at `time` (n,) [s] since the onset; empty without force blocks."""
+    """Force (n,) [N] above the baseline at `time` (n,) [s] since the onset; empty without force blocks.
+
+    `complete`: from the onset on no sample is lost, saturated or NaN.
+    """
 
     time: FloatArray
     force: FloatArray
+    complete: bool = True
 
     @property
     def duration(self) -> float | None:
@@ -131,16 +135,24 @@ def file_traces(
     following = [min(onsets[onsets > onset], default=math.inf) for onset in onsets]
     ends = np.minimum((np.array(following) - onsets) / NS, after_s)
     parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in onsets]
+    complete = np.full(len(onsets), fill_value=True)
     for _, block in file_measurements(path, settings, Counter()):
         if not isinstance(block, ForceBlock):
             continue
+        is_finite = np.isfinite(block.force)
+        is_doubtful = ~is_finite
+        is_doubtful[block.saturated_samples] = True
+        is_doubtful[:1] |= block.lost_samples > 0
         first = (block.stamp_ns + round(offset_s * NS) - onsets) / NS
         last = first + len(block.force) / block.sample_rate
         for index in np.flatnonzero((first < ends) & (last > -BEFORE_S)):
             time = first[index] + np.arange(len(block.force)) / block.sample_rate
-            inside = (time >= -BEFORE_S) & (time <= ends[index]) & np.isfinite(block.force)
+            inside = (time >= -BEFORE_S) & (time <= ends[index])
+            complete[index] &= not is_doubtful[inside & (time > 0.0)].any()
+            inside &= is_finite
             parts[index].append((time[inside], block.force[inside]))
-    return [_above_baseline(*map(np.concatenate, zip(*part, strict=True))) if part else NO_TRACE for part in parts]
+    traces = [_above_baseline(*map(np.concatenate, zip(*part, strict=True))) if part else NO_TRACE for part in parts]
+    return [trace._replace(complete=bool(intact)) for trace, intact in zip(traces, complete, strict=True)]
 
 
 def recorded_traces(forces: RecordedForce, title: str) -> list[ShownTrace]:

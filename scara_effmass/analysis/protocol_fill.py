@@ -44,9 +44,9 @@ def _rounded(value: float) -> float:
 
 
 def _repetition(impact: ValidatedImpact, trace: ForceTrace, name: str, sha256: str) -> Repetition:
-    """Return one contact; without force blocks only its peak is known."""
+    """Return one contact; without force blocks, or with samples lost or saturated after it, only its peak is known."""
     peak, beyond = impact.measured_force, None
-    if trace.time.size and trace.time[-1] > 0.0:
+    if trace.complete and trace.time.size and trace.time[-1] > 0.0:
         is_early = trace.time <= TRANSIENT_S
         early, late = trace.force[is_early], trace.force[~is_early]
         if late.size:

@@ -4,7 +4,7 @@
 import json
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -355,6 +355,35 @@ def test_force_that_is_held_counts_beyond_half_a_second(
     (item,) = repetitions(validation, ImportSettings(), Path())
     assert item.force_beyond_0_5_s_n == pytest.approx(50.0, abs=1.0)
     assert item.simulated is True
+
+
+FORCE_FAULTS: dict[str, Callable[[ForceBlock], ForceBlock]] = {
+    "lost samples": lambda block: block._replace(lost_samples=100),
+    "saturated": lambda block: block._replace(saturated_samples=np.array([3], np.uint32)),
+    "NaN": lambda block: block._replace(force=np.where(np.arange(len(block.force)) == 3, np.nan, block.force)),
+}
+
+
+@pytest.mark.parametrize("after_s", [0.6, -0.3])
+@pytest.mark.parametrize("fault", FORCE_FAULTS)
+def test_faults_of_the_force_after_the_contact_make_the_held_force_unknown(
+    fault: str,
+    after_s: float,
+    campaign: list[Path],
+    altered: Altered,
+    dynamics: RobotDynamics,
+    device_settings: ValidationSettings,
+) -> None:
+    onset_ns = validate(campaign[:1], dynamics, device_settings).result.impacts[0].stamp_ns
+
+    def faulty(block: ForceBlock) -> ForceBlock:
+        is_near = 0.0 <= (block.stamp_ns - onset_ns) / 1e9 - after_s < 0.1
+        return FORCE_FAULTS[fault](block) if is_near else block
+
+    validation = validate([altered(campaign[0], block=faulty)], dynamics, device_settings)
+    (item,) = repetitions(validation, ImportSettings(), Path())
+    assert (item.force_beyond_0_5_s_n is None) is (after_s > 0.0)
+    assert item.transient_peak_n
 
 
 def test_a_recording_without_a_contact_is_refused(
