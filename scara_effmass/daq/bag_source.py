@@ -79,9 +79,8 @@ def _ordered(blocks: Iterator[ForceBlock], sample_rate: float, origin: str) -> I
 
 def _check_block(block: ForceBlock, sample_rate: float, origin: str) -> None:
     rate, stamp = block.sample_rate, f"at {block.stamp_ns / NS:.6f} s"
-    for name in ("clock_residual", "relative_uncertainty"):
-        if not 0.0 <= getattr(block, name) < math.inf:
-            raise BagError(f"{origin}: {name} = {getattr(block, name):g} {stamp}: must be a number >= 0")
+    if not 0.0 <= block.clock_residual < math.inf:
+        raise BagError(f"{origin}: clock_residual = {block.clock_residual:g} {stamp}: must be a number >= 0")
     if abs(rate / sample_rate - 1.0) > MAX_RATE_DRIFT:
         raise BagError(f"{origin}: sample_rate = {rate:g} {stamp}: must be {sample_rate:g} Hz, as before")
 

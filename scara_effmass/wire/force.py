@@ -33,6 +33,8 @@ def decode_force_block(data: bytes) -> ForceBlock:
     if not lowest <= values["sample_rate"] <= highest:
         rate = values["sample_rate"]
         raise DecodeError(f"ForceBlock: sample_rate = {rate:g}: must be from {lowest:g} to {highest:g}")
+    if not 0.0 <= values["relative_uncertainty"] <= 1.0:  # otherwise the criterion could tolerate any force
+        raise DecodeError(f"ForceBlock: relative_uncertainty = {values['relative_uncertainty']:g}: must be 0 to 1")
     if values["first_sample"] > _MAX_SAMPLE:
         raise DecodeError(f"ForceBlock: first_sample = {values['first_sample']}: must be at most {_MAX_SAMPLE}")
     saturated, count = values.pop("saturated"), len(values["force"])

@@ -4,7 +4,6 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -88,17 +87,15 @@ def test_drifting_rate_is_accepted_and_another_rate_is_refused(tmp_path: Path) -
         played(bad)
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "rule"),
-    [
-        ("clock_residual", np.inf, "a number >= 0"),
-        ("relative_uncertainty", float("nan"), "a number >= 0"),
-    ],
-)
-def test_block_with_an_impossible_value_is_refused(tmp_path: Path, field: str, value: float, rule: str) -> None:
-    changes: dict[str, Any] = {field: value}
-    path = write_blocks(tmp_path / "run", [force_block(0)._replace(**changes)])
-    with pytest.raises(BagError, match=rf"run: /force: {field} = {value:g} at .* s: must be {rule}"):
+def test_block_with_an_impossible_clock_residual_is_refused(tmp_path: Path) -> None:
+    path = write_blocks(tmp_path / "run", [force_block(0)._replace(clock_residual=np.inf)])
+    with pytest.raises(BagError, match=r"run: /force: clock_residual = inf at .* s: must be a number >= 0"):
+        played(path)
+
+
+def test_block_with_an_impossible_uncertainty_is_left_out(tmp_path: Path) -> None:
+    path = write_blocks(tmp_path / "run", [force_block(0)._replace(relative_uncertainty=float("nan"))])
+    with pytest.raises(BagError, match=r"left out: ForceBlock: relative_uncertainty = nan: must be 0 to 1"):
         played(path)
 
 

@@ -55,6 +55,7 @@ def blocks(draw: st.DrawFn) -> ForceBlock:
             ForceBlock,
             first_sample=st.integers(0, 2**53),
             sample_rate=st.floats(1e-3, 1e9),
+            relative_uncertainty=st.floats(0.0, 1.0),
             force=st.just(force),
             saturated_samples=st.just(np.array(sorted(saturated), np.uint32)),
         )
@@ -201,6 +202,12 @@ def test_invalid_bytes_name_the_field(at: int, new: bytes, message: str) -> None
 def test_sample_rate_of_which_no_time_follows_is_refused(rate: float) -> None:
     with pytest.raises(DecodeError, match=r"^ForceBlock: sample_rate = [^ ]+: must be from 0.001 to 1e\+09$"):
         decode_force_block(force_block_message(SIMPLE._replace(sample_rate=rate)))
+
+
+@pytest.mark.parametrize("uncertainty", [-0.1, 1.01, math.nan, math.inf])
+def test_uncertainty_that_would_tolerate_any_force_is_refused(uncertainty: float) -> None:
+    with pytest.raises(DecodeError, match=r"^ForceBlock: relative_uncertainty = [^ ]+: must be 0 to 1$"):
+        decode_force_block(force_block_message(SIMPLE._replace(relative_uncertainty=uncertainty)))
 
 
 def test_index_beyond_the_integers_of_a_float_is_refused() -> None:
