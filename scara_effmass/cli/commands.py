@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands, of which commands.yaml holds help and options; the module of a command runs it."""
+"""The commands: commands.yaml holds their help and options, and the module of a command runs it."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from scara_effmass.wire.topics import RECORDED
 
 
 class Command(NamedTuple):
-    """Help and options of one command. Of a tuple of options exactly one is required."""
+    """Help and options of one command. Exactly one option of a tuple is required."""
 
     summary: str
     epilog: str
@@ -23,7 +23,7 @@ PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "report", "sche
 MODULES = {"import": "import_force"} | dict.fromkeys(NODES, "nodes") | dict.fromkeys(PROTOCOL, "protocol")
 """Modules of the commands that have no module of their name."""
 GROUPS = {"protocol": "write, fill in and render a measurement protocol of contact forces"}
-"""Commands of two words, by the first one."""
+"""Help of commands of two words, by the first word."""
 
 
 def _commands() -> dict[str, Command]:

@@ -97,7 +97,7 @@ def tracked(progress: Progress, bag: Bag, topic: str, items: Iterable[Item]) -> 
 
 
 def advances(progress: Progress, name: str) -> Callable[[int, int], None]:
-    """Return a function that shows a number of further items done in `name`, and their total."""
+    """Return a function that adds to the number of items done in `name`, and sets their total."""
     task = progress.add_task(name)
     return lambda count, total: progress.update(task, advance=count, total=total)
 

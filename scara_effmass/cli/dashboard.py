@@ -15,7 +15,7 @@ from scara_effmass.errors import EffmassError
 
 MISSING = "install NiceGUI: pip install 'scara_effmass[dashboard]'"
 _NICENESS = 10
-"""The nodes beside the dashboard come first."""
+"""The nodes on this machine have priority over the dashboard."""
 
 
 def is_installed() -> bool:

@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _other_robot(args: argparse.Namespace) -> int:
-    """Draw what the paper shows of its robot's masses for the robot of --robot."""
+    """Draw the paper's figures of masses for the robot of --robot."""
     if args.campaign:
         raise SettingsError(f"--campaign = {args.campaign}: must belong to the paper's robot, so without --robot")
     settings = monitor_settings(args, **AS_SAMPLED)

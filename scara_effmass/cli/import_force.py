@@ -15,7 +15,7 @@ from scara_effmass.settings.loading import flat_fields
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the bag, and print what it holds."""
+    """Write the bag and print its contents."""
     if args.joints:
         return _import_joint_states(args)
     names = flat_fields(ImportSettings)

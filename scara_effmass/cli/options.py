@@ -19,7 +19,7 @@ ALIASES = {"bench": "sim"}
 
 
 class Option:
-    """An option or argument: `names` are separated by a space, `keywords` are those of `add_argument`."""
+    """An option or argument: `names` separated by spaces, and the `keywords` of `add_argument`."""
 
     def __init__(self, names: str, keywords: Mapping[str, Any]) -> None:
         """Replace `type` by one of `TYPES`, and a name in `choices` by the values of that setting.
@@ -112,7 +112,7 @@ def options_of(*items: str | Mapping[str, Mapping[str, Any]]) -> Iterator[Option
 
 
 def former_options(option: Option) -> Iterable[Option]:
-    """Yield the hidden option that refuses the former name of `option`, of which it would be an abbreviation."""
+    """Yield a hidden option that refuses the former name of `option`, which would else pass as its abbreviation."""
     for name, (new_name, factor) in FORMER_UNITS.items():
         if option.dest == new_name:
 

@@ -132,7 +132,7 @@ def monitor_command(args: argparse.Namespace, settings: MonitorSettings) -> list
 
 
 def visualization_command(settings: MonitorSettings) -> list[str]:
-    """Return the command that draws the robot of `settings`, so that the recording can be seen in 3-D."""
+    """Return the command that publishes markers of the robot, so that a viewer can show the recording in 3-D."""
     names = {key: list(getattr(settings, key)) or None for key in ("contact_points", "joint_map", "joint_names")}
     return ["visualization", *node_arguments(None, {"robot": str(settings.robot_path), **names}, SIM_TIME)]
 
@@ -143,7 +143,7 @@ def record_command(args: argparse.Namespace) -> list[str]:
 
 
 def recorded_line(recorded: dict[str, Any]) -> str:
-    """Return how many messages a `recording` has, how many were lost of which topics, and where it is."""
+    """Return one line about a recording: messages, losses by topic, and its path."""
     losses = [(name, sum(topic["lost"].values())) for name, topic in recorded["topics"].items()]
     of = ", ".join(f"{count} of {name}" for name, count in losses if count)
     lost = f"{recorded['lost']} lost{f' ({of})' * bool(of)}"
@@ -151,7 +151,7 @@ def recorded_line(recorded: dict[str, Any]) -> str:
 
 
 def dashboard_command(args: argparse.Namespace) -> tuple[list[str], str]:
-    """Return the command of the dashboard, empty if it cannot run or nobody would see it, and what to print."""
+    """Return the command of the dashboard and its address, or no command and the reason."""
     if not dashboard.is_installed():
         return [], dashboard.MISSING
     if not (dashboard.has_display() or sys.stdout.isatty()):

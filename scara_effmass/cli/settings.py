@@ -23,19 +23,19 @@ def monitor_settings(
 ) -> MonitorSettings:
     """Return the monitor's settings: those of --params, overridden by the other options and by `overrides`.
 
-    A parameter file for the nodes `others` alone leaves the defaults. Raises SettingsError.
+    A parameter file with sections of the nodes `others` only leaves the defaults. Raises SettingsError.
     """
     settings = load_settings(MonitorSettings, args.params, "monitor", others) if args.params else MonitorSettings()
     return override(settings, {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | overrides)
 
 
 def selected(args: argparse.Namespace, *groups: str) -> dict[str, Any]:
-    """Return the values of the options in `groups` by the setting that each of them sets."""
+    """Return the values of the options in `groups` by the name of the setting."""
     return {option.dest: getattr(args, option.dest) for option in options_of(*groups)}
 
 
 def override(settings: Settings, chosen: dict[str, Any]) -> Settings:
-    """Return `settings` with those `chosen` that are not None. Raises SettingsError."""
+    """Return `settings` changed to the `chosen` values that are not None. Raises SettingsError."""
     changes = {name: value for name, value in chosen.items() if value is not None}
     return checked(type(settings), {**settings.model_dump(), **changes}, "options")
 
@@ -49,7 +49,7 @@ def load_dynamics(settings: MonitorSettings) -> RobotDynamics:
 
 
 def require_no_payload_topic(settings: MonitorSettings, purpose: str) -> None:
-    """Raise SettingsError if the payload comes by topic; `purpose` is what needs to know it beforehand."""
+    """Raise SettingsError if the payload comes by topic, because `purpose` needs it beforehand."""
     if settings.payload_topic:
         rule = f"must be empty for {purpose}: give --payload-topic ''"
         raise SettingsError(f"payload_topic = {settings.payload_topic!r}: {rule}")

@@ -42,14 +42,14 @@ class Run(Protocol):
     def __call__(
         self, function: Callable[[Task, Advance], Result], tasks: Sequence[Task]
     ) -> Iterator[Result | EffmassError]:
-        """Yield the results of `function` in the order of `tasks`; of a bad task its error."""
+        """Yield the result of `function` for each task in order, or the error that it raised."""
 
 
 @contextmanager
 def open_run(args: argparse.Namespace, name: str, *, is_small: bool = False) -> Iterator[Run]:
-    """Give what runs the tasks of a command, to be used in a `with`; `name` is what the progress bar counts.
+    """Give a function that runs the tasks of a command; `name` is what the progress bar counts. Use it in a `with`.
 
-    One task, small work without --jobs, and --jobs 1 run in this process, which starts no workers. Function, tasks and
+    A single task, small work without --jobs, and --jobs 1 run in this process, without workers. Function, tasks and
     results must be picklable. Running raises SettingsError where the scheduler does not answer, has no worker or runs
     another version.
     """
@@ -94,9 +94,9 @@ def sound(
     errors: list[str],
     kind: type[EffmassError] = BagError,
 ) -> Iterator[tuple[Task, Result]]:
-    """Yield each task with its result, and add the errors of a `kind`, by default of bad recordings, to `errors`.
+    """Yield each task that succeeded with its result, and append errors of `kind` (bad recordings) to `errors`.
 
-    Raises an error of this kind if all are bad, and what is wrong with more than a task.
+    Raises an error of `kind` if all tasks have one, and any other error at once.
     """
     for task, outcome in zip(tasks, outcomes, strict=True):
         if isinstance(outcome, kind):
@@ -124,7 +124,7 @@ def _submitted(
     tasks: Sequence[Task],
     advance: Advance,
 ) -> Iterator[Any]:
-    """Yield the results of `client` in order. Each thread has one task: if it dies, no other task is blamed."""
+    """Yield the results of `client` in order. Each thread has one task, so that its death is blamed on no other."""
     from distributed import wait  # noqa: PLC0415 - takes a second, as every import of Dask
 
     waiting, pending, finished = iter(enumerate(tasks)), dict[Any, tuple[int, Task]](), dict[int, Any]()

@@ -44,14 +44,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def validated(args: argparse.Namespace, settings: ValidationSettings) -> Validation:
-    """Validate the recordings of `args` as one series. Raises EffmassError, which names all recordings that are bad."""
+    """Validate the recordings of `args` as one series. Raises EffmassError that names every bad recording."""
     paths = _recordings(args)
     force_of = dict(zip(paths, settings.force_from, strict=False))
     unreadable: list[str] = []
     with open_run(args, "recordings", is_small=sum(map(bag_bytes, paths)) < SMALL_BYTES) as run_tasks:
         outcomes = run_tasks(partial(_validated, settings, force_of), paths)
         parts = [part for _, part in sound(paths, outcomes, unreadable)]
-    if unreadable:  # a series without them is another one
+    if unreadable:  # the verdict on the others alone would be that on another series
         raise BagError("; ".join(unreadable))
     return joined(parts, settings)
 

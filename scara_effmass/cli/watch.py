@@ -61,14 +61,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) -> RenderableType:
-    """Return the picture of `status` for a terminal of `width` columns and `height` rows."""
+    """Return the screen of `status` for a terminal of `width` columns and `height` rows."""
     verdict, style = status.verdict, _STYLES[status.verdict]
     is_unknown = verdict is Verdict.UNKNOWN
     rows = max((height - 10) // 2, 5)
     seconds = (now_ns - status.verdict_since_ns) / 1e9
     point = f" at {status.contact_point}" * bool(status.contact_point and verdict is not Verdict.OK)
     simulated = f"SIMULATED: {', '.join(status.simulated)}" * bool(status.simulated)
-    # A clock that stands still shows a display that does.
+    # The clock shows whether the display still updates.
     header = Table.grid(expand=True)
     header.add_column(justify="left")
     header.add_column(justify="center")

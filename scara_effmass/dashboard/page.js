@@ -1,4 +1,4 @@
-// Hides what the server said last when it says nothing more: the page must never keep an old OK.
+// Hides the last verdict when the server falls silent: the page must never keep an old OK.
 let beat = "", beatAt = 0;
 function checkBeat() {
   const text = document.getElementById("beat")?.textContent ?? "";

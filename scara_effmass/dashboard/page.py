@@ -5,7 +5,7 @@ import csv
 import io
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
 from html import escape
@@ -108,7 +108,7 @@ class Page:
                 self._reason = ui.label().classes("reason")
                 self._remedy = ui.label().classes("remedy")
             self._now = _html("", "now")
-        # Shown by page.js while the server says nothing.
+        # page.js shows this while the server is silent.
         with ui.element("section").classes("verdict gone UNKNOWN").props('aria-label="Verdict without connection"'):
             _html(_icon(Verdict.UNKNOWN))
             with ui.element("div"):
@@ -118,7 +118,7 @@ class Page:
     def _refresh(self) -> None:
         """Show verdict, speeds and pose."""
         now_ns = time.monotonic_ns()
-        status = self._client.poll()  # first what has arrived, so that a late page is no silent monitor
+        status = self._client.poll()  # else a delay of this page would count as silence of the monitor
         verdict = status.verdict
         if self._word.text != verdict.name:
             self._panel.classes(remove=" ".join(Verdict.__members__), add=verdict.name)
@@ -198,7 +198,7 @@ def csv_of(client: CellClient) -> str:
             for at_ns in (episode.start_ns, episode.end_ns)
         )
         duration = "" if episode.end_ns is None else f"{(episode.end_ns - episode.start_ns) / 1e9:.3f}"
-        # A leading apostrophe keeps a spreadsheet from computing a text of a message.
+        # A leading apostrophe keeps a spreadsheet from evaluating the text of a message.
         cause = f"'{episode.cause}" if episode.cause.startswith(("=", "+", "-", "@")) else episode.cause
         writer.writerow(
             [episode.verdict.name, start, end, duration, episode.contact_point, cause, " and ".join(episode.simulated)]
@@ -237,9 +237,6 @@ def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
     """Return a table with a column for each contact point."""
     contacts = list(status.contacts.values()) if status.verdict is not Verdict.UNKNOWN else []
 
-    def row(title: str, values: Iterable[str]) -> list[str]:
-        return [title, *values]
-
     def mass(value: float) -> str:
         return "none" if math.isnan(value) else f"{value:.2f} kg"
 
@@ -247,15 +244,15 @@ def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
         return f"{contact.mass_model}, {mass(contact.effective_mass)}"
 
     rows = [
-        row("verdict", (contact.verdict.name for contact in contacts)),
-        row("speed", (f"{contact.speed:.3f} m/s" for contact in contacts)),
-        row("allowable speed", (f"{contact.allowable_speed:.3f} m/s" for contact in contacts)),
-        row("effective mass, lumped", (mass(contact.lumped_mass) for contact in contacts)),
-        row("effective mass, full", (mass(contact.full_mass) for contact in contacts)),
-        row("effective mass, ISO", (mass(contact.iso_mass) for contact in contacts)),
-        row("deciding mass", map(decides, contacts)),
-        row("upper bound of force", (f"{contact.force_bound:.0f} N" for contact in contacts)),
-        row("limit", (f"{contact.body_region.replace('_', ' ')}, {contact.criterion}" for contact in contacts)),
+        ["verdict", *(contact.verdict.name for contact in contacts)],
+        ["speed", *(f"{contact.speed:.3f} m/s" for contact in contacts)],
+        ["allowable speed", *(f"{contact.allowable_speed:.3f} m/s" for contact in contacts)],
+        ["effective mass, lumped", *(mass(contact.lumped_mass) for contact in contacts)],
+        ["effective mass, full", *(mass(contact.full_mass) for contact in contacts)],
+        ["effective mass, ISO", *(mass(contact.iso_mass) for contact in contacts)],
+        ["deciding mass", *map(decides, contacts)],
+        ["upper bound of force", *(f"{contact.force_bound:.0f} N" for contact in contacts)],
+        ["limit", *(f"{contact.body_region.replace('_', ' ')}, {contact.criterion}" for contact in contacts)],
     ]
     headings = ["along the velocity", *(contact.contact_point for contact in contacts)]
     return headings, rows if contacts else [], "no valid contact state"

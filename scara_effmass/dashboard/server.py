@@ -26,7 +26,7 @@ _LOCAL_NAMES = {"localhost", "127.0.0.1", "::1"}
 
 
 class Guard:
-    """ASGI application that passes on requests and websockets of this page only, and with a token only its holders."""
+    """ASGI application that passes on requests and websockets of this page; with a token, only those that have it."""
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         """Guard `app`; without a `token`, requests must name this machine, as pages of other sites cannot."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Client of ROS topics: a plain node with its own context and executor, which handles events only when told to."""
+"""Client of ROS topics: a plain node with its own context and executor, which handles events only while it spins."""
 
 import signal
 import threading
@@ -39,8 +39,8 @@ def spin_for(executor: Executor, seconds: float, done: Callable[[], bool] = bool
 class ClientNode:
     """Plain node with its own ROS context and executor, all in the calling thread. Use it in a `with`.
 
-    In the main thread, SIGINT and SIGTERM are collected in `signals` instead of being handled: the executor would log
-    an exception in a callback as an error of the node. The node has no services and no log topic.
+    In the main thread, SIGINT and SIGTERM are collected in `signals` and not handled: the executor would log an
+    exception that a handler raises in a callback. The node has no services and no log topic.
     """
 
     def __init__(self, name: str, parameters: Sequence[Parameter] = (), arguments: Sequence[str] = ()) -> None:

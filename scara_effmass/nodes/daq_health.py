@@ -21,7 +21,7 @@ _LEVELS = {
 
 
 def impact_text(impact: Impact) -> str:
-    """Return one line on an impact: peak, duration, impulse, and what is wrong with it."""
+    """Return one line about an impact: peak, duration, impulse, and its flaws."""
     flags = {"clipped": impact.clipped, "incomplete": impact.incomplete}
     wrong = "".join(f", {name}" for name, is_set in flags.items() if is_set)
     size = f"peak {impact.peak_force:.1f} N, {1e3 * impact.duration:.2f} ms, {impact.impulse:.3g} N s{wrong}"

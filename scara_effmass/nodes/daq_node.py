@@ -37,7 +37,7 @@ _NS = 1_000_000_000
 _IMPACT_INTERVAL_S = 0.05
 """Time between two impacts: a burst of rebounds would push their primary impact out of a queue of 10."""
 _IMPACTS_PER_INTERVAL = 40
-"""Waiting impacts for each further impact per interval, so that a long rattle is soon published."""
+"""One more impact is published per interval for so many that wait, so that the queue of a long rattle drains."""
 
 
 class NodeSettings(parameters.NodeParameters, DaqSettings):
@@ -157,7 +157,7 @@ class DaqNode(LifecycleBase):
             return
         for reading in acquisition.take():
             channels = list(zip(self._outputs, self._signal.blocks(reading), strict=True))
-            # Separate loops: each step is twice as fast right after the same step of another channel.
+            # Separate loops: a step takes half the time right after the same step of another channel.
             for output, blocks in channels:
                 output.publish(blocks)
             for output, blocks in channels:
@@ -192,7 +192,7 @@ class DaqNode(LifecycleBase):
                 self._diagnostics.log.event(impact_text(impact))
 
     def _log_interruption(self) -> None:
-        """Log that the samples have stopped, or come again."""
+        """Log that the samples have stopped or resumed."""
         if self._acquisition is not None:
             statistics = self._acquisition.statistics()
             lost = statistics.samples_lost + statistics.samples_dropped

@@ -24,8 +24,8 @@ class Diagnostics:
     ) -> None:
         """Publish what `statuses` returns, unless it is empty, while `node` is configured.
 
-        The name of each status is preceded by that of the node with its namespace, so that it is unique. While the node
-        is active, a line each `status_period_s` [s] sums them up; 0: none.
+        The full name of the node precedes the name of each status, which makes it unique. While the node is active, it
+        logs a summary every `status_period_s` [s]; 0: never.
         """
         self._node = node
         self._statuses = statuses
@@ -55,7 +55,7 @@ class Diagnostics:
 
 
 def no_publisher(node: Node, topic: str, type_name: str) -> str:
-    """Return a warning if `topic` has no publisher, and a remapping to one of its type that has; else ""."""
+    """Return a warning if `topic` has no publisher, with a remapping to a published topic of its type; else ""."""
     name = node.resolve_topic_name(topic)
     if node.count_publishers(name):
         return ""

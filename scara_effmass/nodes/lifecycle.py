@@ -54,18 +54,18 @@ Entity = TypeVar("Entity")
 
 RCLError = rclpy_implementation.RCLError
 REFUSALS = (RCLError, ParameterException, NameValidationException)
-"""Of ROS for names, and for parameters that it declares itself."""
+"""Errors of ROS about names, and about parameters that it declares itself."""
 
 _SPIN_S = 1e6
 """Timeout of each spin [s]: without one, EventsExecutor.spin() keeps a core busy in rclpy 7.1."""
 _ROSOUT_WAIT_S = 2.0
 _ROSOUT_ACK_S = 5.0
-"""Fast DDS sends again after 3 s what a subscriber missed."""
+"""Fast DDS repeats after 3 s what a subscriber missed."""
 _SETTLE_S = 0.2
 """Time for a subscriber to discover a publisher that has discovered it."""
 _POLL_S = 0.01
 _STDERR_WAIT_S = 1.0
-"""Time at the end for a terminal to take what was logged."""
+"""Time for which the end of the process waits until the terminal has printed the log."""
 _PUBLISHER_OVERRIDES = (
     *(QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DEADLINE),
     *(QoSPolicyKind.LIFESPAN, QoSPolicyKind.LIVELINESS, QoSPolicyKind.LIVELINESS_LEASE_DURATION),
@@ -387,9 +387,9 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
 
 
 class _Spin:
-    """Spinning of an executor, which another thread can end.
+    """Spins an executor until another thread ends it.
 
-    The context stays valid meanwhile: EventsExecutor crashes if it ends while the executor takes in its entities.
+    The context stays valid meanwhile: EventsExecutor crashes if it ends while the executor collects its entities.
     """
 
     def __init__(self) -> None:
@@ -405,7 +405,7 @@ class _Spin:
             executor.spin_until_future_complete(self._end, timeout_sec=_SPIN_S)
 
     def end(self) -> None:
-        """End `run`; before it, shut the context down, which ends the start of the node."""
+        """End `run`. If it has not begun, shut the context down, which ends the start of the node."""
         with self._lock:
             if self._has_begun:
                 self._end.set_result(None)
@@ -415,9 +415,9 @@ class _Spin:
 
 @contextmanager
 def _stderr_that_never_blocks() -> Iterator[int]:
-    """Pass stderr on in a thread and give its descriptor; what a terminal that stands still (Ctrl-S) misses is lost.
+    """Pass stderr on in a thread and give its descriptor. While a terminal stands still (Ctrl-S), output is lost.
 
-    rclpy holds the interpreter while it logs, so every thread of the node would wait for that terminal.
+    rclpy holds the interpreter while it logs, so every thread of the node would otherwise wait for that terminal.
     """
     open_standard_streams()
     reader, writer = os.pipe()

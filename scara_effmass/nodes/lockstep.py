@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flow control at rate 0: the next joint state is sent when the monitor has answered the previous one.
 
-The monitor's queue then never holds more than one joint state, nothing is dropped, and its clock equals that of the
-recording, however slow it is. A joint state of another device gets no answer: after a few timeouts, joint states with
-the same names are sent without waiting.
+The monitor's queue then never holds more than one joint state. Nothing is dropped, and the clock of the monitor equals
+that of the recording, however slow the monitor is. Joint states of another device get no answer: after a few timeouts,
+those with the same names are sent without waiting.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ def monitor_statuses(
     changes: Mapping[str, int],
     joint_states: DiagnosticStatus,
 ) -> list[DiagnosticStatus]:
-    """Return the statuses of one report, with the `changes` of the verdict by contact point and that of the input."""
+    """Return the statuses of one report; `changes` counts those of the verdict by contact point."""
     statuses = [joint_states]
     if monitor is not None:
         statuses.append(_model_status(monitor))
@@ -102,10 +102,7 @@ def input_status(
     incompatible_qos: Collection[str],
     latencies: Latencies,
 ) -> DiagnosticStatus:
-    """Return the status of the joint states.
-
-    `unheard` says that there is no publisher.
-    """
+    """Return the status of the joint states; `unheard` is a warning that they have no publisher."""
     incompatible = "; ".join(sorted(incompatible_qos))
     problem = incompatible or unheard
     if publishers > 1:

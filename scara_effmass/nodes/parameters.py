@@ -112,7 +112,7 @@ def on_parameters_changed(
 
 
 def _shared_names(node: str) -> set[str]:
-    """Return the names that parameter files state under `/**`, and neither they for `node` nor its arguments do."""
+    """Return the names that parameter files state under `/**` and nothing states for `node` itself."""
     shared, own = set[str](), set[str]()
     for option, value in pairwise(ARGUMENTS.get()):
         if option in {"-p", "--param"}:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real-time scheduling of the process and locking of its memory, where the machine allows them."""
+"""Real-time scheduling and locked memory for this process, where the machine permits them."""
 
 import ctypes
 import os
@@ -7,7 +7,7 @@ import resource
 from pathlib import Path
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-"""Flags of mlockall(2). On fault: else each thread would lock its whole stack of 8 MB."""
+"""Flags of mlockall(2). Without the last one each thread would lock its whole stack of 8 MB."""
 
 
 def use_realtime(priority: int) -> str:

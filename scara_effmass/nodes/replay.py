@@ -32,7 +32,7 @@ CLOCK_STEP_NS = 10_000_000
 LATE_NS = 10_000_000
 SETTLING_NS = 300_000_000
 MAX_SETTLING_NS = 3_000_000_000
-"""Limits of the wait for subscribers that do not report their readiness; it is else as long as discovery took."""
+"""Limits of the wait for subscribers that do not report their readiness. Between them it lasts as long as discovery."""
 _ACKNOWLEDGEMENT_NS = 10_000_000_000
 _ACKNOWLEDGEMENT_STEP_NS = 100_000_000
 _HANDSHAKE_STEP_NS = 50_000_000
@@ -58,7 +58,7 @@ class ReplayOptions:
     joint_state_topic: str = ""
     """Topic that is published as joint_states; empty: every topic keeps its name."""
     ros_arguments: tuple[str, ...] = ()
-    """In the namespace that they state, every topic is published below it."""
+    """A namespace that they state is put in front of every topic."""
     subscribers: int = 1
     """Minimum number of subscribers of the joint states, or of any topic without joint states, before the start."""
     ready_timeout_s: float = 30.0

@@ -24,9 +24,9 @@ NODE_OUTPUTS = {
 }
 """Outputs of the live nodes, in any namespace, which are replayed only on request. `daq_node` plays recorded force."""
 SHARED = {"/tf", "/tf_static", wire_topics.DIAGNOSTICS}
-"""Topics that no namespace changes."""
+"""Topics that keep their names in every namespace."""
 LATCHED = {"recording_info", "tf_static", wire_topics.ROBOT_DESCRIPTION, wire_topics.RUN_INFO}
-"""Topics whose last messages a late subscriber receives, and so all payloads; recording_info is RunInfo in old bags."""
+"""Topics whose last message late subscribers receive, as with all payloads. recording_info is RunInfo in old bags."""
 
 
 def in_namespace(node: Node, topic: str) -> str:

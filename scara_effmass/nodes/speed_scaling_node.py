@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`speed_scaling_node`: slow a trajectory controller down to the allowable speed, and stop it without a valid verdict.
 
-A process of its own, so that it outlives the monitor and then sends 0.
+It runs in a process of its own: when the monitor ends, it still sends 0.
 """
 
 import threading

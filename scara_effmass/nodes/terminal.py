@@ -13,9 +13,9 @@ from rclpy.node import Node
 from scara_effmass.safety.remedies import remedy
 
 CHANGES = "changes of the verdict"
-"""Key of the number of changes in a status; the log shows the first one, and says how many it left out."""
+"""Key of the number of changes in a status. The log shows the first change and counts those that it leaves out."""
 REMEDY = "; remedy: "
-"""What divides the message of a status from what to do about it, which the status line omits."""
+"""Separates the message of a status from its remedy, which the status line leaves out."""
 _STATUS_WIDTH = 80
 _MIN_INTERVAL_S = 1.0
 _MAX_EVENTS = 10
@@ -43,7 +43,7 @@ class NodeLog:
         self._second = 0
 
     def update(self, statuses: Iterable[DiagnosticStatus]) -> None:
-        """Log each status whose level or kind of problem changed: one line per second, and at once a worse verdict.
+        """Log each status whose level or kind of problem changed: at most one line per second, a worse verdict at once.
 
         Their names are those on /diagnostics, "/node: name".
         """

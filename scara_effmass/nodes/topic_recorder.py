@@ -47,10 +47,10 @@ class TopicRecorder:
         parents: Collection[str] = (),
         count_lost: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Record `topics` and all topics below `parents`, in full names; no topics: all that are not hidden.
+        """Record `topics` and all topics below `parents`, by their full names; without topics, all that are not hidden.
 
-        `count_lost` gets the index of a topic and the number of messages that the middleware reports as lost. Who can
-        do without leaves it out: taking that event can lock the process (see `LifecycleBase`).
+        `count_lost` gets the index of a topic and the number of messages that the middleware reports as lost. Leave it
+        out unless you need that number: taking the event can lock the process (see `LifecycleBase`).
         """
         self.refused: dict[str, str] = {}
         """Topics that are not recorded, or not from all publishers, and why."""

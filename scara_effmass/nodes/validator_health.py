@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostics of the validation: state of the series, and impacts and messages that are not part of it."""
+"""Diagnostics of the validation: the series, and the impacts and messages left out of it."""
 
 from collections import Counter
 from collections.abc import Collection, Mapping
@@ -12,7 +12,7 @@ from scara_effmass.values import ValidatedImpact
 
 
 def impact_text(impact: ValidatedImpact) -> str:
-    """Return one line on an impact: its peak, the predicted one, and the limit of the body region."""
+    """Return one line about an impact: measured and predicted peak, and the limit of the body region."""
     simulated = "simulated impact" if impact.simulated else "impact"
     force = (
         f"peak {impact.measured_force:.1f} N, predicted {impact.predicted_force:.1f} N ({impact.relative_error:+.1%})"

@@ -40,12 +40,12 @@ Received = deque[tuple[bytes, int, int]]
 _NO_ROBOT_FRAME = "base_link"
 _LIFETIME_PERIODS = 5
 _JOINT_STATES = 8
-"""Joint states kept, for those of other devices on the topic."""
+"""Joint states kept: the latest one may belong to another device."""
 _CONTACT_STATES = 256
 
 
 class NodeSettings(parameters.NodeParameters, MonitorSettings):
-    """Settings of the monitor, of which those of the robot and `timeout` count, and of the node."""
+    """Settings of the node and of the monitor. Of the latter, only those of the robot and `timeout` have an effect."""
 
     rate: float = fixed(20.0, "number of marker arrays per second [Hz]", ge=0.5, le=100.0)
     ellipsoid_scale: float = tunable(

@@ -18,9 +18,9 @@ from scara_effmass.values import ContactAssessment, FloatArray, ForceBlock, Impa
 
 HISTORY_NS = 60_000_000_000
 BIN_NS = 50_000_000
-"""Width of the intervals of the history, each of which keeps its worst sample."""
+"""Bin width of the history [ns]; each bin keeps its worst sample."""
 DEFAULT_TIMEOUT_NS = 400_000_000
-"""Deadline of a monitor with default settings."""
+"""Deadline that a monitor with default settings offers [ns]."""
 MAX_EPISODES = 1000
 MAX_IMPACTS = 20
 MAX_VALIDATIONS = 500
@@ -28,7 +28,7 @@ FORCE_BUFFER_NS = 5_000_000_000
 TRACE_BEFORE_NS, TRACE_AFTER_NS = 2_000_000, 6_000_000
 """Force shown before the onset and after the end of an impact."""
 _LOST_FORCE_NS = 2_000_000_000
-"""Time to wait for the force of an impact."""
+"""Longest wait for the force of an impact [ns]."""
 _NO_STATE = "no contact state yet"
 
 
@@ -43,9 +43,9 @@ class SpeedSample(NamedTuple):
 
 @dataclass
 class Episode:
-    """Time in which the cell was not OK without a change of its verdict; `end_ns` is None while it lasts.
+    """Period with one verdict other than OK; contact point and cause are those at its start.
 
-    `simulated` is that of the cell during the episode, as `CellStatus.simulated`.
+    `end_ns` is None while it lasts. `simulated` is `CellStatus.simulated` during the episode.
     """
 
     verdict: Verdict
@@ -79,7 +79,7 @@ class Validation:
 class ImpactRecord:
     """A primary impact with its rebounds, its validation and the force around it, at most 400 samples.
 
-    `time_s` [s] counts from the onset, `force` [N] is empty until all of it has arrived.
+    `time_s` [s] counts from the onset. `force` [N] is empty until it has arrived completely.
     """
 
     impact: Impact
@@ -131,7 +131,7 @@ class CellStatus:
 
     @property
     def simulated(self) -> list[str]:
-        """What is simulated, among "robot" and "force"; empty: nothing says so."""
+        """Parts that are reported as simulated, of "robot" and "force"."""
         force = [block.simulated for block in self._force] + [record.impact.simulated for record in self.impacts]
         robot = self.run_info is not None and self.run_info.simulated
         return [name for name, simulated in (("robot", robot), ("force", any(force))) if simulated]
@@ -220,7 +220,7 @@ class CellStatus:
             value if verdict is not Verdict.UNKNOWN and now_ns - at_ns <= self.timeout_ns else 0.0
             for value, at_ns in (self._scalars.get(name, (0.0, 0)) for name in ("allowable_speed", "speed_scaling"))
         )
-        if self.episodes and self.episodes[-1].end_ns is None:  # it may have begun before anything said so
+        if self.episodes and self.episodes[-1].end_ns is None:  # which may have begun before the report of a simulation
             self.episodes[-1].simulated = self.simulated or self.episodes[-1].simulated
         for record in self.impacts:
             if not len(record.force) and now_ns - record.at_ns < _LOST_FORCE_NS:
@@ -245,7 +245,7 @@ class CellStatus:
         self._arrived_ns.clear()
 
     def _cut_trace(self, record: ImpactRecord) -> None:
-        """Copy the force around an impact, once all of it has arrived."""
+        """Copy the force around an impact once it has arrived completely."""
         start_ns = record.impact.stamp_ns - TRACE_BEFORE_NS
         end_ns = record.impact.stamp_ns + round(record.impact.duration * 1e9) + TRACE_AFTER_NS
         times, forces = [], []
@@ -259,7 +259,7 @@ class CellStatus:
             if len(stamps_ns) and stamps_ns[-1] >= end_ns:
                 time_s = (np.concatenate(times) - record.impact.stamp_ns) / 1e9
                 force = np.concatenate(forces)
-                # Of each group the largest sample, so that the peak stays.
+                # Keep the largest sample of each group, and so the peak.
                 step = max(1, math.ceil(len(force) / 400))
                 kept = [at + int(force[at : at + step].argmax()) for at in range(0, len(force), step)]
                 record.time_s, record.force = time_s[kept], force[kept]
