@@ -281,7 +281,7 @@ def _parallel_axes(drawn: _DrawnLink) -> LumpedLink:
         middle = _dot(linear, linear) + 2.0 * _dot(rest, square)
         slope = 2.0 * _dot(square, square), 3.0 * _dot(square, linear), middle, _dot(rest, linear)
         size = length + FIT_REACH * _gyration(body)
-        spread = _minimum(slope, lambda d: np.linalg.norm((square * d + linear) * d + rest), 0.0, -size, size)
+        spread = _minimum(slope, lambda d: np.linalg.norm((square * d + linear) * d + rest), -size, size)
     height1, height2 = height - kappa2 * spread, height + (1.0 - kappa2) * spread
     signed = height2 * float(np.sign(axis @ distal))
     points = _vector(height1 * axis), _vector(normal + height2 * axis)
@@ -320,8 +320,7 @@ def _crossed_axes(drawn: _DrawnLink) -> LumpedLink:
         slope = _dot(linear, linear), _dot(rest, linear), 0.0, -_dot(rest, inverse), -_dot(inverse, inverse)
         reach = total + FIT_REACH * _gyration(body)
         high, low = reach / max(abs(first), 1e-9 * reach), max(abs(second), 1e-9 * reach) / reach
-        ratio = kappa2 / (1.0 - kappa2) if kappa2 < 1.0 else high
-        ratio = _minimum(slope, lambda t: np.linalg.norm(linear * t + inverse / t + rest), ratio, low, high)
+        ratio = _minimum(slope, lambda t: np.linalg.norm(linear * t + inverse / t + rest), low, high)
         kappa2 = ratio / (1.0 + ratio)
     height1 = first / (1.0 - kappa2) if kappa2 < 1.0 else 0.0
     height2 = second / kappa2 if kappa2 > 0.0 else 0.0
@@ -336,12 +335,10 @@ def _along(vector: FloatArray, axis: FloatArray, distal: FloatArray) -> tuple[fl
     return (along - cosine * along_distal) / square, (along_distal - cosine * along) / square
 
 
-def _minimum(
-    slope: Sequence[float], error: Callable[[float], np.floating[Any]], default: float, low: float, high: float
-) -> float:
-    """Return where `error` is smallest: a real root of the polynomial `slope`, or `default`, from `low` to `high`."""
+def _minimum(slope: Sequence[float], error: Callable[[float], np.floating[Any]], low: float, high: float) -> float:
+    """Return where `error` is smallest from `low` to `high`: at an end, or at a real root of the polynomial `slope`."""
     roots = [float(root.real) for root in np.roots(slope) if abs(root.imag) <= 1e-9 * (1.0 + abs(root))]
-    return min([min(max(root, low), high) for root in (default, *roots)], key=error)
+    return min([min(max(root, low), high) for root in (*roots, low, high)], key=error)
 
 
 def _gyration(body: pin.Inertia) -> float:
