@@ -354,9 +354,12 @@ def _renames(entries: tuple[str, ...]) -> list[tuple[re.Pattern[str], str]]:
 
 
 def _limits(entries: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    limits = {}
+    limits: dict[str, tuple[float, float]] = {}
     for entry in entries:
         joint, _, numbers = entry.partition("=")
+        joint = joint.strip()
+        if joint in limits:
+            raise ValueError(f"{entry!r}: must state the limits of {joint} once")
         try:
             lower, upper = map(float, numbers.split())
         except ValueError:
