@@ -213,3 +213,23 @@ def test_status_that_flaps_gives_a_line_a_second_and_a_worse_verdict_one_at_once
     assert len(contact) <= 21
     shown = sum(int(line.partition("(")[2].partition(" ")[0] or 1) for line in contact)
     assert shown >= 90
+
+
+def test_contact_points_with_different_verdicts_have_lines_of_their_own(clock: list[float]) -> None:
+    node: Any = Logger()
+    log = NodeLog(node)
+    levels = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN, "UNKNOWN": DiagnosticStatus.ERROR}
+
+    def statuses(number: int, **verdicts: str) -> list[DiagnosticStatus]:
+        return [
+            status(f"/n: contact {name}", verdict, {CHANGES: number}, level=levels[verdict])
+            for name, verdict in verdicts.items()
+        ]
+
+    log.update(statuses(1, elbow="OK", tool="WARN", rim="OK"))
+    assert node.lines == ["contact elbow, contact rim: OK", "contact tool: WARN"]
+    clock[0] += 0.1
+    log.update([*statuses(2, elbow="UNKNOWN"), *statuses(1, tool="WARN", rim="OK")])
+    assert node.lines[2:] == ["contact elbow: UNKNOWN"]
+    log.status_line(statuses(2, elbow="OK", tool="WARN", rim="OK"))
+    assert node.lines[3:] == ["contact elbow, contact rim: OK; contact tool: WARN"]
