@@ -55,6 +55,18 @@ def test_contact_ends_before_the_first_sample_of_the_next_one() -> None:
     assert (first.end, second.first) == (28.0, 29)
 
 
+@pytest.mark.parametrize(("below", "complete"), [(5, [False, True]), (30, [True, True])])
+def test_force_below_the_baseline_before_a_contact_is_a_released_load_unless_another_contact_rings(
+    below: int, complete: list[bool]
+) -> None:
+    baseline = Baseline(DetectionSettings(), [Frame(noise(FRAME)) for _ in range(BASELINE_FRAMES)])
+    force = np.zeros(60)
+    force[below : below + 4] = -8.0
+    force[20:25] = force[45:50] = [20.0, 60.0, 80.0, 60.0, 20.0]
+    contacts = classify(force, np.zeros(60, dtype=np.bool_), baseline, 4, 20).contacts
+    assert [contact.complete for contact in contacts] == complete
+
+
 def test_buffer_without_blocks_has_no_samples() -> None:
     assert SampleBuffer(100).samples(100, 110).size == 0
 
