@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's statements beside this project's results."""
+"""The paper's statements, compared with this project's results."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from scara_effmass.sim.motion import ElbowConfig
 
 ROUNDING_KG = 0.005
 EQUAL = 1e-9
-"""Relative rounding error between two ways to the same number."""
+"""Largest relative rounding error between two ways to compute the same number."""
 SEARCH_STEPS = 721
 QUILL_M = (0.0, 0.236, 0.45)
 MIN_CORRELATION = 0.99
@@ -48,7 +48,7 @@ MIN_CORRELATION = 0.99
 
 
 class Basis(Enum):
-    """How much an agreement proves; the page explains it."""
+    """What an agreement proves; the page explains it."""
 
     GIVEN = "given"
     FITTED = "fitted"
@@ -67,8 +67,8 @@ class Outcome(Enum):
 class Claim:
     """A statement `paper` at `where` in the paper, our result `ours`, and the `rule` for a match.
 
-    A new claim is not checked; its methods return it compared with a result. NaN never matches. `value` [`unit`] is
-    the number in `ours`, None without one; `basis` is None where nothing was checked.
+    A new claim is not checked; its methods return a copy that is compared with a result. NaN never matches. `value`
+    [`unit`] is the number in `ours`, None without one; `basis` is None if nothing was checked.
     """
 
     key: str
@@ -83,20 +83,20 @@ class Claim:
     note: str = ""
 
     def near(self, value: float, expected: float, tolerance: float, unit: str = "", note: str = "") -> Claim:
-        """Compare: `value` is within `tolerance` of `expected`."""
+        """Return the claim, which matches if `value` is within `tolerance` of `expected`."""
         rule = f"within {_quantity(tolerance, unit)} of {_quantity(expected, unit)}"
         return self._compared(value, unit, rule, note, met=abs(value - expected) <= tolerance)
 
     def at_most(self, value: float, bound: float, unit: str = "", note: str = "") -> Claim:
-        """Compare: `value` does not exceed `bound`."""
+        """Return the claim, which matches if `value` does not exceed `bound`."""
         return self._compared(value, unit, f"at most {_quantity(bound, unit)}", note, met=value <= bound)
 
     def more_than(self, value: float, bound: float, unit: str = "", note: str = "") -> Claim:
-        """Compare: `value` exceeds `bound`."""
+        """Return the claim, which matches if `value` exceeds `bound`."""
         return self._compared(value, unit, f"more than {_quantity(bound, unit)}", note, met=value > bound)
 
     def holds(self, ours: str, rule: str, note: str = "", *, met: bool) -> Claim:
-        """Compare without a single number."""
+        """Return the claim with a result that is no single number; it matches if `met`."""
         return replace(self, ours=ours, rule=rule, note=note, outcome=Outcome.MATCH if met else Outcome.NO_MATCH)
 
     def not_checked(self, reason: str) -> Claim:
@@ -115,7 +115,7 @@ def _quantity(value: float, unit: str) -> str:
 def all_claims(
     dynamics: RobotDynamics, scara: Scara, shown_run: RecordedRun, runs: Sequence[RecordedRun]
 ) -> Iterator[Claim]:
-    """Yield all claims; those about the motion are compared with `shown_run`."""
+    """Yield all claims; claims about the motion are compared with `shown_run`."""
     yield from robot_claims(scara)
     yield from mass_claims(dynamics, scara)
     yield from reduced_mass_claims(scara)

@@ -12,7 +12,7 @@ from scara_effmass.paper.scara import Scara, equal_area_poses
 from scara_effmass.values import FloatArray
 
 FINE_GRID = 1500
-"""Values of each angle for the whole workspace: accurate to 1e-3 for shares and median, to 1e-3 kg for the mean."""
+"""Values of each angle for the whole workspace; shares and median are accurate to 1e-3, the mean to 1e-3 kg."""
 BIN_KG, FINE_BIN_KG, PEAK_BIN_KG = 0.2, 0.05, 0.1
 MAX_SHOWN_KG = 8.0
 
@@ -44,14 +44,14 @@ class MassDistribution(NamedTuple):
         return np.asarray(shares / (edges[1] - edges[0]))
 
 
-def sampled_distribution(scara: Scara, phi: float = 0.0) -> MassDistribution:
-    """Return the masses of the simplified model, right arm, at 2500 positions of equal area."""
-    mass = scara.lumped(*equal_area_poses(scara), phi)
+def sampled_distribution(scara: Scara) -> MassDistribution:
+    """Return the masses of the simplified model along x, right arm, at 2500 positions of equal area."""
+    mass = scara.lumped(*equal_area_poses(scara))
     return MassDistribution(mass, np.full(mass.size, 1.0 / mass.size))
 
 
 def workspace_distribution(scara: Scara, phi: float = 0.0) -> MassDistribution:
-    """Return the masses over the whole workspace, by quadrature over the angles."""
+    """Return the masses of the simplified model over the whole workspace, by quadrature over the angles."""
     centres = (np.arange(FINE_GRID) + 0.5) / FINE_GRID
     q1, q2 = np.meshgrid(scara.q1_max * (2.0 * centres - 1.0), scara.q2_max * centres, indexing="ij")
     area = np.sin(q2).ravel()  # dA = l1 l2 |sin q2| dq1 dq2

@@ -66,7 +66,7 @@ def _draw_curves(
     points: Sequence[Point],
     quantity: Callable[[Point, float], float | None],
 ) -> None:
-    """Draw `quantity`(point, mass) over the configurations, one curve per obstacle mass; None is left out."""
+    """Draw `quantity`(point, mass) over the configurations, one curve per obstacle mass; None is not drawn."""
     for mass, color, marker in reversed(list(zip(OBSTACLES_KG, CYCLE, MARKERS, strict=True))):
         values = [(i, value) for i, point in enumerate(points) if (value := quantity(point, mass)) is not None]
         if values:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All figures, the page and the claims: what they need, and how they are written, all or nothing."""
+"""Write all figures, the page and the claims, or nothing."""
 
 import json
 from collections.abc import Callable
@@ -34,7 +34,6 @@ from scara_effmass.paper.scara import ModelAgreement, compare_models, equal_area
 
 PAGE, CLAIMS = "index.html", "claims.json"
 
-
 DrawFigure = Callable[[FigureInputs], Figure]
 _DRAW = (
     *(figure_6, figure_7, figure_8, figure_9, figure_10, figure_11),
@@ -42,7 +41,7 @@ _DRAW = (
 )
 _CAPTIONS = read_table(__file__, "captions.yaml")
 FIGURES: dict[DrawFigure, str] = {draw: _CAPTIONS[draw.__name__] for draw in _DRAW}
-"""Captions by the functions that draw the figures, whose names are those of the files."""
+"""Captions by the functions that draw the figures; the files have the names of the functions."""
 STEPS = len(FIGURES) + 1
 """Number of calls of `advance` in `make_figure_set`."""
 
@@ -94,7 +93,7 @@ def make_figure_set(
         with mpl.rc_context(STYLE):
             figures.append(report_figure(name, name.replace("figure_", "Fig. "), caption, draw(inputs)))
         advance()
-    # Not on the joint grid: its stretched arm has no velocity along n.
+    # Not on the joint grid: with a stretched arm the tool cannot move along n.
     agreement = compare_models(inputs.dynamics, inputs.scara, *equal_area_poses(inputs.scara))
     claims = tuple(all_claims(inputs.dynamics, inputs.scara, inputs.shown_run, inputs.runs))
     figure_set = FigureSet(names, claims, agreement)

@@ -34,16 +34,16 @@ from scara_effmass.sim.motion import ElbowConfig
 from scara_effmass.values import FloatArray
 
 LIGHT_Q1, HEAVY_Q1 = math.radians(25.0), math.radians(-50.0)
-"""Of Fig. 7, chosen here: the text of the paper does not give the angles of its two poses."""
+"""Angles of the two poses in Fig. 7, chosen here: the text of the paper does not give them."""
 CIRCLES, RAYS = 200, 721
-"""Of Fig. 15: they resolve the edge where the reach of one arm ends."""
+"""Grid of Fig. 15, fine enough for the edge where the reach of one arm ends."""
 
 
 @dataclass(frozen=True, slots=True)
 class ColorScale:
-    """Contour levels [units of `label`]; `extend` tells at which ends values may lie beyond them.
+    """Contour levels in the unit of `label`; values may lie beyond the ends that `extend` names.
 
-    `iso_symbol` is the symbol of the standard's value, a red contour.
+    `iso_symbol` is the symbol of the standard's value, which is drawn as a red contour.
     """
 
     label: str
@@ -65,21 +65,23 @@ class ColorScale:
     def draw(
         self, axes: Axes, x: FloatArray, y: FloatArray, values: FloatArray, iso: float | None, level: int | None = None
     ) -> None:
-        """Draw the colours of `values` at (x, y), all (n, m), and the contour of `iso`; in 3D at the height `level`."""
+        """Draw the colours of `values` at (x, y), all (n, m), and the contour of `iso`; on 3D axes at the `level`."""
         values = self.clip(values)
-        place: tuple[dict[str, Any], ...] = ({}, {})
+        below: dict[str, Any] = {}
+        above: dict[str, Any] = {}
         if level is not None:
-            place = tuple({"zdir": "z", "offset": level, "zorder": 3 * level + above} for above in (0, 1))
-        bands = axes.contourf(x, y, values, levels=self.levels, norm=self.norm, extend=self.extend, **place[0])
+            below = {"zdir": "z", "offset": level, "zorder": 3 * level}
+            above = {"zdir": "z", "offset": level, "zorder": 3 * level + 1}
+        bands = axes.contourf(x, y, values, levels=self.levels, norm=self.norm, extend=self.extend, **below)
         if level is None:
             bands.set_edgecolor("face")  # no gaps between the bands
         if iso is not None:
             width, halo = (2.0, 3.6) if level is None else (1.8, 3.0)
-            lines = axes.contour(x, y, values, levels=[iso], colors=ISO_RED, linewidths=width, **place[1])
+            lines = axes.contour(x, y, values, levels=[iso], colors=ISO_RED, linewidths=width, **above)
             lines.set_path_effects([withStroke(linewidth=halo, foreground="white")])
 
-    def add_bar(self, figure: Figure, panels: Sequence[Axes], iso_text: str = "", **options: float) -> None:
-        """Draw the colour bar of `panels`, and a legend of the red contour with the value `iso_text`."""
+    def add_bar(self, figure: Figure, panels: Sequence[Axes], iso_text: str, **options: float) -> None:
+        """Draw the colour bar of `panels`, and a legend of the red contour with the value `iso_text` unless empty."""
         mappable = mpl.cm.ScalarMappable(self.norm, mpl.rcParams["image.cmap"])
         bar = figure.colorbar(mappable, ax=list(panels), ticks=self.ticks, label=self.label, **options)  # type: ignore[arg-type]
         bar.ax.minorticks_off()
@@ -204,7 +206,7 @@ def figure_14(inputs: FigureInputs) -> Figure:
 
 
 def figure_15(inputs: FigureInputs) -> Figure:
-    """Draw the smaller reduced mass of both arms, along x; where one arm reaches, that of this arm."""
+    """Draw the smaller reduced mass of both arms along x, or that of the only arm that reaches a position."""
     scara, grid = inputs.scara, polar_grid(inputs.scara, CIRCLES, RAYS)
     smaller = np.fmin(scara.lumped(*grid.right), scara.lumped(*grid.left))
     mu, iso = reduced_mass(smaller, SHOWN_OBSTACLE_KG), reduced_mass(scara.iso_mass, SHOWN_OBSTACLE_KG)
@@ -240,7 +242,7 @@ def _draw_workspace(
     iso: float | None,
     phi: float = ALONG_X,
 ) -> None:
-    """Draw the map, and the normal as an arrow from joint 1, in the hole of the workspace."""
+    """Draw the map, and the normal as an arrow from joint 1, where the workspace has a hole."""
     scale.draw(axes, *xy, values, iso)
     ticks = np.arange(-0.5, 0.51, 0.25)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xticks=ticks, yticks=ticks)

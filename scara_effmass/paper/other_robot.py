@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's maps and distribution of the masses for any other robot, from configurations over its joint ranges."""
+"""The paper's maps and distribution of masses for any other robot, from sampled configurations."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -35,16 +35,16 @@ LEFT_OUT = {
     "Figs. 17 to 19": "they show the experiment with the paper's robot",
     "claims": "they are those about the paper's robot",
 }
-"""What another robot does not have, and why."""
+"""Parts of the paper that do not apply to another robot, and the reasons."""
 
 
 class RobotMasses:
-    """Masses of a robot in sampled configurations, by the simplified model if there is one, and by the full one."""
+    """Masses of a robot in sampled configurations, by the simplified and the full model, as far as it has them."""
 
     def __init__(
         self, monitor: Monitor, advance: Callable[[int], object] = lambda _: None, samples: int = SAMPLES
     ) -> None:
-        """Take `samples` configurations. Raises RobotError without any mass that depends on the direction."""
+        """Sample `samples` configurations. Raises RobotError if no model gives a mass along a direction."""
         self.robot = monitor.dynamics.robot
         self.sample = sample_workspace(monitor, ALONG_X, "", Plane(), samples, advance)
         self._cells = Cells(self.sample)
@@ -116,7 +116,7 @@ def make_figures(
 ) -> dict[str, Any]:
     """Write the figures of the robot of `monitor`, a page and a summary into `folder`; return the summary.
 
-    Raises RobotError as `RobotMasses`, and OutputError where a file exists.
+    Raises RobotError as `RobotMasses` does, and OutputError if a file exists.
     """
     names = [f"figure_{number}" for number in NUMBERS]
     check_output_files(folder, [PAGE, SUMMARY, *figure_files(names)], overwrite=overwrite)

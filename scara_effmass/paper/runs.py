@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of the experiment from their recordings, one bag per run, and what the figures and claims take from them."""
+"""Runs of the experiment, read from one bag each, and the quantities that figures and claims need of them."""
 
 import math
 from collections.abc import Iterable
@@ -22,25 +22,27 @@ from scara_effmass.values import FloatArray, Impact
 from scara_effmass.wire.message_types import FORCE_BLOCK
 
 BEFORE_ONSET_S, AFTER_ONSET_S = 0.5e-3, 5e-3
-"""Interval of the force around the onset."""
+"""Times before and after the onset between which the force is kept."""
 NORMAL = (1.0, 0.0, 0.0)
+"""Normal of the plate in the paper's experiment."""
 POINT_OF_FIG_17 = (0.300, 0.200)
 """Impact point of Fig. 17, the only one in the paper's text."""
 SPEED = 0.250
-"""[m/s]"""
+"""Nominal speed of the impacts [m/s]."""
 REPETITIONS = 3
+"""Runs of each case in the paper."""
 
 Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """One run, measured or simulated: the right arm hits the cart along x, the tool at `point` (x, y) [m].
+    """One run, measured or simulated: the right arm hits the cart along x with the tool at `point` (x, y) [m].
 
     `point` and `obstacle_mass` [kg] are nominal, equal in all repetitions. At `time` (n,) [s] since the first joint
     state the tool has position `x` (n,) [m] and `velocity` (n,) [m/s] along x. The impact begins at `onset` [s];
-    `speed` [m/s] is the velocity certainly before it. `force` (m,) [N] at `force_time` (m,) [s] since the onset is
-    positive in compression, without tare and baseline.
+    `speed` [m/s] is the last velocity that is certainly before it. `force` (m,) [N] at `force_time` (m,) [s] since the
+    onset is positive in compression, without tare and baseline.
     """
 
     name: str
@@ -69,10 +71,10 @@ class RecordedRun:
 
 
 def read_runs(folder: Path, scara: Scara, joints: tuple[str, ...]) -> tuple[RecordedRun, ...]:
-    """Return the runs in `folder`, with impacts detected in the recorded force; the first two joints are `joints`.
+    """Return the runs in `folder`, with impacts detected in the recorded force; `joints` are the names of q1 and q2.
 
-    Raises BagError for a recording without exactly one complete impact along x, without obstacle mass and impact
-    point, or without joint states around the impact.
+    Raises BagError for a recording that lacks one complete impact along x, obstacle mass and impact point, or joint
+    states around the impact.
     """
     return tuple(_read_run(path, scara, joints) for path in find_bags(folder))
 
@@ -94,7 +96,7 @@ class FigureInputs:
 def read_inputs(dynamics: RobotDynamics, campaign: Path) -> FigureInputs:
     """Return the inputs for the SCARA in `dynamics` with the runs in the folder `campaign`.
 
-    Raises RobotError for another robot, BagError as `read_runs`.
+    Raises RobotError for a robot that is no SCARA, and BagError as `read_runs` does.
     """
     scara = scara_of(dynamics)
     return FigureInputs(dynamics, scara, read_runs(campaign, scara, dynamics.robot.joint_names[:2]))
@@ -199,6 +201,6 @@ def points_by_mass(scara: Scara, runs: Iterable[RecordedRun]) -> list[Point]:
 
 
 def origin(runs: Iterable[RecordedRun]) -> str:
-    """Return where the forces come from: measured, simulated, or in part simulated."""
+    """Return the origin of the forces: measured, simulated, or in part simulated."""
     simulated = {run.simulated for run in runs}
     return "measured" if simulated == {False} else "simulated" if simulated == {True} else "in part simulated"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's robot as functions of q1 and q2: full, simplified and standard model, and the poses of its figures."""
+"""The paper's robot as functions of q1 and q2: its full, simplified and ISO model, and the poses of the figures."""
 
 import math
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ OBSTACLES_KG = (0.50, 2.39, 3.72, 7.35)
 SHOWN_OBSTACLE_KG = 2.39
 """Obstacle mass of Figs. 12, 14, 15 and 18; the text states it for 12 and 18 only."""
 MIN_SPEED = 1e-6
-"""Lower speed limit for a direction [m/s]; the effective mass does not depend on the speed."""
+"""Speed above which a velocity has a direction [m/s]; the effective mass does not depend on the speed."""
 GRID = 50
 """Values of each angle, as in the paper. The number is even, so that no pose is exactly singular."""
 
@@ -115,12 +115,11 @@ def compare_models(
 ) -> ModelAgreement:
     """Compare Eqs. 27 and 28 with the mass matrices at the poses (n,)."""
     pairs = zip(matrix_masses(dynamics, q1, q2, phi), (scara.lumped(q1, q2, phi), scara.full(q1, q2, phi)), strict=True)
-    differences = [float(np.max(np.abs(matrix - closed_form) / closed_form)) for matrix, closed_form in pairs]
-    return ModelAgreement(len(q1), *differences)
+    return ModelAgreement(len(q1), *(max_difference(matrix, closed_form) for matrix, closed_form in pairs))
 
 
 def max_difference(values: FloatArray, reference: FloatArray | float) -> float:
-    """Return the largest relative difference."""
+    """Return the largest relative difference of `values` from `reference`."""
     return float(np.abs(values / reference - 1.0).max())
 
 
@@ -151,7 +150,7 @@ def equal_area_poses(scara: Scara, elbow_config: ElbowConfig = ElbowConfig.RIGHT
 
 
 class PolarGrid(NamedTuple):
-    """Tool positions x, y [m] and the pose of each arm there; its q1 is NaN out of its reach."""
+    """Tool positions x, y [m] and the pose of each arm there, with q1 NaN where the arm does not reach."""
 
     x: FloatArray
     y: FloatArray
