@@ -60,9 +60,10 @@ def test_force_below_the_baseline_before_a_contact_is_a_released_load_unless_ano
     below: int, complete: list[bool]
 ) -> None:
     baseline = Baseline(DetectionSettings(), [Frame(noise(FRAME)) for _ in range(BASELINE_FRAMES)])
-    force = np.zeros(60)
-    force[below : below + 4] = -8.0
-    force[20:25] = force[45:50] = [20.0, 60.0, 80.0, 60.0, 20.0]
+    force = noise(60)
+    force[below : below + 4] -= 8.0
+    for first in (20, 45):
+        force[first : first + 5] += [20.0, 60.0, 80.0, 60.0, 20.0]
     contacts = classify(force, np.zeros(60, dtype=np.bool_), baseline, 4, 20).contacts
     assert [contact.complete for contact in contacts] == complete
 
