@@ -139,11 +139,11 @@ class CellClient(ClientNode):
                 yield message, min(max(at_ns, self._polled_ns), time.monotonic_ns())
 
     def _look_at_graph(self) -> None:
-        """Look for a monitor, and take the deadline that it offers as the longest silence."""
+        """Look for a monitor, and take its deadline as the longest silence; of several, the shortest deadline."""
         publishers = self.node.get_publishers_info_by_topic(topics.CONTACT_STATE)
         deadlines_ns = [publisher.qos_profile.deadline.nanoseconds for publisher in publishers]
         limits_ns = [deadline_ns for deadline_ns in deadlines_ns if 0 < deadline_ns < _MAX_DEADLINE_NS]
-        self.status.take_publisher(max(limits_ns, default=DEFAULT_TIMEOUT_NS), exists=bool(publishers))
+        self.status.take_publisher(min(limits_ns, default=DEFAULT_TIMEOUT_NS), exists=bool(publishers))
         if not self.node.count_publishers(topics.RUN_INFO):
             self.status.run_info = None
 

@@ -116,8 +116,8 @@ def node(own_domain: int) -> Iterator[Node]:  # noqa: ARG001
         yield node
 
 
-def publisher(node: Node, kind: type, topic: str) -> Any:  # noqa: ANN401
-    qos = topics.verdict_qos(DEADLINE_S / 2) if topic == topics.CONTACT_STATE else topics.INFO_QOS
+def publisher(node: Node, kind: type, topic: str, deadline_s: float = DEADLINE_S) -> Any:  # noqa: ANN401
+    qos = topics.verdict_qos(deadline_s / 2) if topic == topics.CONTACT_STATE else topics.INFO_QOS
     return node.create_publisher(kind, topic, qos_profile(qos))
 
 
@@ -148,7 +148,7 @@ def test_a_verdict_of_one_message_is_not_missed_and_silence_is_unknown(node: Nod
         assert client.poll().verdict is Verdict.UNKNOWN
         # A second monitor beside the first.
         with ros_node("second", "/cell") as other:
-            states, first = publisher(other, ContactState, topics.CONTACT_STATE), states
+            states, first = publisher(other, ContactState, topics.CONTACT_STATE, 20.0), states
 
             def send_both() -> None:
                 nonlocal states, first
@@ -156,6 +156,10 @@ def test_a_verdict_of_one_message_is_not_missed_and_silence_is_unknown(node: Nod
                 send(Verdict.OK, 0.1)
 
             poll_until(client, lambda s: s.reason.startswith("two monitors"), send_both)
+            # Its longer deadline must not cover the silence of the first one.
+            end = time.monotonic() + 0.5
+            poll_until(client, lambda _: time.monotonic() > end, send_both)
+            assert client.status.timeout_ns == DEADLINE_S * 1e9
             poll_until(client, lambda s: s.verdict is Verdict.OK, lambda: send(Verdict.OK, 0.1))
         node.destroy_publisher(next(p for p in node.publishers if p.topic_name == "/cell/contact_state"))
         poll_until(client, lambda s: s.reason == "no monitor: contact_state has no publisher")
