@@ -5,7 +5,6 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
-from itertools import chain
 from pathlib import Path
 from typing import final
 
@@ -53,13 +52,17 @@ def _topic(bag: Bag, name: str, convert: str) -> Topic:
     raise BagError(f"{bag.path}: {setting}: must be one of {', '.join(topic.name for topic in topics)}")
 
 
-def _ordered(blocks: Iterator[ForceBlock], sample_rate: float, origin: str) -> Iterator[ForceBlock]:
+def _ordered(blocks: Iterator[ForceBlock], origin: str) -> Iterator[ForceBlock]:
     """Yield the blocks in the order of their stamps, each with the number of samples missing before it.
 
-    Repeated and late blocks are left out.
+    Empty, repeated and late blocks are left out.
     """
+    sample_rate = 0.0
     last: ForceBlock | None = None
     for block in blocks:
+        if not len(block.force):
+            continue
+        sample_rate = sample_rate or block.sample_rate
         _check_block(block, sample_rate, origin)
         lost = 0
         if last is not None:
@@ -128,7 +131,6 @@ class BagSource(ForceSource):
         """Whether the clock is that of a replay of this bag."""
         self._latest_ns = 0
         """Latest time on the clock since it was last set back."""
-        self._shift_ns = 0
         self._next_sample = self._run = 0
         self._ended = False
 
@@ -159,7 +161,7 @@ class BagSource(ForceSource):
         try:
             with self._reading:
                 self._next_sample = self._run = 0
-                self._begin_ns, self._is_replay, self._shift_ns = None, False, 0
+                self._begin_ns, self._is_replay = None, False
                 self._block = self._open()
                 self._latest_ns = self._now_ns()
                 self._find_begin(self._latest_ns)
@@ -182,9 +184,10 @@ class BagSource(ForceSource):
                 now_ns = self._now_ns()
                 self._find_begin(now_ns)
                 self._follow_clock(now_ns)
-                if self._is_due(self._block, now_ns):
-                    block, self._block = self._block, None
-                    return self._converted(block, now_ns)
+                begin_ns, block = self._begin_ns, self._block
+                if begin_ns is not None and (self.is_unpaced or now_ns >= self._due_ns(block, begin_ns)):
+                    self._block = None
+                    return self._converted(block, now_ns, begin_ns - self._first_ns if self._is_shifted else 0)
                 left_s = deadline - time.monotonic()
                 if left_s <= 0.0:
                     break
@@ -212,12 +215,10 @@ class BagSource(ForceSource):
         origin = f"{bag.path}: {topic}"
         wrench = ImportSettings(topic=topic, axis=self._settings.axis, unit=self._settings.unit, sensor=self._sensor)
         recorded = bag.force_blocks(topic) if found.type == FORCE_BLOCK else import_force(path, wrench)[1]
-        blocks = (block for block in recorded if len(block.force))
-        first = next(blocks, None)
-        if first is None:
+        self._blocks = _ordered(recorded, origin)
+        block = next(self._blocks, None)
+        if block is None:
             raise BagError("; ".join([f"{origin}: has no force that can be read", *bag.losses]))
-        self._blocks = _ordered(chain([first], blocks), first.sample_rate, origin)
-        block = next(self._blocks)
         self._is_shifted = self._settings.stamps is Stamps.NOW or block.stamp_ns < RELATIVE_NS
         self._first_ns = block.stamp_ns
         self._ended = False
@@ -236,19 +237,15 @@ class BagSource(ForceSource):
         if now_ns == 0 and (self._is_shifted or rate > 0.0):
             return
         self._begin_ns = now_ns
-        if self._is_shifted:
-            self._shift_ns = now_ns - self._first_ns
-        elif (
-            min(self._first_ns, bag.start_ns) - MAX_LEAD_NS
-            <= now_ns
-            <= max(self._first_ns + bag.duration_ns, bag.end_ns)
-        ):
-            if rate not in {0.0, 1.0}:
-                raise SettingsError(
-                    f"{self._settings.path}: bag.rate = {rate:g}: must be 1, the bag is replayed on this clock"
-                )
-            self._begin_ns = self._first_ns
-            self._is_replay = True
+        earliest_ns = min(self._first_ns, bag.start_ns) - MAX_LEAD_NS
+        latest_ns = max(self._first_ns + bag.duration_ns, bag.end_ns)
+        if self._is_shifted or not earliest_ns <= now_ns <= latest_ns:
+            return
+        if rate not in {0.0, 1.0}:
+            rule = "must be 1, the bag is replayed on this clock"
+            raise SettingsError(f"{self._settings.path}: bag.rate = {rate:g}: {rule}")
+        self._begin_ns = self._first_ns
+        self._is_replay = True
 
     def _follow_clock(self, now_ns: int) -> None:
         """Continue from `now_ns` if the clock has been set back."""
@@ -264,9 +261,7 @@ class BagSource(ForceSource):
             self._seek(latest_ns, now_ns)
             return
         self._begin_ns -= back_ns
-        if self._is_shifted:
-            self._shift_ns -= back_ns
-            self._run += 1
+        self._run += self._is_shifted
 
     def _seek(self, latest_ns: int, now_ns: int) -> None:
         """Open the bag again, and continue with the first block that ends at `now_ns` or later."""
@@ -287,12 +282,7 @@ class BagSource(ForceSource):
     def _due_ns(self, block: ForceBlock, begin_ns: int) -> int:
         return begin_ns + round((self._last_ns(block) - self._first_ns) / self._settings.rate)
 
-    def _is_due(self, block: ForceBlock, now_ns: int) -> bool:
-        if self._begin_ns is None:
-            return False
-        return self.is_unpaced or now_ns >= self._due_ns(block, self._begin_ns)
-
-    def _converted(self, block: ForceBlock, now_ns: int) -> Reading:
+    def _converted(self, block: ForceBlock, now_ns: int, shift_ns: int) -> Reading:
         samples = np.where(np.abs(block.force) <= MAX_FORCE, block.force, np.nan)[np.newaxis]
         samples.flags.writeable = False
         saturated = None
@@ -308,7 +298,7 @@ class BagSource(ForceSource):
             samples=samples,
             lost=block.lost_samples,
             read_ns=now_ns,
-            stamp_ns=block.stamp_ns + self._shift_ns,
+            stamp_ns=block.stamp_ns + shift_ns,
             clock_residual=block.clock_residual,
             saturated=saturated,
             run=self._run,

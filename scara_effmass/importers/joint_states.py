@@ -40,7 +40,7 @@ class JointTable(FrozenSettings):
 
     time: Column | tuple[Column, Column]
     time_unit: Literal["s", "ms", "us", "ns"] = "s"
-    delimiter: str = Field(",", min_length=1, max_length=1)
+    delimiter: str = Field(",", min_length=1, max_length=1, pattern=r'[^"\r\n]')
     header: bool = True
     joints: dict[str, JointColumns] = Field(min_length=1)
 

@@ -18,7 +18,6 @@ HEADER = "std_msgs/msg/Header"
 WRENCH = "geometry_msgs/msg/Wrench"
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 INERTIA = "geometry_msgs/msg/Inertia"
-TIME = "builtin_interfaces/msg/Time"
 
 _TYPE = re.compile(r"(?P<package>[a-z][a-z0-9_]*)/msg/(?P<name>[A-Z][A-Za-z0-9]*)")
 

@@ -13,7 +13,9 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.values import RunInfo
 from scara_effmass.wire.cdr import NS
-from scara_effmass.wire.message_types import HEADER, TIME
+from scara_effmass.wire.message_types import HEADER
+
+TIME = "builtin_interfaces/msg/Time"
 
 
 def serialized(message_type: str, fields: Mapping[str, Any]) -> bytes:

@@ -78,6 +78,7 @@ def test_positions_alone_give_no_velocity(tmp_path: Path) -> None:
         (HEADER, MAPPING.replace("deg", "degrees"), "map.yaml: joints.joint1.unit = 'degrees'"),
         (HEADER, "time: t", "map.yaml: joints: "),
         (HEADER, "- t", "map.yaml: must hold time and joints"),
+        (HEADER, f"{MAPPING}delimiter: '\"'", "map.yaml: delimiter = '\"'"),
         (
             HEADER,
             MAPPING.replace("position: c", "position: -1"),
