@@ -179,7 +179,8 @@ class Acquisition:
         self._state, self._reason = AcquisitionState.IDLE, ""
         self._failure: Exception | None = None
         self._samples_read = self._samples_lost = 0
-        self._is_recording = False
+        self._latency = ReadLatency(0.0)
+        """That of this run; without reads for a recording, and before `start`."""
         self._end = 0
         """Number of the next sample if none is lost."""
         self._due_ns = 0
@@ -222,8 +223,7 @@ class Acquisition:
     def statistics(self) -> AcquisitionStatistics:
         """Return the state and the counts."""
         with self._lock:
-            is_live = self._thread is not None and not self._is_recording
-            p50_s, max_s = self._latency.latencies() if is_live else (float("nan"), float("nan"))
+            p50_s, max_s = self._latency.latencies()
             return AcquisitionStatistics(
                 state=self._state,
                 reason=self._reason,
@@ -285,8 +285,8 @@ class Acquisition:
                 gap_ns = read_ns - round(end_in_run * NS / self.source.sample_rate) - self._due_ns
                 gap = round(gap_ns / NS * self.source.sample_rate) if self._run else 0
                 self._run_first = self._end + max(0, gap)
-            self._latency.add(end_in_run, read_ns)
-            self._is_recording = reading.stamp_ns is not None
+            if reading.stamp_ns is None:
+                self._latency.add(end_in_run, read_ns)
             first = self._run_first + reading.first_sample
             lost = first - self._end
             self._end = first + count
