@@ -6,7 +6,7 @@ import pytest
 
 from scara_effmass.impacts.baseline import BASELINE_FRAMES, Baseline, Frame
 from scara_effmass.impacts.detector import Detector, SampleBuffer
-from scara_effmass.impacts.segment import classify, flank_onset
+from scara_effmass.impacts.segment import classify, flank_onset, measure
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import FloatArray, Impact
 from test.impacts.conftest import AddPulse, Detect, MakeBlock
@@ -66,6 +66,16 @@ def test_force_below_the_baseline_before_a_contact_is_a_released_load_unless_ano
         force[first : first + 5] += [20.0, 60.0, 80.0, 60.0, 20.0]
     contacts = classify(force, np.zeros(60, dtype=np.bool_), baseline, 4, 20).contacts
     assert [contact.complete for contact in contacts] == complete
+
+
+@pytest.mark.parametrize("rising", [True, False])
+def test_contact_of_which_one_flank_is_missing_is_not_complete(*, rising: bool) -> None:
+    """The force of the other end is 40 % of the peak."""
+    force = np.array([0.0, 0.0, 3.0, 6.0, 5.0, 2.4])[:: 1 if rising else -1]
+    first, last = (2, 4) if rising else (1, 3)
+    assert not measure(force, first, last, 0, 5, intact=False).complete
+    force[-1 if rising else 0] = 0.0
+    assert measure(force, first, last, 0, 5, intact=False).complete
 
 
 def test_buffer_without_blocks_has_no_samples() -> None:

@@ -48,14 +48,14 @@ def test_structure_of_table_2(omron_dynamics: RobotDynamics) -> None:
     assert is_scara(omron_dynamics.robot)
 
 
-@pytest.mark.parametrize("end", [0, 1])
+@pytest.mark.parametrize("end", [0, 1, 2])
 def test_heights_are_measured_along_each_axis(
     omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], end: int
 ) -> None:
     omron_rows["links"][end]["com"][2] = 0.05
     link = lump(load_rows(omron_rows)).links[end]
     # The axis after link 2 points the other way (alpha = pi), as the paper's q3 does.
-    assert (link.height1, link.height2) == pytest.approx((0.05, -0.05 if end else 0.05))
+    assert (link.height1, link.height2) == pytest.approx((0.05, -0.05 if end == 1 else 0.05))
 
 
 class TestCentreOfMassOutsideTheSlab:
@@ -422,6 +422,7 @@ class TestCrossedAxes:
         lumped = lump(load_rows(omron_rows))
         assert lumped.links[1].point2 == pytest.approx((0.05, 0.01, 0.02))
         assert (lumped.links[1].kappa2, lumped.links[1].on_axes, lumped.links[1].problem) == (1.0, False, "")
+        assert (lumped.links[1].height1, lumped.links[1].height2) == (0.0, 0.0)
 
     @pytest.mark.parametrize(("far", "runs_away"), [(2.69, False), (2.71, True)])
     @pytest.mark.parametrize("end", ["proximal", "distal"])

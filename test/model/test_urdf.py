@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """URDF: the test robots, and every wrong value is named in one line."""
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
@@ -146,6 +147,11 @@ def test_continuous_joint_keeps_one_coordinate_up_to_a_million_radians() -> None
     robot = parse()
     assert robot.model.nq == robot.model.nv == 4
     assert robot.model.upperPositionLimit[3] == -robot.model.lowerPositionLimit[3] == 1e6
+
+
+def test_inertial_without_origin_is_at_the_origin_of_its_link() -> None:
+    text = re.sub('<inertial><origin xyz="[^"]*"/>', "<inertial>", SCARA)
+    assert parse(text).coms_reason == "every centre of mass lies at its link's origin: placeholders, not data"
 
 
 @pytest.mark.parametrize("rpy", ["0 0", "a b c", "0 0 1_0"])
