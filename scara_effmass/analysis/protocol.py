@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measurement protocol of contact forces, as ISO/PAS 5672 and RIA TR R15.806 tests need one: schema, YAML, gaps.
+"""Measurement protocol of contact forces for tests by ISO/PAS 5672 and RIA TR R15.806: schema, YAML, missing values.
 
-Any field may be empty while a protocol is being filled in; `missing` names those that are.
+Any field may be empty while a protocol is being filled in; `missing` names the empty ones.
 """
 
 import math
@@ -35,12 +35,12 @@ Text = Annotated[str, Field(min_length=1)]
 
 
 def stated(description: str) -> Any:  # noqa: ANN401 - as pydantic's Field
-    """Return the field of something that a protocol has to state."""
+    """Return a field that a complete protocol states."""
     return Field(None, description=description)
 
 
 def optional(description: str) -> Any:  # noqa: ANN401 - as pydantic's Field
-    """Return the field of something that a complete protocol may leave out."""
+    """Return a field that a complete protocol may leave out."""
     return Field(None, description=description, json_schema_extra={"optional": True})
 
 
@@ -197,12 +197,12 @@ class Protocol(FrozenSettings):
         raise SettingsError(f"test = {name}: must be one of {', '.join(test.id for test in self.tests)}")
 
     def device(self, test: ContactTest) -> Instrument | None:
-        """Return the instrument of `test`, None if it states no known one."""
+        """Return the instrument of `test`, None if the test names none or an unknown one."""
         return next((item for item in self.instruments if item.id == test.instrument), None)
 
     def replaced(self, test: ContactTest) -> "Protocol":
-        """Return the protocol with `test` in place of that of the same id."""
-        return self.model_copy(update={"tests": tuple(test if one.id == test.id else one for one in self.tests)})
+        """Return the protocol with `test` in place of the test with the same id."""
+        return self.model_copy(update={"tests": tuple(test if old.id == test.id else old for old in self.tests)})
 
 
 def read_protocol(path: Path) -> Protocol:
@@ -214,7 +214,7 @@ def read_protocol(path: Path) -> Protocol:
 
 
 def missing(item: BaseModel, path: str = "") -> Iterator[str]:
-    """Yield the dotted path of each field of `item` that is not stated, though a complete protocol states it."""
+    """Yield the dotted path of each empty field of `item` that a complete protocol states."""
     for name, field in type(item).model_fields.items():
         value, extra = getattr(item, name), field.json_schema_extra
         if value is None and not (isinstance(extra, dict) and extra.get("optional")):
@@ -228,7 +228,7 @@ def missing(item: BaseModel, path: str = "") -> Iterator[str]:
 
 
 def protocol_yaml(protocol: Protocol) -> str:
-    """Return the YAML file of `protocol`, with the meaning and unit of each field in a comment above its first one."""
+    """Return `protocol` as YAML, with meaning and unit of each field in a comment where it occurs first."""
     return "\n".join([f"# {line}" for line in HEADER.splitlines()] + ["", *_lines(protocol, "", set())]) + "\n"
 
 

@@ -28,9 +28,9 @@ from scara_effmass.settings import ContactType, MonitorSettings
 from scara_effmass.values import Verdict
 
 SPEED_TOLERANCE = 0.05
-"""Share by which a contact may be slower than commanded."""
+"""Share of the commanded speed by which a contact may be slower."""
 STIFFNESS_TOLERANCE = 0.1
-"""Relative difference of stiffness up to which a device stands for the body region."""
+"""Largest relative difference of stiffness with which a device stands for the body region."""
 
 
 class Uncertainty(NamedTuple):
@@ -50,8 +50,8 @@ class Uncertainty(NamedTuple):
 def uncertainty(test: ContactTest, instrument: Instrument) -> Uncertainty | None:
     """Return the uncertainty budget of a test, None while values are missing.
 
-    Repeatability is twice the standard deviation of the peaks. What the shortest contact can lose between two samples
-    has a rectangular distribution. The force grows with the speed.
+    Repeatability is twice the standard deviation of the peaks. The loss between two samples, at most that of the
+    shortest contact, has a rectangular distribution. The force is proportional to the speed.
     """
     peaks = [item.transient_peak_n for item in test.results.repetitions if item.transient_peak_n is not None]
     durations = [item.duration_s for item in test.results.repetitions if item.duration_s is not None]
@@ -92,7 +92,7 @@ def record(protocol: Protocol) -> dict[str, Any]:
 def _unknown_reasons(
     protocol: Protocol, test: ContactTest, instrument: Instrument | None, folder: Path
 ) -> Iterator[str]:
-    """Yield what makes the verdict UNKNOWN."""
+    """Yield the reasons that make the verdict UNKNOWN."""
     repetitions, identity, motion = test.results.repetitions, protocol.identity, test.motion
     if any(item.simulated for item in repetitions):
         yield "simulated: nothing was measured on a robot"
@@ -141,7 +141,7 @@ def _changed_data(repetitions: tuple[Repetition, ...], folder: Path) -> Iterator
 
 
 def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool]:
-    """Return the numbers of the evaluation, as far as what they need is stated."""
+    """Return the numbers of the evaluation for which the protocol states enough."""
     point, repetitions = test.point, test.results.repetitions
     values: dict[str, float | bool] = {}
     budget = uncertainty(test, instrument)
@@ -195,7 +195,8 @@ def _stands_for(stiffness_n_m: float, limit: Limit) -> bool:
 def _judged_force(limit: Limit, instrument: Instrument, item: Repetition) -> float | None:
     """Return the transient force [N] on the region of `limit`, None while values are missing.
 
-    A device of the region's stiffness stands for it. The force on another one is converted at equal speed.
+    The force on a device is converted to the region at equal speed. A device with the stiffness of the region stands
+    for it: there the larger one of measured and converted force counts.
     """
     peak, mass = item.transient_peak_n, item.effective_mass_kg
     device = math.inf if instrument.fixed else instrument.moving_mass_kg

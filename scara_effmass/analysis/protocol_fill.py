@@ -17,7 +17,7 @@ from scara_effmass.settings import ImportSettings
 from scara_effmass.values import ValidatedImpact
 
 AFTER_S = 10.0
-"""Time after the onset in which force counts [s], unless another contact begins."""
+"""Time after the onset in which the force counts, unless another contact begins."""
 
 
 def repetitions(validation: Validation, settings: ImportSettings, folder: Path) -> tuple[Repetition, ...]:
@@ -27,7 +27,7 @@ def repetitions(validation: Validation, settings: ImportSettings, folder: Path) 
         left_out = {**validation.result.excluded, **validation.result.unpaired}
         reasons = "; ".join(f"{count}: {reason}" for reason, count in left_out.items())
         names = ", ".join(str(recording.path) for recording in validation.recordings)
-        raise BagError(f"{names}: no contact{f' ({reasons})' * bool(reasons)}")
+        raise BagError(f"{names}: no contact ({reasons})" if reasons else f"{names}: no contact")
     return contacts
 
 
@@ -69,7 +69,7 @@ def _repetition(impact: ValidatedImpact, trace: ForceTrace, name: str, sha256: s
 
 
 def device_of(protocol: Protocol, test: ContactTest, origin: str) -> Instrument:
-    """Return the device of `test`. Raises SettingsError where a prediction needs what is missing."""
+    """Return the device of `test`. Raises SettingsError if a value is missing that predictions need."""
     device = protocol.device(test)
     if device is None:
         raise SettingsError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Propose test points for a measurement protocol: the contacts with the largest force over the limit of each region."""
+"""Propose test points for a measurement protocol: for each region the contacts with the largest force / limit."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -25,7 +25,10 @@ EMPTY = Results(repetitions=(Repetition(),) * MIN_REPETITIONS)
 
 
 class Candidate(NamedTuple):
-    """Contact with a body region, and its predicted force over the limit; `at_limit`: at the speed for a ratio of 1."""
+    """Contact with a body region, and the `ratio` of its predicted force to the limit.
+
+    `at_limit`: the test is to be run at the speed at which the ratio is 1.
+    """
 
     ratio: float
     contact: ContactAssessment
@@ -33,7 +36,7 @@ class Candidate(NamedTuple):
     at_limit: bool
 
     def is_near(self, other: "Candidate") -> bool:
-        """Return whether a test of one need not be repeated for the other."""
+        """Return whether a test of one contact also covers the other."""
         distances = [abs(position - other.pose.get(joint, position)) for joint, position in self.pose.items()]
         return self.contact.contact_point == other.contact.contact_point and max(distances) < MIN_POSE_DISTANCE
 
@@ -50,7 +53,7 @@ class Plan:
     def add(self, contact: ContactAssessment, pose: Mapping[str, float], *, at_limit: bool = False) -> None:
         """Consider a contact in a `pose`, by joint [rad, m].
 
-        `unknown` counts those without a verdict, `at_rest` those without a direction.
+        A contact without a verdict only counts in `unknown`, one without a direction in `at_rest`.
         """
         if contact.verdict is Verdict.UNKNOWN or not any(contact.direction):
             self.unknown += contact.verdict is Verdict.UNKNOWN

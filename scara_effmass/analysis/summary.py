@@ -21,19 +21,19 @@ from scara_effmass.safety.remedies import remedy
 from scara_effmass.values import ContactAssessment, Verdict
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
-"""Numbers in a reason, except digits in names; reasons are counted without them."""
+"""Numbers in a reason, but no digits in names; reasons that differ only in numbers are counted together."""
 MAX_REASONS = 200
 """Maximum number of different reasons; further ones count as `OTHER_REASONS`, which bounds the memory."""
 OTHER_REASONS = "other reasons"
 REASONS_SHOWN = 5
+"""Reasons in the lines of a summary; the JSON has all of them."""
 MAX_UNKNOWN_SHARE = 0.05
 """Share of UNKNOWN above which the summary states a remedy."""
-
 
 SEVERITIES = np.array([severity(verdict) for verdict in Verdict])
 """Severity of each verdict by its number."""
 WORST_FIRST = (Verdict.VIOLATION, Verdict.UNKNOWN, Verdict.WARN, Verdict.OK)
-"""Verdicts on several intervals or tests; of one joint state UNKNOWN outweighs VIOLATION (`severity`)."""
+"""Order of the verdicts on several intervals or tests; for one joint state UNKNOWN outweighs VIOLATION (`severity`)."""
 
 
 def iso_time(stamp_ns: int) -> str:
@@ -44,12 +44,12 @@ def iso_time(stamp_ns: int) -> str:
 
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
-    """Return the verdict on several intervals or tests: one VIOLATION outweighs what is UNKNOWN. Of none: UNKNOWN."""
+    """Return the verdict on several intervals or tests: VIOLATION outweighs UNKNOWN. Without any it is UNKNOWN."""
     return min(verdicts, key=WORST_FIRST.index, default=Verdict.UNKNOWN)
 
 
 class TightestMargin(NamedTuple):
-    """The assessment with the smallest margin, its recording and joint positions. UNKNOWN has no margin."""
+    """The assessment with the smallest margin, which is never UNKNOWN, its recording and joint positions."""
 
     contact: ContactAssessment
     source: str
@@ -89,7 +89,7 @@ class TightestMargin(NamedTuple):
 
 
 class SummaryState(TypedDict):
-    """What a summary has counted, for JSON."""
+    """All counts of a `Summary`, for JSON."""
 
     timeout_ns: int
     last: tuple[int, Verdict] | None
@@ -105,9 +105,9 @@ class SummaryState(TypedDict):
 
 
 class Summary:
-    """Counts cycles in bounded memory. The verdict of a cycle is the worst of its contact points.
+    """Count cycles in bounded memory. The verdict of a cycle is that of its worst contact point.
 
-    A verdict lasts until the next joint state, at most for `timeout_ns`; the rest of the gap is UNKNOWN.
+    A verdict lasts until the next joint state, at most for `timeout_ns`; the rest of a longer gap is UNKNOWN.
     """
 
     def __init__(self, timeout_ns: int) -> None:
@@ -124,7 +124,7 @@ class Summary:
         self.tightest: TightestMargin | None = None
 
     def add(self, states: AssessedStates, source: str = "") -> None:
-        """Count `states` of the recording `source`, if known."""
+        """Count `states`, from the recording `source` if its name is known."""
         verdicts = np.array([contact.verdict for contact in states.contacts])
         deciding = SEVERITIES[verdicts].argmax(axis=0)  # the first of equal ones
         shown = verdicts[deciding, np.arange(len(states))]
@@ -152,12 +152,12 @@ class Summary:
 
     @property
     def only_unknown(self) -> bool:
-        """Whether no cycle has a verdict."""
+        """Whether the verdict of every cycle is UNKNOWN."""
         return self.cycles[Verdict.UNKNOWN] == self.cycles.total()
 
     @property
     def remedy(self) -> str:
-        """What to do about the leading reason if more than MAX_UNKNOWN_SHARE is UNKNOWN, else empty."""
+        """Remedy for the most frequent reason if more than MAX_UNKNOWN_SHARE is UNKNOWN, else empty."""
         total_ns, unknown_ns = self.time_ns.total(), self.time_ns[Verdict.UNKNOWN]
         shares = self.cycles[Verdict.UNKNOWN] / (self.cycles.total() or 1), unknown_ns / (total_ns or 1)
         if max(shares) <= MAX_UNKNOWN_SHARE:
@@ -177,12 +177,12 @@ class Summary:
         return counts
 
     def state(self) -> SummaryState:
-        """Return all that was counted, for `of_state`."""
+        """Return all counts, from which `of_state` restores the summary."""
         return cast("SummaryState", {name.lstrip("_"): value for name, value in vars(self).items()})
 
     @classmethod
     def of_state(cls, state: SummaryState) -> Summary:
-        """Return the summary that had `state`."""
+        """Return the summary with the counts in `state`."""
         summary = cls(state["timeout_ns"])
         for name, own in vars(summary).items():
             value = state[name.lstrip("_")]  # type: ignore[literal-required]
@@ -203,7 +203,7 @@ class Summary:
         self.tightest = min(margins, key=lambda tightest: tightest.contact.margin, default=None)
 
     def _count_reason(self, reason: str, count: int, ranges: list[tuple[float, float]]) -> None:
-        """Count a `reason` of UNKNOWN, without its numbers, which lie in `ranges`."""
+        """Add `count` to a `reason` of UNKNOWN, in which "…" stands for each number; the numbers lie in `ranges`."""
         if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
             reason = OTHER_REASONS
         self.reasons[reason] += count
@@ -266,8 +266,8 @@ class Summary:
 
 
 def _counts(values: NDArray[Any]) -> Iterator[tuple[int, int]]:
-    """Yield each of `values` and how often it occurs, in the order of the first ones."""
-    if len(values) and (values == values[0]).all():  # mostly: no need to sort
+    """Yield each distinct value and how often it occurs, in the order of first occurrence."""
+    if len(values) and (values == values[0]).all():  # the usual case, which needs no sorting
         yield int(values[0]), len(values)
         return
     unique, first, counts = np.unique(values, return_index=True, return_counts=True)
