@@ -67,7 +67,8 @@ class Coverage(BaseModel):
         if not all(contact.effective_mass > 0.0 for contact in contacts):
             return
         self.joint_states += 1
-        position_of, pose = dict(zip(state.names, state.position.tolist(), strict=True)), 0
+        position_of = dict(zip(state.names, state.position.tolist(), strict=True))
+        pose = 0
         for name, (lower, upper) in self.ranges.items():
             # The monitor's tolerance admits positions slightly outside of the limits.
             share = min(max((position_of[name] - lower) / (upper - lower), 0.0), 1.0 - 1e-12)
@@ -107,9 +108,14 @@ class Coverage(BaseModel):
 
     def shares(self) -> dict[str, Any]:
         """Return the covered share of each quantity, of the poses, and the lower end of the fastest bins [m/s]."""
-        visited = {name: np.flatnonzero(bins) for name, bins in self.counts.items()}
-        shares = {name: len(bins) / len(self.counts[name]) for name, bins in visited.items() if name[:5] != "speed"}
-        fastest = {name: SPEEDS[max(bins, default=0)] for name, bins in visited.items() if name[:5] == "speed"}
+        shares: dict[str, Any] = {}
+        fastest = {}
+        for name, bins in self.counts.items():
+            visited = np.flatnonzero(bins)
+            if name.startswith("speed "):
+                fastest[name] = SPEEDS[max(visited, default=0)]
+            else:
+                shares[name] = len(visited) / len(bins)
         return {**shares, "poses": len(self.poses) / POSE_BINS ** len(self.ranges), "fastest_bin_from_m_s": fastest}
 
     def figure(self) -> Figure:

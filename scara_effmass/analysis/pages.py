@@ -164,7 +164,8 @@ def print_pdf(page: str) -> bytes:
         folder = Path(name)
         (folder / "page.html").write_text(page, encoding="utf-8")
         command = [browser, "--headless", "--disable-gpu", "--no-first-run", f"--user-data-dir={folder / 'profile'}"]
-        command += ["--no-sandbox"] * (os.geteuid() == 0)  # Chromium has no sandbox for root
+        if os.geteuid() == 0:  # Chromium has no sandbox for root
+            command.append("--no-sandbox")
         command += ["--no-pdf-header-footer", f"--print-to-pdf={folder / PDF}", (folder / "page.html").as_uri()]
         try:
             subprocess.run(command, capture_output=True, timeout=PRINT_TIMEOUT_S, check=False)  # noqa: S603

@@ -55,10 +55,14 @@ class RecordedForce(NamedTuple):
         origin = "simulated, not measured" if self.simulated else "as recorded"
         yield "force", f"{self.blocks} blocks, {samples} samples, {self.lost} lost; {origin}: {self.source}"
         for impact in self.impacts:
-            marks = [f"rebound {impact.rebound}"] * bool(impact.rebound)
-            marks += ["clipped"] * impact.clipped + ["incomplete"] * impact.incomplete
             text = f"{impact.peak_force:.1f} N, {1e3 * impact.duration:.2f} ms, {impact.impulse:.4f} N s"
-            yield "  impact", f"at {iso_time(impact.stamp_ns)}: {', '.join((text, *marks))}"
+            marks = {
+                f"rebound {impact.rebound}": impact.rebound,
+                "clipped": impact.clipped,
+                "incomplete": impact.incomplete,
+            }
+            parts = [text, *(mark for mark, is_set in marks.items() if is_set)]
+            yield "  impact", f"at {iso_time(impact.stamp_ns)}: {', '.join(parts)}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the force and its impacts for JSON."""

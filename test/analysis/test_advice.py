@@ -46,7 +46,7 @@ def motion() -> Motion:
 
 
 class Judge:
-    """Decides as a fresh monitor."""
+    """Decide as a fresh monitor does."""
 
     def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings = SETTINGS) -> None:
         self.dynamics, self.settings = dynamics, settings

@@ -62,7 +62,7 @@ TRACE = debounced(
     [(OK, 100), (WARN, 50), (OK, 300), (VIOLATION, 40), (OK, 900), (UNKNOWN, 5), (OK, 300), (VIOLATION, 1), (OK, 300)]
 )
 INDEX = {verdict: next(i for i, (_, state) in enumerate(TRACE) if state.verdict is verdict) for verdict in Verdict}
-"""Of the first state with each verdict."""
+"""Index of the first state with each verdict."""
 
 
 def changed(verdict: Verdict, **fields: Any) -> Callable[[Trace], Trace]:  # noqa: ANN401
