@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Sequence
 from enum import Enum
+from typing import Any
 
 from control_msgs.msg import SpeedScalingFactor
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -17,7 +18,7 @@ from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import Float64
 
 from scara_effmass.nodes.diagnostics import Diagnostics, status
-from scara_effmass.nodes.lifecycle import LifecycleBase, run
+from scara_effmass.nodes.lifecycle import LifecycleBase, run, with_info
 from scara_effmass.nodes.parameters import NodeParameters, declare
 from scara_effmass.safety.speed_scaling import SpeedScaler
 from scara_effmass.settings.loading import fixed
@@ -71,13 +72,14 @@ class SpeedScalingNode(LifecycleBase):
         """Create the endpoints."""
         settings = self._settings
         self._factor, self._reason = 0.0, ""
+        self._last_number, self._refused_until_ns = 0, 0
         self._type, self._field, self._unit = _MESSAGES[settings.output]
         qos = topics.Qos(1, latched=True, deadline_s=2.0 / settings.rate)
         self._publisher = self.create_owned_publisher(self._type, topics.SPEED_SCALING_INPUT, qos)
         self.create_owned_subscription(
             ContactState,
             topics.CONTACT_STATE,
-            self._on_contact_state,
+            with_info(self._on_contact_state),
             topics.verdict_qos(settings.timeout),
             deadline=lambda _: self._stop("deadline of contact_state missed"),
             liveliness=self._on_liveliness,
@@ -107,10 +109,16 @@ class SpeedScalingNode(LifecycleBase):
             self._publishing = False
         self._publisher.wait_for_all_acked(_ACK_TIMEOUT)
 
-    def _on_contact_state(self, message: ContactState) -> None:
-        contact = contact_from(message)
+    def _on_contact_state(self, message: ContactState, info: dict[str, Any]) -> None:
+        contact, now_ns, number = contact_from(message), time.monotonic_ns(), info["publication_sequence_number"] or 0
+        if 0 < number <= self._last_number:  # those of one publisher increase
+            self._refused_until_ns = now_ns + round(2e9 * self._settings.timeout)
+            self._stop("a second monitor publishes contact_state, or a new one", is_lost=True)
+        self._last_number = number
         with self._lock:
-            if self._publishing and self._scaler.take(contact, time.monotonic_ns(), self.now_ns() - contact.stamp_ns):
+            if not self._publishing or now_ns < self._refused_until_ns:
+                return
+            if self._scaler.take(contact, now_ns, self.now_ns() - contact.stamp_ns):
                 self._send()
 
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:

@@ -18,11 +18,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import Float64
 
+from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.sim.motion import sample_moves
 from scara_effmass.sim.recordings import tour_moves
 from scara_effmass.sim.scaled_trajectory import ScaledTrajectory
 from scara_effmass.wire.joint_state import joint_state_message
-from scara_effmass.wire.topics import SPEED_SCALING_INPUT
+from scara_effmass.wire.topics import SPEED_SCALING_INPUT, verdict_qos
 from test.nodes.conftest import DEEP_QOS, JOINTS, TIMEOUT_S, NodeHarness, joint_state, stamp_ns
 
 NODE = Path(sys.executable).with_name("speed_scaling_node")
@@ -54,6 +55,33 @@ def cell(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> Iterator[St
 
 def rises_to_1(monitor: NodeHarness, node: NodeHarness, factors: list[float], full: float = 1.0) -> None:
     node.spin_until(lambda: factors and factors[-1] == full, repeat=lambda: monitor.send(joint_state()))
+
+
+def test_two_monitors_hold_the_factor_at_0_until_one_is_left(new_harness: Callable[..., NodeHarness]) -> None:
+    node = new_harness(name="speed_scaling")
+    node.start("--ros-args", "-p", "timeout:=0.5", "-p", "rise_rate:=20.0", command=(str(NODE),))
+    factors: list[float] = []
+
+    def on_factor(message: SpeedScalingFactor) -> None:
+        factors.append(message.factor)
+
+    node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, on_factor, CONTROLLER_QOS)
+    first, second = (
+        node.node.create_publisher(ContactState, "contact_state", qos_profile(verdict_qos(0.5))) for _ in range(2)
+    )
+
+    def send(*publishers: Any) -> None:  # noqa: ANN401
+        message = ContactState(contact_point="tool", verdict=ContactState.OK, allowable_speed=1.0)
+        message.header.stamp = node.node.get_clock().now().to_msg()
+        for publisher in publishers:
+            publisher.publish(message)
+
+    node.spin_until(lambda: factors and factors[-1] == 1.0, repeat=lambda: send(first))
+    node.spin_until(lambda: factors[-1] == 0.0, repeat=lambda: send(first, second))
+    received = len(factors)
+    node.spin_until(lambda: len(factors) > received + 100, repeat=lambda: send(first, second))
+    assert set(factors[received:]) == {0.0}
+    node.spin_until(lambda: factors[-1] == 1.0, repeat=lambda: send(first))
 
 
 LATENCY_S = 0.03
