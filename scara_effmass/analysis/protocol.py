@@ -31,6 +31,8 @@ yaml-language-server: $schema=protocol.schema.json"""
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
+Area = Annotated[float, Field(gt=0.0, le=0.1)]
+"""Contact area [m2] in the range of the monitor's setting."""
 Text = Annotated[str, Field(min_length=1)]
 
 
@@ -97,7 +99,7 @@ class TestPoint(FrozenSettings):
     )
     contact: ContactType | None = stated("transient (free impact) or quasi_static (clamped)")
     geometry: Text | None = stated('shape of the surface, as "flat, edges r = 5 mm"')
-    contact_area_m2: Positive | None = stated("area of the contact [m2], for the limit of the pressure; 1 cm2 is 1e-4")
+    contact_area_m2: Area | None = stated("area of the contact [m2], for the limit of the pressure; 1 cm2 is 1e-4")
     radius_mm: NotNegative | None = stated("smallest radius of edges and corners [mm]")
 
 
