@@ -94,7 +94,7 @@ ARGUMENTS = (
 def nodes(context: LaunchContext) -> list[Node]:
     """Return the nodes; an empty launch argument sets no parameter. Raises FileNotFoundError for a missing params_file.
 
-    ROS would start the nodes without the file, and so the monitor with the shipped robot.
+    Without this check ROS would ignore a missing file and start the monitor with the shipped robot.
     """
     arguments = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
     params_file, robot = arguments["params_file"], arguments["robot"]
@@ -131,9 +131,9 @@ def _commands(arguments: dict[str, str]) -> list[Node]:
 
 
 def end_launch(event: ProcessExited, context: LaunchContext) -> None:
-    """End the launch with status 1 when a process ends before it; only what plays a recording may end with 0.
+    """End the launch with status 1 when a process ends, except for a replay that ends with 0.
 
-    An exception is the only way to a status other than 0.
+    Only an exception gives a launch a status other than 0.
     """
     is_finished = event.returncode == 0 and (event.process_name.startswith("daq_node") or "replay" in event.cmd)
     if not context.is_shutdown and not is_finished:

@@ -66,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _keep_stdout() -> None:
-    """Let only Python write to stdout: Fast DDS prints its errors there, where `--json` is read."""
+    """Send what libraries print on stdout to stderr: errors of Fast DDS would mix with the output of `--json`."""
     python = sys.__stdout__
     if python is None or sys.stderr is None or sys.stdout is not python:  # closed, or taken by a caller
         return

@@ -144,7 +144,7 @@ def _into_file(
     paths: Sequence[Path],
     run_tasks: Run,
 ) -> Iterator[Iterator[BagResult | EffmassError]]:
-    """Give the results of the recordings, whose states become one file; each of several has its own until then."""
+    """Give the results of the recordings. Several are assessed into files of their own, which are joined in order."""
     with ExitStack() as stack:
         table = stack.enter_context(open_writer(args.output, origin, dynamics.robot.base_frame, overwrite=args.force))
         if len(paths) == 1 and args.scheduler is None:

@@ -76,7 +76,7 @@ def _checked(args: argparse.Namespace) -> tuple[MonitorSettings, RobotDynamics]:
 def _interview(
     args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics
 ) -> tuple[MonitorSettings, RobotDynamics]:
-    """Ask for every option that was not given, until it fits; return as `_checked`."""
+    """Ask for each missing option until the answer is valid; return settings and robot, as `_checked`."""
     for option in options_of("robot", "bag", "situation"):
         name = option.dest
         is_load = name in {"payload_com", "payload_inertia"}

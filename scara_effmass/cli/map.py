@@ -33,7 +33,7 @@ SMALL_SAMPLES = 200_000
 ALONG_X = (1.0, 0.0, 0.0)
 
 
-class _Map(NamedTuple):
+class _MapTask(NamedTuple):
     """A map to make: `settings` of one robot, and where its files go."""
 
     settings: MonitorSettings
@@ -46,8 +46,8 @@ class _Map(NamedTuple):
         return str(self.settings.robot)
 
 
-class _Made(NamedTuple):
-    """A made map."""
+class _MapResult(NamedTuple):
+    """Files, figure and summary of one map."""
 
     files: dict[str, bytes | dict[str, Any]]
     figure: ReportFigure
@@ -58,10 +58,10 @@ class _Made(NamedTuple):
 def run(args: argparse.Namespace) -> int:
     """Sample the workspace of each robot, write figure, table and summary, and print the summaries."""
     tasks = list(_tasks(args))
-    maps: list[tuple[_Map, _Made]] = []
+    maps: list[tuple[_MapTask, _MapResult]] = []
     errors: list[str] = []
     with open_run(args, "maps", is_small=len(tasks) * args.samples < SMALL_SAMPLES) as run_tasks:
-        for task, made in sound(tasks, run_tasks(_made, tasks), errors, EffmassError):
+        for task, made in sound(tasks, run_tasks(_make_map, tasks), errors, EffmassError):
             write_report_files(task.folder, made.files, [made.figure], overwrite=args.force)
             maps.append((task, made))
     lines = [line for task, made in maps for line in _lines(task, made)]
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     return 1 if errors else 0
 
 
-def _tasks(args: argparse.Namespace) -> Iterator[_Map]:
+def _tasks(args: argparse.Namespace) -> Iterator[_MapTask]:
     """Yield a task for each robot. Raises SettingsError, and OutputError for files that must not be replaced."""
     robots, table = args.robot or [None], f"{NAME}.{args.table}"
     folders = [args.output / Path(robot or "").stem if len(robots) > 1 else args.output for robot in robots]
@@ -83,10 +83,10 @@ def _tasks(args: argparse.Namespace) -> Iterator[_Map]:
         if args.test_direction and settings.fixed_test_direction is None:
             raise SettingsError("--direction = 0 0 0: must not be 0")
         check_output_files(folder, [*figure_files([NAME]), table, SUMMARY], overwrite=args.force)
-        yield _Map(settings, Plane(*args.plane), args.samples, args.table, folder)
+        yield _MapTask(settings, Plane(*args.plane), args.samples, args.table, folder)
 
 
-def _made(task: _Map, advance: Advance) -> _Made:
+def _make_map(task: _MapTask, advance: Advance) -> _MapResult:
     """Return the map of one robot. Raises EffmassError."""
     settings, share = task.settings, 1.0 / task.samples
     dynamics = load_dynamics(settings)
@@ -108,10 +108,10 @@ def _made(task: _Map, advance: Advance) -> _Made:
         f"{NAME}.{task.table}": file.getvalue(),
         SUMMARY: {**summary, "provenance": origin},
     }
-    return _Made(files, figure, summary, where)
+    return _MapResult(files, figure, summary, where)
 
 
-def _lines(task: _Map, made: _Made) -> Iterator[tuple[str, object]]:
+def _lines(task: _MapTask, made: _MapResult) -> Iterator[tuple[str, object]]:
     summary = made.summary
     yield "robot", f"{summary['robot']}, contact point {summary['contact_point']}"
     yield "map", made.where

@@ -63,7 +63,7 @@ def _validated(
 
 
 def _recordings(args: argparse.Namespace) -> list[Path]:
-    """Return the recordings, each with a force of its own. Raises BagError, SettingsError."""
+    """Return the recordings, of which none counts twice. Raises BagError, SettingsError."""
     paths = [path for argument in args.bags for path in find_bags(argument)]
     counts = Counter(path.resolve() for path in paths)
     for path in reversed(paths):

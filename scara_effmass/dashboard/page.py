@@ -128,7 +128,7 @@ class Page:
         self._reason.text = _ALL_OK if is_ok else f"{status.contact_point}: {status.reason}".strip(": ")
         advice = remedy(status.reason)
         self._remedy.text = f"Remedy: {advice}.".replace("`", "") if advice else ""
-        self._now.content = _now(status)
+        self._now.content = _speed_html(status)
         self._contacts.content = _table(*_contact_rows(status))
         self._simulated.text = f"SIMULATED {' AND '.join(status.simulated).upper()}" if status.simulated else ""
         self._scene.update(status, now_ns)
@@ -206,8 +206,8 @@ def csv_of(client: CellClient) -> str:
     return text.getvalue()
 
 
-def _now(status: CellStatus) -> str:
-    """Return speed and allowable speed of the contact point that decides, and the speed scaling."""
+def _speed_html(status: CellStatus) -> str:
+    """Return speed and allowable speed of the contact point that decides, and the speed scaling, as HTML."""
     contact = status.deciding
     if status.verdict is Verdict.UNKNOWN or contact is None:
         return "<b>0 m/s</b><br>allowed while the verdict is UNKNOWN"

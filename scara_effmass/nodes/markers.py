@@ -63,8 +63,8 @@ def contact_markers(
         lift = TEXT_LIFT_M * (1 + sum(np.linalg.norm(at - other) < TEXT_HEIGHT_M for other in drawn))
         drawn.append(at)
         text = (x, y, z + (lift if z > -TEXT_LIFT_M else -lift))  # away from the base
-        words = _words(contact, simulated=simulated)
-        yield _marker(Marker.TEXT_VIEW_FACING, "verdict", index, color, (0.0, 0.0, TEXT_HEIGHT_M), text, text=words)
+        label = _label(contact, simulated=simulated)
+        yield _marker(Marker.TEXT_VIEW_FACING, "verdict", index, color, (0.0, 0.0, TEXT_HEIGHT_M), text, text=label)
         is_finite = np.isfinite([*contact.direction, *contact.mobility]).all()
         if contact.verdict is Verdict.UNKNOWN or contact.contact_point not in places or not is_finite:
             continue
@@ -94,7 +94,7 @@ def stamped(marker: Marker, frame: str, stamp_ns: int, lifetime_ns: int) -> Mark
     return marker
 
 
-def _words(contact: ContactAssessment, *, simulated: bool) -> str:
+def _label(contact: ContactAssessment, *, simulated: bool) -> str:
     title = f"{contact.contact_point or 'robot'}: {contact.verdict.name}{' (simulated)' * simulated}"
     if contact.verdict is Verdict.UNKNOWN:
         return f"{title}\n{contact.reason}"
