@@ -73,7 +73,7 @@ class PlateSim:
         self.model.dof_damping[:] = 0.0
         self.data = mujoco.MjData(self.model)
         self._nominal = self.model.body_mass.copy(), self.model.body_inertia.copy(), self.model.dof_armature.copy()
-        self._row = np.zeros((3, self.n))
+        self._jacobian_of_point = np.zeros((3, self.n))
         frames = [robot.model.frames[frame] for frame in robot.contact_frames.values()]
         self._points = [
             (int(self.model.jnt_bodyid[frame.parentJoint - 1]), np.array(frame.placement.translation))
@@ -143,8 +143,6 @@ class PlateSim:
             rate, coarse, duration = max(rate, servo.omega), min(phase_step / servo.omega, MAX_STEP_S), TRANSIENT_S
             model.opt.gravity[2] = GRAVITY * pace
         fine = phase_step / rate
-        body, place = self._points[point]
-        origin, rotation = data.xpos[body], data.xmat[body].reshape(3, 3)  # views, which MuJoCo updates
         offset = float(normal @ self._position(point))
         acceleration, half = np.zeros(self.n), velocity.copy()
         plate = plate_half = time = depth = step = 0.0
@@ -154,8 +152,7 @@ class PlateSim:
             data.qvel[:] = half + 0.5 * step * acceleration
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
-            position = origin + rotation @ place
-            last_depth, depth = depth, float(normal @ position) - offset - plate
+            last_depth, depth = depth, float(normal @ self._position(point)) - offset - plate
             if not math.isfinite(depth):
                 raise ArithmeticError(f"{self._robot.name}: simulation of an impact diverged after {time:.6f} s")
             force = max(k * depth, 0.0)
@@ -169,8 +166,7 @@ class PlateSim:
                 demand = servo.acceleration(q + velocity * time - data.qpos, velocity - data.qvel)
                 torque[:] = self._torque(demand, gains).clip(-effort, effort)
             if force > 0.0:
-                mujoco.mj_jac(model, data, self._row, None, position, body)
-                torque -= force * (normal @ self._row)
+                torque -= force * (normal @ self._jacobian(point))
             mujoco.mj_fwdAcceleration(model, data)
             acceleration[:] = data.qacc_smooth
             closing_speed = max(depth - last_depth, 0.0) / step if step else 0.0
@@ -197,8 +193,10 @@ class PlateSim:
         return np.asarray(self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ place)
 
     def _jacobian(self, point: int) -> FloatArray:
-        mujoco.mj_jac(self.model, self.data, self._row, None, self._position(point), self._points[point][0])
-        return self._row
+        """Return J_v (3, n) of contact point number `point`; the next call replaces it."""
+        body, _ = self._points[point]
+        mujoco.mj_jac(self.model, self.data, self._jacobian_of_point, None, self._position(point), body)
+        return self._jacobian_of_point
 
 
 def _urdf_model(path: Path, joints: tuple[str, ...]) -> mujoco.MjModel:
