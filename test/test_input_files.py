@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter and robot files: any content gives settings, a robot, or one line with the place, at a bounded cost."""
+"""Any content of a parameter or robot file gives settings, a robot, or a one-line error with the place, at bounded cost."""
 
 import os
 from pathlib import Path
@@ -24,7 +24,7 @@ SNIPPETS = (
     *("[" * 500, "[" * 500 + "]" * 500, "{a: " * 500, "&a [*a]", "*b", "<<: 1", "? [1]", "!!python/name:os.system"),
     *("'", '"', "\t", "\x00", "\ud7ff", "\u2028", "%YAML 9.9", "---\n---", "|\n x", "1, 2: 3", "\n- 1", ": : :"),
 )
-"""Values that a hand or a broken disk puts into a YAML file."""
+"""Values that a typing error or a broken disk may put into a YAML file."""
 XML_SNIPPETS = (
     *("<", ">", "&", "&bomb;", '"', "<link/>", "<joint/>", "<a>" * 2000, "<a>" * 2000 + "</a>" * 2000, "1e308", "nan"),
     *("-1e999", DIGITS, "", " ", "1 2", "1 2 3 4", "\x00", "base_link", "fixed", "floating", "mimic", "<!DOCTYPE x>"),

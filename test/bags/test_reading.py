@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of every format give the same messages; damaged ones give what is readable, and name what is lost."""
+"""Bags of all formats give the same messages; damaged bags give what can be read, and state what is lost."""
 
 import os
 import shutil
@@ -237,7 +237,7 @@ def test_bag_without_joint_states_is_refused(tmp_path: Path) -> None:
 def test_out_of_order_messages_are_sorted_by_log_time(
     tmp_path: Path, steps: list[tuple[int, tuple[str, ...], bool]], chunk_size: int, *, chunked: bool
 ) -> None:
-    """Times are out of order within and across chunks; joint names change; another topic is in between."""
+    """Times are out of order within and across chunks, joint names change, and another topic is in between."""
     messages: list[Message] = []
     for index, (time, names, other) in enumerate(steps):
         messages.append(joint_state(index, names, log_time_ns=T0 + time))
@@ -428,7 +428,7 @@ def test_unknown_compression_is_refused(tmp_path: Path) -> None:
 
 @pytest.fixture
 def not_root() -> Iterator[Path]:
-    """Return a folder of an unprivileged user, as whom the test runs: root may read everything."""
+    """Return a folder of an unprivileged user, and run the test as that user, because root may read everything."""
     was_root = os.geteuid() == 0
     with tempfile.TemporaryDirectory() as folder:
         if was_root:
@@ -651,7 +651,7 @@ class TestDefinitions:
 
     @pytest.mark.parametrize("joint_states_first", [True, False])
     def test_other_time_definition_is_refused(self, tmp_path: Path, *, joint_states_first: bool) -> None:
-        """The definition of another topic does not hide it."""
+        """The definition that comes with another topic does not hide it."""
         ros_definition, _ = known_types().generate_msgdef(JOINTS, ros_version=2)
         definition = ros_definition.replace("int32 sec", "int64 sec")
         assert definition != ros_definition
@@ -665,7 +665,7 @@ class TestDefinitions:
             bag.joint_state_blocks()
 
     def test_other_vector_definition_is_refused(self, tmp_path: Path) -> None:
-        """Its bytes would be read as a plate with another normal."""
+        """Otherwise the plate would be read with another normal."""
         ros_definition, _ = known_types().generate_msgdef(RUN_INFO, ros_version=2)
         definition = ros_definition.replace("Vector3\nfloat64 x\nfloat64 y", "Vector3\nfloat64 y\nfloat64 x")
         assert definition != ros_definition

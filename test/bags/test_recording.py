@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recording: received messages are in the files, lost ones are counted, and disks may fail."""
+"""Recording: received messages are in the files, lost ones are counted, also if the disk fails."""
 
 from __future__ import annotations
 

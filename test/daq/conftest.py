@@ -70,7 +70,7 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
         self.signal: Signal = ramp
         self.plugged = True
         self.known = True
-        """The driver remembers the modules."""
+        """Whether the driver remembers the modules."""
         self.simulated = False
         self.reserved = False
         self.overloaded: set[str] = set()
@@ -81,7 +81,7 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
         self.tasks: dict[int, NiTask] = {}
         self.created: list[NiTask] = []
         self.blocking = False
-        """A read blocks until its task is aborted."""
+        """Whether a read blocks until its task is aborted."""
         self.waiting = threading.Event()
         self._faults: list[tuple[str, int, int]] = []
         self._overloads_asked = False
@@ -109,7 +109,7 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
         self.plugged = self.known = True
 
     def reset(self) -> None:
-        """Abort all tasks, as a test panel can."""
+        """Abort all tasks, as a test panel could."""
         self._stop(-88709)
 
     def _stop(self, code: int) -> None:
@@ -374,7 +374,7 @@ def error(code: int, samples_read: int | None = None) -> DaqError:
 
 @pytest.fixture
 def ni_device(monkeypatch: pytest.MonkeyPatch) -> Iterator[NiDevice]:
-    """NI's client talks to this device instead of NI's library; at the end, no task may have been left open."""
+    """Let NI's client use this device instead of NI's library; at the end, no task may be open."""
     device = NiDevice()
     monkeypatch.setattr("nidaqmx.utils._select_interpreter", lambda *_, **__: device)
     yield device

@@ -18,7 +18,7 @@ Play = Callable[..., BagSource]
 NS = 10**9
 NOW = 1_800_000_000 * NS
 LAST_MS = 99
-"""From the first sample of a block to its last."""
+"""Time from the first to the last sample of a block [ms]."""
 
 
 @pytest.fixture

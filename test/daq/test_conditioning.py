@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From readings to blocks of force: nothing invented, nothing lost unsaid, and every sample at its time."""
+"""From readings to force blocks: no sample is invented, each loss is stated, and each stamp is right."""
 
 import math
 import subprocess

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of the source ni9230: NI's client on a simulated driver, with faults."""
+"""Tests of the source ni9230, with NI's client on a simulated driver that has faults."""
 
 import math
 import re
@@ -45,7 +45,7 @@ BLOCK = 1280
 
 
 def settings(**values: object) -> DaqSettings:
-    """Return settings; "__" in a name stands for the dot."""
+    """Return settings; "__" in a name stands for a dot."""
     return checked(DaqSettings, {name.replace("__", "."): value for name, value in values.items()}, "test")
 
 

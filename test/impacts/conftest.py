@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pulses, blocks, and a run of the detector over them."""
+"""Pulses and blocks of force, and a run of the detector over them."""
 
 from collections.abc import Callable, Iterable
 from itertools import pairwise

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of an impact, against closed forms."""
+"""The properties of a detected impact agree with closed-form solutions."""
 
 from collections.abc import Callable
 
@@ -28,17 +28,17 @@ def half_sine(phase: FloatArray) -> FloatArray:
 
 
 def hertz(phase: FloatArray) -> FloatArray:
-    """Return about the force of a Hertz contact, the power 3/2 of its compression."""
+    """Return approximately the force of a Hertz contact: the power 3/2 of its compression."""
     return np.sin(np.pi * phase) ** 1.5
 
 
 def damped(phase: FloatArray) -> FloatArray:
-    """Return a skewed pulse: steep up, slow down."""
+    """Return a skewed pulse with a steep rise and a slow fall."""
     return np.exp(-phase) * np.sin(np.pi * phase) / 0.6394
 
 
 class Errors:
-    """Relative errors of impacts at all phases of the sampling, onset in samples."""
+    """Relative errors of impacts at all phases of the sampling; that of the onset is in samples."""
 
     def __init__(
         self,
@@ -100,7 +100,7 @@ def test_other_shapes(
 
 
 def test_a_damped_oscillator(detect: Detect) -> None:
-    """A mass on a spring and damper, integrated: impulse is the change of momentum, as long as the force pushes."""
+    """For an integrated mass on a spring and damper, the impulse is the change of momentum while the force pushes."""
     mass, stiffness, damping, speed = 0.5, 4e5, 90.0, 0.25
 
     def motion(_: float, state: FloatArray) -> FloatArray:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A detector that begins later in a stream finds what one that ran from the beginning finds."""
+"""A detector that starts late in a stream finds the same impacts as one that ran from the beginning."""
 
 from typing import NamedTuple
 
@@ -18,19 +18,19 @@ RATE = 12_800.0
 FRAME = 640
 SIZE = 160_000
 FIRST = 1_000_003
-"""The stream began long ago."""
+"""First sample number; the stream began long before."""
 SETTLING = max((BASELINE_FRAMES + 3) * FRAME, round(DetectionSettings().rebound_time * RATE)) + FRAME
 
 
 class Busy(NamedTuple):
     force: FloatArray
     events: list[tuple[int, int]]
-    """First and last sample of what is not quiet, the time to learn another load included."""
+    """First and last sample of each disturbance, including the time to learn another load."""
 
 
 @pytest.fixture(scope="module")
 def busy(add_pulse: AddPulse) -> Busy:
-    """Return impacts with rebounds, a push, another load, a drop-out, a glitch, and force below the baseline."""
+    """Return impacts with rebounds, a sustained contact, another load, a dropout, a glitch, and a tensile pulse."""
     force = np.random.default_rng(3).normal(3.0, 0.1, SIZE)
     events = []
     for onset in (300, 9_000.3, 21_000.9, 33_333, 100_000.1, 112_000.7, 124_000, 138_000.5, 152_000.2):
@@ -51,7 +51,7 @@ def busy(add_pulse: AddPulse) -> Busy:
 
 
 def settled_from(start: int, events: list[tuple[int, int]]) -> int:
-    """Return the first sample after `start` with nothing but quiet for SETTLING before it."""
+    """Return the first sample after `start` that follows a quiet time of SETTLING."""
     for first, last in events:
         if first >= start + SETTLING:
             break
@@ -65,7 +65,7 @@ def detect_in(blocks: list[ForceBlock]) -> list[Impact]:
 
 
 def live(force: FloatArray, make_block: MakeBlock) -> list[ForceBlock]:
-    """Return `force` in blocks of a tenth of a second whose rate a clock fit moves about."""
+    """Return `force` in blocks of 0.1 s, with rates that vary as those of a clock fit."""
     drift = np.random.default_rng(0).normal(0.0, 1e-4, SIZE // 1_280)
     return [
         make_block(part, FIRST + 1_280 * number, RATE * (1.0 + drift[number]))

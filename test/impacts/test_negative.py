@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force of the wrong sign is counted; what answers a force of the right one is not."""
+"""Tensile pulses are counted, but not those that are the response to a compression."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ ONSETS = (40_000, 70_000.4, 110_000.7)
 
 @pytest.fixture
 def noise() -> FloatArray:
-    """Return ten seconds of quiet."""
+    """Return ten seconds without contact."""
     return np.random.default_rng(0).normal(0.0, 0.05, SIZE)
 
 
@@ -56,7 +56,7 @@ def test_in_a_train_that_is_divided_each_counts_once(detect: Detect, add_pulse: 
 def test_the_undershoot_of_an_impact_is_no_wrong_sign(
     detect: Detect, add_pulse: AddPulse, noise: FloatArray, cutoff: float, duration: float
 ) -> None:
-    """Coupling for alternating current, a high pass of first order: the area below is that above."""
+    """AC coupling is a first-order high-pass filter: the areas above and below the baseline are equal."""
     force = np.zeros(SIZE)
     for onset in ONSETS:
         add_pulse(force, onset, duration, 1_500.0)
@@ -97,7 +97,7 @@ def test_what_comes_soon_after_an_impact_is_its_answer(
 def test_response_time_counts_from_the_end_of_a_long_contact(
     detect: Detect, add_pulse: AddPulse, noise: FloatArray, pause: float, negative: int
 ) -> None:
-    """The contact, and a tensile pulse soon after it, are in one segment."""
+    """The contact and a tensile pulse soon after it are in one segment."""
     add_pulse(noise, 40_000, 0.3, 100.0)
     add_pulse(noise, 40_000 + (0.3 + pause) * RATE, 4e-3, -100.0)
     impacts, detector = detect(noise)
@@ -128,7 +128,7 @@ def test_a_load_that_goes_is_no_wrong_sign(detect: Detect, noise: FloatArray) ->
 def test_a_contact_after_a_released_load_is_complete_only_with_its_peak(
     detect: Detect, add_pulse: AddPulse, noise: FloatArray, pause: float
 ) -> None:
-    """The baseline before the contact is that under the load."""
+    """The baseline before the contact includes the load."""
     noise[:60_000] += 60.0
     add_pulse(noise, 60_000 + pause * RATE, 3e-3, 100.0)
     (impact,) = detect(noise).impacts

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Noise is no impact."""
+"""Noise is not reported as an impact."""
 
 from collections.abc import Callable
 
@@ -19,7 +19,7 @@ SENSOR_NOISE = 0.022
 
 
 def test_an_hour_at_the_floor_of_the_sensor(make_block: MakeBlock) -> None:
-    """Not even with a threshold as low as the noise allows."""
+    """This also holds for the lowest threshold that the noise allows."""
     generator = np.random.default_rng(1)
     detector = Detector(DetectionSettings(threshold=0.1))
     for first in range(0, HOUR, CHUNK):
@@ -39,7 +39,7 @@ def heavy_tails(generator: np.random.Generator, time: FloatArray) -> FloatArray:
 
 
 def pink(generator: np.random.Generator, time: FloatArray) -> FloatArray:
-    """Return noise of 1/f power, by a filter of three poles (Kellet's economy method)."""
+    """Return 1/f noise from a filter with three poles (Kellet's economy method)."""
     white = generator.normal(0.0, 0.5, time.size)
     poles = [(0.99765, 0.0990460), (0.96300, 0.2965164), (0.57000, 1.0526913)]
     return np.asarray(sum(lfilter([gain], [1.0, -pole], white) for pole, gain in poles) + 0.1848 * white)
@@ -50,7 +50,7 @@ def drift(generator: np.random.Generator, time: FloatArray) -> FloatArray:
 
 
 def converter(generator: np.random.Generator, time: FloatArray) -> FloatArray:
-    """Return noise in steps of 24 bits over 60 V at 2.248 mV/N."""
+    """Return noise quantized like that of a 24-bit converter with a range of 60 V, at 2.248 mV/N."""
     step = 60.0 / 2**24 / 2.248e-3
     return np.round(generator.normal(0.0, SENSOR_NOISE, time.size) / step) * step
 
@@ -63,7 +63,7 @@ def coarse(generator: np.random.Generator, time: FloatArray) -> FloatArray:
 def test_other_noise(
     detect: Detect, add_pulse: AddPulse, kind: Callable[[np.random.Generator, FloatArray], FloatArray]
 ) -> None:
-    """Nothing in a minute of it, and an impact well above it is found."""
+    """A minute of noise gives no impact, and an impact well above the noise is found."""
     force = kind(np.random.default_rng(0), np.arange(int(60 * RATE)) / RATE)
     impacts, detector = detect(force)
     assert impacts == []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slow presses and loads are no impacts, whatever samples are missing or held; nor do the ends of a signal matter."""
+"""Slow presses and loads are not impacts, whichever samples are missing or held, and wherever the signal ends."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -18,13 +18,13 @@ RATES = (100.0, 500.0, 1_000.0)
 NOISE = 0.1
 PRESSES = 7
 PERIOD = 5.0
-"""Time between presses [s], of which they take 3 s."""
+"""Time from one press to the next [s]; a press takes 3 s."""
 BURSTS = st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 0.1)), max_size=60)
-"""Start, as a share of the signal, and duration [s] of what is missing or held."""
+"""Start (as a share of the signal) and duration [s] of missing or held samples."""
 
 
 def presses(rate: float, seed: int) -> FloatArray:
-    """Return seven presses of 20 to 60 N that take 0.2 s to rise and swing by 30 %, in noise."""
+    """Return seven presses of 20 to 60 N, in noise, that rise within 0.2 s and swing by 30 %."""
     rng = np.random.default_rng(seed)
     time = np.arange(round((PRESSES * PERIOD + 2.0) * rate)) / rate
     force = rng.normal(0.0, NOISE, time.size)
@@ -37,7 +37,7 @@ def presses(rate: float, seed: int) -> FloatArray:
 
 
 def marks(force: FloatArray, rate: float, bursts: list[tuple[float, float]]) -> BoolArray:
-    """Return which samples of `force` are in one of the `bursts`."""
+    """Return a mask of the samples of `force` in any of the `bursts`."""
     marked = np.zeros(force.size, dtype=np.bool_)
     for start, duration in bursts:
         first = 1 + int(start * (force.size - 2))
@@ -46,7 +46,7 @@ def marks(force: FloatArray, rate: float, bursts: list[tuple[float, float]]) -> 
 
 
 def detect_present(make_block: MakeBlock, force: FloatArray, rate: float, present: BoolArray) -> tuple[int, Detector]:
-    """Return the number of impacts in the `present` samples, in blocks that count the others as lost."""
+    """Return the number of impacts in the `present` samples; the blocks state the others as lost."""
     detector, impacts, end = Detector(DetectionSettings()), 0, 0
     edges = np.flatnonzero(np.diff(present.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     for first, stop in edges.tolist():
@@ -110,7 +110,7 @@ def test_zeros_only_under_load_make_no_impact(detect: Detect, rate: float, seed:
 
 @pytest.mark.parametrize("rate", [500.0, 1_000.0])
 def test_presses_of_a_slow_and_coarse_sensor(detect: Detect, rate: float) -> None:
-    """Five samples of the recording for one of the sensor, in steps of 0.5 N."""
+    """Each sample of the sensor is recorded five times, in steps of 0.5 N."""
     force = np.round(presses(rate, 1) / 0.5) * 0.5
     impacts, detector = detect(np.repeat(force[::5], 5), rate)
     assert (impacts, detector.sustained_contacts) == ([], PRESSES)
@@ -128,7 +128,7 @@ def test_presses_of_a_slow_and_coarse_sensor(detect: Detect, rate: float) -> Non
 def test_a_load_step_is_no_series_of_rebounds(
     detect: Detect, rate: float, load: float, swing: float, frequency: float, damping: float, shaking: float
 ) -> None:
-    """A load that rings, down to below zero, and shakes."""
+    """A load shakes and rings, also below zero."""
     rng, time = np.random.default_rng(0), np.arange(-2.0, 4.0, 1.0 / rate)
     since = np.maximum(time, 0.0)
     ringing = np.exp(-damping * 2.0 * np.pi * frequency * since) * np.cos(2.0 * np.pi * frequency * since)
@@ -149,7 +149,7 @@ def test_a_load_step_is_no_series_of_rebounds(
 def test_a_noisy_load_step_near_the_threshold_is_one_contact(
     detect: Detect, rate: float, noise: float, level: float, seed: int
 ) -> None:
-    """The noise under load is five times that of the baseline and reaches below the threshold."""
+    """The noise under load is five times that of the baseline, and falls below the threshold."""
     rng, time = np.random.default_rng(seed), np.arange(-2.0, 4.0, 1.0 / rate)
     force = rng.normal(0.0, noise, time.size)
     loaded = int(np.count_nonzero(time >= 0.0))
@@ -163,7 +163,7 @@ Signal = Callable[[float, int], FloatArray]
 
 @pytest.fixture(scope="module")
 def impacts_and_presses(add_pulse: AddPulse) -> Signal:
-    """Return the function that makes presses with an impact before each, of 20 to 300 ms and 20 to 100 N."""
+    """Return the function that makes presses, each after an impact of 20 to 300 ms and 20 to 100 N."""
 
     def make(rate: float, seed: int) -> FloatArray:
         rng, force = np.random.default_rng(seed), presses(rate, seed)

@@ -17,7 +17,7 @@ from test.impacts.conftest import Detect
 EXAMPLE = Path(__file__).parents[2] / "examples" / "cart_impacts.py"
 FOLDER = Path(__file__).parents[1] / "recordings" / "cart_impacts"
 AROUND = 0.25
-"""So long before and after the contact [s] the velocity is looked at."""
+"""Time before and after the contact over which the velocity is evaluated [s]."""
 
 
 class Run(NamedTuple):
@@ -30,7 +30,7 @@ class Run(NamedTuple):
 
 
 def runs_of(path: Path) -> list[Run]:
-    """Read all runs of a file: their columns are side by side in any order, and motion has blanks."""
+    """Read all runs of a file; their columns are side by side in any order, and those of the motion have blanks."""
     with path.open(encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(file)
     columns = dict(zip(header, zip(*rows, strict=True), strict=True))
@@ -56,7 +56,7 @@ def impact_in(run: Run, detect: Detect) -> Impact:
 
 
 def velocities(run: Run, impact: Impact) -> tuple[float, float]:
-    """Return the velocity before and after `impact` [m/s]: medians, since the motion sensor errs at times."""
+    """Return the velocity before and after `impact` [m/s]; medians, because the motion sensor has outliers."""
     onset = run.start + impact.onset_sample / run.rate
     end = onset + impact.duration
     before = (run.motion_time > onset - AROUND) & (run.motion_time <= onset)
@@ -97,7 +97,7 @@ def test_the_mass_of_the_cart(detect: Detect) -> None:
 
 @pytest.mark.live
 def test_import_signal_and_detection_give_the_same(detect: Detect) -> None:
-    """The example takes the files the way of `daq_node`, by its settings alone, and has tables of its own."""
+    """The example processes the files as `daq_node` does, by its settings alone, and has its own tables."""
     done = subprocess.run([sys.executable, str(EXAMPLE), str(FOLDER)], capture_output=True, text=True, check=True)
     assert done.stderr == ""
     rows = list(csv.DictReader(done.stdout.splitlines()))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each rule of the detection on its own: what goes wrong without it."""
+"""Each rule of the detection on its own; without it, its test fails."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_what_pulls_more_than_it_pushes_is_no_contact() -> None:
 
 
 def test_contact_ends_before_the_first_sample_of_the_next_one() -> None:
-    """Its slow fall, extrapolated to zero, would end inside the next contact."""
+    """Extrapolated to zero, the slow fall would end inside the next contact."""
     baseline = Baseline(DetectionSettings(), [Frame(noise(FRAME)) for _ in range(BASELINE_FRAMES)])
     force = np.zeros(60)
     force[20:33] = [8.0, 16.0, 12.0, 9.0, 7.0, 6.0, 5.0, 2.45, 2.3, 60.0, 80.0, 60.0, 30.0]
@@ -70,7 +70,7 @@ def test_force_below_the_baseline_before_a_contact_is_a_released_load_unless_ano
 
 @pytest.mark.parametrize("rising", [True, False])
 def test_contact_of_which_one_flank_is_missing_is_not_complete(*, rising: bool) -> None:
-    """The force of the other end is 40 % of the peak."""
+    """At the other end, the force is 40 % of the peak."""
     force = np.array([0.0, 0.0, 3.0, 6.0, 5.0, 2.4])[:: 1 if rising else -1]
     first, last = (2, 4) if rising else (1, 3)
     assert not measure(force, first, last, 0, 5, intact=False).complete

@@ -59,7 +59,7 @@ def test_a_triangle_is_exact(onset: float, up: float, down: float, peak: float) 
 @given(st.floats(0.0, 1.0), st.integers(0, 2**32))
 @settings(max_examples=25)
 def test_impulse_up_to_the_peak(detect: Detect, add_pulse: AddPulse, duration: float, onset: float, seed: int) -> None:
-    """A half-sine and lopsided ones, as damping makes them, within 1 % in noise of 0.1 N (4 % at 1 ms)."""
+    """For a half-sine, also one skewed by damping, it is within 1 % (4 % at 1 ms) in noise of 0.1 N."""
     for decay in (0.0, 0.5, 1.0):
         force = np.random.default_rng(seed).normal(0.0, 0.1, 8000)
 
@@ -111,7 +111,7 @@ def test_saturated_sample_clips_the_contact_that_contains_it(index: int) -> None
 
 
 def test_contacts_with_force_in_the_valley_between_them_share_no_sample() -> None:
-    """The valley is above a tenth of the first peak, where its flank would end, and below the release level."""
+    """The valley is above a tenth of the first peak, where its flank would end, but below the release level."""
     baseline = Baseline(DetectionSettings(), [Frame(np.random.default_rng(n).normal(0.0, 0.1, 640)) for n in range(5)])
     force = np.interp(np.arange(80), [20, 30, 38, 46, 54, 64], [0.0, 20.0, 2.2, 2.2, 18.0, 0.0])
     force += np.random.default_rng(9).normal(0.0, 0.05, 80)

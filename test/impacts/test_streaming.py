@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same impacts however the samples come, and none where samples are missing or wrong."""
+"""Impacts do not depend on how samples arrive, and missing or wrong samples give none."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def counts(detector: Detector) -> tuple[int, int, int]:
 
 @pytest.fixture(scope="module")
 def eventful(add_pulse: AddPulse) -> FloatArray:
-    """Return impacts, rebounds, a clipped one, a push, drop-outs, glitches and a change of load."""
+    """Return impacts, rebounds, a clipped impact, a sustained contact, dropouts, glitches and a change of load."""
     force = np.random.default_rng(0).normal(30.0, 0.1, SIZE)
     for onset, duration, peak in [(300, 4e-3, 90), (9_000.3, 1e-3, 300), (9_100, 5e-3, 40), (9_600, 5e-3, 20)]:
         add_pulse(force, onset, duration, peak)
@@ -70,7 +70,7 @@ def test_single_samples_change_nothing(detect: Detect, eventful: FloatArray) -> 
 
 
 def mess(generator: np.random.Generator) -> FloatArray:
-    """Return a signal of everything that can be wrong with one, and a few contacts."""
+    """Return a signal with all kinds of faults, and a few contacts."""
     force = generator.normal(generator.choice([0.0, 30.0, -30.0]), generator.choice([0.0, 0.1, 1.0]), 12_000)
     for _ in range(generator.integers(25)):
         start = int(generator.integers(force.size))
@@ -155,7 +155,7 @@ def test_a_tare_is_no_step(make_block: MakeBlock, add_pulse: AddPulse) -> None:
 
 
 def test_time_is_that_of_the_block_that_holds_the_onset(make_block: MakeBlock, add_pulse: AddPulse) -> None:
-    """The clock fit moves: each block brings its own stamp and rate."""
+    """The clock fit changes, so each block has its own stamp and rate."""
     force = np.zeros(20_480)
     add_pulse(force, 12_000.25, 20e-3, 100.0)
     detector, impacts = Detector(DetectionSettings()), []
@@ -169,7 +169,7 @@ def test_time_is_that_of_the_block_that_holds_the_onset(make_block: MakeBlock, a
 
 
 def run(detector: Detector, make_block: MakeBlock, force: FloatArray, edges: list[int], lost: int) -> list[Impact]:
-    """Feed `force` up to the first of `edges`, and from `lost` samples after it on."""
+    """Feed `force` up to the first of `edges`, and then from `lost` samples later on."""
     impacts = detector.feed(make_block(force[: edges[0]]))
     for first, stop in pairwise([edges[0] + lost, *edges[1:]]):
         impacts += detector.feed(make_block(force[first:stop], first, lost=lost if first == edges[0] + lost else 0))

@@ -67,7 +67,7 @@ def test_jitter_is_averaged_and_loses_no_sample(jitter: float, count: int) -> No
 
 
 def test_samples_of_a_burst_are_spread_over_their_time() -> None:
-    """A driver that passes on ten samples at once stamps all of them with the time of the last one."""
+    """A driver that forwards ten samples at once stamps all of them with the time of the last one."""
     count, period_ns = 10 * CHUNK // 4, 1_000_000
     true_ns = T0 + np.arange(count) * period_ns
     sample_rate, blocks = sampled(true_ns[9::10].repeat(10))

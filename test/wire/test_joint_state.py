@@ -175,7 +175,7 @@ def test_invalid_bytes_name_the_field(at: int, new: bytes, message: str) -> None
 
 @pytest.mark.parametrize(("count", "decoded"), [(1000, True), (1001, False), (40_002, False)])
 def test_names_beyond_the_maximum_are_refused_before_any_is_decoded(count: int, *, decoded: bool) -> None:
-    """The names are not UTF-8, which decoding one of them would report."""
+    """The names are not UTF-8; decoding one of them would report this error instead."""
     data = by_rosbags(SIMPLE | {"names": ["n"] * count, "position": [], "velocity": []})
     damaged = data.replace(b"n\0", b"\xff\0")
     reason = r"name\[0\]: must be UTF-8" if decoded else rf"JointState: name has length {count}: must be <= 1000"

@@ -40,7 +40,7 @@ WITH_NAME = {"stamp_ns": STAMP_NS, "tare_stamp_ns": STAMP_NS, "true_onset_ns": S
 
 
 def values_of(kind: Any, **fields: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:  # noqa: ANN401 - a named tuple
-    """Return values with any content, and with that of `fields`."""
+    """Return values with arbitrary content, except for `fields`."""
     fields = WITH_NAME | fields
     types = get_type_hints(kind).items()
     return st.builds(kind, **{name: fields[name] if name in fields else OF_TYPE[of] for name, of in types})

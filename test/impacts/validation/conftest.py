@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 START_NS = 1_700_000_000_000_000_000
 MS = 1_000_000
 LUMPED = (0.981, 1.247, 2.891)
-"""Effective masses of the paper's kind of configurations: towards (300, 200), (300, 0), (300, -200) mm [kg]."""
+"""Effective masses [kg] in configurations like the paper's: towards (300, 200), (300, 0), (300, -200) mm."""
 OBSTACLES = (0.50, 2.39, 3.72, 7.35)
 """The paper's carts [kg]."""
 ISO = 2.77
 STIFFNESS = 2e5
-"""Of the contact [N/m]."""
+"""Contact stiffness [N/m]."""
 
 
 class Cell(NamedTuple):
-    """What arrives in a cell, with the times of arrival: `runs` are (since, m_H, configuration)."""
+    """Inputs of a cell with their arrival times; `runs` are (since, m_H, configuration)."""
 
     states: list[tuple[ContactAssessment, int]]
     impacts: list[tuple[Impact, int]]

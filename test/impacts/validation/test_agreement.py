@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The statistics of a series, against scipy, numpy and closed forms."""
+"""The statistics of a series agree with scipy, numpy and closed forms."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_the_stiffness_interval_by_hand() -> None:
 
 
 def test_the_intervals_by_another_way() -> None:
-    """The fit of scipy's general optimiser, and the textbook's sums, on a noisy series."""
+    """On a noisy series, they equal the fit of scipy's general optimizer and the textbook's sums."""
     x, force, _ = paper_like(2, 0.03)
     result = agreement(x, force)
     (slope,), ((variance,),) = optimize.curve_fit(lambda x, s: s * x, x, force, p0=[400.0])
@@ -116,7 +116,7 @@ def test_exact_correlation_has_an_interval_without_width() -> None:
 
 
 def test_the_interval_holds_the_stiffness_as_often_as_it_says() -> None:
-    """Forces with additive normal errors: of 400 series, about 380 intervals hold the stiffness."""
+    """With additive normal errors of the force, about 380 of 400 intervals contain the stiffness."""
     rng = np.random.default_rng(3)
     hits = 0
     for _ in range(400):
@@ -187,7 +187,7 @@ def test_impacts_that_fit_exactly_are_conservative(x: float, force: float, count
 
 @pytest.mark.parametrize("spread", [0.0, 1e-15, 0.009, 0.04])
 def test_no_correlation_at_one_reduced_mass(spread: float) -> None:
-    """Repetitions are no trend, however well their noise lines up; their speeds scatter by up to 4 %."""
+    """Repetitions, whose speeds scatter by up to 4 %, are not a trend, even if their noise is correlated."""
     x = 0.3 * np.linspace(1.0 - spread, 1.0, 5)
     result = agreement(x, 400.0 * x + np.linspace(0.0, 1.0, 5))
     assert result.correlation == 0.0

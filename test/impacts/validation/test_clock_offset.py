@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kink of the velocity at an impact: found to a fraction of the state period, and not where there is none."""
+"""The kink in the velocity is found to a fraction of the state period, and only where there is one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DURATION = 2e-3
 
 
 def velocity_at(times: FloatArray, onset: float, loss: float = 0.2, slope: float = 0.0) -> FloatArray:
-    """Return the velocity (n, 3) of a contact point at 0.25 m/s that a half-sine of force slows by `loss` [m/s]."""
+    """Return the velocity (n, 3) of a contact point at 0.25 m/s that a half-sine force slows by `loss` [m/s]."""
     phase = np.clip((times - onset) / DURATION, 0.0, 1.0)
     speed = 0.25 + slope * times - 0.5 * loss * (1.0 - np.cos(np.pi * phase))
     return np.asarray(speed[:, None] * np.array([0.6, -0.8, 0.0]))
@@ -83,7 +83,7 @@ def test_offset_of_a_series() -> None:
 
 
 def motion(times: FloatArray, onsets: FloatArray, losses: FloatArray) -> FloatArray:
-    """Return the velocity (n, 3) of strokes of 0.5 s at 0.25 m/s that lose a share of it at the `onsets`, and brake."""
+    """Return the velocity (n, 3) of strokes of 0.5 s at 0.25 m/s that lose a share of it at `onsets` and then brake."""
     speed = 0.25 * np.clip(4.0 * np.sin(2.0 * np.pi * times), 0.0, 1.0)
     for onset, loss in zip(onsets, losses, strict=True):
         speed *= 1.0 - loss * np.clip((times - onset) / DURATION, 0.0, 1.0) * (times < np.floor(onset) + 0.75)
@@ -98,7 +98,7 @@ def motion(times: FloatArray, onsets: FloatArray, losses: FloatArray) -> FloatAr
     seed=st.integers(0, 2**32),
 )
 def test_the_offset_of_a_recording_is_found(strokes: list[int], offset: float, period: float, seed: int) -> None:
-    """The clock of the force is any time behind; a stroke may end without an impact."""
+    """The force clock is behind by any time; a stroke may end without an impact."""
     rng = np.random.default_rng(seed)
     onsets = np.array(strokes) + rng.uniform(0.15, 0.3, len(strokes))
     losses = rng.uniform(0.2, 0.9, len(strokes))

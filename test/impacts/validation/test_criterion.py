@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decision on a series: accepted, rejected with value and limit, or not decidable with what to measure next."""
+"""Decision on a series: accepted, rejected with value and limit, or not decidable with the next measurement."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CLOCK = ClockOffset(impacts=20, offset=0.0004, low=0.0, high=0.001, resolution=0
 
 
 def fit_of(masses: FloatArray = MASSES, gain: float = 1.0, exponent: float = 0.5, true: FloatArray = MASSES) -> MassFit:
-    """Return the fit of exact impacts of a robot of `true` masses at 0.25 m/s."""
+    """Return the fit of exact impacts of a robot with `true` masses at 0.25 m/s."""
     mu = 1.0 / (1.0 / true + 1.0 / OBSTACLES)
     return fit_masses(gain * 0.25 * mu, np.full(12, 0.25), 400.0 * mu**exponent, masses, OBSTACLES, POSES)
 
@@ -202,7 +202,7 @@ def test_a_single_light_obstacle_needs_another_light_one() -> None:
     ],
 )
 def test_next_measurement_is_what_the_series_lacks(changes: dict[str, Any], error: float, steps: str) -> None:
-    """Obstacles from half the lightest to 1.5 times the heaviest mass are enough, and a kink in every impact."""
+    """Obstacles from half the lightest to 1.5 times the heaviest mass, and a kink in every impact, are enough."""
     series = SERIES._replace(**changes)
     decision = decide(CriterionSettings(), series._replace(fit=series.fit._replace(detectable_mass_error=error)))
     assert decision.reason == f"a mass error below {error:.0%} would not have been found; next: {steps}"
@@ -221,7 +221,7 @@ def test_declared_contact_law_counts() -> None:
 
 
 def test_too_small_stiffness_fails_by_shortfalls() -> None:
-    """15 % too little force everywhere: the correlation cannot see it."""
+    """All forces are 15 % too small, which the correlation does not show."""
     series = agreement(X, 450.0 * X, (0.85 * 450.0) ** 2)
     assert series.correlation == pytest.approx(1.0)
     lenient = CriterionSettings(largest_relative_rmse=0.2)
@@ -271,7 +271,7 @@ def test_equally_good_models_are_both_named() -> None:
 
 @pytest.mark.parametrize("count", [3, 12, 36])
 def test_random_errors_rarely_prefer_a_model(count: int) -> None:
-    """Two models with independent errors of one size: one of 20 series may tell them apart."""
+    """For two models with independent errors of equal size, one of 20 series may prefer one of them."""
     rng = np.random.default_rng(count)
     x = np.linspace(0.1, 0.4, count)
 

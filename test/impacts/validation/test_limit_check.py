@@ -62,7 +62,7 @@ def test_force_at_the_limit_does_not_exceed_it() -> None:
 
 @pytest.mark.parametrize("masses", [(1.0, 4.0), (4.0, 1.0), (4.0, 0.0, 1.0)])
 def test_the_mass_with_the_largest_force_over_its_limit_counts(masses: tuple[float, ...]) -> None:
-    """In any order; 0 is an unknown mass."""
+    """The order does not matter; 0 is an unknown mass."""
     light, heavy = (region_force(ALL, 100.0, mass, 40.0, 1e5) for mass in (1.0, 4.0))
     assert heavy.force / heavy.limit > light.force / light.limit
     assert worst_force(ALL, 100.0, masses, 40.0, 1e5) == heavy

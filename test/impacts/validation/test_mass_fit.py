@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mass scale, gain and exponent: exact on exact impacts, with honest intervals, and blind where nothing can be seen."""
+"""Mass scale, gain and exponent are exact for exact impacts, have correct intervals, or are stated as unknown."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def reduced(masses: FloatArray, obstacles: FloatArray = OBSTACLES) -> FloatArray
 
 
 def fit(noise: FloatArray | float = 0.0, scale: float = 1.0, gain: float = 1.0, exponent: float = 0.5) -> MassFit:
-    """Fit the paper's design with relative errors of the impulses; the model is right but for `scale` and `gain`."""
+    """Fit the paper's design with relative errors of the impulses; only `scale` and `gain` of the model are wrong."""
     mu = reduced(scale * MASSES)
     speeds = np.linspace(0.2, 0.3, 12)
     peaks = 500.0 * gain * (mu * speeds**2) ** exponent
@@ -91,7 +91,7 @@ def test_intervals_of_a_noisy_series_are_those_of_the_general_optimiser() -> Non
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
-    """Of 400 series about 380, and an error of the stated detectable size is found in about 380."""
+    """About 380 of 400 intervals contain the truth, and about 380 series find an error of the detectable size."""
     rng = np.random.default_rng(1)
     hits = np.zeros(3)
     for _ in range(400):
@@ -133,7 +133,7 @@ def test_repetitions_share_the_errors_of_pose_and_cart() -> None:
 
 
 def test_gain_and_mass_cannot_be_told_apart_without_several_ratios() -> None:
-    """One cart, and carts in proportion to the masses: mu / m_n is the same everywhere."""
+    """With one cart, or carts in proportion to the masses, mu / m_n is the same everywhere."""
     for obstacles in (np.full(12, np.inf), 2.0 * MASSES):
         mu = reduced(MASSES, obstacles)
         result = fit_masses(0.25 * mu, np.full(12, 0.25), mu, MASSES, obstacles, NAMES)

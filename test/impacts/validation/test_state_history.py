@@ -40,7 +40,7 @@ def refused(state: OnsetState | Rejection) -> Rejection:
 def test_linear_motion_is_interpolated_exactly(
     make_state: MakeState, speed: float, acceleration: float, mass: float, change: float, onset: int
 ) -> None:
-    """Everything linear in time comes out exactly, wherever the onset lies between two states."""
+    """Values that are linear in time are exact, wherever the onset is between two states."""
     times = np.arange(-40, 50, 10) * 1e-3
     states = [
         make_state(START + round(t * 1e9), speed + acceleration * t, lumped=mass + change * t, full=2 * mass)
@@ -77,7 +77,7 @@ def test_between_two_states_alone(make_state: MakeState) -> None:
 def test_states_slowed_by_the_contact_are_not_used(
     make_state: MakeState, step: int, after: tuple[float, Vector3]
 ) -> None:
-    """Slowed, thrown back at the same speed, or stopped: the motion before the impact is what counts."""
+    """If the robot is slowed, thrown back at the same speed, or stopped, the motion before the impact counts."""
     states = [make_state(START + i * step * MS, 0.25, lumped=1.0) for i in range(-10, 1)]
     states += [make_state(START + i * step * MS, *after, lumped=3.0) for i in range(1, 10)]
     for onset in (START + step * MS // 3, START + step * MS - 1):
@@ -115,7 +115,7 @@ def test_a_spring_between_two_masses(make_state: MakeState, rate: int, late_us: 
 
 
 def test_the_onset_may_be_stamped_late_by_the_clock_uncertainty(make_state: MakeState) -> None:
-    """At 1 kHz the contact began 0.8 ms before its stamp: the state in between is slowed already."""
+    """At 1 kHz, the contact began 0.8 ms before its stamp; the state in between is already slowed."""
     states = [make_state(START + i * MS, 0.25) for i in range(-20, 0)]
     states += [make_state(START + i * MS, 0.2 - 0.05 * i) for i in range(4)]
     state = usable(history_of(states).at(START + 300_000, MS))
@@ -138,7 +138,7 @@ def test_direction_may_turn_by_up_to_120_degrees(make_state: MakeState, angle: f
 
 
 def test_trend_is_that_of_the_last_five_states(make_state: MakeState) -> None:
-    """Neither an older state, on another line, enters it, nor one at which the robot did not move."""
+    """It uses neither an older state on another line nor one in which the robot did not move."""
     states = [make_state(START - 65 * MS, 9.0)]
     states += [make_state(START - ms * MS, 0.3 - 0.001 * ms) for ms in (55, 45, 35, 15, 5)]
     states.insert(4, make_state(START - 25 * MS, 0.0, STILL))
@@ -152,7 +152,7 @@ def test_trend_is_that_of_the_last_five_states(make_state: MakeState) -> None:
 def test_trend_reaches_back_twice_the_state_tolerance_and_the_uncertainty(
     make_state: MakeState, age_ms: int, *, from_trend: bool
 ) -> None:
-    """100 ms, and 1 ms of clock uncertainty."""
+    """It covers 100 ms plus 1 ms of clock uncertainty."""
     states = [make_state(START - ms * MS) for ms in (age_ms, 10)] + [make_state(START + 5 * MS, 0.1)]
     assert usable(history_of(states).at(START, MS)).from_trend == from_trend
 
@@ -167,7 +167,7 @@ def test_state_after_the_onset_may_be_slower_by_half_a_percent(
 
 @pytest.mark.parametrize(("last", "is_usable"), [(0.02, True), (0.015, False)])
 def test_trend_below_the_speed_threshold_is_rejected(make_state: MakeState, last: float, *, is_usable: bool) -> None:
-    """The robot brakes by 0.01 m/s in 5 ms: at the onset it would move at 10 or 5 mm/s less a little, 5 are needed."""
+    """The robot brakes by 0.01 m/s in 5 ms; at the onset it would move at just under 10 or 5 mm/s, and 5 are needed."""
     states = [make_state(START - ms * MS, last + 0.002 * (ms - 5)) for ms in (20, 15, 10, 5)]
     states += [make_state(START + 5 * MS, 0.0, STILL)]
     state = history_of(states).at(START + MS // 2, 0)
@@ -177,7 +177,7 @@ def test_trend_below_the_speed_threshold_is_rejected(make_state: MakeState, last
 
 
 def test_velocity_noise_is_not_amplified(make_state: MakeState) -> None:
-    """Velocities with 2 % of noise, which often looks like slowing, give the speed to about as much."""
+    """Velocity noise of 2 % often looks like slowing; the speed is still accurate to about as much."""
     rng = np.random.default_rng(0)
     errors = []
     for _ in range(300):
@@ -216,7 +216,7 @@ def test_unknown_state_without_motion_is_rejected(
 
 
 def test_unknown_verdict_with_motion_is_used(make_state: MakeState) -> None:
-    """A verdict that is held, latched or without limits says nothing against speed and masses."""
+    """Speed and masses are valid although the verdict is held, latched or without limits."""
     states = [make_state(START + ms * MS, verdict=Verdict.UNKNOWN, reason="latched until reset: x") for ms in (-5, 5)]
     assert usable(history_of(states).at(START, MS)).speed == 0.25
 

@@ -35,7 +35,7 @@ ISO = 2.77
 def run(
     cell: Cell, settings: ValidatorSettings, order: Callable[[int], int] | None = None
 ) -> tuple[list[ValidatedImpact], Result]:
-    """Feed `cell`, by time of arrival unless `order` says from which stream (0: states) the nth one comes."""
+    """Feed `cell` by time of arrival, unless `order` states the stream (0: states) of each item."""
     validator = Validator(settings)
     for since_ns, obstacle_mass, configuration in cell.runs:
         validator.runs.set(since_ns, obstacle_mass=obstacle_mass, configuration=configuration)
@@ -63,7 +63,7 @@ def balanced(result: Result) -> bool:
 
 @pytest.fixture(scope="module")
 def campaign(make_cell: MakeCell) -> Cell:
-    """The paper's twelve cases, without noise."""
+    """The paper's twelve cases without noise."""
     return make_cell()
 
 
@@ -98,7 +98,7 @@ def test_campaign_returns_its_input_parameters(campaign: Cell) -> None:
 
 
 def test_statistics_of_each_impact(campaign: Cell) -> None:
-    """Recomputed from the message's own fields, with a stiffness that is too small."""
+    """It can be recomputed from the message's fields; the stiffness is too small."""
     validated, result = run(campaign, ValidatorSettings(history=60.0, stiffness_n_m=180e3))
     n = 0
     for n, impact in enumerate(validated, 1):
@@ -139,7 +139,7 @@ def test_groups_by_configuration_and_by_obstacle(campaign: Cell) -> None:
 @given(st.integers(0, 2**32), st.data())
 @settings(max_examples=30)
 def test_the_order_of_arrival_does_not_matter(make_cell: MakeCell, seed: int, data: st.DataObject) -> None:
-    """Bit by bit: each published impact, and the result; with spoilt impacts and clocks that leap among them."""
+    """Each published impact and the result are equal to the last bit, also with invalid impacts and clock jumps."""
     cell = make_cell(step_ms=40)
     for i in data.draw(st.lists(st.integers(0, 11), max_size=3)):
         impact, received_ns = cell.impacts[i]
@@ -188,7 +188,7 @@ def test_impact_waits_for_the_states_of_50_ms_after_it(make_state: MakeState, ma
 def test_without_an_end_an_impact_waits_no_longer_than_the_clock_tolerance(
     make_state: MakeState, make_impact: MakeImpact
 ) -> None:
-    """When joint states stop, the monitor repeats its last stamp, and that is heard."""
+    """When joint states stop, the monitor repeats its last stamp, which must not be ignored."""
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     validator.add_state(make_state(START), START)
     validator.add_impact(make_impact(START + 25 * MS), START + 100 * MS)
@@ -207,7 +207,8 @@ def test_spoilt_impacts_are_counted_each_under_its_reason(campaign: Cell) -> Non
         {"peak_force": NAN},
     ]
     impacts = [
-        (i._replace(**(spoilt[n] if n < 5 else {})), received) for n, (i, received) in enumerate(campaign.impacts)
+        (i._replace(**(spoilt[n] if n < len(spoilt) else {})), received)
+        for n, (i, received) in enumerate(campaign.impacts)
     ]
     validated, result = run(campaign._replace(impacts=impacts), ValidatorSettings(history=60.0))
     assert result.excluded == {
@@ -219,6 +220,13 @@ def test_spoilt_impacts_are_counted_each_under_its_reason(campaign: Cell) -> Non
     assert (len(validated), result.unpaired, result.accepted) == (7, {}, True)
     assert balanced(result)
     assert result.refused[0].excluded
+
+
+def test_infinite_peak_is_excluded(campaign: Cell) -> None:
+    (impact, received), *others = campaign.impacts
+    impacts = [(impact._replace(peak_force=math.inf), received), *others]
+    _, result = run(campaign._replace(impacts=impacts), ValidatorSettings(history=60.0))
+    assert result.excluded == {"no positive peak force": 1}
 
 
 def test_no_impacts(campaign: Cell) -> None:
@@ -265,7 +273,7 @@ def test_no_contact_states(campaign: Cell) -> None:
 
 @pytest.mark.parametrize("ahead_s", [-3.2, 3.2, -3600.0, 3600.0, -1.7e9])
 def test_clocks_apart(make_cell: MakeCell, ahead_s: float) -> None:
-    """The state that is stamped as the onset is another one's, and would be taken without a look at the arrivals."""
+    """The state with the stamp of the onset belongs to another time; only the arrival times show it."""
     cell = make_cell(force_clock_ns=round(ahead_s * 1e9))
     validated, result = run(cell, ValidatorSettings(history=60.0))
     assert not validated
@@ -277,7 +285,7 @@ def test_clocks_apart(make_cell: MakeCell, ahead_s: float) -> None:
 
 
 def test_force_blocks_detect_smaller_clock_offsets(campaign: Cell) -> None:
-    """Half a second and more, which an impact's own arrival cannot tell from a late report."""
+    """They show offsets from 0.5 s on; the late arrival of an impact alone could be a late report."""
     validator = Validator(ValidatorSettings(history=60.0))
     for state in campaign.states:
         validator.add_state(*state)
@@ -294,7 +302,7 @@ def test_force_blocks_detect_smaller_clock_offsets(campaign: Cell) -> None:
 
 @pytest.mark.parametrize("days", [-1, 1])
 def test_clocks_that_share_no_time_without_arrivals(campaign: Cell, days: int) -> None:
-    """Recordings of two days: no arrival times, only stamps that do not meet."""
+    """Recordings of two days have no arrival times; their stamps do not overlap."""
     day = days * 86_400_000 * MS
     cell = campaign._replace(
         states=[(state, 0) for state, _ in campaign.states],
@@ -320,7 +328,7 @@ def test_impacts_without_arrival_times_are_matched_by_stamp(campaign: Cell) -> N
 def test_impact_arrives_between_the_clock_tolerance_before_and_the_delay_after_its_onset(
     make_state: MakeState, make_impact: MakeImpact, delay_ns: int, apart: int
 ) -> None:
-    """Compared with contact states that arrive at their stamps."""
+    """The contact states arrive at the times of their stamps."""
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     for ms in range(-1000, 20, 10):
         validator.add_state(make_state(START + ms * MS), START + ms * MS)
@@ -346,7 +354,7 @@ def test_impact_without_arrival_time_waits_for_the_states_around_its_onset(
 def test_excluded_impacts_do_not_lower_the_share_of_paired_ones(
     campaign: Cell, make_impact: MakeImpact, *, excluded: bool, accepted: bool
 ) -> None:
-    """13 more impacts: clipped ones, or ones at which the robot stood still."""
+    """There are 13 more impacts that are clipped, or at which the robot stood still."""
     extra = [(make_impact(START + (i + 1) * MS // 4, clipped=excluded), START + 180 * MS) for i in range(13)]
     validated, result = run(campaign._replace(impacts=[*extra, *campaign.impacts]), ValidatorSettings(history=60.0))
     assert (len(validated), result.seen) == (12, 25)
@@ -444,7 +452,7 @@ JOINED_LATE = {
 def test_subscriber_that_joins_late_takes_the_first_contact_point_of_a_joint_state(
     make_state: MakeState, make_impact: MakeImpact, heard: list[tuple[int, str, bool]]
 ) -> None:
-    """It missed the tool of the joint state in which it joined; the elbow must not stay, nor leave a state behind."""
+    """It missed the tool in its first joint state; neither the elbow nor its state must remain."""
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     for ms, name, watchdog in heard:
         state = make_state(START + ms * MS, 0.9 if name == "elbow" else 0.25, contact_point=name)
@@ -523,7 +531,7 @@ def test_selected_model_without_a_mass_is_rejected(
 
 
 def test_obstacle_mass_at_the_onset_applies(make_state: MakeState, make_impact: MakeImpact) -> None:
-    """Changed between impacts, also while one still waits."""
+    """The run changes between impacts, also while an impact waits."""
     validator = Validator(ValidatorSettings(obstacle_mass=1.0, configuration="near"))
     validated = []
     for ms in range(0, 200, 10):
@@ -569,7 +577,7 @@ def test_run_information_that_cannot_be_used_is_refused_and_makes_the_obstacle_u
 
 
 def test_impact_before_its_run_information_leaves_the_series(make_state: MakeState, make_impact: MakeImpact) -> None:
-    """The obstacle of the run before it is not its own; impacts of earlier runs and recordings stay."""
+    """Its obstacle is not that of the run before; impacts of earlier runs and recordings stay."""
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     for offset in (0, 3600_000, 0):  # the last recording has older stamps than the one before
         validator.begin_recording()
@@ -629,7 +637,7 @@ def test_plate_normal_of_the_run_replaces_that_of_the_settings() -> None:
 def test_speed_and_masses_are_those_along_the_normal_of_the_plate(
     make_state: MakeState, make_impact: MakeImpact, normal: Vector3, share: float
 ) -> None:
-    """Mobility 1 / m along x and 0.5 / m along y; a guide along x, so that an oblique cart yields as m_H / cos^2."""
+    """The mobility is 1 / m along x, 0.5 / m along y; with the guide along x, an oblique cart acts as m_H / cos^2."""
     validator = Validator(ValidatorSettings(stiffness_n_m=200e3))
     validator.runs.begin(RunInfo(obstacle_mass=2.0, plate_normal=normal, guide_direction=(1.0, 0.0, 0.0)), 0)
     for ms in range(0, 70, 10):
@@ -646,7 +654,7 @@ def test_speed_and_masses_are_those_along_the_normal_of_the_plate(
 
 
 def test_guide_in_the_plate_is_rejected(make_state: MakeState, make_impact: MakeImpact) -> None:
-    """The normal is a setting, the guide of the run information."""
+    """The normal is from the settings, the guide from the run information."""
     validator = Validator(ValidatorSettings(plate_normal="1 0 0"))
     validator.begin_run(RunInfo(obstacle_mass=2.0, guide_direction=(0.0, 1.0, 0.0)), 0)
     for ms in range(0, 70, 10):
@@ -673,7 +681,7 @@ def test_reset_begins_a_new_series(campaign: Cell) -> None:
 
 @pytest.mark.parametrize("is_reset", [False, True])
 def test_reset_forgets_the_stated_uncertainty(campaign: Cell, *, is_reset: bool) -> None:
-    """A force that is 10 % too large is within the 30 % of the series before, but not within the default of 5 %."""
+    """A force 10 % too large is within the 30 % of the previous series, but not within the default of 5 %."""
     validator = Validator(ValidatorSettings(history=60.0))
     validator.add_force(block([0.0])._replace(relative_uncertainty=0.3), START)
     if is_reset:
@@ -696,7 +704,7 @@ def test_masses_within_5_percent_are_one_pose(make_cell: MakeCell, heaviest: flo
 
 
 def test_recordings_one_after_the_other(make_cell: MakeCell) -> None:
-    """Each on the same stamps, with an obstacle of its own: one series."""
+    """Recordings with the same stamps but different obstacles form one series."""
     cell = make_cell()
     validator = Validator(ValidatorSettings(history=60.0))
     validated: list[ValidatedImpact] = []
@@ -740,7 +748,7 @@ def test_the_series_is_predicted_with_its_own_stiffness(make_cell: MakeCell) -> 
 
 
 def test_an_impact_may_be_reported_late(campaign: Cell) -> None:
-    """A train of contacts is reported when it is over: no sign of clocks that differ."""
+    """A train of contacts is reported at its end, which does not show that clocks differ."""
     late = [(impact, impact.stamp_ns + 1200 * MS) for impact, _ in campaign.impacts]
     validated, result = run(campaign._replace(impacts=late), ValidatorSettings(history=60.0))
     assert (len(validated), result.clock, result.accepted) == (12, "", True)
@@ -764,7 +772,7 @@ def test_clocks_that_differed_in_an_earlier_recording(make_cell: MakeCell) -> No
 def test_impact_waits_until_the_states_cover_its_clock_uncertainty(
     make_state: MakeState, make_impact: MakeImpact
 ) -> None:
-    """1 ms by the settings, and the residual of the force clock; at least the 50 ms of the kink."""
+    """It waits 1 ms by the settings plus the residual of the force clock, but at least the 50 ms of the kink."""
     for residual, covered_ms in ((0.0, 50), (-0.004, 50), (-0.089, 90)):
         validator = Validator(ValidatorSettings(obstacle_mass=2.0, state_tolerance=0.2))
         for ms in (-100, -99):
@@ -785,7 +793,7 @@ def test_impact_without_a_usable_stamp_is_excluded(
 
 
 def test_models_are_compared_on_the_same_impacts(make_state: MakeState, make_impact: MakeImpact) -> None:
-    """The full mass is not known for half of them: the comparison leaves those out for all models."""
+    """The full mass is unknown for half of the impacts; the comparison leaves these out for all models."""
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     for number, mass in enumerate((0.8, 1.0, 1.5, 2.0, 3.0, 4.0)):
         start_ns = START + number * 1000 * MS
