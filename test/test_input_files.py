@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Any content of a parameter or robot file gives settings, a robot, or a one-line error with the place, at bounded cost."""
+"""Any content of a parameter or robot file gives settings, a robot, or a one-line error with the place."""
 
 import os
 from pathlib import Path
