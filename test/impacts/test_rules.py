@@ -78,6 +78,16 @@ def test_contact_of_which_one_flank_is_missing_is_not_complete(*, rising: bool) 
     assert measure(force, first, last, 0, 5, intact=False).complete
 
 
+@pytest.mark.parametrize(("index", "clipped"), [(19, False), (20, True), (24, True), (25, False)])
+def test_saturated_samples_beside_a_contact_do_not_clip_it(index: int, *, clipped: bool) -> None:
+    baseline = Baseline(DetectionSettings(), [Frame(noise(FRAME)) for _ in range(BASELINE_FRAMES)])
+    force, saturated = noise(60), np.zeros(60, dtype=np.bool_)
+    force[20:25] += [20.0, 60.0, 80.0, 60.0, 20.0]
+    saturated[index] = True
+    (contact,) = classify(force, saturated, baseline, 4, 20).contacts
+    assert contact.clipped == clipped
+
+
 def test_buffer_without_blocks_has_no_samples() -> None:
     assert SampleBuffer(100).samples(100, 110).size == 0
 
