@@ -88,6 +88,16 @@ def test_saturated_samples_beside_a_contact_do_not_clip_it(index: int, *, clippe
     assert contact.clipped == clipped
 
 
+def test_hole_in_a_contact_is_filled_with_the_mean_of_its_neighbours() -> None:
+    baseline = Baseline(DetectionSettings(), [Frame(noise(FRAME)) for _ in range(BASELINE_FRAMES)])
+    force = noise(60)
+    force[20:27] += [20.0, 50.0, 70.0, 0.0, 80.0, 50.0, 20.0]
+    segment = classify(force, np.zeros(60, dtype=np.bool_), baseline, 4, 20)
+    (contact,) = segment.contacts
+    assert segment.glitches.tolist() == [23]
+    assert contact.area == pytest.approx(365.0, rel=0.01)
+
+
 def test_buffer_without_blocks_has_no_samples() -> None:
     assert SampleBuffer(100).samples(100, 110).size == 0
 
