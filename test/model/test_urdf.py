@@ -324,6 +324,13 @@ class TestFixedJoints:
         ('type="revolute"', 'type="floating"', "joint j1: type = 'floating': must be"),
         ('type="revolute"', 'type="ball"', "joint j1: type = 'ball': must be"),
         ('<axis xyz="0 0 1"/>', '<mimic joint="j3"/>', "joint j1: must not mimic another joint"),
+        ('<parent link="tool"/>', '<parent link="tool"/><mimic joint="j1"/>', None),  # of a fixed joint
+        ('mass value="2.0"', 'mass value="1000000"', None),
+        (
+            'mass value="2.0"',
+            'mass value="1000000.5"',
+            r"link fore: <mass value> = '1000000.5': must be at most 1e\+06",
+        ),
         ('mass value="2.0"', 'mass value="-2.0"', "link fore: mass = -2: must not be negative"),
         ('mass value="2.0"', 'mass value="nan"', "link fore: <mass value> = 'nan': must be 1 finite number"),
         ('mass value="2.0"', 'mass value="heavy"', "link fore: <mass value> = 'heavy'"),
