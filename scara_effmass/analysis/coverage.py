@@ -93,16 +93,19 @@ class Coverage(BaseModel):
 
     def extend(self, other: Coverage, path: Path) -> None:
         """Add the coverage `other`, which belongs to `path`. Raises SettingsError as `merge` does."""
-        for text, own, its in (
+        own_bins, other_bins = (
+            {name: len(bins) for name, bins in coverage.counts.items()} for coverage in (self, other)
+        )
+        for text, expected, value in (
             ("robot and ranges", (self.robot, self.ranges), (other.robot, other.ranges)),
-            ("bins", *({name: len(bins) for name, bins in one.counts.items()} for one in (self, other))),
+            ("bins", own_bins, other_bins),
         ):
-            if own != its:
-                raise SettingsError(f"{path}: {text} = {its}: must be {own}")
+            if value != expected:
+                raise SettingsError(f"{path}: {text} = {value}: must be {expected}")
         for recording in other.recordings:
             self.begin(recording)
         for name, bins in self.counts.items():
-            self.counts[name] = [one + two for one, two in zip(bins, other.counts[name], strict=True)]
+            self.counts[name] = [sum(counts) for counts in zip(bins, other.counts[name], strict=True)]
         self.joint_states += other.joint_states
         self.poses |= other.poses
 

@@ -113,9 +113,9 @@ class Evidence:
             if group := self.group(setting, drives):
                 text = f"{group.share:.2%} above the limit ({group.above} of {group.impacts}, worst {group.worst:.3f})"
                 met = group.share <= MAX_SHARE
-                goals.append((f"{LABELS[setting]}; {DRIVES[drives]}", f"{text}; at most {MAX_SHARE:.1%} wanted", met))
+                goals.append((f"{LABELS[setting]}; {DRIVES[drives]}", f"{text}; must be at most {MAX_SHARE:.1%}", met))
             if group := self.group(setting, drives, "worst"):
-                text = f"median of peak / limit {group.median:.3f} at the worst normal; at least {MIN_MEDIAN:g} wanted"
+                text = f"median of peak / limit {group.median:.3f} at the worst normal; must be at least {MIN_MEDIAN:g}"
                 goals.append((f"{LABELS[setting]}; {DRIVES[drives]}", text, group.median >= MIN_MEDIAN))
         return goals
 

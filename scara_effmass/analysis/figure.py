@@ -79,8 +79,11 @@ def _draw_verdicts(axes: Axes, episodes: Sequence[Episode], min_width: float) ->
     """Draw the band of verdicts; `min_width` [s] keeps the verdict of a single cycle visible."""
     patches = []
     for verdict, style in _VERDICT_STYLES.items():
-        own = [episode for episode in episodes if episode.verdict is verdict]
-        bars = [(episode.start, max(episode.stop - episode.start, min_width)) for episode in own]
+        bars = [
+            (episode.start, max(episode.stop - episode.start, min_width))
+            for episode in episodes
+            if episode.verdict is verdict
+        ]
         axes.broken_barh(bars, (0.0, 1.0), **style)
         if bars:
             patches.append(Patch(label=verdict.name, **style))

@@ -72,8 +72,8 @@ def phrases(text: str, language: str) -> Iterator[tuple[str, bool]]:
         yield whole or "", True
         return
     for separator in (" · ", ": ", "; "):
-        head, found, tail = text.partition(separator)
-        if found and (separator == " · " or translated(head, language) is not None):
+        head, is_split, tail = text.partition(separator)
+        if is_split and (separator == " · " or translated(head, language) is not None):
             yield from phrases(head, language)
             yield separator, True
             yield from phrases(tail, language)

@@ -12,6 +12,7 @@ import typing
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -198,20 +199,25 @@ def _check(
     for source, block in blocks:
         points = np.asarray(block["contact_point"], dtype=object)
         for point in dict.fromkeys(points):
-            mine = points == point
-            mine_only = {name: np.asarray(block[name], dtype=object)[mine] for name in _COLUMNS}
-            traces[f"{source}: {point}"].add(mine_only)
+            is_point = points == point
+            columns = {name: np.asarray(block[name], dtype=object)[is_point] for name in _COLUMNS}
+            traces[f"{source}: {point}"].add(columns)
         if end_ns:  # by topic: the names of the contact points change when the monitor gets its robot
             topics[source].add(block)
     results, count = [], sum(trace.count for trace in traces.values())
     for rule in PROPERTIES:
         if (rule.live and not end_ns) or (rule.on_stamps and settings.release_time <= _SLACK_S):
             continue
-        found: list[tuple[str, float]] = []
-        for place, trace in (topics if rule.live else traces).items():
-            found += [(place, at_s) for at_s in _violations(rule, bounds, trace.columns(), end_ns)]
-        first = "in {}, at {:.6f} s".format(*min(found, key=lambda item: item[1])) if found else ""
-        results.append(PropertyResult(verdicts, rule.text, count, len(found), first))
+        violations = [
+            (at_s, place)
+            for place, trace in (topics if rule.live else traces).items()
+            for at_s in _violations(rule, bounds, trace.columns(), end_ns)
+        ]
+        first = ""
+        if violations:
+            at_s, place = min(violations, key=itemgetter(0))
+            first = f"in {place}, at {at_s:.6f} s"
+        results.append(PropertyResult(verdicts, rule.text, count, len(violations), first))
     return results if traces else []
 
 
@@ -221,7 +227,7 @@ def _violations(rule: Property, bounds: Mapping[str, float], runs: dict[str, Arr
     clock = "stamp" if rule.on_stamps else "log"
     if rule.on_stamps:  # the watchdog repeats a stamp, and its verdicts do not affect later ones
         runs = {name: values[~runs["watchdog"]] for name, values in runs.items()}
-    found: list[float] = []
+    begins_s: list[float] = []
     # Stamps go back where the clock of the monitor went back and the monitor discarded its history.
     parts = np.split(np.arange(runs[clock].size), np.flatnonzero(np.diff(runs[clock]) < 0) + 1)
     for part in parts:
@@ -236,12 +242,12 @@ def _violations(rule: Property, bounds: Mapping[str, float], runs: dict[str, Arr
             until_s = (until_ns - origin_ns) / _NS
             robustness = _evaluate(formula, _signals(chunk, clock, origin_ns, until_s))
             ends = [at_s for at_s, _ in robustness[1:]] + [until_s]
-            found += [
+            begins_s += [
                 origin_ns / _NS + max(at_s, from_s)
                 for (at_s, value), end_s in zip(robustness, ends, strict=True)
                 if value < 0.0 and end_s > from_s and at_s <= until_s
             ]
-    return found
+    return begins_s
 
 
 def _signals(runs: dict[str, Array], clock: str, origin_ns: int, until_s: float) -> dict[str, list[list[float]]]:

@@ -172,11 +172,11 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
     held_measured = all_measured and pressure_limit is held
     values["quasi_static_limit_n"] = held.force_n if held_measured else held.permissible_force_n
     judged = [_judged_force(transient, instrument, item) for item in repetitions]
-    kept = [item.force_beyond_0_5_s_n for item in repetitions if item.force_beyond_0_5_s_n is not None]
-    if not judged or None in judged or len(kept) < len(judged) or instrument.stiffness_n_m is None:
+    later = [item.force_beyond_0_5_s_n for item in repetitions if item.force_beyond_0_5_s_n is not None]
+    if not judged or None in judged or len(later) < len(judged) or instrument.stiffness_n_m is None:
         return values
     values["converted"] = not _stands_for(instrument.stiffness_n_m, transient)
-    values["judged_force_n"], values["held_force_n"] = max(filter(None, judged), default=0.0), max(kept)
+    values["judged_force_n"], values["held_force_n"] = max(filter(None, judged), default=0.0), max(later)
     ratios = [
         values["judged_force_n"] / values["transient_limit_n"],
         values["held_force_n"] / values["quasi_static_limit_n"],

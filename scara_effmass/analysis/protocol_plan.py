@@ -67,8 +67,8 @@ class Plan:
             candidate = Candidate(ratio, contact, pose, at_limit)
             near = [other for other in worst if candidate.is_near(other)]
             if all(ratio > other.ratio for other in near):
-                kept = [other for other in worst if other not in near]
-                worst[:] = sorted([*kept, candidate], key=lambda item: -item.ratio)[: self._count]
+                others = [other for other in worst if other not in near]
+                worst[:] = sorted([*others, candidate], key=lambda item: -item.ratio)[: self._count]
 
     def protocol(self, robot_model: str) -> Protocol:
         """Return a protocol with an empty test for each contact, and a device for each stiffness of the regions."""

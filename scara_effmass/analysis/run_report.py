@@ -151,7 +151,7 @@ class RunReport:
     def _regions(self) -> Iterator[tuple[Limit, int, float | None, str]]:
         """Yield each limit with the number of episodes that it governs, their smallest margin [m/s], worst verdict."""
         for limit in limits_for(self._settings):
-            own = [item for item in self._episodes if item["body_region"] == limit.region]
-            margins = [item["min_margin_m_s"] for item in own if item["min_margin_m_s"] is not None]
-            verdict = worst(Verdict[item["verdict"]] for item in own).name if own else ""
-            yield limit, len(own), min(margins, default=None), verdict
+            episodes = [item for item in self._episodes if item["body_region"] == limit.region]
+            margins = [item["min_margin_m_s"] for item in episodes if item["min_margin_m_s"] is not None]
+            verdict = worst(Verdict[item["verdict"]] for item in episodes).name if episodes else ""
+            yield limit, len(episodes), min(margins, default=None), verdict

@@ -184,9 +184,9 @@ class Summary:
     def of_state(cls, state: SummaryState) -> Summary:
         """Return the summary with the counts in `state`."""
         summary = cls(state["timeout_ns"])
-        for name, own in vars(summary).items():
+        for name, empty in vars(summary).items():
             value = state[name.lstrip("_")]  # type: ignore[literal-required]
-            setattr(summary, name, Counter(value) if isinstance(own, Counter) else value)
+            setattr(summary, name, Counter(value) if isinstance(empty, Counter) else value)
         return summary
 
     def merge(self, other: Summary) -> None:

@@ -65,25 +65,29 @@ class RobotMasses:
 
     def figures(self) -> Iterator[tuple[int, Figure]]:
         """Yield number and figure, in order."""
-        own, by, n, m_h = self.masses[self.model], NAMES[self.model], "n = [1 0 0]", SHOWN_OBSTACLE_KG
+        mass, model, m_h = self.masses[self.model], NAMES[self.model], SHOWN_OBSTACLE_KG
         obstacles = {f"$m_H$ = {obstacle:g} kg": obstacle for obstacle in OBSTACLES_KG}
-        masses = {f"effective mass [kg], {NAMES[model]}": mass for model, mass in self.masses.items()}
-        yield 6, self._maps(f"Fig. 6  Largest effective mass, {n}", masses, self.robot.iso_mass)
+        along_x, against_full = "n = [1 0 0]", "of the simplified against the full model"
+        panels = {f"effective mass [kg], {NAMES[name]}": values for name, values in self.masses.items()}
+        yield 6, self._maps(f"Fig. 6  Largest effective mass, {along_x}", panels, self.robot.iso_mass)
         yield 8, self._density()
-        both, text = len(self.masses) > 1, "of the simplified against the full model"
-        full = self.masses.get("full", own)
-        if both:
-            yield 9, self._maps(f"Fig. 9  Largest error {text}, {n}", {"error [%]": relative_error(full, own)})
-        mu = {f"µ [kg], {label}": reduced_mass(own, obstacle) for label, obstacle in obstacles.items()}
-        yield 10, self._maps(f"Fig. 10  Largest reduced mass, {by}, {n}", mu)
-        if both:
-            pairs = {label: (reduced_mass(full, mass), reduced_mass(own, mass)) for label, mass in obstacles.items()}
-            errors = {f"error [%], {label}": relative_error(*pair) for label, pair in pairs.items()}
-            yield 11, self._maps(f"Fig. 11  Largest error in reduced mass {text}, {n}", errors)
-        along = {f"µ [kg], n = {list(n)}": reduced_mass(self._along(n, self.model), m_h) for n in (ALONG_Y, OBLIQUE)}
-        yield 12, self._maps(f"Fig. 12  Largest reduced mass, {by}, $m_H$ = {m_h:g} kg", along)
-        title = f"Fig. 15  Smallest reduced mass, {by}, $m_H$ = {m_h:g} kg, {n}"
-        yield 15, self._maps(title, {"µ [kg]": reduced_mass(own, m_h)}, sign=-1.0)
+        has_both = len(self.masses) > 1
+        full = self.masses.get("full", mass)
+        if has_both:
+            panels = {"error [%]": relative_error(full, mass)}
+            yield 9, self._maps(f"Fig. 9  Largest error {against_full}, {along_x}", panels)
+        panels = {f"µ [kg], {label}": reduced_mass(mass, obstacle) for label, obstacle in obstacles.items()}
+        yield 10, self._maps(f"Fig. 10  Largest reduced mass, {model}, {along_x}", panels)
+        if has_both:
+            panels = {
+                f"error [%], {label}": relative_error(reduced_mass(full, obstacle), reduced_mass(mass, obstacle))
+                for label, obstacle in obstacles.items()
+            }
+            yield 11, self._maps(f"Fig. 11  Largest error in reduced mass {against_full}, {along_x}", panels)
+        panels = {f"µ [kg], n = {list(n)}": reduced_mass(self._along(n, self.model), m_h) for n in (ALONG_Y, OBLIQUE)}
+        yield 12, self._maps(f"Fig. 12  Largest reduced mass, {model}, $m_H$ = {m_h:g} kg", panels)
+        title = f"Fig. 15  Smallest reduced mass, {model}, $m_H$ = {m_h:g} kg, {along_x}"
+        yield 15, self._maps(title, {"µ [kg]": reduced_mass(mass, m_h)}, sign=-1.0)
 
     def _maps(
         self, title: str, panels: dict[str, FloatArray], iso_mass: float | None = None, sign: float = 1.0
@@ -122,19 +126,19 @@ def make_figures(
     check_output_files(folder, [PAGE, SUMMARY, *figure_files(names)], overwrite=overwrite)
     masses = RobotMasses(monitor, advance, samples)
     caption = "Each cell shows one of the sampled configurations in it; in Fig. 8 each cell counts the same."
-    made = [report_figure(f"figure_{n}", f"Fig. {n}", caption, figure) for n, figure in masses.figures()]
+    figures = [report_figure(f"figure_{n}", f"Fig. {n}", caption, figure) for n, figure in masses.figures()]
     left_out = dict(LEFT_OUT)
-    if len(made) < len(NUMBERS):
+    if len(figures) < len(NUMBERS):
         missing = monitor.dynamics.full_reason if masses.model == "lumped" else monitor.dynamics.lumped_reason
         reason = missing or "a joint moves the contact point, but no lumped mass"
         left_out["Figs. 9 and 11"] = f"the {NAMES[masses.model]} is the only one: {reason}"
     summary = {
         "robot": masses.robot.origin,
         "model": masses.model,
-        "figures": [figure.name for figure in made],
+        "figures": [figure.name for figure in figures],
         "left_out": left_out,
         "provenance": provenance(monitor.settings, masses.robot.origin, []),
     }
-    page = render("robot.html", robot=masses.robot, figures=made, left_out=left_out)
-    write_report_files(folder, {PAGE: page, SUMMARY: summary}, made, overwrite=overwrite)
+    page = render("robot.html", robot=masses.robot, figures=figures, left_out=left_out)
+    write_report_files(folder, {PAGE: page, SUMMARY: summary}, figures, overwrite=overwrite)
     return summary
