@@ -356,6 +356,14 @@ def test_wrong_value_is_named(old: str, new: str, named: str | None) -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("more", "problem"), [(495, "joint '': must have a unique name"), (496, "501 joints: must be")]
+)
+def test_file_has_at_most_500_joints(more: int, problem: str) -> None:
+    with pytest.raises(RobotError, match=rf"scara\.urdf: {problem}"):
+        parse(with_more(*["<joint/>"] * more))
+
+
 def test_unknown_contact_point_names_the_links() -> None:
     with pytest.raises(RobotError, match=r"scara\.urdf: contact_points = 'nose': must be one of .*base, fore"):
         parse(contact_points=("nose",))
