@@ -27,13 +27,15 @@ def extend_table(
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a+", encoding="utf-8", newline="\n") as file:
             file.seek(0)
-            lines = [line for line in file.read().splitlines(keepends=True) if line.endswith("\n")]
+            text = file.read()
+            lines = [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
             number = lines[-1].partition(",")[0] if lines else ""
             last = int(number) if number.isdecimal() else 0
             kept = [line for line in lines if not line.startswith(f"{last},")]
             rows = simulate(seed, last)
             header, again = ",".join(rows[0]) + "\n", _lines(rows)
-            if lines and (lines[0] != header or not again.startswith("".join(lines[len(kept) :]))):
+            is_same = lines[:1] == [header] and again.startswith("".join(lines[len(kept) :]))
+            if not (is_same or header.startswith(text)):
                 raise OutputError(f"{path}: must be of this seed and version; choose another folder, or use --force")
             file.truncate(sum(map(len, kept)))
             file.write(again if kept else header + again)
