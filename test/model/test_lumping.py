@@ -567,6 +567,17 @@ def test_arm_that_can_lie_along_its_first_axis_has_no_lumped_masses(
         lump(load_rows(omron_rows))
 
 
+def test_joints_that_move_the_same_masses_alike_have_no_lumped_masses(
+    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
+) -> None:
+    """Two joints on one axis: each moves lumped mass, but M is singular."""
+    del omron_rows["joints"][2:], omron_rows["links"][2:], omron_rows["payload"]
+    omron_rows["joints"][0] |= {"a": 0.0, "alpha": 0.0}
+    omron_rows["links"][0]["com"] = [0.0, 0.0, 0.05]
+    with pytest.raises(RobotError, match=r"^the lumped mass matrix is not positive definite at q = "):
+        lump(load_rows(omron_rows))
+
+
 def test_negative_mass_is_not_regular_by_its_form(
     omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]
 ) -> None:
