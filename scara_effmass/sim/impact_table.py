@@ -25,7 +25,7 @@ def extend_table(
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a+", encoding="utf-8", newline="\n") as file:
+        with path.open("a+", encoding="utf-8", errors="replace", newline="\n") as file:
             file.seek(0)
             text = file.read()
             lines = [line for line in text.splitlines(keepends=True) if line.endswith("\n")]

@@ -89,15 +89,15 @@ def test_resumed_table_is_that_of_one_run(table: str, tmp_path: Path, size: floa
     assert path.read_text(encoding="utf-8") == table
 
 
-@pytest.mark.parametrize("change", ["seed", "header", "number", "line"])
+@pytest.mark.parametrize("change", ["seed", "header", "number", "line", "binary"])
 def test_table_of_another_run_is_refused_and_kept(table: str, tmp_path: Path, change: str) -> None:
     path = tmp_path / "impacts.csv"
     number = f"{table[: table.rindex(' ')]} 1.5\n"
-    text = {"seed": table, "header": f"x{table}", "number": number, "line": "other"}[change]
-    path.write_text(text, encoding="utf-8")
+    text = {"seed": table, "header": f"x{table}", "number": number, "line": "other", "binary": "\xff"}[change]
+    path.write_text(text, encoding="latin-1")
     with pytest.raises(OutputError, match=r"impacts.csv: must be of this seed and version"):
         list(extend_table(path, SEED + (change == "seed"), 6))
-    assert path.read_text(encoding="utf-8") == text
+    assert path.read_text(encoding="latin-1") == text
 
 
 def test_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
