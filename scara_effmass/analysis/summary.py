@@ -133,7 +133,7 @@ class Summary:
         for point, contact in enumerate(states.contacts):
             decides = deciding == point
             for index, count in _counts(states.reasons[point][decides & (shown == Verdict.UNKNOWN)]):
-                text = states.reason_texts[point][index]
+                text = states.reason_texts[point][index].replace("…", "...")  # "…" will stand for a number
                 numbers = [float(number.group()) for number in NUMBER.finditer(text)]
                 self._count_reason(NUMBER.sub("…", text), count, [(number, number) for number in numbers])
             decides &= shown != Verdict.UNKNOWN

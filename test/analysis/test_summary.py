@@ -134,6 +134,13 @@ def test_remedy_of_gaps() -> None:
     assert summary.remedy == remedy(NO_JOINT_STATE)
 
 
+def test_reasons_with_an_ellipsis_are_kept() -> None:
+    summary = Summary(TIMEOUT_NS)
+    for reason in ("a … b", "a … 3", "a 2 3", "a … b"):
+        summary.add(states_of([0], [[contact(Verdict.UNKNOWN, 0.0, reason)]]))
+    assert summary.reason_counts() == {"a ... b": 2, "a ... 3": 1, "a 2 3": 1}
+
+
 def test_number_of_reasons_is_bounded() -> None:
     summary = Summary(TIMEOUT_NS)
     for number in range(10 * MAX_REASONS):
