@@ -43,6 +43,7 @@ class VerdictConsumer(Node):
         """Allowed speed of each contact point [m/s], and the reason if it is 0."""
         self._received_s: dict[str, float] = {}
         """Time of the last message of each contact point."""
+        self._monitors = 0
         self._limit: tuple[float, str] | None = None
         # The monitor offers twice its timeout. A shorter request does not match, and then nothing arrives.
         self._deadline_s = 2.0 * timeout_s
@@ -61,6 +62,8 @@ class VerdictConsumer(Node):
         self._stop("no contact state yet")
 
     def _on_contact_state(self, state: ContactState) -> None:
+        if self._monitors > 1:
+            return
         name, now_s = state.contact_point, time.monotonic()
         if not name or "" in self._speeds:  # the monitor has no robot, or gets one: earlier contact points are void
             self._speeds.clear()
@@ -80,8 +83,9 @@ class VerdictConsumer(Node):
         self._change(*min(self._speeds.values()))
 
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
-        if event.alive_count == 0:
-            self._stop("liveliness lost")
+        self._monitors = event.alive_count
+        if self._monitors != 1:
+            self._stop("two monitors" if self._monitors else "liveliness lost")
             self._speeds.clear()  # the next monitor may have other contact points
 
     def _stop(self, reason: str) -> None:

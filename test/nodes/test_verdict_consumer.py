@@ -173,7 +173,13 @@ def test_consumer_moves_again_only_after_a_permissive_state_of_every_contact_poi
         spin_until((0.2, ""), tool, elbow)
         # The monitor loses its robot and gets one with another contact point.
         spin_until((0.0, ": why"), ("", ContactState.UNKNOWN, 0.0))
-        spin_until((0.4, ""), ("flange", ContactState.OK, 0.4))
+        flange = ("flange", ContactState.OK, 0.4)
+        spin_until((0.4, ""), flange)
+        # A second monitor may have another verdict.
+        second = consumer.create_publisher(ContactState, "contact_state", qos_profile(topics.verdict_qos(TIMEOUT)))
+        spin_until((0.0, "two monitors"), flange)
+        consumer.destroy_publisher(second)
+        spin_until((0.4, ""), flange)
         executor.shutdown()
         consumer.destroy_node()
     finally:
