@@ -162,6 +162,30 @@ def test_one_contact_point_that_allows_nothing_stops_until_it_allows_something(
     assert scaler.reason == ""
 
 
+interleaved = st.lists(
+    st.tuples(st.sampled_from(["tool", "elbow", ""]), st.sampled_from(Verdict), st.integers(0, 3 * TIMEOUT_NS)),
+    max_size=40,
+)
+
+
+@given(interleaved)
+def test_factor_is_0_while_any_contact_point_is_unknown_or_silent(steps: list[tuple[str, Verdict, int]]) -> None:
+    scaler, now_ns = SpeedScaler(TIMEOUT_NS, START_NS), START_NS
+    scaler.rise_rate = 100.0
+    last: dict[str, tuple[Verdict, int]] = {}
+    for name, stated, wait_ns in steps:
+        now_ns += wait_ns
+        verdict = stated if name else Verdict.UNKNOWN
+        if not name or "" in last:
+            last.clear()
+        last[name] = verdict, now_ns
+        scaler.take(state(0.0, 0.6, name, verdict, at_rest=True), now_ns)
+        factor = scaler.factor(now_ns)
+        if any(its is Verdict.UNKNOWN or now_ns - at_ns > 2 * TIMEOUT_NS for its, at_ns in last.values()):
+            assert factor == 0.0
+            assert scaler.reason
+
+
 def test_old_state_stops() -> None:
     scaler, now_ns = released()
     scaler.take(state(0.1, 1.0), now_ns, TIMEOUT_NS + 1_000_000)
