@@ -62,11 +62,10 @@ def draw_run(
             _draw_forces(rows[-1], forces, series.start_ns)
         rows[-1].set_xlabel("time since the first joint state [s]")
         masses.set_xlim(0.0, max(float(series.time[-1]), 1e-3))
+        unknown = [(item.start, item.stop - item.start) for item in episodes if item.verdict is Verdict.UNKNOWN]
+        style = {"facecolor": "none", "edgecolor": "#BBBBBB", "hatch": "////", "linewidth": 0.0}
         for axes in (speeds, masses):
-            for episode in episodes:
-                if episode.verdict is Verdict.UNKNOWN:
-                    style = {"facecolor": "none", "edgecolor": "#BBBBBB", "hatch": "////", "linewidth": 0.0}
-                    axes.axvspan(episode.start, episode.stop, zorder=0, **style)
+            axes.broken_barh(unknown, (0.0, 1.0), transform=axes.get_xaxis_transform(), zorder=0, **style)
         title += "\n" * (1 + subtitle.count("\n"))
         figure.suptitle(title, fontsize=13.0, fontweight="bold", x=0.01, ha="left")
         below_title = 1.0 - SUBTITLE_IN / figure.get_figheight()
