@@ -504,36 +504,28 @@ class ContactAssessor:
         return ["lumped"] if self._lumped_suffices else ["lumped", "iso"], self._reasons.largest
 
     def _clamping_force(self, masses: EffectiveMasses, q: FloatArray, index: int) -> float:
-        """Return the largest static force [N] of the drives, along a fixed normal, the velocity, or else any axis.
-
-        Infinite if it is unknown.
-        """
-        settings, dynamics = self.settings, self.dynamics
-        directions: tuple[Vector3, ...] = (masses.direction,)
-        if settings.fixed_normal is not None:
-            x, y, z = dynamics.in_base(q, settings.fixed_normal, settings.contact_normal_frame)
-            directions = (x, y, z), (-x, -y, -z)
-        elif masses.direction == ZERO_VECTOR:
-            directions = _AXES
-        force = dynamics.clamping_force(q, index, *directions)
-        return min(force, settings.external_force_limit or math.inf)
+        """Return the largest static force [N] of the drives along `_directions`; infinite if it is unknown."""
+        force = self.dynamics.clamping_force(q, index, *self._directions(masses, q))
+        return min(force, self.settings.external_force_limit or math.inf)
 
     def _holding_force(self, models: list[ModelMass], masses: EffectiveMasses, q: FloatArray, index: int) -> float:
         """Return the contact force [N] up to which no joint reaches its effort limit.
 
         Above it, computed torque no longer holds: saturated joints yield, the others push on, and the arm can hit
-        again, faster. The force acts along a fixed normal, else the velocity and the worst normal; at rest, any axis.
+        again, faster. The force acts along `_directions`, and without a fixed normal also along the worst one.
         """
-        settings, velocity = self.settings, masses.direction
+        normals = self._directions(masses, q)
+        if self.settings.fixed_normal is None:
+            normals += [model.change.worst_normal(self._min_obstacle_mobility) for model in models if model.change]
+        return self.dynamics.holding_force(q, index, *normals)
+
+    def _directions(self, masses: EffectiveMasses, q: FloatArray) -> list[Vector3]:
+        """Return a fixed normal and its opposite, else the direction of the velocity, at rest those of all axes."""
+        settings = self.settings
         if settings.fixed_normal is not None:
             x, y, z = self.dynamics.in_base(q, settings.fixed_normal, settings.contact_normal_frame)
-            normals = [(x, y, z), (-x, -y, -z)]
-        elif velocity == ZERO_VECTOR:
-            normals = [*_AXES]
-        else:
-            worst = [model.change.worst_normal(self._min_obstacle_mobility) for model in models if model.change]
-            normals = [velocity, *worst]
-        return self.dynamics.holding_force(q, index, *normals)
+            return [(x, y, z), (-x, -y, -z)]
+        return [*_AXES] if masses.direction == ZERO_VECTOR else [masses.direction]
 
 
 def _difference(contact: ContactAssessment, expected: ContactAssessment, tolerance: float) -> str:

@@ -736,15 +736,16 @@ def test_robot_at_rest_clamps_along_its_strongest_axis(scara_variant: Variant) -
     assert contact.clamping_force == pytest.approx(max(vertical))
 
 
-@pytest.mark.parametrize("normal", ["0 0 1", "0 0 -1"])
-def test_fixed_normal_clamps_along_both_its_senses(scara_variant: Variant, normal: str) -> None:
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (0.6, 0.8, 0.0), (0.6, -0.8, 0.0)])
+def test_fixed_normal_clamps_along_both_its_senses(scara_variant: Variant, normal: Vector3) -> None:
     """Downwards the weight of the arm pushes, too."""
     robot = scara_variant(lambda file: [joint.update(max_effort=500.0) for joint in file["joints"]])
-    q = (0.3, 1.2, 0.1, 0.0)
-    contact = assess_one(robot, q, (0.1,) * 4, contact="quasi_static", contact_normal=normal)
-    up, down = (robot.clamping_force(np.array(q), 0, (0.0, 0.0, sign)) for sign in (1.0, -1.0))
-    assert abs(up - down) > 10.0
-    assert contact.clamping_force == pytest.approx(max(up, down))
+    q, text = (0.3, 1.2, 0.1, 0.0), " ".join(map(str, normal))
+    contact = assess_one(robot, q, (0.1,) * 4, contact="quasi_static", contact_normal=text)
+    x, y, z = normal
+    there, back = (robot.clamping_force(np.array(q), 0, n) for n in (normal, (-x, -y, -z)))
+    assert (abs(there - back) > 10.0) == (z != 0.0)
+    assert contact.clamping_force == pytest.approx(max(there, back))
 
 
 def test_largest_mass_counts_the_change_of_pose_of_the_lumped_model(bare_scara: RobotDynamics) -> None:
