@@ -128,7 +128,7 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
         for path in (path for path in present if path not in named):
             # A recorder that was killed has not listed its last file.
             if _continues(path, named):
-                losses.add(f"{folder / METADATA}: does not name {path.name}, which continues the bag; read as well")
+                losses.add(f"{folder / METADATA}: does not name {path.name}, which continues the bag; it is read too")
                 paths.append(path)
             else:
                 losses.add(f"{folder / METADATA}: does not name {path.name}; not read")

@@ -118,7 +118,7 @@ def check_output(path: Path, *, overwrite: bool) -> None:
     except OSError as error:
         raise OutputError(f"{path}: cannot be read: {error.strerror}") from None
     if not is_replaceable:
-        raise OutputError(f"{path}: is not such a bag and is not replaced")
+        raise OutputError(f"{path}: is not a bag of this kind and is not replaced")
     if is_busy:
         raise OutputError(f"{path}: is being recorded; stop the recorder first")
 

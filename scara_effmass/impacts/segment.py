@@ -244,7 +244,7 @@ def _contacts(
             and last < force.size - 1
             and bool(valid[max(math.floor(contact.onset), 0) : math.ceil(contact.end) + 1].all())
             and (before.size < MIN_INCOMPLETE_SAMPLES or abs(float(np.median(before))) <= threshold)
-            # If a load was released after the baseline was taken, the force is below it; also while a contact rings.
+            # Force below the baseline shows a load that was released since; after another contact it may be ringing.
             and bool(number or np.count_nonzero(before < -threshold) < MIN_INCOMPLETE_SAMPLES)
         )
         # In total, a contact compresses the sensor; noise does not.

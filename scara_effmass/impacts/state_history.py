@@ -154,7 +154,7 @@ class StateHistory:
             speed = self._states[after].row[_SPEED]
             return Rejection("the robot stands still at the onset", f"{speed:.4f} m/s after it")
         if not length >= MIN_DIRECTION_LENGTH or not row[_SPEED] >= self._settings.speed_threshold:
-            return Rejection("the direction of motion turns over at the onset")
+            return Rejection("the direction of motion reverses at the onset")
         x, y, z = (row[_DIRECTION] / length).tolist()
         mobilities = tuple(row[_LUMPED].tolist()), tuple(row[_FULL].tolist())
         return OnsetState(float(row[_SPEED]), (x, y, z), _by_model(*row[_MASSES].tolist()), from_trend, mobilities)

@@ -122,7 +122,8 @@ def _sort(log_times_ns: IntArray, stamps_ns: IntArray, values: FloatArray, origi
     for start, stop in true_runs(~valid).tolist():
         if stop - start >= CLOCK_STEP_RUN:
             at = start + CLOCK_STEP_RUN - 1
-            step = f"{deviation_ns[at] / NS:.3f} s off from {log_times_ns[at] / NS:.6f} s on"
-            raise BagError(f"{origin}: its stamps are {step}; must be recorded without a clock step")
+            start_s, step_s = log_times_ns[at] / NS, deviation_ns[at] / NS
+            line = f"from {start_s:.6f} s on, its stamps deviate by {step_s:.3f} s"
+            raise BagError(f"{origin}: {line}; must be recorded without a clock step")
     order = np.argsort(stamps_ns[valid], kind="stable")
     return stamps_ns[valid][order], values[valid][order]

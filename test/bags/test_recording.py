@@ -453,7 +453,7 @@ class TestStarting:
         (tmp_path / "bag").mkdir()
         with pytest.raises(OutputError, match="bag: already exists"):
             BagRecorder(tmp_path / "bag")
-        with pytest.raises(OutputError, match="is not such a bag and is not replaced"):
+        with pytest.raises(OutputError, match="is not a bag of this kind and is not replaced"):
             BagRecorder(tmp_path / "bag", overwrite=True)
         with pytest.raises(OutputError, match=r"must be a folder name without \.mcap"):
             BagRecorder(tmp_path / "bag.mcap")
@@ -475,7 +475,7 @@ class TestStarting:
             (folder / "metadata.yaml").unlink()
             for name in others:
                 (folder / name).write_text("x")
-        with pytest.raises(OutputError, match="is not such a bag and is not replaced"):
+        with pytest.raises(OutputError, match="is not a bag of this kind and is not replaced"):
             BagRecorder(folder, overwrite=True)
         assert sorted(path.name for path in folder.iterdir()) == ["bag_0.mcap", "notes.txt"]
 

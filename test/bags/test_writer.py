@@ -129,10 +129,10 @@ class TestExistingPath:
         folder = tmp_path / "thesis"
         folder.mkdir()
         (folder / "chapter1").write_text("x")
-        with pytest.raises(OutputError, match="is not such a bag and is not replaced"):
+        with pytest.raises(OutputError, match="is not a bag of this kind and is not replaced"):
             BagWriter(folder, overwrite=True)
         (tmp_path / "folder.mcap").mkdir()
-        with pytest.raises(OutputError, match="is not such a bag and is not replaced"):
+        with pytest.raises(OutputError, match="is not a bag of this kind and is not replaced"):
             BagWriter(tmp_path / "folder.mcap", overwrite=True)
         assert names_in(folder) == ["chapter1"]
 

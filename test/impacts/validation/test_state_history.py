@@ -173,7 +173,7 @@ def test_trend_below_the_speed_threshold_is_rejected(make_state: MakeState, last
     state = history_of(states).at(START + MS // 2, 0)
     assert isinstance(state, OnsetState) == is_usable
     if not is_usable:
-        assert refused(state).reason == "the direction of motion turns over at the onset"
+        assert refused(state).reason == "the direction of motion reverses at the onset"
 
 
 def test_velocity_noise_is_not_amplified(make_state: MakeState) -> None:
@@ -247,7 +247,7 @@ def test_speed_at_the_threshold_is_motion(make_state: MakeState) -> None:
 
 def test_reversal_at_the_onset_is_rejected(make_state: MakeState) -> None:
     states = [make_state(START - 5 * MS), make_state(START + 5 * MS, direction=(-1.0, 0.0, 0.0))]
-    assert refused(history_of(states).at(START, MS)).reason == "the direction of motion turns over at the onset"
+    assert refused(history_of(states).at(START, MS)).reason == "the direction of motion reverses at the onset"
 
 
 @pytest.mark.parametrize("missing", ["lumped", "full"])
