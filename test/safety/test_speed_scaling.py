@@ -163,8 +163,13 @@ def test_one_contact_point_that_allows_nothing_stops_until_it_allows_something(
 
 
 interleaved = st.lists(
-    st.tuples(st.sampled_from(["tool", "elbow", ""]), st.sampled_from(Verdict), st.integers(0, 3 * TIMEOUT_NS)),
-    max_size=40,
+    st.tuples(
+        st.sampled_from(["tool", "elbow", "elbow", "elbow", ""]),
+        st.sampled_from([Verdict.OK, Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN]),
+        st.sampled_from([0, PERIOD_NS, TIMEOUT_NS]),
+    ),
+    min_size=20,
+    max_size=60,
 )
 
 
