@@ -71,10 +71,10 @@ class Motion:
         s = self._ramped(factors)
         step = np.diff(self.time)
         time = np.concatenate(([0.0], np.cumsum(2.0 * step / (s[1:] + s[:-1]))))
-        parts = np.ceil(np.diff(time) / max(np.median(step), MAX_STEP_S) - 1e-6).astype(np.intp)
-        shares = [np.arange(count) / count for count in np.maximum(parts, 1)]
-        starts = zip(time[:-1], np.diff(time), shares, strict=True)
-        times = np.concatenate([*(start + length * share for start, length, share in starts), time[-1:]])
+        counts = np.maximum(np.ceil(np.diff(time) / max(np.median(step), MAX_STEP_S) - 1e-6), 1.0).astype(np.intp)
+        steps = zip(time[:-1], time[1:], counts, strict=True)
+        pieces = [np.linspace(start, end, count, endpoint=False) for start, end, count in steps]
+        times = np.concatenate([*pieces, time[-1:]])
         path_time = CubicHermiteSpline(time, self.time, s)(times)  # exact: s changes linearly in time
         first = self.states[0]
         q, qd = ScaledTrajectory(first.names, self.time, self.q, self.qd).at(path_time, np.interp(times, time, s))
