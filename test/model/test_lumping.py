@@ -427,10 +427,12 @@ class TestCrossedAxes:
             body["inertia"] = [body["inertia"]] * 3 + [0.0] * 3
         omron_rows["joints"][1]["alpha"], omron_rows["joints"][1]["a"] = 2.0, 0.0
         omron_rows["links"][1]["com"] = [0.05, 0.01, 0.02]
-        lumped = lump(load_rows(omron_rows))
-        assert lumped.links[1].point2 == pytest.approx((0.05, 0.01, 0.02))
-        assert (lumped.links[1].kappa2, lumped.links[1].on_axes, lumped.links[1].problem) == (1.0, False, "")
-        assert (lumped.links[1].height1, lumped.links[1].height2) == (0.0, 0.0)
+        robot = load_rows(omron_rows)
+        for rule in FreeParameters:
+            link = lump(replace(robot, lumping=LumpingSettings(free_parameters=rule))).links[1]
+            assert link.point2 == pytest.approx((0.05, 0.01, 0.02))
+            assert (link.kappa2, link.on_axes, link.problem) == (1.0, False, "")
+            assert (link.height1, link.height2) == (0.0, 0.0)
 
     @pytest.mark.parametrize(("far", "runs_away"), [(2.69, False), (2.71, True)])
     @pytest.mark.parametrize("end", ["proximal", "distal"])

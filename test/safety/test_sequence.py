@@ -159,6 +159,7 @@ rows = st.lists(
 
 
 @given(rows, st.sampled_from([0, 1, 100, 10_000]), st.integers(1, 60))
+@example([(0, Verdict.VIOLATION, True, 1, 1), (99, Verdict.OK, True, 1, 1)], 100, 60)
 def test_verdicts_are_debounced_as_one_by_one(
     steps: list[tuple[int, Verdict, bool, int, int]], release_ns: int, size: int
 ) -> None:
