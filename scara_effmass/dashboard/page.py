@@ -199,10 +199,11 @@ def csv_of(client: CellClient) -> str:
         )
         duration = "" if episode.end_ns is None else f"{(episode.end_ns - episode.start_ns) / 1e9:.3f}"
         # A leading apostrophe keeps a spreadsheet from evaluating the text of a message.
-        cause = f"'{episode.cause}" if episode.cause.startswith(("=", "+", "-", "@")) else episode.cause
-        writer.writerow(
-            [episode.verdict.name, start, end, duration, episode.contact_point, cause, " and ".join(episode.simulated)]
+        point, cause = (
+            f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
+            for text in (episode.contact_point, episode.cause)
         )
+        writer.writerow([episode.verdict.name, start, end, duration, point, cause, " and ".join(episode.simulated)])
     return text.getvalue()
 
 

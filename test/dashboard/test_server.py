@@ -2,6 +2,9 @@
 """Who may see the page: this machine without a token, others with it, pages of other sites never."""
 
 import asyncio
+import csv
+from types import SimpleNamespace
+from typing import Any
 
 import httpx
 import pytest
@@ -9,8 +12,12 @@ from starlette.applications import Starlette
 from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 
+from scara_effmass.dashboard.page import csv_of
 from scara_effmass.dashboard.server import Guard, bound_socket, is_local
 from scara_effmass.errors import SettingsError
+from scara_effmass.safety import unknown_contact
+from scara_effmass.safety.cell_status import CellStatus
+from scara_effmass.values import Verdict
 
 APP = Starlette(routes=[Route("/", lambda _: PlainTextResponse("page"))])
 
@@ -59,3 +66,13 @@ def test_a_port_in_use_is_refused() -> None:
         port = listener.getsockname()[1]
         with pytest.raises(SettingsError, match=f"^dashboard: 127.0.0.1:{port}: must be a free address"):
             bound_socket("127.0.0.1", port)
+
+
+def test_spreadsheets_evaluate_no_text_of_a_message() -> None:
+    status = CellStatus(0)
+    status.episodes.clear()
+    status.take_contact(unknown_contact("tool", "", 1, 0.0)._replace(verdict=Verdict.OK), 1)
+    status.take_contact(unknown_contact("=A1", "+A2", 1, 0.0), 2)
+    client: Any = SimpleNamespace(status=status, wall_ns=lambda at_ns: at_ns)
+    _, row = csv.reader(csv_of(client).splitlines())
+    assert (row[0], row[4], row[5]) == ("UNKNOWN", "'=A1", "'+A2")
