@@ -7,9 +7,10 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import replace
+from io import BytesIO
 from itertools import zip_longest
 from pathlib import Path
-from typing import IO, cast, final
+from typing import IO, final
 
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys.store import Typestore
@@ -39,6 +40,16 @@ def open_unbuffered(path: Path) -> IO[bytes]:
     return path.open("xb", buffering=0)
 
 
+class _FileEnd(BytesIO):
+    """The end of a file that is not yet written, with offsets in the file."""
+
+    start = 0
+    """Offset of the first byte."""
+
+    def tell(self) -> int:
+        return self.start + super().tell()
+
+
 @final
 class McapFileWriter:
     """Writes one MCAP file with checksums, an index and message definitions. The file is locked while open.
@@ -61,14 +72,13 @@ class McapFileWriter:
         self._name = name or path.name
         self._counts: list[int] = []
         self._schemas: dict[str, int] = {}
-        self._buffer: list[bytes] = []
-        self._buffered_bytes = 0
+        self._unsaved = _FileEnd()
         self._is_synced = True
         self._file = opener(path)
         with suppress(OSError):  # some network file systems have no locks
             fcntl.flock(self._file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._writer = Writer(
-            cast("IO[bytes]", self),
+            self._unsaved,
             chunk_size=MAX_TIME_NS,  # `save` ends the chunks
             compression=CompressionType.ZSTD if compress else CompressionType.NONE,
         )
@@ -79,7 +89,7 @@ class McapFileWriter:
     @property
     def is_saved(self) -> bool:
         """Whether everything is in the file and synchronised to the disk."""
-        return not self.pending_bytes and not self._buffer and self._is_synced
+        return not self.pending_bytes and self._unsaved.tell() == self.saved_bytes and self._is_synced
 
     @property
     def unsaved_counts(self) -> list[int]:
@@ -126,7 +136,7 @@ class McapFileWriter:
         """
         if not self.finished:
             self._writer.flush()  # type: ignore[no-untyped-call]
-        data = memoryview(b"".join(self._buffer))
+        data = memoryview(self._unsaved.getvalue())
         written = 0
         try:
             while written < len(data):
@@ -137,8 +147,9 @@ class McapFileWriter:
             self._file.seek(self.saved_bytes)
             raise
         self.saved_bytes += written
-        self._buffer.clear()
-        self._buffered_bytes = 0
+        self._unsaved.seek(0)
+        self._unsaved.truncate()
+        self._unsaved.start = self.saved_bytes
         self._is_synced = self._is_synced and not written
         if sync:
             os.fdatasync(self._file.fileno())
@@ -149,19 +160,6 @@ class McapFileWriter:
     def close(self) -> None:
         """Close the file; unsaved messages are lost."""
         self._file.close()
-
-    def write(self, data: bytes) -> int:
-        """Buffer the output of `mcap.writer.Writer`."""
-        self._buffer.append(bytes(data))
-        self._buffered_bytes += len(data)
-        return len(data)
-
-    def tell(self) -> int:
-        """Return the offset of the next byte."""
-        return self.saved_bytes + self._buffered_bytes
-
-    def flush(self) -> None:
-        """No-op: `save` writes."""
 
     def _bag_file(self) -> BagFile:
         topics = tuple(replace(topic, count=count) for topic, count in zip(self.topics, self._counts, strict=True))
