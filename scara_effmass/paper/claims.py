@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -68,7 +69,7 @@ class Claim:
     """A statement `paper` at `where` in the paper, our result `ours`, and the `rule` for a match.
 
     A new claim is not checked; its methods return a copy that is compared with a result. NaN never matches. `value`
-    [`unit`] is the number in `ours`, None without one; `basis` is None if nothing was checked.
+    [`unit`] is the number in `ours`, None without a finite one; `basis` is None if nothing was checked.
     """
 
     key: str
@@ -104,7 +105,8 @@ class Claim:
         return replace(self, basis=None, note=reason)
 
     def _compared(self, value: float, unit: str, rule: str, note: str, *, met: bool) -> Claim:
-        return replace(self.holds(_quantity(value, unit), rule, note, met=met), value=value, unit=unit)
+        claim = self.holds(_quantity(value, unit), rule, note, met=met)
+        return replace(claim, value=value if math.isfinite(value) else None, unit=unit)
 
 
 def _quantity(value: float, unit: str) -> str:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write all figures, the page and the claims, or nothing."""
 
-import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -99,6 +98,5 @@ def make_figure_set(
     figure_set = FigureSet(names, claims, agreement)
     advance()
     page = render("paper.html", version=__version__, figures=figures, figure_set=figure_set)
-    texts = {PAGE: page, CLAIMS: json.dumps(figure_set.as_dict(), indent=1, ensure_ascii=False) + "\n"}
-    write_report_files(folder, texts, figures, overwrite=overwrite)
+    write_report_files(folder, {PAGE: page, CLAIMS: figure_set.as_dict()}, figures, overwrite=overwrite)
     return figure_set

@@ -115,4 +115,5 @@ def test_one_impact_is_not_checked(inputs: FigureInputs) -> None:
 def test_nan_never_matches() -> None:
     claim, nan = Claim("a", "", ""), float("nan")
     for compared in (claim.near(nan, 1.0, 0.1), claim.at_most(nan, 1.0), claim.more_than(nan, 1.0)):
+        assert (compared.ours, compared.value) == ("nan", None)  # JSON has no NaN
         assert compared.outcome is Outcome.NO_MATCH
