@@ -140,7 +140,7 @@ class SplitWriter:
     def write(self, topic: int, log_time_ns: int, sequence: int, data: bytes) -> None:
         """Add a message of the topic with this index, or count it as lost."""
         file = self._file
-        if file is not None and log_time_ns - file.start_ns >= self._max_file_ns:
+        if file is not None and not self.stopped and log_time_ns - file.start_ns >= self._max_file_ns:
             self._split()
             file = self._file
         if file is None or self.stopped:

@@ -111,6 +111,7 @@ class FaultyFile(io.FileIO):
         self._disk = disk
 
     def write(self, data: Any) -> int:  # noqa: ANN401 - as in FileIO
+        self._disk.writes += 1
         if not self._disk.responds.is_set():
             self._disk.blocks.set()
             self._disk.responds.wait()
@@ -127,6 +128,7 @@ class FaultyDisk:
 
     def __init__(self, room: int = 1 << 40, error: int = errno.ENOSPC) -> None:
         self.room = room
+        self.writes = 0
         self.error = error
         self.responds = threading.Event()
         self.responds.set()
@@ -412,6 +414,17 @@ class TestFullDisk:
         assert (report.recorded, report.saved, report.topics["/a"].lost.disk) == (5, 5, 5)
         assert report.unindexed == ("bag_0.mcap",)
         assert metadata(folder)["message_count"] == 5
+
+    def test_full_disk_is_not_tried_again_for_each_message(self, tmp_path: Path) -> None:
+        disk = FaultyDisk()
+        options = RecorderOptions(flush_period_s=3600.0, max_file_ns=1)
+        with BagRecorder(tmp_path / "bag", options, opener=disk.open) as recorder:
+            topic = recorder.add_topic("/a", STRING)
+            disk.room, before = 0, disk.writes
+            for i in range(200):
+                recorder.write(topic, T0 + i, text(i))
+        assert recorder.report().topics["/a"].lost.disk == 200
+        assert disk.writes - before <= 2  # at the end of the first file, and at the end of the recording
 
     def test_failed_sync_is_reported(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         warnings: list[str] = []
