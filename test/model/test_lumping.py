@@ -287,13 +287,13 @@ class TestCrossedAxes:
 
     @pytest.fixture
     def elbow(self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> Callable[..., Robot]:
-        def build(a: float, alpha: float, com: tuple[float, ...], **lumping: str) -> Robot:
+        def build(a: float, alpha: float, com: tuple[float, ...], second: float = 0.1, **lumping: str) -> Robot:
             omron_rows["joints"], omron_rows["links"] = omron_rows["joints"][:2], omron_rows["links"][:2]
             omron_rows["joints"][0] |= {"a": a, "alpha": alpha}
             omron_rows["joints"][1] |= {"alpha": 0.0}
             tensor = [0.03, 0.02, 0.025, 0.001, -0.002, 0.003]
             omron_rows["links"][0] |= {"mass": 2.0, "com": list(com), "inertia": tensor}
-            omron_rows["links"][1] |= {"mass": 1.0, "com": [0.1, 0.0, 0.05], "inertia": tensor}
+            omron_rows["links"][1] |= {"mass": 1.0, "com": [second, 0.0, 0.05], "inertia": tensor}
             omron_rows["payload"]["inertia"] = [1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0]
             settings_ = LumpingSettings.model_validate(lumping)
             return replace(load_rows(omron_rows), lumping=settings_)
@@ -413,6 +413,14 @@ class TestCrossedAxes:
         )
         assert link.answer == "its centre of mass moved by 500.0 mm"
         assert lump(elbow(0.2, math.pi / 2.0, com, policy="mass_at_com")).links[0].point1 == pytest.approx(com)
+
+    def test_centre_of_mass_beyond_the_distal_axis_is_moved_if_another_link_makes_the_matrix_indefinite(
+        self, elbow: Callable[..., Robot]
+    ) -> None:
+        link = lump(elbow(0.2, math.pi / 2.0, (0.3, 0.0, 0.0), second=-0.3, policy="project_com")).links[0]
+        assert (
+            link.problem == "its centre of mass lies outside the slab between its axes: kappa2 = 1.5 makes M indefinite"
+        )
 
     def test_only_parallel_axes_give_a_definite_matrix_by_its_form(
         self, elbow: Callable[..., Robot], omron: Robot
