@@ -24,11 +24,11 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.share import share
 from scara_effmass.sim.plate_sim import JointServo, Peak, PlateSim
+from scara_effmass.sim.recordings import EPOCH_NS
 from scara_effmass.values import ContactAssessment, FloatArray, JointState, Verdict
 
 Row = dict[str, str | int | float]
 
-NOW_NS = 1_767_225_600_000_000_000
 CREEP_MPS = 0.006
 """Speed just above the default `speed_threshold`, below which a contact point has no direction."""
 TINY = 1e-12
@@ -126,8 +126,8 @@ class MonitoredArm:
         """Return the monitor's assessment of contact point `point`, or its reason for UNKNOWN."""
         monitor = self._monitors.get(settings) or self._monitors.setdefault(settings, Monitor(self.dynamics, settings))
         monitor.clear_history()
-        state = JointState(NOW_NS, self.dynamics.robot.joint_names, q, qd)
-        decision = monitor.assess(state, NOW_NS)
+        state = JointState(EPOCH_NS, self.dynamics.robot.joint_names, q, qd)
+        decision = monitor.assess(state, EPOCH_NS)
         if decision is None:
             raise ValueError(f"{self.dynamics.robot.name}: the monitor does not know the joints of its own robot")
         contact = decision.contacts[point]

@@ -12,7 +12,8 @@ import pytest
 from scara_effmass.safety import Monitor
 from scara_effmass.share import share
 from scara_effmass.sim.plate_sim import JointServo
-from scara_effmass.sim.random_impacts import NOW_NS, TINY, MonitoredArm, arm_of
+from scara_effmass.sim.random_impacts import TINY, MonitoredArm, arm_of
+from scara_effmass.sim.recordings import EPOCH_NS
 from scara_effmass.values import JointState, Verdict
 
 SWEEPS: Any = SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "bounds.py")))
@@ -134,7 +135,7 @@ def test_clamping_force_is_that_of_a_linear_programme(ur5: MonitoredArm) -> None
 
 def assess(arm: MonitoredArm, q: Any, qd: Any, **settings: object) -> Any:  # noqa: ANN401
     monitor = Monitor(arm.dynamics, SWEEPS.settings_for(**settings))
-    decision = monitor.assess(JointState(NOW_NS, arm.dynamics.robot.joint_names, q, qd), NOW_NS)
+    decision = monitor.assess(JointState(EPOCH_NS, arm.dynamics.robot.joint_names, q, qd), EPOCH_NS)
     assert decision is not None
     return decision
 

@@ -13,13 +13,13 @@ from scara_effmass.sim.impact_table import extend_table
 from scara_effmass.sim.random_impacts import (
     COMPUTED_TORQUE,
     FREE,
-    NOW_NS,
     ROBOTS,
     arm_of,
     draw_impact,
     settings_of,
     simulate,
 )
+from scara_effmass.sim.recordings import EPOCH_NS
 from scara_effmass.values import JointState
 
 SEED = 3
@@ -41,8 +41,8 @@ def test_every_setting_starts_at_exactly_the_allowed_speed() -> None:
         assert settings.keys() == impact.qd.keys()
         assert ("paper" in settings) == (impact.robot == "i4-550L")
         for name, qd in impact.qd.items():
-            state = JointState(NOW_NS, arm.dynamics.robot.joint_names, impact.q, qd)
-            decision = Monitor(arm.dynamics, settings[name]).assess(state, NOW_NS)
+            state = JointState(EPOCH_NS, arm.dynamics.robot.joint_names, impact.q, qd)
+            decision = Monitor(arm.dynamics, settings[name]).assess(state, EPOCH_NS)
             assert decision is not None
             contact = decision.contacts[impact.point]
             assert 0.0 <= contact.margin < 1e-6 * contact.speed
