@@ -519,6 +519,8 @@ def test_centre_of_mass_beyond_the_distal_axis_is_moved_onto_it(
     omron_rows["links"][0]["com"] = [1.5 * 0.275, 0.0, 0.0]
     omron_rows["links"][1]["com"] = [-0.2, 0.0, 0.0]
     robot = load_rows(omron_rows)
+    with pytest.raises(RobotError, match=r"lies outside the slab between the axes behind joint1, joint2$"):
+        lump(robot)
     link = lump(replace(robot, lumping=LumpingSettings(policy=LumpingPolicy.PROJECT_COM))).links[0]
     assert (link.kappa2, link.answer) == (1.0, "its centre of mass moved by 137.5 mm")
     assert link.problem == "its centre of mass lies outside the slab between its axes: kappa2 = 1.5 makes M indefinite"
