@@ -564,15 +564,23 @@ def test_arm_without_any_lumped_inertia_has_no_lumped_masses(
         lump(load_rows(omron_rows))
 
 
-@pytest.mark.parametrize(("lower", "upper", "turn"), [(-0.5, 2.0, "1.571"), (-2.0, 0.5, "-1.571")])
+@pytest.mark.parametrize(
+    ("theta", "lower", "upper", "turn"),
+    [(0.0, -0.5, 2.0, "1.571"), (0.0, -2.0, 0.5, "-1.571"), (math.pi / 2.0, -0.5, 1.0, "0.0")],
+)
 def test_arm_that_can_lie_along_its_first_axis_has_no_lumped_masses(
-    omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], lower: float, upper: float, turn: str
+    omron_rows: dict[str, Any],
+    load_rows: Callable[[object], Robot],
+    theta: float,
+    lower: float,
+    upper: float,
+    turn: str,
 ) -> None:
     """Only where it does, joint 1 moves no lumped mass: no sample of the configurations is there."""
     tensor = [0.03, 0.02, 0.025, 0.0, 0.0, 0.0]
     del omron_rows["joints"][2:], omron_rows["links"][2:], omron_rows["payload"]
     omron_rows["joints"][0] |= {"a": 0.0, "alpha": math.pi / 2.0}
-    omron_rows["joints"][1] |= {"alpha": 0.0, "lower": lower, "upper": upper}
+    omron_rows["joints"][1] |= {"alpha": 0.0, "theta": theta, "lower": lower, "upper": upper}
     omron_rows["links"][0] |= {"com": [0.0, 0.0, 0.05], "inertia": tensor}
     omron_rows["links"][1] |= {"com": [0.1, 0.0, 0.0], "inertia": tensor}
     with pytest.raises(RobotError, match=rf"singular: joint1 moves no lumped mass at q = \[0.0, {turn}\]"):
