@@ -112,3 +112,10 @@ def test_immovable_robot_has_the_mass_of_the_obstacle() -> None:
     assert Mobility.of_mass(2.0).worst_reduced_mass(1.0 / 40.0, 0.0) == pytest.approx(40.0)
     assert Mobility.of_mass(2.0).worst_reduced_mass(0.0, 0.0) == math.inf
     assert Mobility.of_mass(math.inf).worst_reduced_mass(0.0) == math.inf
+
+
+@pytest.mark.parametrize("trace", [0.01, 100.0])
+def test_clamped_body_part_counts_directions_out_of_reach_as_nearly_rigid(trace: float) -> None:
+    """Their mobility counts as 1e-11 of the trace."""
+    mobility = Mobility.of_matrix(np.diag([trace, 0.0, 0.0]).tolist(), (0.0, 1.0, 0.0), 2)
+    assert mobility.worst_reduced_mass(0.0) == pytest.approx(1e11 / trace)

@@ -15,6 +15,7 @@ from scara_effmass.errors import LimitError, RobotError
 from scara_effmass.iso15066 import BODY_REGIONS, Limit, Mobility, SpeedLimits, limits_for
 from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.safety import Monitor
+from scara_effmass.safety.contact_assessor import ContactAssessor
 from scara_effmass.safety.joint_state_validator import METRES_PER_RADIAN, WINDOW_S
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
 from scara_effmass.values import ContactAssessment, JointState, Vector3, Verdict
@@ -521,6 +522,11 @@ def test_tightest_contact_point_governs(offset_scara: RobotDynamics, q: Vector, 
     assert (tool.contact_point, rim.contact_point) == ("tool", "rim")
     assert decision.allowable_speed == min(tool.allowable_speed, rim.allowable_speed)
     assert decision.speed_scaling == min(1.0, decision.allowable_speed)
+
+
+def test_assessment_without_a_message_has_no_stamp_age_or_delay(scara: RobotDynamics) -> None:
+    (contact,) = ContactAssessor(scara, settings_of()).assess(np.array([0.3, 1.2, 0.1, 0.0]), np.full(4, 0.1))
+    assert (contact.stamp_ns, contact.input_age, contact.velocity_delay) == (0, 0.0, 0.0)
 
 
 def test_unknown_contact_point_allows_nothing(offset_scara: RobotDynamics) -> None:

@@ -210,6 +210,15 @@ def test_velocity_from_positions_needs_no_reported_one(scara: RobotDynamics) -> 
     assert {contact.verdict for contact in expected[60:]} <= {Verdict.OK, Verdict.WARN, Verdict.VIOLATION}
 
 
+def test_too_few_positions_have_no_slope(scara: RobotDynamics) -> None:
+    monitor = Monitor(scara, settings_of(velocity_source="from_positions"))
+    for i in range(3):
+        stamp_ns = NOW + 2 * MS * i
+        decision = monitor.assess(JointState(stamp_ns, JOINTS, np.zeros(3), np.empty(0)), stamp_ns)
+        assert decision is not None
+        assert decision.contacts[0].reason == "3 positions for 4 names"
+
+
 def test_filter_reduces_the_scatter_of_the_mass(scara: RobotDynamics) -> None:
     """Slow motion with noise and resolution of the velocities; the share of states more than 10 % off the true mass."""
     rng = np.random.default_rng(1)
