@@ -562,8 +562,10 @@ def test_change_of_pose_is_that_of_the_models_there_are(
         body.pop("inertia", None)
     for robot, there in ((load_rows(omron_rows), "lumped"), (load_urdf_file("panda.urdf"), "full")):
         q = robot.sample_configurations()[0]
-        (masses, *_) = RobotDynamics(robot).effective_masses(q, np.ones(q.size), 0.005, changes=("lumped", "full"))
-        assert (masses.lumped_change is None, masses.full_change is None) == (there == "full", there == "lumped")
+        dynamics, qd, models = RobotDynamics(robot), np.ones(q.size), ("lumped", "full")
+        for margin in (None, 0.1):
+            (masses, *_) = dynamics.effective_masses(q, qd, 0.005, changes=models, margin=margin)
+            assert (masses.lumped_change is None, masses.full_change is None) == (there == "full", there == "lumped")
 
 
 def test_change_of_pose_is_computed_on_demand(omron_dynamics: RobotDynamics) -> None:

@@ -244,6 +244,8 @@ def test_worst_mass_is_finite_without_lumped_mass_across(offset_scara: RobotDyna
     )[1]
     assert rim.lumped_mass == pytest.approx(0.55)
     assert rim.worst_direction_mass >= rim.lumped_mass
+    why = "no lumped mass: a joint moves the contact point, but no lumped mass"
+    assert (rim.mass_model, rim.mass_model_reason) == ("full", why)
 
 
 @given(positions, velocities, st.sampled_from(["mass_uncertainty", "stiffness_uncertainty"]), fractions, fractions)
