@@ -566,6 +566,7 @@ def test_change_of_pose_is_that_of_the_models_there_are(
         for margin in (None, 0.1):
             (masses, *_) = dynamics.effective_masses(q, qd, 0.005, changes=models, margin=margin)
             assert (masses.lumped_change is None, masses.full_change is None) == (there == "full", there == "lumped")
+        assert not masses.lumped_is_heavy_enough(0.1)
 
 
 def test_change_of_pose_is_computed_on_demand(omron_dynamics: RobotDynamics) -> None:

@@ -223,6 +223,11 @@ class TestFixedJoints:
         robot = parse(with_more(link("jaw", jaw, "0.02 0 0", "0.0001 0.0001 0.0001"), slide), contact_points=("tip",))
         assert len(robot.joint_names) == joints
 
+    def test_locked_joint_below_a_contact_point_is_held(self) -> None:
+        robot = parse(contact_points=("tip",), locked_joints=("j2",))
+        assert robot.joint_names == ("j1", "j3", "j4")
+        assert "held fixed in the model: j2" in robot.notes
+
     @pytest.mark.parametrize("limit", ["", '<limit effort="1" velocity="3"/>', '<limit lower="0" upper="0"/>'])
     def test_locked_joints_need_no_limits(self, limit: str) -> None:
         text = with_more(link("jaw", 0.3), joint("gripper", "tool", "jaw", inside=limit or " "))
