@@ -253,6 +253,21 @@ def test_bounds_of_what_is_certainly_not_in_si_units(
     assert pattern.search(load_rows(one_joint(**beyond)).units_reason)
 
 
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize(
+    ("changes", "text"), [({"inertia": sphere(20.0)}, "inertia"), ({"com": [9.0, 0, 0]}, "centre")]
+)
+def test_one_body_out_of_proportion_is_named(
+    load_rows: Callable[[object], Robot], number: int, changes: dict[str, object], text: str
+) -> None:
+    rows = one_joint(a=0.5, com=[0.1, 0.0, 0.0])
+    for key in ("joints", "links"):
+        rows[key].append({**rows[key][0], "name": f"{key}2"})
+    rows["links"][number] |= changes
+    joint = rows["joints"][number]["name"]
+    assert re.search(rf"the {text}.* of {joint} is ", load_rows(rows).units_reason)
+
+
 SLIDE = {"type": "prismatic", "upper": 1.0, "lower": 0.0}
 LIGHT_SLIDE = SLIDE | {"a": 0.06, "upper": 0.01, "inertia": 0.0, "max_effort": 1e-5}
 
