@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from scara_effmass.errors import RobotError
+from scara_effmass.model.contact_point import contact_point
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
 
@@ -18,3 +19,7 @@ def test_urdf_settings_raise_for_a_dh_file(omron_file: Path) -> None:
 def test_payload_of_a_topic_is_named_before_it_is_known() -> None:
     robot = load_robot(settings=MonitorSettings(payload_topic="load"))
     assert robot.payload_text == "0.25 kg (robot file) + 0 kg (topic load)"
+
+
+def test_link_of_a_contact_point_may_hold_a_colon() -> None:
+    assert contact_point("rim=left:tool: 0 0.5 -1") == ("rim", "left:tool", (0.0, 0.5, -1.0))
