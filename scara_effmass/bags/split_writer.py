@@ -33,7 +33,8 @@ class RecorderOptions:
     max_file_ns: int = 0
     """Duration [ns] in log time at which a new file begins; 0: never."""
     flush_period_s: float = 0.5
-    """Maximum age of a message that is not yet on the disk; the writing thread adds up to 0.1 s."""
+    """Maximum age of a message that is not yet in the file, which is then synchronised to the disk; the writing thread
+    adds up to 0.1 s."""
     queue_bytes: int = 64 << 20
     """Maximum size of the queue; further messages are lost and counted."""
     queue_messages: int = 100_000
@@ -150,11 +151,14 @@ class SplitWriter:
             self._add_topics(file)
         file.add_message(topic, log_time_ns, data, sequence)
         if file.pending_bytes >= CHUNK_BYTES:
-            self._save(file, sync=False)
+            self._save(file)
             self._split_by_size()
 
     def flush(self, now_ns: int) -> None:
-        """Write everything to the disk and check its free space. `now_ns` is of a steady clock."""
+        """Write everything to the file, start to synchronise it to the disk, and check the free space.
+
+        `now_ns` is of a steady clock.
+        """
         file = self._file
         if file is not None and not self.stopped:
             losses = losses_record(self._topics)
@@ -162,7 +166,7 @@ class SplitWriter:
                 file.add_metadata(LOSSES_RECORD, losses)
                 self._stored_losses = losses
             if not file.is_saved:
-                self._save(file, sync=True)
+                self._save(file, file.start_sync)
             self._split_by_size()
         try:
             self._check_disk(now_ns)
@@ -191,7 +195,8 @@ class SplitWriter:
         unfinished.unlink(missing_ok=True)
         file = McapFileWriter(unfinished, path.name, compress=self._compress, opener=self._opener)
         try:
-            file.save(sync=True)
+            file.save()
+            file.sync()
             unfinished.rename(path)
             sync_folder(path.parent)
         except OSError:
@@ -224,9 +229,10 @@ class SplitWriter:
             return False
         return True
 
-    def _save(self, file: McapFileWriter, *, sync: bool) -> bool:
+    def _save(self, file: McapFileWriter, sync: Callable[[], None] = lambda: None) -> bool:
         try:
-            file.save(sync=sync)
+            file.save()
+            sync()
         except OSError as error:
             self._warn_once(f"cannot be written: {error.strerror}; messages are lost and counted")
             self.stopped = True
@@ -243,7 +249,7 @@ class SplitWriter:
             losses = losses_record(self._topics)
             file.add_metadata(LOSSES_RECORD, losses)
             file.finish(losses_custom_data(losses))
-        if not self._save(file, sync=True):
+        if not self._save(file, file.sync):
             return False
         self._leave(file)
         self._write_metadata()

@@ -5,6 +5,7 @@ import fcntl
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from io import BytesIO
@@ -73,7 +74,10 @@ class McapFileWriter:
         self._counts: list[int] = []
         self._schemas: dict[str, int] = {}
         self._unsaved = _FileEnd()
-        self._is_synced = True
+        self._synced_bytes = 0
+        self._sync_thread = ThreadPoolExecutor(1, "sync")
+        self._sync: Future[None] = Future()
+        self._sync.set_result(None)
         self._file = opener(path)
         with suppress(OSError):  # some network file systems have no locks
             fcntl.flock(self._file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -89,7 +93,7 @@ class McapFileWriter:
     @property
     def is_saved(self) -> bool:
         """Whether everything is in the file and synchronised to the disk."""
-        return not self.pending_bytes and self._unsaved.tell() == self.saved_bytes and self._is_synced
+        return not self.pending_bytes and self._unsaved.tell() == self.saved_bytes == self._synced_bytes
 
     @property
     def unsaved_counts(self) -> list[int]:
@@ -129,11 +133,8 @@ class McapFileWriter:
         self._writer.finish()  # type: ignore[no-untyped-call]
         self.finished = True
 
-    def save(self, *, sync: bool = False) -> None:
-        """End the chunk and write to the file, either everything or nothing. Raises OSError.
-
-        With `sync`, the data also survives a power failure.
-        """
+    def save(self) -> None:
+        """End the chunk and write to the file, either everything or nothing. Raises OSError."""
         if not self.finished:
             self._writer.flush()  # type: ignore[no-untyped-call]
         data = memoryview(self._unsaved.getvalue())
@@ -150,16 +151,32 @@ class McapFileWriter:
         self._unsaved.seek(0)
         self._unsaved.truncate()
         self._unsaved.start = self.saved_bytes
-        self._is_synced = self._is_synced and not written
-        if sync:
-            os.fdatasync(self._file.fileno())
-            self._is_synced = True
         self.pending_bytes = 0
         self.saved = self._bag_file()
 
+    def sync(self) -> None:
+        """Synchronise what is saved to the disk, so that it also survives a power failure. Raises OSError."""
+        wait((self._sync,))
+        self.start_sync()
+        self._sync.result()
+
+    def start_sync(self) -> None:
+        """Let a thread do what `sync` does, unless it still does: a busy disk takes seconds.
+
+        Raises the OSError of the time before.
+        """
+        if self._sync.done():
+            previous, self._sync = self._sync, self._sync_thread.submit(self._sync_file, self.saved_bytes)
+            previous.result()
+
     def close(self) -> None:
         """Close the file; unsaved messages are lost."""
+        self._sync_thread.shutdown()
         self._file.close()
+
+    def _sync_file(self, size: int) -> None:
+        os.fdatasync(self._file.fileno())
+        self._synced_bytes = size
 
     def _bag_file(self) -> BagFile:
         topics = tuple(replace(topic, count=count) for topic, count in zip(self.topics, self._counts, strict=True))

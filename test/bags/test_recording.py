@@ -207,6 +207,24 @@ class TestRecordedMessages:
             wait_until(lambda: recorder.report().saved == 3)
             wait_until(lambda: synced[-1] == path.stat().st_size)
 
+    def test_slow_sync_delays_no_message(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """A recorder that is killed meanwhile loses nothing that is in the file."""
+        synced = threading.Event()
+        with BagRecorder(tmp_path / "bag", FAST_FLUSH) as recorder:
+
+            def sync(_: int) -> None:
+                synced.wait()
+
+            monkeypatch.setattr("os.fdatasync", sync)
+            topic = recorder.add_topic("/a", STRING)
+            try:
+                for i in range(3):
+                    recorder.write(topic, T0 + i, text(i))
+                    wait_until(lambda: recorder.report().saved == i + 1)  # noqa: B023
+                assert [message.data for message in read(tmp_path / "bag")] == [text(i) for i in range(3)]
+            finally:
+                synced.set()
+
     def test_metadata_describes_topics_and_qos(self, tmp_path: Path) -> None:
         infinite = {"sec": 9223372036, "nsec": 854775807}
         offered = {
