@@ -611,7 +611,8 @@ def case_bound(
     if inverse_square <= 0.0:
         return math.inf, mu, growing, 0.0
     speed = 1.0 / math.sqrt(inverse_square)
-    return 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growing * speed)), mu, growing, 0.0
+    speed = 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growing * speed))
+    return max(0.0, speed), mu, growing, 0.0  # NaN, of an infinite growth at no speed, must not count as no limit
 
 
 @compiled
