@@ -129,6 +129,8 @@ def _printed(protocol: Protocol, result: dict[str, Any], written: Path, *, as_js
 def _filled(args: argparse.Namespace, protocol: Protocol) -> Protocol:
     """Return `protocol` with the contacts of the recordings in one test. Raises EffmassError."""
     origin = str(args.protocol)
+    if not protocol.tests:
+        raise SettingsError(f"{origin}: tests: must state a test for the contacts")
     if args.test is None and len(protocol.tests) > 1:
         raise SettingsError(f"--test: must be one of {', '.join(test.id for test in protocol.tests)}")
     test = protocol.test(args.test or protocol.tests[0].id)

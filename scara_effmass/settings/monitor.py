@@ -159,7 +159,8 @@ class MonitorSettings(FrozenSettings):
     effective_mass_model: MassModel = tunable(
         MassModel.AUTO,
         "effective mass behind the verdict: lumped, full, iso (M/2 + m_L), the largest that exists, or auto: lumped "
-        "where it exists and model_margin holds in every direction, else full, else iso",
+        "where it exists and model_margin holds in every direction, else full; without inertia tensors lumped of a "
+        "SCARA, the heavier of lumped and iso of another arm",
     )
     lumping: LumpingSettings = LumpingSettings()
     mass_cap: float = tunable(

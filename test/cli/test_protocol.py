@@ -156,3 +156,10 @@ def test_schema_is_json_schema(cli: Cli) -> None:
 
 def test_the_group_needs_a_step(refused: Refused) -> None:
     assert "COMMAND" in refused("protocol")
+
+
+def test_a_protocol_without_tests_takes_no_contacts(refused: Refused, swing_bag: Path, tmp_path: Path) -> None:
+    path = tmp_path / "protocol.yaml"
+    path.write_text(protocol_yaml(Protocol.model_validate({**content(), "tests": []})), encoding="utf-8")
+    line = refused("protocol", "fill", path, swing_bag)
+    assert line.strip() == f"{path}: tests: must state a test for the contacts"
