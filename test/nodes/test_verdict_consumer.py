@@ -7,9 +7,9 @@ import runpy
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 import rclpy
@@ -102,85 +102,90 @@ def test_consumer_stops(new_harness: Callable[..., NodeHarness], fault: str, rea
             process.kill()
 
 
-def test_consumer_stops_while_any_contact_point_allows_nothing(own_domain: int) -> None:
+class Example(NamedTuple):
+    """The consumer, what it has announced, and a publisher of contact states."""
+
+    consumer: Any
+    changes: list[tuple[float, str]]
+    publisher: Any
+    executor: SingleThreadedExecutor
+
+
+@pytest.fixture
+def example(own_domain: int) -> Iterator[Example]:
+    changes: list[tuple[float, str]] = []
+    rclpy.init(domain_id=own_domain, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        consumer: Any = runpy.run_path(str(EXAMPLE))["VerdictConsumer"](TIMEOUT, lambda *change: changes.append(change))
+        publisher = consumer.create_publisher(ContactState, "contact_state", qos_profile(topics.verdict_qos(TIMEOUT)))
+        executor = SingleThreadedExecutor()
+        executor.add_node(consumer)
+        yield Example(consumer, changes, publisher, executor)
+        executor.shutdown()
+        consumer.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
+def test_consumer_stops_while_any_contact_point_allows_nothing(example: Example) -> None:
     """The message of the next contact point does not end it, nor does one of an older stamp."""
-    changes: list[tuple[float, str]] = []
-    rclpy.init(domain_id=own_domain, signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        consumer: Any = runpy.run_path(str(EXAMPLE))["VerdictConsumer"](TIMEOUT, lambda *change: changes.append(change))
-        publisher = consumer.create_publisher(ContactState, "contact_state", qos_profile(topics.verdict_qos(TIMEOUT)))
-        executor = SingleThreadedExecutor()
-        executor.add_node(consumer)
+    consumer, changes, publisher, executor = example
 
-        def speeds_after(verdict: int, allowable_speed: float) -> list[float]:
-            stamp = consumer.get_clock().now().to_msg()
-            for name, state in (("tool", verdict), ("elbow", ContactState.OK), ("rim", ContactState.WARN)):
-                message = ContactState(contact_point=name, verdict=state, allowable_speed=allowable_speed, reason=name)
-                message.header.stamp = stamp
+    def speeds_after(verdict: int, allowable_speed: float) -> list[float]:
+        stamp = consumer.get_clock().now().to_msg()
+        for name, state in (("tool", verdict), ("elbow", ContactState.OK), ("rim", ContactState.WARN)):
+            message = ContactState(contact_point=name, verdict=state, allowable_speed=allowable_speed, reason=name)
+            message.header.stamp = stamp
+            publisher.publish(message)
+        changes.clear()
+        end = time.monotonic() + TIMEOUT_S
+        reason = "tool: tool" if verdict in {ContactState.UNKNOWN, ContactState.VIOLATION} else ""
+        while changes[-1:] != [(0.0 if reason else allowable_speed, reason)]:
+            assert time.monotonic() < end, changes
+            executor.spin_once(timeout_sec=0.05)
+        for _ in range(3):
+            executor.spin_once(timeout_sec=0.05)
+        return [speed for speed, _ in changes]
+
+    assert set(speeds_after(ContactState.UNKNOWN, 0.1)) == {0.0}
+    assert 0.2 in speeds_after(ContactState.OK, 0.2)
+    assert set(speeds_after(ContactState.VIOLATION, 0.3)) == {0.0}
+    assert 0.4 in speeds_after(ContactState.WARN, 0.4)
+
+
+def test_consumer_moves_again_only_after_a_permissive_state_of_every_contact_point(example: Example) -> None:
+    consumer, changes, publisher, executor = example
+
+    def spin_until(change: tuple[float, str], *states: tuple[str, int, float]) -> None:
+        changes.clear()
+        end = time.monotonic() + TIMEOUT_S
+        while changes[-1:] != [change]:
+            assert time.monotonic() < end, changes
+            for name, verdict, speed in states:
+                message = ContactState(contact_point=name, verdict=verdict, allowable_speed=speed, reason="why")
+                message.header.stamp = consumer.get_clock().now().to_msg()
                 publisher.publish(message)
-            changes.clear()
-            end = time.monotonic() + TIMEOUT_S
-            reason = "tool: tool" if verdict in {ContactState.UNKNOWN, ContactState.VIOLATION} else ""
-            while changes[-1:] != [(0.0 if reason else allowable_speed, reason)]:
-                assert time.monotonic() < end, changes
+            for _ in range(len(states) + 1):
                 executor.spin_once(timeout_sec=0.05)
-            for _ in range(3):
-                executor.spin_once(timeout_sec=0.05)
-            return [speed for speed, _ in changes]
 
-        assert set(speeds_after(ContactState.UNKNOWN, 0.1)) == {0.0}
-        assert 0.2 in speeds_after(ContactState.OK, 0.2)
-        assert set(speeds_after(ContactState.VIOLATION, 0.3)) == {0.0}
-        assert 0.4 in speeds_after(ContactState.WARN, 0.4)
-        executor.shutdown()
-        consumer.destroy_node()
-    finally:
-        rclpy.try_shutdown()
-
-
-def test_consumer_moves_again_only_after_a_permissive_state_of_every_contact_point(own_domain: int) -> None:
-    changes: list[tuple[float, str]] = []
-    rclpy.init(domain_id=own_domain, signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        consumer: Any = runpy.run_path(str(EXAMPLE))["VerdictConsumer"](TIMEOUT, lambda *change: changes.append(change))
-        publisher = consumer.create_publisher(ContactState, "contact_state", qos_profile(topics.verdict_qos(TIMEOUT)))
-        executor = SingleThreadedExecutor()
-        executor.add_node(consumer)
-
-        def spin_until(change: tuple[float, str], *states: tuple[str, int, float]) -> None:
-            changes.clear()
-            end = time.monotonic() + TIMEOUT_S
-            while changes[-1:] != [change]:
-                assert time.monotonic() < end, changes
-                for name, verdict, speed in states:
-                    message = ContactState(contact_point=name, verdict=verdict, allowable_speed=speed, reason="why")
-                    message.header.stamp = consumer.get_clock().now().to_msg()
-                    publisher.publish(message)
-                for _ in range(len(states) + 1):
-                    executor.spin_once(timeout_sec=0.05)
-
-        tool, elbow = ("tool", ContactState.OK, 0.3), ("elbow", ContactState.OK, 0.2)
-        spin_until((0.2, ""), tool, elbow)
-        spin_until((0.0, "deadline missed"))
-        spin_until((0.2, ""), tool, elbow)
-        assert (0.3, "") not in changes
-        spin_until((0.0, "tool: why"), ("tool", ContactState.OK, math.nan))
-        spin_until((0.2, ""), tool, elbow)
-        spin_until((0.0, "tool: why"), ("tool", 9, 0.3))
-        spin_until((0.2, ""), tool, elbow)
-        # The other contact point keeps the deadline of the topic.
-        spin_until((0.0, "tool: no contact state"), elbow)
-        spin_until((0.2, ""), tool, elbow)
-        # The monitor loses its robot and gets one with another contact point.
-        spin_until((0.0, ": why"), ("", ContactState.UNKNOWN, 0.0))
-        flange = ("flange", ContactState.OK, 0.4)
-        spin_until((0.4, ""), flange)
-        # A second monitor may have another verdict.
-        second = consumer.create_publisher(ContactState, "contact_state", qos_profile(topics.verdict_qos(TIMEOUT)))
-        spin_until((0.0, "two monitors"), flange)
-        consumer.destroy_publisher(second)
-        spin_until((0.4, ""), flange)
-        executor.shutdown()
-        consumer.destroy_node()
-    finally:
-        rclpy.try_shutdown()
+    tool, elbow = ("tool", ContactState.OK, 0.3), ("elbow", ContactState.OK, 0.2)
+    spin_until((0.2, ""), tool, elbow)
+    spin_until((0.0, "deadline missed"))
+    spin_until((0.2, ""), tool, elbow)
+    assert (0.3, "") not in changes
+    spin_until((0.0, "tool: why"), ("tool", ContactState.OK, math.nan))
+    spin_until((0.2, ""), tool, elbow)
+    spin_until((0.0, "tool: why"), ("tool", 9, 0.3))
+    spin_until((0.2, ""), tool, elbow)
+    # The other contact point keeps the deadline of the topic.
+    spin_until((0.0, "tool: no contact state"), elbow)
+    spin_until((0.2, ""), tool, elbow)
+    # The monitor loses its robot and gets one with another contact point.
+    spin_until((0.0, ": why"), ("", ContactState.UNKNOWN, 0.0))
+    flange = ("flange", ContactState.OK, 0.4)
+    spin_until((0.4, ""), flange)
+    # A second monitor may have another verdict.
+    second = consumer.create_publisher(ContactState, "contact_state", qos_profile(topics.verdict_qos(TIMEOUT)))
+    spin_until((0.0, "two monitors"), flange)
+    consumer.destroy_publisher(second)
+    spin_until((0.4, ""), flange)
