@@ -161,9 +161,9 @@ class McapFileWriter:
         self._sync.result()
 
     def start_sync(self) -> None:
-        """Let a thread do what `sync` does, unless it still does: a busy disk takes seconds.
+        """Synchronise in a thread, unless the previous call is still at work: a busy disk takes seconds.
 
-        Raises the OSError of the time before.
+        Raises the OSError of the previous call.
         """
         if self._sync.done():
             previous, self._sync = self._sync, self._sync_thread.submit(self._sync_file, self.saved_bytes)
