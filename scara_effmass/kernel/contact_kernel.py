@@ -4,22 +4,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from functools import partial
-from struct import Struct
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from scara_effmass.iso15066 import SpeedLimits
 from scara_effmass.kernel import jit
-from scara_effmass.kernel.functions import WORK, assess, assess_columns
+from scara_effmass.kernel.functions import WORK, assess_states
 from scara_effmass.kernel.records import (
     FIXED,
     MAX_JOINTS,
     MODELS,
     NORMALS,
-    ROW,
     ByteArray,
     Case,
     Point,
@@ -41,17 +38,6 @@ def why_not(robot: Robot) -> str:
     if robot.model.nv > MAX_JOINTS:
         return f"the compiled kernel is for at most {MAX_JOINTS} joints, the robot has {robot.model.nv}"
     return jit.WHY_NOT
-
-
-class SingleState(NamedTuple):
-    """Memory of one joint state: `write` q, qd and the tolerances of qd in one call, `run`, and read the `rows`.
-
-    `rows` are the bytes of P rows, as `records.Row` has them.
-    """
-
-    write: Callable[..., None]
-    run: Callable[[], None]
-    rows: memoryview
 
 
 class ContactKernel:
@@ -148,29 +134,9 @@ class ContactKernel:
         frame = model.frames[self._dynamics.robot.frame_indices()[name]]
         return frame.parentJoint - 1, frame.placement.rotation @ np.array(vector)
 
-    def columns(self, q: FloatArray, qd: FloatArray, velocity_tolerance: FloatArray) -> FloatArray:
-        """Return the entries of `records.Row` field by field (fields, N, P), of P contact points at N joint states.
-
-        `q`, `qd` and `velocity_tolerance` (N, n) are finite numbers.
-        """
-        columns = np.empty((ROW.itemsize // 8, len(q), self._points))
-        states, scratch = np.stack((q, qd, velocity_tolerance), axis=1), np.empty(WORK.itemsize, np.uint8)
-        assess_columns(states, *self._arrays, columns, self._new_rows(BLOCK), scratch)
-        return columns
-
-    def single_state(self) -> SingleState:
-        """Return memory for assessing one joint state after another."""
-        joints = self._dynamics.robot.model.nv
-        state, rows = np.zeros((1, 3, joints)), self._new_rows(1)
-        run = partial(assess, state, *self._arrays, rows, np.zeros(WORK.itemsize, np.uint8))
-        return SingleState(
-            partial(Struct(f"{state.size}d").pack_into, state.data.cast("B"), 0),
-            run,
-            rows.data.cast("B"),
-        )
-
-    def _new_rows(self, count: int) -> FloatArray:
-        return np.zeros((self._points, count, ROW.itemsize // 8))
+    def compute(self, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
+        """Write in `numbers` (N, P, fields) the contacts at the admitted ones of N joint states; see `assess_states`."""
+        assess_states(states, motions, *self._arrays, numbers, np.empty(WORK.itemsize, np.uint8))
 
 
 def _bytes(records: Sequence[Any]) -> ByteArray:

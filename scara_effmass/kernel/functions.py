@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from scara_effmass.codes import Reason
 from scara_effmass.iso15066.contact import TRANSIENT_S
 from scara_effmass.iso15066.drives import MAX_MOBILITY
 from scara_effmass.iso15066.mobility_matrix import BOUND_TOLERANCE, CLAMPED_TOLERANCE
@@ -65,6 +66,7 @@ from scara_effmass.kernel.records import (
     Work,
     dtype_of,
 )
+from scara_effmass.kernel.state import STATE, VALUES, set_reason
 from scara_effmass.model.dynamics import EIGENVALUE_ROUNDING, MAX_NEGATIVE, MIN_LEVER_M
 from scara_effmass.values import FloatArray, Mobility6, Vector3
 
@@ -1066,6 +1068,29 @@ def assess_point(
 
 
 @compiled
+def prepare(motion: FloatArray, setup: Setup, work: Work) -> None:
+    """Compute what does not depend on the contact point."""
+    for j in range(setup.joints):
+        work.qd[j] = motion[1, j]
+    place_joints(motion[0], setup, work)
+    for k in range(2):
+        work.has_coriolis[k] = 0
+        if setup.has_full or setup.needs_gravity if k == FULL else setup.has_lumped:
+            place_bodies(k, setup, work)
+            fill_mass_matrix(k, setup, work)
+            factorize(k, setup.joints, work)
+    if setup.needs_gravity:
+        g = setup.gravity
+        for j in range(setup.joints):
+            c, s = work.composites[FULL, j], work.motions[j]
+            work.gravity[j] = -c[0] * (s[3] * g[0] + s[4] * g[1] + s[5] * g[2]) - (
+                s[0] * (c[2] * g[2] - c[3] * g[1])
+                + s[1] * (c[3] * g[0] - c[1] * g[2])
+                + s[2] * (c[1] * g[1] - c[2] * g[0])
+            )
+
+
+@compiled
 def assess(
     states: FloatArray, robot: ByteArray, at: ByteArray, limits: ByteArray, numbers: FloatArray, scratch: ByteArray
 ) -> None:
@@ -1078,24 +1103,7 @@ def assess(
     setup, points, cases, rows = robot.view(SETUP)[0], at.view(POINT), limits.view(CASE), numbers.view(ROW)
     work = scratch.view(WORK)[0]
     for i in range(len(states)):
-        for j in range(setup.joints):
-            work.qd[j] = states[i, 1, j]
-        place_joints(states[i, 0], setup, work)
-        for k in range(2):
-            work.has_coriolis[k] = 0
-            if setup.has_full or setup.needs_gravity if k == FULL else setup.has_lumped:
-                place_bodies(k, setup, work)
-                fill_mass_matrix(k, setup, work)
-                factorize(k, setup.joints, work)
-        if setup.needs_gravity:
-            g = setup.gravity
-            for j in range(setup.joints):
-                c, s = work.composites[FULL, j], work.motions[j]
-                work.gravity[j] = -c[0] * (s[3] * g[0] + s[4] * g[1] + s[5] * g[2]) - (
-                    s[0] * (c[2] * g[2] - c[3] * g[1])
-                    + s[1] * (c[3] * g[0] - c[1] * g[2])
-                    + s[2] * (c[1] * g[1] - c[2] * g[0])
-                )
+        prepare(states[i], setup, work)
         for p in range(len(points)):
             assess_point(setup, cases, work, points[p], states[i, 2], rows[p, i, 0])
 
@@ -1122,3 +1130,61 @@ def assess_columns(
             for field in range(fields):
                 for i in range(last - first):
                     columns[field, first + i, p] = rows[p, i, field]
+
+
+@compiled
+def explain(row: Row) -> None:
+    """Write the reason of a verdict from its codes."""
+    error, remark, reason = int(row.error), int(row.remark), row.reason
+    set_reason(reason, Reason.NONE, 0, 0.0, 0.0, 0.0)
+    if error >= NO_LUMPED:
+        set_reason(reason, Reason.NO_LUMPED_MASS, 0, error - NO_LUMPED, 0.0, 0.0)
+    elif error >= NO_WORST:
+        set_reason(reason, Reason.NO_WORST_MASS, 0, 1 + error - NO_WORST, 0.0, 0.0)
+    elif error >= TOO_LIGHT:
+        model = error - TOO_LIGHT
+        mass = row.lumped_mass if model == LUMPED else row.full_mass if model == FULL else row.iso_mass
+        set_reason(reason, Reason.TOO_LIGHT, 0, 1.0 + model, mass, 0.0)
+    elif error == NO_FORCE:
+        set_reason(reason, Reason.NO_CLAMPING_FORCE, 0, 0.0, 0.0, 0.0)
+    elif error == NO_FULL:
+        set_reason(reason, Reason.NO_FULL_MASS, 0, 0.0, 0.0, 0.0)
+    elif error == NO_MASSES:
+        set_reason(reason, Reason.NO_MASSES, 0, 0.0, 0.0, 0.0)
+    elif remark == CLAMPED:
+        set_reason(reason, Reason.CLAMPED, 0, row.clamping_force, 0.0, 0.0)
+    elif remark > 0:
+        code = Reason.TOO_FAST if remark & FAST else Reason.NEAR_LIMIT if remark & CLOSE else Reason.LIGHT_MODEL
+        set_reason(reason, code, 0, row.speed, row.allowable_speed, row.criterion)
+        reason[VALUES + 3] = row.body_region
+        if remark & LIGHT:
+            reason[VALUES + 4] = row.effective_mass
+            reason[VALUES + 5] = row.lumped_mass if math.isnan(row.full_mass) else row.full_mass
+
+
+@compiled
+def assess_states(
+    rows: ByteArray,
+    motions: FloatArray,
+    robot: ByteArray,
+    at: ByteArray,
+    limits: ByteArray,
+    numbers: FloatArray,
+    scratch: ByteArray,
+) -> None:
+    """Write in `numbers` (N, P, fields) the contacts of P points at the admitted ones of N joint states.
+
+    `rows` are the bytes of their States, `motions` (N, 3, n) q, qd and tolerances of qd; `robot`, `at` and `limits`
+    are the bytes of Setup, Points and Cases: numba recognizes records slowly at a call. `scratch` holds one Work:
+    numba frees an array made here while its record is in use.
+    """
+    setup, points, cases, contacts = robot.view(SETUP)[0], at.view(POINT), limits.view(CASE), numbers.view(ROW)
+    work, states = scratch.view(WORK)[0], rows.view(STATE)
+    for i in range(len(states)):
+        if states[i].is_admitted == 0:
+            continue
+        prepare(motions[i], setup, work)
+        for p in range(len(points)):
+            contact = contacts[i, p, 0]
+            assess_point(setup, cases, work, points[p], motions[i, 2], contact)
+            explain(contact)

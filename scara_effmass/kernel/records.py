@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from scara_effmass.settings import MassModel
 from scara_effmass.values import FloatArray
 
+REASON_SIZE = 11
+"""Numbers of a reason, see `state`."""
 Vector = Annotated[FloatArray, (3,)]
 ByteArray = NDArray[np.uint8]
 IntArray = NDArray[np.int64]
@@ -171,6 +173,7 @@ class Row:
     mass_model_reason: float
     error: float
     remark: float
+    reason: Annotated[FloatArray, (REASON_SIZE,)]
 
 
 @dataclass
@@ -210,7 +213,8 @@ def dtype_of(record: type) -> np.dtype[np.void]:
     return np.dtype(fields)
 
 
-ROW = dtype_of(Row)
+Contact = Row
+ROW = CONTACT = dtype_of(Row)
 """numpy's type of `Row`, all of float64."""
 ROW_LAYOUT, CODE_LAYOUT = Struct("35d72s"), Struct("9d")
 """Layout of a row: its numbers in order up to `test_effective_mass`, and the bytes of the codes from then on."""

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Assessments of contacts at joint states: one structured array, with the texts of its codes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scara_effmass.kernel.records import CONTACT
+from scara_effmass.kernel.state import STATE
+from scara_effmass.safety.reasons import CRITERIA, MODELS, ReasonTexts
+from scara_effmass.values import ContactAssessment, Decision, FloatArray, Verdict
+
+Records = np.ndarray[Any, np.dtype[np.void]]
+
+
+@dataclass(eq=False, slots=True)
+class Assessments:
+    """Assessments of P contacts at N joint states, in order.
+
+    `state_bytes` are the bytes of N `State`s, `numbers` (N, P, fields) those of the `Contact`s. `points` names the
+    contacts, `normal` the contact normal; `details` are texts of reasons.
+    """
+
+    state_bytes: NDArray[np.uint8]
+    numbers: FloatArray
+    points: tuple[str, ...]
+    normal: str
+    details: Sequence[str]
+    texts: ReasonTexts
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @property
+    def states(self) -> Records:
+        """The joint states (N,), of dtype STATE."""
+        return self.state_bytes.view(STATE)
+
+    @property
+    def contacts(self) -> Records:
+        """The contacts (N, P), of dtype CONTACT."""
+        return self.numbers.view(CONTACT)[..., 0]
+
+    @property
+    def labels(self) -> Mapping[str, tuple[str, ...]]:
+        """Texts of the fields that are codes, by code."""
+        return {
+            "body_region": self.texts.regions,
+            "criterion": CRITERIA,
+            "mass_model": MODELS,
+            "mass_model_reason": self.texts.whys,
+        }
+
+    def reason(self, row: int, point: int) -> str:
+        """Return the reason of one contact at one joint state, empty if it is OK."""
+        return self.texts.text(self.contacts["reason"][row, point], self.details)
+
+    def decision(self, row: int) -> Decision:
+        """Return the assessment of all contacts at joint state number `row`."""
+        state = self.states[row]
+        contacts = tuple(self._contact(row, point, state) for point in range(len(self.points)))
+        return Decision(contacts, float(state["allowable_speed"]), float(state["speed_scaling"]))
+
+    def decisions(self) -> Iterator[Decision]:
+        """Yield the assessment of all contacts at each joint state."""
+        return (self.decision(row) for row in range(len(self)))
+
+    def _contact(self, row: int, point: int, state: Any) -> ContactAssessment:  # noqa: ANN401 - a record
+        record = self.contacts[row, point]
+        fields: dict[str, Any] = {}
+        for name in ContactAssessment._fields:
+            if name in CONTACT.names:
+                value = record[name].tolist()
+                fields[name] = tuple(value) if isinstance(value, list) else value
+        for name, texts in self.labels.items():
+            fields[name] = texts[int(record[name])]
+        fields |= {
+            "stamp_ns": int(state["stamp_ns"]),
+            "contact_point": self.points[point],
+            "verdict": Verdict(int(record["verdict"])),
+            "reason": self.texts.text(record["reason"], self.details),
+            "input_age": float(state["age"]),
+            "velocity_delay": float(state["delay"]) if state["is_admitted"] else 0.0,
+            "watchdog": bool(state["is_watchdog"]),
+            "worst_direction_used": bool(record["worst_direction_used"]),
+            "mass_capped": bool(record["mass_capped"]),
+            "contact_normal": self.normal if state["is_admitted"] else "",
+        }
+        return ContactAssessment(**fields)
+
+
+def unknown_numbers(iso_mass: float = 0.0) -> FloatArray:
+    """Return a contact (fields,) without numbers: all are 0, the masses of the models NaN."""
+    contact = np.zeros(1, CONTACT)
+    contact["lumped_mass"] = contact["full_mass"] = np.nan
+    contact["iso_mass"] = iso_mass
+    return contact.view(np.float64)
