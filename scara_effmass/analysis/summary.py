@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import TypedDict
 
-from scara_effmass.analysis.assessed_states import AssessedStates
+from scara_effmass.analysis.assessment import AssessedStates
 from scara_effmass.analysis.time_series import NO_JOINT_STATE
 from scara_effmass.bags.batches import IntArray
-from scara_effmass.safety.debounce import severity
+from scara_effmass.kernel.settle import severity
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.values import ContactAssessment, Verdict
 
@@ -125,30 +125,36 @@ class Summary:
 
     def add(self, states: AssessedStates, source: str = "") -> None:
         """Count `states`, from the recording `source` if its name is known."""
-        verdicts = np.array([contact.verdict for contact in states.contacts])
-        deciding = SEVERITIES[verdicts].argmax(axis=0)  # the first of equal ones
-        shown = verdicts[deciding, np.arange(len(states))]
+        records, labels = states.assessments.states, states.assessments.labels
+        deciding, shown = records["contact"], records["verdict"].astype(np.int8)
+        models, whys = labels["mass_model"], labels["mass_model_reason"]
         self.cycles.update({verdict: count for verdict in Verdict if (count := int((shown == verdict).sum()))})
-        self._find_tightest(states, verdicts, source)
-        for point, contact in enumerate(states.contacts):
+        self._find_tightest(states, source)
+        contacts = states.assessments.contacts
+        for point in range(contacts.shape[1]):
             decides = deciding == point
-            for index, count in _counts(states.reasons[point][decides & (shown == Verdict.UNKNOWN)]):
-                text = states.reason_texts[point][index].replace("…", "...")  # "…" will stand for a number
-                numbers = [float(number.group()) for number in NUMBER.finditer(text)]
-                self._count_reason(NUMBER.sub("…", text), count, [(number, number) for number in numbers])
+            is_unknown = decides & (shown == Verdict.UNKNOWN)
+            if is_unknown.any():
+                indices, texts = states.assessments.reasons(point)
+                for index, count in _counts(indices[is_unknown]):
+                    text = texts[index].replace("…", "...")  # "…" will stand for a number
+                    numbers = [float(number.group()) for number in NUMBER.finditer(text)]
+                    self._count_reason(NUMBER.sub("…", text), count, [(number, number) for number in numbers])
             decides &= shown != Verdict.UNKNOWN
-            pairs = contact.mass_model * len(contact.mass_model_reasons) + contact.mass_model_reason
-            for pair, count in _counts(pairs[decides]):
-                model, reason = divmod(pair, len(contact.mass_model_reasons))
-                if contact.mass_models[model]:
-                    self.mass_models[f"{contact.mass_models[model]}: {contact.mass_model_reasons[reason]}"] += count
+            pairs = contacts["mass_model"][:, point] * len(whys) + contacts["mass_model_reason"][:, point]
+            for pair, count in _counts(pairs[decides].astype(np.int64)):
+                model, reason = divmod(pair, len(whys))
+                if models[model]:
+                    self.mass_models[f"{models[model]}: {whys[reason]}"] += count
         self._pass_time(states.log_time_ns, shown)
 
-    def _find_tightest(self, states: AssessedStates, verdicts: NDArray[np.int8], source: str) -> None:
-        margins = np.where(verdicts == Verdict.UNKNOWN, np.inf, [contact.margin for contact in states.contacts])
-        row, point = divmod(int(np.argmin(margins.T)), len(states.contacts))
-        if margins[point, row] < (self.tightest.contact.margin if self.tightest else np.inf):
-            self.tightest = TightestMargin(states.contact(point, row), source, dict(states.positions(row)))
+    def _find_tightest(self, states: AssessedStates, source: str) -> None:
+        contacts = states.assessments.contacts
+        margins = np.where(contacts["verdict"] == Verdict.UNKNOWN, np.inf, contacts["margin"])
+        row, point = divmod(int(np.argmin(margins)), margins.shape[1])
+        if margins[row, point] < (self.tightest.contact.margin if self.tightest else np.inf):
+            contact = states.assessments.decision(row).contacts[point]
+            self.tightest = TightestMargin(contact, source, states.positions(row))
 
     @property
     def only_unknown(self) -> bool:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from scara_effmass.kernel.state import STATE
 from scara_effmass.safety.reasons import CRITERIA, MODELS, ReasonTexts
 from scara_effmass.values import ContactAssessment, Decision, FloatArray, Verdict
 
+BLOCK = 64
+"""Number of contacts that are turned into columns together: few enough for the first-level cache."""
 Records = np.ndarray[Any, np.dtype[np.void]]
 
 
@@ -60,6 +62,26 @@ class Assessments:
         """Return the reason of one contact at one joint state, empty if it is OK."""
         return self.texts.text(self.contacts["reason"][row, point], self.details)
 
+    def reasons(self, point: int) -> tuple[NDArray[np.int64], list[str]]:
+        """Return for each joint state (N,) the index of the reason of one contact, and the texts.
+
+        Equal reasons that follow each other share one text.
+        """
+        rows = self.contacts["reason"][:, point]
+        changes = np.any(rows[1:] != rows[:-1], axis=1)
+        indices = np.concatenate((np.zeros(min(len(rows), 1), np.int64), np.cumsum(changes)))
+        firsts = np.flatnonzero(np.concatenate((np.ones(min(len(rows), 1), np.bool_), changes)))
+        return indices, [self.texts.text(rows[first], self.details) for first in firsts.tolist()]
+
+    def columns(self) -> Mapping[str, FloatArray]:
+        """Return the fields of the contacts by name, each (N * P,) or (k, N * P) and contiguous."""
+        rows = self.numbers.reshape(-1, self.numbers.shape[-1])
+        columns = np.empty(rows.shape[::-1])
+        for first in range(0, len(rows), BLOCK):
+            columns[:, first : first + BLOCK] = rows[first : first + BLOCK].T
+        places = {name: (dtype.shape, offset // 8) for name, (dtype, offset, *_) in CONTACT.fields.items()}
+        return {name: columns[at : at + shape[0]] if shape else columns[at] for name, (shape, at) in places.items()}
+
     def decision(self, row: int) -> Decision:
         """Return the assessment of all contacts at joint state number `row`."""
         state = self.states[row]
@@ -94,9 +116,33 @@ class Assessments:
         return ContactAssessment(**fields)
 
 
+def joined(parts: Sequence[Assessments]) -> Assessments:
+    """Return the assessments of joint states that follow each other; texts of codes are those of the last part."""
+    if len(parts) == 1:
+        return parts[0]
+    states = np.concatenate([part.state_bytes for part in parts])
+    return replace(parts[-1], state_bytes=states, numbers=np.concatenate([part.numbers for part in parts]))
+
+
 def unknown_numbers(iso_mass: float = 0.0) -> FloatArray:
     """Return a contact (fields,) without numbers: all are 0, the masses of the models NaN."""
     contact = np.zeros(1, CONTACT)
     contact["lumped_mass"] = contact["full_mass"] = np.nan
     contact["iso_mass"] = iso_mass
     return contact.view(np.float64)
+
+
+def unknown_contact(name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:
+    """Return an UNKNOWN without numbers: all are 0, the masses of the models NaN."""
+    record = unknown_numbers().view(CONTACT)[0]
+    fields: dict[str, Any] = {}
+    for field in ContactAssessment._fields:
+        if field in CONTACT.names:
+            value = record[field].tolist()
+            fields[field] = tuple(value) if isinstance(value, list) else value
+    fields |= dict.fromkeys(("body_region", "criterion", "mass_model", "mass_model_reason"), "")
+    return ContactAssessment(
+        **fields
+        | {"stamp_ns": max(stamp_ns, 0), "contact_point": name, "verdict": Verdict.UNKNOWN, "reason": reason}
+        | {"input_age": age, "worst_direction_used": False, "mass_capped": False}
+    )

@@ -63,7 +63,8 @@ class Pending(NamedTuple):
     """N joint states between two steps of the assessment.
 
     `records` (N,) are `State`s and `states` their bytes; `motions` (N, 4, n) are q, qd, tolerances of qd, and the
-    change of a filtered qd within its delay; `numbers` (N, P, fields) are those of the contacts.
+    change of a filtered qd within its delay; `numbers` (N, P, fields) are those of the contacts, and `unknown` (fields,)
+    those of a contact without numbers.
     """
 
     records: Records
@@ -71,6 +72,7 @@ class Pending(NamedTuple):
     motions: FloatArray
     numbers: FloatArray
     kernel: ContactKernel
+    unknown: FloatArray
     texts: ReasonTexts
 
 
@@ -80,7 +82,7 @@ class Monitor:
     `ignored` counts joint states of other devices.
     """
 
-    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
+    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings, *, use_reference: bool = False) -> None:
         """Watch the robot of `dynamics`.
 
         Raises LimitError or RobotError for `settings` that `check` refuses, and for a robot that is not in SI units.
@@ -314,14 +316,14 @@ class Monitor:
     def settle(self, pending: Pending) -> Assessments:
         """Return the assessments of joint states that are computed, in the order of admission."""
         rules, memory, _, debounces = self._memory_bytes
-        settle(pending.states, pending.numbers, self._unknown, rules, memory, debounces)
+        settle(pending.states, pending.numbers, pending.unknown, rules, memory, debounces)
         states, numbers = pending.states, pending.numbers
         if pending is self._single:
             states, numbers = states.copy(), numbers.copy()
         return Assessments(states, numbers, self._points, self._normal, self._details, pending.texts)
 
-    def reject(self, reason: Reason, detail: str, stamp_ns: int, age: float = 0.0, seconds: float = 0.0) -> Assessments:
-        """Return UNKNOWN for a joint state that is invalid for `reason`, such as undecodable bytes, and hold it."""
+    def refuse(self, reason: Reason, detail: str, stamp_ns: int, age: float = 0.0, seconds: float = 0.0) -> Pending:
+        """Return one joint state that is invalid for `reason`, such as undecodable bytes, to be settled."""
         self._memory["rejected"] += 1
         return self._unknown_state(reason, detail, stamp_ns, age, seconds)
 
@@ -334,7 +336,9 @@ class Monitor:
         last_ns, seconds = int(self._memory["last_stamp_ns"][0]), elapsed_ns / 1e9
         hint = f" ({self.ignored} named none of the robot's joints){self.joint_map_hint}" if self.ignored else ""
         reason = Reason.SILENCE if last_ns else Reason.NO_JOINT_STATE
-        return self._unknown_state(reason, hint, last_ns or now_ns, seconds, seconds, is_watchdog=True)
+        pending = self._unknown_state(reason, hint, last_ns or now_ns, seconds, seconds)
+        pending.records["is_watchdog"] = 1
+        return self.settle(pending)
 
     def assess_configurations(self, q: FloatArray, qd: FloatArray) -> Assessments:
         """Return the assessments of configurations `q` (N, n) with velocities `qd` (N, n), each by itself.
@@ -345,16 +349,14 @@ class Monitor:
         pending.records["is_admitted"] = 1
         pending.motions[:, 0], pending.motions[:, 1], pending.motions[:, 2] = q, qd, self.rest_tolerance
         self.compute(pending)
-        return Assessments(
-            pending.states, pending.numbers, self._points, self._normal, self._details, self._texts
-        )
+        return Assessments(pending.states, pending.numbers, self._points, self._normal, self._details, self._texts)
 
     def _new_pending(self, count: int) -> Pending:
         records = np.zeros(count, STATE)
         points, joints = len(self.dynamics.contact_points), len(self._joints)
         numbers = np.empty((count, points, CONTACT.itemsize // 8))
         motions = np.zeros((count, 4, joints))
-        return Pending(records, records.view(np.uint8), motions, numbers, self._kernel, self._texts)
+        return Pending(records, records.view(np.uint8), motions, numbers, self._kernel, self._unknown, self._texts)
 
     def _layout(self, names: tuple[str, ...], count: int) -> Layout | None:
         """Return the layout of joint states with these names; None, counted, for those of another device."""
@@ -379,14 +381,12 @@ class Monitor:
         rules, memory, joints, _ = self._memory_bytes
         admit(pending.states, pending.motions, rules, memory, joints)
 
-    def _unknown_state(
-        self, reason: Reason, detail: str, stamp_ns: int, age: float, seconds: float, *, is_watchdog: bool = False
-    ) -> Assessments:
+    def _unknown_state(self, reason: Reason, detail: str, stamp_ns: int, age: float, seconds: float) -> Pending:
         pending = self._new_pending(1)
         record = pending.records[0]
-        record["stamp_ns"], record["age"], record["is_watchdog"] = max(stamp_ns, 0), age, is_watchdog
+        record["stamp_ns"], record["age"] = max(stamp_ns, 0), age
         record["reason"][[CODE, DETAIL, VALUES]] = reason, self._detail(detail), seconds
-        return self.settle(pending)
+        return pending
 
     def _detail(self, text: str) -> int:
         """Return the number of a text of reasons; of too many different ones, that of a general one."""
