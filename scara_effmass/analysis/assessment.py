@@ -12,7 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -159,6 +159,13 @@ def assess_joint_states(
                 yield _finished(monitor, *waiting.popleft())
         while waiting:
             yield _finished(monitor, *waiting.popleft())
+
+
+def assessed_rows(
+    bag: Bag, topic: str, monitor: Monitor, time: Time = Time.LIVE, velocities: RecordedVelocities | None = None
+) -> Iterator[AssessedState]:
+    """Yield what `assess_joint_states` does, one joint state after another."""
+    return chain.from_iterable(states.rows() for states in assess_joint_states(bag, topic, monitor, time, velocities))
 
 
 class _Batch:

@@ -257,6 +257,7 @@ def admit(
         else:
             state.is_admitted = check(state, motions[row], rules, memory, joints)
         if state.is_admitted == 0:
+            state.delay = 0.0
             memory.rejected += 1
             if state.stamp_ns <= 0:
                 state.stamp_ns = state.now_ns
