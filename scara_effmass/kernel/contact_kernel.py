@@ -13,13 +13,12 @@ import numpy as np
 
 from scara_effmass.iso15066 import SpeedLimits
 from scara_effmass.kernel import jit
-from scara_effmass.kernel.functions import WORK, assess, assess_columns
+from scara_effmass.kernel.assess import assess, assess_columns
+from scara_effmass.kernel.codes import MODELS, NORMALS, Normal
 from scara_effmass.kernel.records import (
-    FIXED,
     MAX_JOINTS,
-    MODELS,
-    NORMALS,
     ROW,
+    WORK,
     ByteArray,
     Case,
     Point,
@@ -102,7 +101,7 @@ class ContactKernel:
             clamps=clamps,
             needs_gravity=is_servo or clamps,
             model=MODELS.index(settings.effective_mass_model),
-            normal=NORMALS.index(settings.contact_normal) if settings.fixed_normal is None else FIXED,
+            normal=NORMALS.index(settings.contact_normal) if settings.fixed_normal is None else int(Normal.FIXED),
             iso_mass=robot.iso_mass if has_masses else 0.0,
             mass_cap=settings.mass_cap,
             mass_factor=1.0 + settings.mass_uncertainty,

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, SpeedLimits
-from scara_effmass.kernel import records as codes
+from scara_effmass.kernel import codes
 from scara_effmass.kernel.records import OFFSETS
 from scara_effmass.model.dynamics import LUMPED_NOT_DEFINITE, RobotDynamics, massless_text
 from scara_effmass.model.lumping import lumped_suffices
@@ -91,25 +91,25 @@ class Reasons:
         remark, error = int(row[OFFSETS["remark"]]), int(row[OFFSETS["error"]])
         if error:
             return self._of_error(error, row)
-        if remark == codes.CLAMPED:
+        if remark == codes.Remark.CLAMPED:
             return self.clamping(row[OFFSETS["clamping_force"]])
         reason = ""
-        if remark & (codes.FAST | codes.CLOSE):
+        if remark & (codes.Remark.FAST | codes.Remark.CLOSE):
             criterion, region = CRITERIA[int(row[OFFSETS["criterion"]])], self.regions[int(row[OFFSETS["body_region"]])]
             speed, allowable_speed = row[OFFSETS["speed"]], row[OFFSETS["allowable_speed"]]
-            reason = self.speed(speed, allowable_speed, criterion, region, is_above=bool(remark & codes.FAST))
-        if remark & codes.LIGHT:
+            reason = self.speed(speed, allowable_speed, criterion, region, is_above=bool(remark & codes.Remark.FAST))
+        if remark & codes.Remark.LIGHT:
             best_model = "lumped" if self._full_reason else "full"
             best_mass = row[OFFSETS[f"{best_model}_mass"]]
             reason = self.light(reason, row[OFFSETS["effective_mass"]], best_mass, best_model)
         return reason
 
     def _of_error(self, error: int, row: Sequence[float]) -> str:
-        if error >= codes.NO_LUMPED:
-            return self.no_lumped(self._lumped_reasons[error - codes.NO_LUMPED])
-        if error >= codes.NO_WORST:
-            return self.no_worst(MODELS[1 + error - codes.NO_WORST])
-        if error >= codes.TOO_LIGHT:
-            model = MODELS[1 + error - codes.TOO_LIGHT]
+        if error >= codes.Error.NO_LUMPED:
+            return self.no_lumped(self._lumped_reasons[error - codes.Error.NO_LUMPED])
+        if error >= codes.Error.NO_WORST:
+            return self.no_worst(MODELS[1 + error - codes.Error.NO_WORST])
+        if error >= codes.Error.TOO_LIGHT:
+            model = MODELS[1 + error - codes.Error.TOO_LIGHT]
             return self.too_light(model, row[OFFSETS[f"{model}_mass"]])
-        return {codes.NO_MASSES: self.masses_reason, codes.NO_FULL: self.no_full}.get(error, NO_CLAMPING_FORCE)
+        return {codes.Error.NO_MASSES: self.masses_reason, codes.Error.NO_FULL: self.no_full}.get(error, NO_CLAMPING_FORCE)
