@@ -11,12 +11,11 @@ import numpy as np
 
 from scara_effmass.iso15066 import SpeedLimits
 from scara_effmass.kernel import jit
-from scara_effmass.kernel.functions import WORK, assess_states
+from scara_effmass.kernel.assess import assess_states
+from scara_effmass.kernel.codes import MODELS, NORMALS, Normal
 from scara_effmass.kernel.records import (
-    FIXED,
     MAX_JOINTS,
-    MODELS,
-    NORMALS,
+    WORK,
     ByteArray,
     Case,
     Point,
@@ -28,9 +27,6 @@ from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.model.robot import Robot
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import ZERO_VECTOR, FloatArray, Vector3
-
-BLOCK = 64
-"""Number of joint states whose rows are turned into columns together: few enough for the first-level cache."""
 
 
 def why_not(robot: Robot) -> str:
@@ -88,7 +84,7 @@ class ContactKernel:
             clamps=clamps,
             needs_gravity=is_servo or clamps,
             model=MODELS.index(settings.effective_mass_model),
-            normal=NORMALS.index(settings.contact_normal) if settings.fixed_normal is None else FIXED,
+            normal=NORMALS.index(settings.contact_normal) if settings.fixed_normal is None else int(Normal.FIXED),
             iso_mass=robot.iso_mass if has_masses else 0.0,
             mass_cap=settings.mass_cap,
             mass_factor=1.0 + settings.mass_uncertainty,
@@ -124,7 +120,6 @@ class ContactKernel:
         frames = [(model.frames[frame], rank) for _, frame, rank in dynamics.contacts]
         points = [Point(frame.parentJoint - 1, rank, frame.placement.translation) for frame, rank in frames]
         self._arrays = _bytes([setup]), _bytes(points), _bytes(cases)
-        self._points = len(points)
 
     def _direction(self, vector: Vector3 | None, name: str) -> tuple[int, FloatArray]:
         """Return the joint that carries the frame `name`, -1 for the base, and `vector` in the axes of that joint."""
@@ -135,7 +130,7 @@ class ContactKernel:
         return frame.parentJoint - 1, frame.placement.rotation @ np.array(vector)
 
     def compute(self, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
-        """Write in `numbers` (N, P, fields) the contacts at the admitted ones of N joint states; see `assess_states`."""
+        """Write the contacts at the admitted ones of N joint states, as `assess_states`."""
         assess_states(states, motions, *self._arrays, numbers, np.empty(WORK.itemsize, np.uint8))
 
 

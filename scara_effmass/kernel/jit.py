@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""numba, where the extra `fast` is installed; without it the functions stay plain Python."""
+"""numba."""
 
 import os
 from collections.abc import Callable
@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 WHY_NOT = ""
-"""Why the functions are not compiled, empty if they are."""
 numba: Any = None
 try:
     if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":  # else its import would take a second for nothing
@@ -17,20 +16,16 @@ try:
         WHY_NOT = "NUMBA_DISABLE_JIT is set"
 except ImportError:
     WHY_NOT = "numba is not installed: pip install scara_effmass[fast]"
+OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
 
 
 def compiled(function: Function) -> Function:
-    """Return `function` compiled at its first call, with the arithmetic of IEEE: fast-math breaks checks of NaN.
-
-    It must not make arrays, only write into its arguments: then numba need not count references, which costs time.
-    """
-    global WHY_NOT  # noqa: PLW0603 - known only when numba looks for its cache
     if numba is None:
         return function
-    options = {"nogil": True, "error_model": "numpy", "_nrt": False}
-    try:
-        wrapped: Function = numba.njit(cache=True, **options)(function)
-    except RuntimeError:
-        WHY_NOT = "numba cannot write its cache: set NUMBA_CACHE_DIR to a folder that this user may write"
+    return numba.njit(cache=True, **OPTIONS)(function)
+
+
+def inlined(function: Function) -> Function:
+    if numba is None:
         return function
-    return wrapped
+    return numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)(function)
