@@ -10,7 +10,8 @@ import numpy as np
 
 from scara_effmass.bags.batches import IntArray
 from scara_effmass.kernel.contact_columns import LABELS, NUMBERS, VECTORS, ContactColumns, columns_of
-from scara_effmass.values import BoolArray, ContactAssessment, FloatArray, Verdict
+from scara_effmass.safety import allowed
+from scara_effmass.values import BoolArray, ContactAssessment, Decision, FloatArray, Verdict
 
 ROWS = 49_152
 """Most rows in one batch of columns: smaller batches cost time, larger ones memory."""
@@ -43,16 +44,13 @@ class AssessedStates:
         """Return the assessments of contact point number `point` in `rows`."""
         contact, count = self.contacts[point], len(self.log_time_ns[rows])
         fields: dict[str, Sequence[object]] = {name: getattr(contact, name)[rows].tolist() for name in NUMBERS}
-        for name in ("stamp_ns", "input_age", "velocity_delay"):
-            fields[name] = getattr(self, name)[rows].tolist()
         for name, texts in LABELS.items():
             fields[name] = [getattr(contact, texts)[index] for index in getattr(contact, name)[rows].tolist()]
         for name in VECTORS:
             fields[name] = list(map(tuple, getattr(contact, name)[rows].tolist()))
         fields["verdict"] = list(map(Verdict, contact.verdict[rows].tolist()))
         fields["reason"] = [self.reason_texts[point][index] for index in self.reasons[point][rows].tolist()]
-        fields["contact_normal"] = ["" if refused else contact.contact_normal for refused in self.refused[rows]]
-        fields |= {"contact_point": [contact.contact_point] * count, "watchdog": [False] * count}
+        fields["contact_point"] = [contact.contact_point] * count
         columns = (fields[name] for name in ContactAssessment._fields)
         return list(map(ContactAssessment._make, zip(*columns, strict=True)))
 
@@ -60,9 +58,14 @@ class AssessedStates:
         """Return the assessment of contact point number `point` in `row`."""
         return self.assessments(point, slice(row, row + 1))[0]
 
-    def rows(self) -> Iterator[tuple[ContactAssessment, ...]]:
-        """Yield the assessments of all contact points, joint state by joint state."""
-        return zip(*(self.assessments(point, slice(None)) for point in range(len(self.contacts))), strict=True)
+    def decisions(self, reference_speed: float) -> Iterator[Decision]:
+        """Yield the decision on each joint state, with the speed scaling for `reference_speed`; see `allowed`."""
+        normal = self.contacts[0].contact_normal
+        contacts = zip(*(self.assessments(point, slice(None)) for point in range(len(self.contacts))), strict=True)
+        columns = (self.stamp_ns, self.input_age, self.velocity_delay, self.refused)
+        for stamp_ns, age, delay, refused, own in zip(*(column.tolist() for column in columns), contacts, strict=True):
+            contact_normal = "" if refused else normal
+            yield Decision(stamp_ns, age, delay, contact_normal, False, own, *allowed(own, reference_speed))  # noqa: FBT003
 
 
 def batch_size(points: int) -> int:
@@ -71,20 +74,19 @@ def batch_size(points: int) -> int:
 
 
 def states_of(
-    log_time_ns: Sequence[int], rows: Sequence[Sequence[ContactAssessment]], positions: Positions = lambda _: {}
+    log_time_ns: Sequence[int], decisions: Sequence[Decision], positions: Positions = lambda _: {}
 ) -> AssessedStates:
-    """Return the assessments of all contact points at `log_time_ns`, one row per joint state, as columns."""
-    points = list(zip(*rows, strict=True))
-    first = points[0]
+    """Return the decisions at `log_time_ns`, one per joint state, as columns."""
+    points = list(zip(*(decision.contacts for decision in decisions), strict=True))
     texts = tuple(list(dict.fromkeys(contact.reason for contact in contacts)) for contacts in points)
     indices = [{text: index for index, text in enumerate(own)} for own in texts]
-    normal = max(contact.contact_normal for contact in first)  # empty where a state is refused
+    normal = max(decision.contact_normal for decision in decisions)  # empty where a state is refused
     return AssessedStates(
         log_time_ns=np.array(log_time_ns, np.int64),
-        stamp_ns=np.array([contact.stamp_ns for contact in first], np.int64),
-        input_age=np.array([contact.input_age for contact in first]),
-        velocity_delay=np.array([contact.velocity_delay for contact in first]),
-        refused=np.array([not contact.contact_normal for contact in first]),
+        stamp_ns=np.array([decision.stamp_ns for decision in decisions], np.int64),
+        input_age=np.array([decision.input_age for decision in decisions]),
+        velocity_delay=np.array([decision.velocity_delay for decision in decisions]),
+        refused=np.array([not decision.contact_normal for decision in decisions]),
         contacts=tuple(columns_of(contacts[0].contact_point, normal, list(contacts)) for contacts in points),
         reasons=tuple(
             np.array([index[contact.reason] for contact in contacts], np.int64)

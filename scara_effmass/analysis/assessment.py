@@ -242,11 +242,11 @@ def one_by_one(assessed: Iterator[AssessedState], skew: ClockSkew, size: int = 4
 def _as_columns(items: list[AssessedState], skew: ClockSkew) -> Iterator[AssessedStates]:
     stamps = [(item.state.stamp_ns, item.log_time_ns) for item in items if item.state is not None]
     skew.add(*np.array(stamps, np.int64).reshape(-1, 2).T)
-    rows = [(item, item.decision.contacts) for item in items if item.decision is not None]
+    rows = [(item, item.decision) for item in items if item.decision is not None]
     if rows:
 
         def positions(row: int) -> dict[str, float]:
             state = rows[row][0].state
             return {} if state is None else dict(zip(state.names, state.position.tolist(), strict=False))
 
-        yield states_of([item.log_time_ns for item, _ in rows], [contacts for _, contacts in rows], positions)
+        yield states_of([item.log_time_ns for item, _ in rows], [decision for _, decision in rows], positions)

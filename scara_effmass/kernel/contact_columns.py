@@ -34,7 +34,7 @@ class ContactColumns(NamedTuple):
     full_mass: FloatArray
     iso_mass: FloatArray
     worst_direction_mass: FloatArray
-    obstacle_mass: FloatArray
+    body_mass: FloatArray
     reduced_mass: FloatArray
     stiffness: FloatArray
     predicted_force: FloatArray

@@ -925,7 +925,7 @@ def fill_limits(
     nominal_speed = (allowed - closing_speed) / share
     row.effective_mass, row.mass_capped = min(mass, cap), 1.0 if mass > cap else 0.0
     row.worst_direction_mass = min(cap, worst_mass)
-    row.obstacle_mass = 0.0 if case.obstacle_mass == math.inf else case.obstacle_mass
+    row.body_mass = 0.0 if case.obstacle_mass == math.inf else case.obstacle_mass
     row.reduced_mass, row.stiffness = mu, case.nominal_stiffness
     row.predicted_force = (speed + setup.person_speed) * math.sqrt(mu * case.nominal_stiffness)
     row.allowable_speed = max(0.0, nominal_speed)
@@ -1056,7 +1056,7 @@ def assess_point(
         if row.clamping_force == math.inf:
             row.clamping_force = 0.0
             error = NO_FORCE if error == 0 else error
-    row.effective_mass = row.worst_direction_mass = row.obstacle_mass = row.reduced_mass = row.stiffness = 0.0
+    row.effective_mass = row.worst_direction_mass = row.body_mass = row.reduced_mass = row.stiffness = 0.0
     row.predicted_force = row.allowable_speed = row.worst_normal_reduced_mass = row.force_bound = 0.0
     row.mass_capped = row.verdict = row.body_region = row.criterion = row.mass_model = row.remark = 0.0
     row.error, row.mass_model_reason = error, 0.0 if error else why

@@ -148,7 +148,7 @@ class Row:
     full_mass: float
     iso_mass: float
     worst_direction_mass: float
-    obstacle_mass: float
+    body_mass: float
     reduced_mass: float
     stiffness: float
     predicted_force: float

@@ -80,7 +80,8 @@ class ContactAssessor:
         self._margin = settings.model_margin if self._is_auto and self._is_scara else None
         self._mass_factor = 1.0 + settings.mass_uncertainty
         self._reasons = Reasons(dynamics, settings, limits)
-        self._normal_text = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
+        self.normal_text = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
+        """Contact normal of the assessments, as in `Decision`."""
         self._test_direction = settings.fixed_test_direction
         self._normal_is_known = settings.contact_normal != "worst"
         # Along the velocity, the bound is that of the paper and of the standard: the pose is that of the first touch.
@@ -113,20 +114,16 @@ class ContactAssessor:
         q: FloatArray,
         qd: FloatArray,
         velocity_tolerance: Sequence[float] = (),
-        stamp_ns: int = 0,
-        age: float = 0.0,
-        delay: float = 0.0,
     ) -> list[ContactAssessment]:
         """Return the assessment of each contact point at `q` (n,) [rad, m] and `qd` (n,), finite numbers.
 
-        `velocity_tolerance` (n,) bounds the errors of `qd`; empty: no errors. `stamp_ns`, the `age` of the joint state
-        [s] and the `delay` of its velocity [s] are those of the assessments.
+        `velocity_tolerance` (n,) bounds the errors of `qd`; empty: no errors.
         """
         effective_masses = self.dynamics.effective_masses(
             q, qd, self._speed_threshold, velocity_tolerance, self._changes, self._margin
         )
         return [
-            self._assess(index, self._names[index], masses, q, qd, stamp_ns, age, delay)
+            self._assess(index, self._names[index], masses, q, qd)
             for index, masses in enumerate(effective_masses)
         ]
 
@@ -139,9 +136,6 @@ class ContactAssessor:
         q: FloatArray,
         qd: FloatArray,
         velocity_tolerance: list[float],
-        stamp_ns: int,
-        age: float,
-        delay: float,
     ) -> list[ContactAssessment] | str:
         """Return what `assess` returns, computed by the kernel once `load_kernel` has found it to agree.
 
@@ -149,17 +143,17 @@ class ContactAssessor:
         field, and the kernel is not used again.
         """
         if self._run is None:
-            return self.assess(q, qd, velocity_tolerance, stamp_ns, age, delay)
+            return self.assess(q, qd, velocity_tolerance)
         self._write(*q.tolist(), *qd.tolist(), *velocity_tolerance)
         self._run()
         contacts = [
-            self._from_row(row, name, stamp_ns, age, delay)
+            self._from_row(row, name)
             for row, name in zip(self._unpack(self._rows), self._names)  # noqa: B905 - as in Monitor
         ]
         self._until_check -= 1
         if self._until_check <= 0:
             self._until_check = CHECK_INTERVAL
-            expected = self.assess(q, qd, velocity_tolerance, stamp_ns, age, delay)
+            expected = self.assess(q, qd, velocity_tolerance)
             for contact, reference in zip(contacts, expected, strict=True):
                 if field := _difference(contact, reference, self._tolerance):
                     self.why_not = reason = f"the compiled kernel disagrees with Pinocchio in {field}"
@@ -167,7 +161,7 @@ class ContactAssessor:
                     return reason
         return contacts
 
-    def _from_row(self, n: tuple[Any, ...], name: str, stamp_ns: int, age: float, delay: float) -> ContactAssessment:
+    def _from_row(self, n: tuple[Any, ...], name: str) -> ContactAssessment:
         """Return the assessment in a row `n` of the kernel: its numbers, and the bytes of its codes."""
         codes = n[35]
         texts = self._labels.get(codes)
@@ -176,10 +170,8 @@ class ContactAssessor:
         reason = self._reasons.of_row(n[:35] + self._unpack_codes(codes)) if texts[7] else ""
         contact: ContactAssessment = self._new(
             (
-                stamp_ns,
-                name,
                 (n[0], n[1], n[2]),
-                n[3],  # speed to margin, one by one: an unpacked slice takes longer
+                n[3],  # speed to clamping_force, one by one: an unpacked slice takes longer
                 n[4],
                 n[5],
                 n[6],
@@ -191,26 +183,23 @@ class ContactAssessor:
                 n[12],
                 n[13],
                 n[14],
-                texts[0],
-                texts[1],
-                texts[2],
-                reason,
-                age,
-                texts[3],
-                texts[4],
                 n[15],
-                False,
                 n[16],
                 n[17],
                 n[18],
                 (n[19], n[20], n[21], n[22], n[23], n[24]),
                 (n[25], n[26], n[27], n[28], n[29], n[30]),
-                self._normal_text,
-                texts[5],
-                texts[6],
                 (n[31], n[32], n[33]),
                 n[34],
-                delay,
+                texts[3],
+                texts[4],
+                texts[2],
+                name,
+                texts[0],
+                texts[1],
+                texts[5],
+                texts[6],
+                reason,
             )
         )
         return contact
@@ -246,7 +235,7 @@ class ContactAssessor:
         rows = zip(q, qd, velocity_tolerance.tolist(), strict=True)
         contacts = [self.assess(*row) for row in rows]
         return tuple(
-            columns_of(name, self._normal_text, [row[index] for row in contacts])
+            columns_of(name, self.normal_text, [row[index] for row in contacts])
             for index, name in enumerate(self.dynamics.contact_points)
         )
 
@@ -300,7 +289,7 @@ class ContactAssessor:
         columns = self._kernel.columns(q, qd, velocity_tolerance)
         of_points = ((name, columns[:, :, index]) for index, name in enumerate(self.dynamics.contact_points))
         return tuple(
-            columns_of_kernel(name, self._normal_text, of_point, texts, partial(_reason_at, reasons, of_point))
+            columns_of_kernel(name, self.normal_text, of_point, texts, partial(_reason_at, reasons, of_point))
             for name, of_point in of_points
         )
 
@@ -311,9 +300,6 @@ class ContactAssessor:
         masses: EffectiveMasses,
         q: FloatArray,
         qd: FloatArray,
-        stamp_ns: int,
-        age: float,
-        delay: float,
     ) -> ContactAssessment:
         settings, cap = self.settings, self.settings.mass_cap
         models, why = self._models(masses)
@@ -322,7 +308,7 @@ class ContactAssessor:
         if clamping_force == math.inf:
             clamping_force = 0.0
             error = error or NO_CLAMPING_FORCE
-        mass = worst_mass = obstacle_mass = stiffness = mu = worst_mu = force = force_bound = allowable_speed = 0.0
+        mass = worst_mass = body_mass = stiffness = mu = worst_mu = force = force_bound = allowable_speed = 0.0
         region = criterion = model_name = model_reason = ""
         test_direction, test_mass = self._along_test_direction(models, masses, q)
         if error:
@@ -348,14 +334,14 @@ class ContactAssessor:
             max_force = self._holding_force(models, masses, q, index) if self._joints_are_coupled else math.inf
             speed_limit = self._limits.worst_normal(mobilities, self._mass_factor, push, max_force)
             limit, criterion = speed_limit.limit, speed_limit.criterion
-            region, stiffness, obstacle_mass = limit.region, limit.stiffness_n_m, limit.obstacle_mass_kg
-            mu = min(reduced_mass(mass, obstacle_mass), cap)
+            region, stiffness, body_mass = limit.region, limit.stiffness_n_m, limit.obstacle_mass_kg
+            mu = min(reduced_mass(mass, body_mass), cap)
             worst_mu = 0.0
             for mobility in any_normal:
-                worst_mu = max(worst_mu, mobility.worst_reduced_mass(1.0 / obstacle_mass))
+                worst_mu = max(worst_mu, mobility.worst_reduced_mass(1.0 / body_mass))
             worst_mu = min(worst_mu, cap)
-            if obstacle_mass == math.inf:
-                obstacle_mass = 0.0
+            if body_mass == math.inf:
+                body_mass = 0.0
             force = peak_force(masses.speed + settings.person_speed, mu, stiffness)
             closing_speed = self._closing_speed + masses.speed_tolerance
             force_bound = speed_limit.force(masses.speed * share + closing_speed, cap)
@@ -368,8 +354,6 @@ class ContactAssessor:
                 verdict, reason = Verdict.VIOLATION, self._reasons.clamping(clamping_force)
         # By position, because keywords double the time of this call in the hot path.
         return ContactAssessment(
-            stamp_ns,
-            name,
             masses.direction,
             masses.speed,
             min(mass, cap),
@@ -378,32 +362,29 @@ class ContactAssessor:
             min(masses.full, cap),
             self.iso_mass,
             min(cap, worst_mass),  # NaN becomes the cap, the safe side
-            obstacle_mass,
+            body_mass,
             mu,
             stiffness,
             force,
             allowable_speed,
             allowable_speed - masses.speed,
-            region,
-            criterion,
-            verdict,
-            reason,
-            age,
-            masses.direction == ZERO_VECTOR,
-            mass > cap,
             masses.smallest_singular_value,
-            False,  # noqa: FBT003 - watchdog
             worst_mu,
             force_bound,
             clamping_force,
             NO_MOBILITY if masses.has_massless_direction else _entries(masses.lumped_mobility),
             _entries(masses.full_mobility),
-            self._normal_text,
-            model_name,
-            model_reason,
             test_direction,
             min(test_mass, cap),
-            delay,
+            masses.direction == ZERO_VECTOR,
+            mass > cap,
+            verdict,
+            name,
+            region,
+            criterion,
+            model_name,
+            model_reason,
+            reason,
         )
 
     def _along_test_direction(

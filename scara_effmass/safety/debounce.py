@@ -11,13 +11,7 @@ UNKNOWN: Final = Verdict.UNKNOWN
 VIOLATION: Final = Verdict.VIOLATION
 HELD = "held after: "
 """Prefix of the reason of a verdict that is held from an earlier joint state."""
-_SEVERITY = {Verdict.OK: 0, Verdict.WARN: 1, Verdict.VIOLATION: 2, Verdict.UNKNOWN: 3}
 _WORST_FIRST = (Verdict.UNKNOWN, Verdict.VIOLATION, Verdict.WARN)
-
-
-def severity(verdict: Verdict) -> int:
-    """Return 0 for OK to 3 for UNKNOWN, under which nothing is allowed."""
-    return _SEVERITY[verdict]
 
 
 class VerdictDebouncer:

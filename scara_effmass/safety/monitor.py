@@ -12,18 +12,20 @@ from scara_effmass.errors import EffmassError, RobotError
 from scara_effmass.iso15066 import SpeedLimits, limits_for
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.safety.contact_assessor import ContactAssessor
-from scara_effmass.safety.debounce import UNKNOWN, VIOLATION, VerdictDebouncer, severity
+from scara_effmass.safety.debounce import UNKNOWN, VIOLATION, VerdictDebouncer
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter, suggested_map
 from scara_effmass.safety.joint_state_validator import NANOSECONDS, JointStateValidator, Motion, OtherDevice
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import (
     NAN,
+    NO_MOBILITY,
     ZERO_VECTOR,
     ContactAssessment,
     Decision,
     JointState,
     Payload,
     Verdict,
+    severity,
 )
 
 
@@ -198,13 +200,14 @@ class Monitor:
         if reason:
             for debouncer in self._debouncers.values():
                 debouncer.mark_stale(reason)
-        contacts = self.assessor.assess_live(motion.q, motion.qd, motion.velocity_tolerance, stamp_ns, age, delay)
+        contacts = self.assessor.assess_live(motion.q, motion.qd, motion.velocity_tolerance)
         if isinstance(contacts, str):
             self.kernel_fault = contacts
             return self._without_numbers(contacts, stamp_ns, age)
         # mypyc has no fast loop for zip with keywords; both have one entry per contact point.
         pairs = zip(contacts, self._debouncers.values())  # noqa: B905
-        return self._decision(tuple([_debounced(contact, debouncer) for contact, debouncer in pairs]))
+        debounced = tuple([_debounced(contact, debouncer, stamp_ns) for contact, debouncer in pairs])
+        return self._decision(debounced, stamp_ns, age, delay, self.assessor.normal_text)
 
     def admit(self, state: JointState, now_ns: int, sequence_number: int | None = None) -> Admitted | None:
         """Return the motion in `state`, or why it is refused, as `assess` does before it computes numbers.
@@ -248,7 +251,7 @@ class Monitor:
         """Return UNKNOWN for every contact point, and hold it."""
         for debouncer in self._debouncers.values():
             debouncer.mark_stale(reason)
-        return self._decision(tuple(self._unknown(name, reason, stamp_ns, age) for name in self._debouncers))
+        return self._decision(self._unknown(reason), stamp_ns, age)
 
     def watchdog_decision(self, elapsed_ns: int, now_ns: int = 0) -> Decision:
         """Return the decision when no joint state has come for `elapsed_ns` of steady time.
@@ -260,34 +263,55 @@ class Monitor:
         reason = f"no joint state for {seconds:.2f} s" if last_ns else "no joint state yet"
         if self.ignored:
             reason += f" ({self.ignored} named none of the robot's joints){self.joint_map_hint}"
-        contacts = [self._unknown(name, reason, last_ns or now_ns, seconds) for name in self._debouncers]
-        return self._decision(tuple(contact._replace(watchdog=True) for contact in contacts))
+        return self._decision(self._unknown(reason), last_ns or now_ns, seconds)._replace(watchdog=True)
 
-    def _decision(self, contacts: tuple[ContactAssessment, ...]) -> Decision:
+    def _decision(
+        self,
+        contacts: tuple[ContactAssessment, ...],
+        stamp_ns: int,
+        age: float,
+        delay: float = 0.0,
+        contact_normal: str = "",
+    ) -> Decision:
         """Return the decision on all contact points, latched if so set; note the first cause."""
-        min_allowable_speed, min_scaling = math.inf, 1.0
         for contact in contacts:
-            verdict, allowable_speed = contact.verdict, contact.allowable_speed
-            min_allowable_speed = min(min_allowable_speed, allowable_speed)
-            reference_speed = self._reference_speed or contact.speed
-            if verdict is UNKNOWN or allowable_speed <= 0.0:
-                min_scaling = 0.0
-            elif reference_speed > allowable_speed:
-                min_scaling = min(min_scaling, allowable_speed / reference_speed)
+            verdict = contact.verdict
             self._counts[verdict] += 1
             if verdict is not UNKNOWN:
                 self._had_valid_input = True
                 if verdict is not VIOLATION:
                     continue
             if self._had_valid_input and self.first_cause is None:
-                self.first_cause = Cause(contact.stamp_ns, contact.contact_point, verdict, contact.reason)
+                self.first_cause = Cause(stamp_ns, contact.contact_point, verdict, contact.reason)
         cause = self.first_cause
         if cause is not None and self.settings.latch:
-            return Decision(tuple(_latched(contact, cause) for contact in contacts), 0.0, 0.0)
-        return Decision(contacts, min_allowable_speed, min_scaling)
+            contacts = tuple(_latched(contact, cause) for contact in contacts)
+        allowable_speed, speed_scaling = allowed(contacts, self._reference_speed)
+        return Decision(
+            max(stamp_ns, 0), age, delay, contact_normal, False, contacts, allowable_speed, speed_scaling  # noqa: FBT003
+        )
 
-    def _unknown(self, name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:
-        return unknown_contact(name, reason, stamp_ns, age)._replace(iso_mass=self.assessor.iso_mass)
+    def _unknown(self, reason: str) -> tuple[ContactAssessment, ...]:
+        """Return UNKNOWN without numbers for every contact point."""
+        iso_mass = self.assessor.iso_mass
+        return tuple(unknown_contact(name, reason)._replace(iso_mass=iso_mass) for name in self._debouncers)
+
+
+def allowed(contacts: tuple[ContactAssessment, ...], reference_speed: float) -> tuple[float, float]:
+    """Return the smallest allowable speed [m/s] and the speed scaling of `contacts`; 0 if one is UNKNOWN.
+
+    The scaling is for programs that move at `reference_speed` [m/s], 0: at the present speed.
+    """
+    min_allowable_speed, min_scaling = math.inf, 1.0
+    for contact in contacts:
+        allowable_speed = contact.allowable_speed
+        min_allowable_speed = min(min_allowable_speed, allowable_speed)
+        speed = reference_speed or contact.speed
+        if contact.verdict is UNKNOWN or allowable_speed <= 0.0:
+            min_scaling = 0.0
+        elif speed > allowable_speed:
+            min_scaling = min(min_scaling, allowable_speed / speed)
+    return min_allowable_speed, min_scaling
 
 
 def unknown_decision(
@@ -297,15 +321,13 @@ def unknown_decision(
 
     Without a robot there is one contact point, without a name.
     """
-    contacts = (unknown_contact(name, reason, stamp_ns, 0.0) for name in contact_points)
-    return Decision(tuple(contact._replace(watchdog=watchdog) for contact in contacts), 0.0, 0.0)
+    contacts = tuple(unknown_contact(name, reason) for name in contact_points)
+    return Decision(max(stamp_ns, 0), 0.0, 0.0, "", watchdog, contacts, 0.0, 0.0)
 
 
-def unknown_contact(name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:
+def unknown_contact(name: str, reason: str) -> ContactAssessment:
     """Return an UNKNOWN without numbers: all are 0, the masses of the models NaN."""
     return ContactAssessment(
-        stamp_ns=max(stamp_ns, 0),
-        contact_point=name,
         direction=ZERO_VECTOR,
         speed=0.0,
         effective_mass=0.0,
@@ -313,27 +335,36 @@ def unknown_contact(name: str, reason: str, stamp_ns: int, age: float) -> Contac
         full_mass=NAN,
         iso_mass=0.0,
         worst_direction_mass=0.0,
-        obstacle_mass=0.0,
+        body_mass=0.0,
         reduced_mass=0.0,
         stiffness=0.0,
         predicted_force=0.0,
         allowable_speed=0.0,
         margin=0.0,
-        body_region="",
-        criterion="",
-        verdict=Verdict.UNKNOWN,
-        reason=reason,
-        input_age=age,
+        smallest_singular_value=0.0,
+        worst_normal_reduced_mass=0.0,
+        force_bound=0.0,
+        clamping_force=0.0,
+        lumped_mobility=NO_MOBILITY,
+        full_mobility=NO_MOBILITY,
+        test_direction=ZERO_VECTOR,
+        test_effective_mass=0.0,
         worst_direction_used=False,
         mass_capped=False,
-        smallest_singular_value=0.0,
+        verdict=Verdict.UNKNOWN,
+        contact_point=name,
+        body_region="",
+        criterion="",
+        mass_model="",
+        mass_model_reason="",
+        reason=reason,
     )
 
 
-def _debounced(contact: ContactAssessment, debouncer: VerdictDebouncer) -> ContactAssessment:
+def _debounced(contact: ContactAssessment, debouncer: VerdictDebouncer, stamp_ns: int) -> ContactAssessment:
     """Return `contact` with its debounced verdict and reason, and nothing allowed under UNKNOWN."""
     own = contact.verdict
-    verdict, reason = debouncer.update(own, contact.reason, contact.stamp_ns)
+    verdict, reason = debouncer.update(own, contact.reason, stamp_ns)
     if verdict is own:
         return contact
     if verdict is UNKNOWN:
