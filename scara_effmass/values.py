@@ -164,6 +164,11 @@ class Decision(NamedTuple):
         return max(self.contacts, key=lambda contact: (severity(contact.verdict), -contact.margin))
 
     @property
+    def assessed_ns(self) -> int:
+        """Time of the assessment on the monitor's clock [ns]."""
+        return self.stamp_ns + round(self.input_age * 1e9)
+
+    @property
     def verdict(self) -> Verdict:
         """The verdict of the worst contact."""
         return self.worst.verdict

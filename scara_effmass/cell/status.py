@@ -72,6 +72,8 @@ class Validation:
     predicted_force: float
     measured_force: float
     relative_error: float
+    reduced_mass: float
+    speed: float
     conservative: bool
     body_region: str
     limit_force: float
@@ -153,7 +155,7 @@ class CellStatus:
         if 0 < decision.sequence_number <= last:
             if at_ns - self._arrived_ns <= self.timeout_ns:
                 self._conflict_ns = at_ns
-        elif last and at_ns - self._conflict_ns > self.timeout_ns:
+        elif last and decision.sequence_number and at_ns - self._conflict_ns > self.timeout_ns:
             self.lost += decision.sequence_number - last - 1
         self.decision, self._arrived_ns = decision, at_ns
         self._take_speed(min(decision.contacts, key=lambda contact: contact.margin), at_ns)

@@ -17,7 +17,7 @@ from geometry_msgs.msg import Inertia
 from rclpy.clock import ClockChange, JumpHandle, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSSubscriptionMatchedInfo
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactStates
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
@@ -43,11 +43,10 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed
 from scara_effmass.values import Decision, Payload, Verdict
 from scara_effmass.wire import topics
-from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message
+from scara_effmass.wire.contact_states import ContactStatesEncoder, float64_message
 from scara_effmass.wire.joint_state import JointStateDecoder
 from scara_effmass.wire.payload import decode_payload
 
-_NO_ROBOT = ContactStateEncoder("", "")
 _WATCHDOG_CHECKS_PER_TIMEOUT = 4
 _MIN_WATCHDOG_PERIOD_S = 1e-3
 _ACK_TIMEOUT = Duration(seconds=0.5)
@@ -67,7 +66,7 @@ class NodeSettings(parameters.NodeParameters, MonitorSettings):
 
 
 class MonitorNode(LifecycleBase):
-    """Subscribes to `joint_states`; publishes `contact_state`, `allowable_speed`, `speed_scaling`, `/diagnostics`."""
+    """Subscribes to `joint_states`; publishes `contact_states`, `allowable_speed`, `speed_scaling`, `/diagnostics`."""
 
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for an invalid one."""
@@ -80,7 +79,7 @@ class MonitorNode(LifecycleBase):
         self._monitor: Monitor | None = None
         self._first_cause: Cause | None = None
         """What `latch` holds while there is no robot."""
-        self._encoders: dict[str, ContactStateEncoder] = {}
+        self._encoder = ContactStatesEncoder()
         self._last_answer_ns = 0
         self._monitor_lock = threading.Lock()
         self._kernel_loader = KernelLoader(self._monitor_lock, self.get_logger().info)
@@ -110,7 +109,7 @@ class MonitorNode(LifecycleBase):
         qos = topics.verdict_qos(self._settings.timeout)
         scalar_qos = qos._replace(lifespan_s=topics.SCALAR_LIFESPAN_S)
         for message_type, topic, topic_qos in (
-            (ContactState, topics.CONTACT_STATE, qos),
+            (ContactStates, topics.CONTACT_STATES, qos),
             (Float64, topics.ALLOWABLE_SPEED, scalar_qos),
             (Float64, topics.SPEED_SCALING, scalar_qos),
         ):
@@ -184,7 +183,7 @@ class MonitorNode(LifecycleBase):
         if self._monitor is not None:
             self._first_cause, self._kernel_fault = self._monitor.first_cause, self._monitor.kernel_fault
         self._monitor = None
-        self._encoders = {}
+        self._encoder.frame_id = ""
 
     def _use_robot(self, robot: Robot) -> None:
         """Monitor `robot`. Raises EffmassError."""
@@ -193,15 +192,11 @@ class MonitorNode(LifecycleBase):
         if self._settings.command_tolerance:
             monitor.expect_commands(self._settings.command_tolerance)
         with self._monitor_lock:
-            if self._encoders and self._encoders.keys() != set(dynamics.contact_points):
-                # Else consumers would wait for the contact points of the robot before.
-                reason = "the contact points change with the robot_description"
-                self._publish(unknown_decision(reason, self.now_ns(), watchdog=True))
             self._drop_monitor()
             monitor.first_cause, monitor.kernel_fault = self._first_cause, self._kernel_fault
             self._monitor = monitor
             self._pass_payload()
-            self._encoders = {name: ContactStateEncoder(name, robot.base_frame) for name in dynamics.contact_points}
+            self._encoder.frame_id = robot.base_frame
             self._no_robot_reason = ""
             self._load_kernel()
         self.get_logger().info(f"monitoring {robot.name} ({robot.origin}) at {', '.join(dynamics.contact_points)}")
@@ -228,13 +223,12 @@ class MonitorNode(LifecycleBase):
             if decision is not None:
                 processing_ns = time.monotonic_ns() - start_ns
                 if processing_ns > self._settings.timeout * 1e9:
-                    first = decision.contacts[0]
                     reason = f"the assessment took {processing_ns / 1e9:.3f} s"
-                    decision = monitor.reject(reason, first.stamp_ns, first.input_age)
+                    decision = monitor.reject(reason, decision.stamp_ns, decision.input_age)
                 self._last_answer_ns = start_ns
                 self._publish(decision)
                 received_ns = info["received_timestamp"]
-                self._latencies.add(time.time_ns() - received_ns, decision.contacts[0].stamp_ns)
+                self._latencies.add(time.time_ns() - received_ns, decision.stamp_ns)
 
     def _on_command(self, data: bytes) -> None:
         with self._monitor_lock:
@@ -306,13 +300,13 @@ class MonitorNode(LifecycleBase):
 
     def _unknown(self, reason: str) -> Decision:
         """Return UNKNOWN for `reason` and for every contact point, as the answer to no joint state."""
-        return unknown_decision(reason, self.now_ns(), tuple(self._encoders) or ("",), watchdog=True)
+        monitor = self._monitor  # which another thread may drop
+        points = monitor.dynamics.contact_points if monitor is not None else ("",)
+        return unknown_decision(reason, self.now_ns(), points, watchdog=True)
 
     def _send(self, decision: Decision) -> None:
         # Without the wrappers of rclpy, which cost as much as the call: `_publishing` guards the handles.
-        contact_state = self._outputs[topics.CONTACT_STATE].handle
-        for contact in decision.contacts:
-            contact_state.publish_raw(self._encoders.get(contact.contact_point, _NO_ROBOT).encode(contact))
+        self._outputs[topics.CONTACT_STATES].handle.publish_raw(self._encoder.encode(decision))
         self._outputs[topics.ALLOWABLE_SPEED].handle.publish_raw(float64_message(decision.allowable_speed))
         self._outputs[topics.SPEED_SCALING].handle.publish_raw(float64_message(decision.speed_scaling))
         verdicts = [contact.verdict for contact in decision.contacts]
@@ -345,8 +339,10 @@ class MonitorNode(LifecycleBase):
             incompatible_qos=self.incompatible_qos,
             latencies=self._latencies,
         )
-        contacts = worst_contacts(self._decision, changes) if self._decision else ()
-        return monitor_statuses(self._monitor, contacts, self._change_counts, joint_states)
+        decision = self._decision
+        contacts = worst_contacts(decision, changes) if decision else ()
+        input_age = decision.input_age if decision else 0.0
+        return monitor_statuses(self._monitor, contacts, self._change_counts, input_age, joint_states)
 
     def _refuse_robot(self, reason: str) -> None:
         with self._monitor_lock:

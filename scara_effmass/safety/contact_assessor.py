@@ -122,10 +122,7 @@ class ContactAssessor:
         effective_masses = self.dynamics.effective_masses(
             q, qd, self._speed_threshold, velocity_tolerance, self._changes, self._margin
         )
-        return [
-            self._assess(index, self._names[index], masses, q, qd)
-            for index, masses in enumerate(effective_masses)
-        ]
+        return [self._assess(index, self._names[index], masses, q, qd) for index, masses in enumerate(effective_masses)]
 
     def copy(self) -> ContactAssessor:
         """Return an assessor for the same robot and settings that has not loaded its kernel, for another thread."""

@@ -287,9 +287,9 @@ class Monitor:
         if cause is not None and self.settings.latch:
             contacts = tuple(_latched(contact, cause) for contact in contacts)
         allowable_speed, speed_scaling = allowed(contacts, self._reference_speed)
-        return Decision(
-            max(stamp_ns, 0), age, delay, contact_normal, False, contacts, allowable_speed, speed_scaling  # noqa: FBT003
-        )
+        watchdog = False
+        stamp_ns = max(stamp_ns, 0)
+        return Decision(stamp_ns, age, delay, contact_normal, watchdog, contacts, allowable_speed, speed_scaling)
 
     def _unknown(self, reason: str) -> tuple[ContactAssessment, ...]:
         """Return UNKNOWN without numbers for every contact point."""

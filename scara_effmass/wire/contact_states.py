@@ -75,12 +75,15 @@ class ContactStatesEncoder:
             _NUMBERS.pack(*numbers),
             self._texts_of_decision,
         ]
-        for contact, tail in zip(contacts, self._tails, strict=True):
-            parts.append(_VALUES.pack(*contact[0], *contact[1:17], *contact[17], *contact[18], *contact[19], contact[20]))
-            parts.append(tail)
+        # As Any, because a slice of a named tuple has the types of all fields.
+        rows: tuple[Any, ...] = contacts
+        for contact, tail in zip(rows, self._tails, strict=True):
+            direction, *numbers = contact[:17]
+            lumped, full, test_direction, test_mass = contact[17:_FIRST_FLAG]
+            parts += (_VALUES.pack(*direction, *numbers, *lumped, *full, *test_direction, test_mass), tail)
         return b"".join(parts)
 
-    def _encode_texts(self, contact_normal: str, reason: str, contacts: tuple[ContactAssessment, ...]) -> None:
+    def _encode_texts(self, contact_normal: str, reason: str, contacts: tuple[Any, ...]) -> None:
         # Doubles are aligned to 8 bytes from byte 4 on, as each part is; the stamp before the head is 8 bytes long.
         self._head = padded(with_text(b"", self.frame_id))
         before = with_text(with_text(b"", contact_normal), reason)
@@ -178,6 +181,5 @@ def _contact(values: tuple[Any, ...], texts: list[str]) -> ContactAssessment:
     # lumped_mass and full_mass, values 5 and 6, may be NaN.
     if not math.isfinite(sum(values[:5]) + sum(values[7:35])):
         return unknown_contact(texts[0], "the contact state has a value that is not a number")
-    return ContactAssessment(
-        values[:3], *values[3:19], values[19:25], values[25:31], values[31:34], *values[34:37], Verdict(verdict), *texts
-    )
+    vectors = values[19:25], values[25:31], values[31:34]
+    return ContactAssessment._make((values[:3], *values[3:19], *vectors, *values[34:37], Verdict(verdict), *texts))
