@@ -16,9 +16,8 @@ from typing_extensions import TypedDict
 from scara_effmass.analysis.assessment import AssessedStates
 from scara_effmass.analysis.time_series import NO_JOINT_STATE
 from scara_effmass.bags.batches import IntArray
-from scara_effmass.kernel.settle import severity
 from scara_effmass.safety.remedies import remedy
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.values import ContactAssessment, Verdict, severity
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
 """Numbers in a reason, but no digits in names; reasons that differ only in numbers are counted together."""
@@ -49,8 +48,9 @@ def worst(verdicts: Iterable[Verdict]) -> Verdict:
 
 
 class TightestMargin(NamedTuple):
-    """The assessment with the smallest margin, which is never UNKNOWN, its recording and joint positions."""
+    """The assessment with the smallest margin, which is never UNKNOWN, its stamp, recording and joint positions."""
 
+    stamp_ns: int
     contact: ContactAssessment
     source: str
     positions: dict[str, float]
@@ -61,7 +61,7 @@ class TightestMargin(NamedTuple):
         speeds = f"{contact.speed:.3f} m/s where {contact.allowable_speed:.3f} m/s is allowable"
         yield "tightest margin", f"{contact.margin:+.3f} m/s ({contact.verdict.name}): {speeds}"
         source = f" in {self.source}" if self.source else ""
-        yield "  where", f"{contact.contact_point} at {iso_time(contact.stamp_ns)}{source}"
+        yield "  where", f"{contact.contact_point} at {iso_time(self.stamp_ns)}{source}"
         if self.positions:
             yield "  pose", ", ".join(f"{name} {position:.3f}" for name, position in self.positions.items())
         components = ", ".join(f"{round(component, 2) + 0.0:.2f}" for component in contact.direction)
@@ -77,7 +77,7 @@ class TightestMargin(NamedTuple):
             "speed_m_s": contact.speed,
             "allowable_speed_m_s": contact.allowable_speed,
             "effective_mass_kg": contact.effective_mass,
-            "stamp_ns": contact.stamp_ns,
+            "stamp_ns": self.stamp_ns,
             "contact_point": contact.contact_point,
             "direction": list(contact.direction),
             "criterion": contact.criterion,
@@ -153,8 +153,9 @@ class Summary:
         margins = np.where(contacts["verdict"] == Verdict.UNKNOWN, np.inf, contacts["margin"])
         row, point = divmod(int(np.argmin(margins)), margins.shape[1])
         if margins[row, point] < (self.tightest.contact.margin if self.tightest else np.inf):
-            contact = states.assessments.decision(row).contacts[point]
-            self.tightest = TightestMargin(contact, source, states.positions(row))
+            decision = states.assessments.decision(row)
+            place = source, states.positions(row)
+            self.tightest = TightestMargin(decision.stamp_ns, decision.contacts[point], *place)
 
     @property
     def only_unknown(self) -> bool:

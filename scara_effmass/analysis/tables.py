@@ -24,8 +24,8 @@ from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import RunInfo, Verdict
 from scara_effmass.wire import topics
-from scara_effmass.wire.contact_state import ContactStateEncoder
-from scara_effmass.wire.message_types import CONTACT_STATE, RUN_INFO
+from scara_effmass.wire.contact_states import ContactStatesEncoder
+from scara_effmass.wire.message_types import CONTACT_STATES, RUN_INFO
 from scara_effmass.wire.run_info import run_info_message
 
 SUFFIXES = (".parquet", ".csv", ".mcap")
@@ -37,7 +37,7 @@ _UNITS = {
     "full_mass": "full_mass_kg",
     "iso_mass": "iso_mass_kg",
     "worst_direction_mass": "worst_direction_mass_kg",
-    "obstacle_mass": "obstacle_mass_kg",
+    "body_mass": "body_mass_kg",
     "reduced_mass": "reduced_mass_kg",
     "stiffness": "stiffness_n_m",
     "predicted_force": "predicted_force_n",
@@ -69,7 +69,7 @@ SCHEMA = pa.schema(
     + [(name, pa.float64()) for name in (*_UNITS.values(), *chain(*_MOBILITIES.values()))]
     + [(name, pa.bool_()) for name in _FLAGS]
 )
-"""Columns of a table: recording, log time, and the fields of ContactState with their units."""
+"""Columns of a table: recording, log time, and the fields of `Decision` and `ContactAssessment` with their units."""
 _TEXT = pa.dictionary(pa.int32(), pa.string())
 _ENCODED = pa.schema(
     pa.field(field.name, _TEXT if field.type == pa.string() else field.type, nullable=False) for field in SCHEMA
@@ -206,14 +206,14 @@ class _BagWriter:
         self._frame = frame
         self._note = json.dumps(dict(origin))
         self._topics: dict[str, str] = {}
-        self._encoders: dict[str, ContactStateEncoder] = {}
+        self._encoders: dict[str, ContactStatesEncoder] = {}
         self._single = len(json.loads(origin["bags"])) == 1
 
     def extend(self, bag: str, part: Path) -> None:
         with open_bag(part) as source:
-            for message in source.messages(["/contact_state"]):
+            for message in source.messages(["/contact_states"]):
                 self._begin(bag, message.log_time_ns)
-                self._writer.write(self._topics[bag], CONTACT_STATE, message.log_time_ns, message.data)
+                self._writer.write(self._topics[bag], CONTACT_STATES, message.log_time_ns, message.data)
 
     def _begin(self, bag: str, log_time_ns: int) -> None:
         if not self._topics:
@@ -222,12 +222,11 @@ class _BagWriter:
         if bag not in self._topics:
             # One topic per recording: their times may overlap.
             name = re.sub(r"\W", "_", Path(bag).stem)
-            self._topics[bag] = "/contact_state" if self._single else f"/bag_{len(self._topics)}_{name}/contact_state"
+            self._topics[bag] = "/contact_states" if self._single else f"/bag_{len(self._topics)}_{name}/contact_states"
+            self._encoders[bag] = ContactStatesEncoder(self._frame)
 
     def add(self, bag: str, states: AssessedStates) -> None:
         self._begin(bag, int(states.log_time_ns[0]))
-        for log_time_ns, decision in zip(states.log_time_ns.tolist(), states.assessments.decisions(), strict=True):
-            for contact in decision.contacts:
-                name = contact.contact_point
-                encoder = self._encoders.setdefault(name, ContactStateEncoder(name, self._frame))
-                self._writer.write(self._topics[bag], CONTACT_STATE, log_time_ns, encoder.encode(contact))
+        topic, encoder = self._topics[bag], self._encoders[bag]
+        for row, log_time_ns in enumerate(states.log_time_ns.tolist()):
+            self._writer.write(topic, CONTACT_STATES, log_time_ns, encoder.encode(states.assessments, row))

@@ -198,8 +198,7 @@ def _feed(
         if isinstance(item, AssessedState):
             recording.joint_states += 1
             advance(share)
-            for contact in item.decision.contacts:
-                validator.add_state(contact, item.log_time_ns)
+            validator.add_decision(item.decision, item.log_time_ns)
             continue
         value = item.value._replace(simulated=item.value.simulated or recording.simulated)
         force_ns = item.log_time_ns
@@ -233,13 +232,13 @@ def _on_joint_clock(
     stamps_ns, lags_ns, velocity = array("q"), array("q"), array("d")
     point = settings.validator.contact_point
     for item in assessed_rows(bag, recording.joint_state_topic, monitor, settings.time):
-        contacts = item.decision.contacts
-        contact = next((one for one in contacts if not point or one.contact_point == point), None)
-        if contact is None or contact.stamp_ns <= (stamps_ns[-1] if stamps_ns else 0):
+        if item.decision.stamp_ns <= (stamps_ns[-1] if stamps_ns else 0):
             continue
-        if contact.verdict is not Verdict.UNKNOWN or any(contact.direction):
-            stamps_ns.append(contact.stamp_ns)
-            lags_ns.append(item.log_time_ns - contact.stamp_ns)
+        contacts, stamp_ns = item.decision.contacts, item.decision.stamp_ns
+        contact = next((one for one in contacts if not point or one.contact_point == point), None)
+        if contact is not None and (contact.verdict is not Verdict.UNKNOWN or any(contact.direction)):
+            stamps_ns.append(stamp_ns)
+            lags_ns.append(item.log_time_ns - stamp_ns)
             velocity.extend(contact.speed * component for component in contact.direction)
     offset_ns, origin = round((settings.force_offset or 0.0) * NS), "as given"
     if settings.force_offset is None:

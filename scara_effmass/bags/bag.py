@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from rosbags.interfaces import MessageDefinition
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.store import Typestore
 from typing_extensions import Self
 
@@ -18,7 +18,8 @@ from scara_effmass.bags.joint_state_blocks import BlockDecoder, JointStateBlock
 from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.values import ForceBlock, Impact
 from scara_effmass.wire.force import decode_force_block, decode_impact
-from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE
+from scara_effmass.wire.former_contact_state import DEFINITION
+from scara_effmass.wire.message_types import FORCE_BLOCK, FORMER_CONTACT_STATE, IMPACT, JOINT_STATE
 
 Decoded = TypeVar("Decoded", ForceBlock, Impact)
 
@@ -92,7 +93,10 @@ class Bag(ABC):
     @cached_property
     def types(self) -> Typestore:
         """Message types: those that the bag defines, and the known ones."""
-        return types_of(frozenset(self._definitions.items()), ros1=self._is_ros1)
+        definitions = dict(self._definitions)
+        if any(topic.type == FORMER_CONTACT_STATE for topic in self.topics):
+            definitions.setdefault(FORMER_CONTACT_STATE, MessageDefinition(MessageDefinitionFormat.MSG, DEFINITION))
+        return types_of(frozenset(definitions.items()), ros1=self._is_ros1)
 
     def messages(
         self, topics: Collection[str] | None = None, start_ns: int = 0, stop_ns: int = MAX_TIME_NS

@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from scara_effmass import __version__
 from scara_effmass.cli.commands import COMMANDS, GROUPS, MODULES, ROS_COMMANDS
-from scara_effmass.cli.options import ALIASES, Option, former_options
+from scara_effmass.cli.options import ALIASES, Option
 from scara_effmass.errors import EffmassError
 
 BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143
@@ -115,8 +115,6 @@ def make_parser() -> argparse.ArgumentParser:
         for item in command.options:
             if isinstance(item, Option):
                 subparser.add_argument(*item.names, **item.keywords)
-                for former in former_options(item):
-                    subparser.add_argument(*former.names, **former.keywords)
                 continue
             exclusive = subparser.add_mutually_exclusive_group(required=True)
             for option in item:

@@ -27,11 +27,11 @@ from scara_effmass.cli import processes
 from scara_effmass.cli.console import live_status, print_lines, print_result, printer
 from scara_effmass.errors import EffmassError
 from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.nodes.monitor_client import MonitorClient
+from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.nodes.replay_topics import JOINT_STATES
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import ContactAssessment
+from scara_effmass.values import Decision
 from scara_effmass.wire.message_types import FORCE_BLOCK, RUN_INFO
 
 ANSWER_TIMEOUT_S = 10.0
@@ -67,14 +67,13 @@ class LiveRun:
     watchdog_messages: int = 0
     replayed: dict[str, Any] = field(default_factory=dict)
     recorded: dict[str, Any] = field(default_factory=dict)
-    cycles: list[tuple[int, tuple[ContactAssessment, ...]]] = field(default_factory=list)
+    decisions: list[Decision] = field(default_factory=list)
 
-    def count_cycles(self) -> None:
-        """Add the cycles to summary and series."""
-        if self.cycles:
-            times_ns, contacts = zip(*self.cycles, strict=True)
-            states = states_of(times_ns, contacts)
-            self.cycles.clear()
+    def count_decisions(self) -> None:
+        """Add the decisions to summary and series."""
+        if self.decisions:
+            states = states_of([decision.assessed_ns for decision in self.decisions], self.decisions)
+            self.decisions.clear()
             self.summary.add(states)
             for point, builder in enumerate(self.series.values()):
                 builder.add(states, point)
@@ -98,8 +97,8 @@ class LiveRun:
                 names = monitor.names_of(block.names)
                 if names and set(names).isdisjoint(monitor.dynamics.robot.joint_names):
                     self.foreign += len(block)
-                elif tightest and (block.stamp_ns == tightest.contact.stamp_ns).any():
-                    row = int((block.stamp_ns == tightest.contact.stamp_ns).argmax())
+                elif tightest and (block.stamp_ns == tightest.stamp_ns).any():
+                    row = int((block.stamp_ns == tightest.stamp_ns).argmax())
                     positions = dict(zip(names, block.position[row].tolist(), strict=True))
                     self.summary.tightest = tightest._replace(positions=positions)
 
@@ -184,17 +183,18 @@ def _run_live(
     replay_command += ["--topics", bag.topic, *bag.more_topics]
     replay_command += ["--duration", str(args.duration), "--wait", str(processes.START_TIMEOUT_S), "--json"]
     replay_command += ["--subscribers", "3"]  # monitor, visualization and recorder
-    first_ns: int | None = None
+    first_ns = 0
 
-    def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
+    def on_decision(decision: Decision) -> None:
         nonlocal first_ns
-        first_ns = at_ns if first_ns is None else first_ns
-        live.cycles.append((at_ns, contacts))
-        show_status(contacts, (at_ns - first_ns) / 1e9, client.speed_scaling)
-
-    def on_watchdog(contacts: tuple[ContactAssessment, ...]) -> None:
-        if first_ns is not None and live.cycles:
-            show_status(contacts, (live.cycles[-1][0] - first_ns) / 1e9, 0.0)
+        if decision.watchdog:
+            live.watchdog_messages += 1
+        elif [contact.contact_point for contact in decision.contacts] == list(live.series):
+            first_ns = first_ns or decision.assessed_ns
+            live.answered += 1
+            live.decisions.append(decision)
+        if live.decisions:
+            show_status(decision, (live.decisions[-1].assessed_ns - first_ns) / 1e9)
 
     processes.isolate_ros_domain()
     with ExitStack() as stack:
@@ -203,7 +203,7 @@ def _run_live(
         force = stack.enter_context(processes.ChildProcess(force_command)) if bag.force_topic else None
         recorder = stack.enter_context(processes.ChildProcess(processes.record_command(args)))
         nodes.append(recorder)
-        client = stack.enter_context(MonitorClient(tuple(live.series), on_cycle, on_watchdog=on_watchdog))
+        client = stack.enter_context(CellClient("demo", on_decision=on_decision))
         if not processes.spin_until(
             lambda: client.connected, client, [*nodes, *([force] if force else [])], processes.START_TIMEOUT_S
         ):
@@ -212,11 +212,10 @@ def _run_live(
         show_status = stack.enter_context(live_status(printer(), visible=not args.json))
         processes.spin_until(lambda: replay.ended, client, nodes, math.inf)
         live.replayed = json.loads(replay.output())
-        live.count_cycles()
+        live.count_decisions()
         live.read_back(bag, args.duration, Monitor(dynamics, settings))
-        client.spin(ANSWER_TIMEOUT_S, lambda: client.cycles >= live.sent - live.foreign)
-        live.count_cycles()
-        live.answered, live.watchdog_messages = client.cycles, client.watchdog_decisions
+        client.spin(ANSWER_TIMEOUT_S, lambda: live.answered >= live.sent - live.foreign)
+        live.count_decisions()
         if force:
             client.spin(FORCE_END_TIMEOUT_S, lambda: force.ended)
             force.interrupt()

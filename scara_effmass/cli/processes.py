@@ -21,7 +21,7 @@ from scara_effmass.cli import dashboard
 from scara_effmass.cli.nodes import node_arguments
 from scara_effmass.cli.settings import selected
 from scara_effmass.errors import EffmassError
-from scara_effmass.nodes.monitor_client import MonitorClient
+from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.parent import end_with_parent
 from scara_effmass.settings import MonitorSettings
 
@@ -104,7 +104,7 @@ class ChildProcess:
 
 
 def spin_until(
-    done: Callable[[], bool], client: MonitorClient, processes: Sequence[ChildProcess], timeout_s: float
+    done: Callable[[], bool], client: CellClient, processes: Sequence[ChildProcess], timeout_s: float
 ) -> bool:
     """Receive until `done` or the timeout; return whether it is done. Raises EffmassError if a process has ended."""
     is_done = client.spin(timeout_s, lambda: done() or any(process.ended for process in processes))

@@ -144,13 +144,13 @@ def fill_limits(
     drives = Drives(acceleration, min_mobility, max_force)
     governing, bound = governing_case(cases, work.mobilities[:count], drives, setup, work)
     case = cases[governing]
-    mu = mass if case.obstacle_mass == math.inf else 1.0 / (1.0 / mass + 1.0 / case.obstacle_mass)
+    mu = mass if case.body_mass == math.inf else 1.0 / (1.0 / mass + 1.0 / case.body_mass)
     worst_mu = 0.0
     for k in range(models):
-        worst_mu = max(worst_mu, worst_reduced_mass(work.any_normal[k], 1.0 / case.obstacle_mass, 1.0))
+        worst_mu = max(worst_mu, worst_reduced_mass(work.any_normal[k], 1.0 / case.body_mass, 1.0))
     contact.effective_mass, contact.mass_capped = min(mass, cap), 1.0 if mass > cap else 0.0
     contact.worst_direction_mass = min(cap, worst)
-    contact.obstacle_mass = 0.0 if case.obstacle_mass == math.inf else case.obstacle_mass
+    contact.body_mass = 0.0 if case.body_mass == math.inf else case.body_mass
     contact.reduced_mass, contact.stiffness = min(mu, cap), case.nominal_stiffness
     contact.predicted_force = (approach.speed + setup.person_speed) * math.sqrt(
         contact.reduced_mass * contact.stiffness
@@ -231,7 +231,7 @@ def assess_point(
     if contact.clamping_force == math.inf:
         contact.clamping_force = 0.0
         error = Error.NO_FORCE if error == Error.NONE else error
-    contact.effective_mass = contact.worst_direction_mass = contact.obstacle_mass = contact.reduced_mass = (
+    contact.effective_mass = contact.worst_direction_mass = contact.body_mass = contact.reduced_mass = (
         contact.stiffness
     ) = 0.0
     contact.predicted_force = contact.allowable_speed = contact.worst_normal_reduced_mass = contact.force_bound = 0.0

@@ -111,7 +111,7 @@ class ContactKernel:
                 max_mu=case.obstacle_mass,
                 drive_time=case.drive_time,
                 nominal_stiffness=case.limit.stiffness_n_m,
-                obstacle_mass=case.obstacle_mass,
+                body_mass=case.obstacle_mass,
                 line_count=len(case.lines),
                 lines=np.array(case.lines),
             )

@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.values import FloatArray
+from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vector3
 
 Vector = Annotated[FloatArray, (3,)]
 ByteArray = NDArray[np.uint8]
@@ -51,7 +51,7 @@ class Case:
     max_mu: float
     drive_time: float
     nominal_stiffness: float
-    obstacle_mass: float
+    body_mass: float
     line_count: int
     lines: Annotated[FloatArray, (8, 2)]
 
@@ -112,45 +112,6 @@ class Setup:
     min_stiffness: float
     max_drive_time: float
     gravity: Vector
-
-
-@dataclass
-class Contact:
-    """Assessment of one contact point at one joint state: numbers of `ContactAssessment`, in one type.
-
-    Codes of texts in `safety.reasons`: `body_region`, `criterion`, `mass_model` and `mass_model_reason`. `reason` is as
-    in `state`.
-    """
-
-    direction: Vector
-    speed: float
-    effective_mass: float
-    lumped_mass: float
-    full_mass: float
-    iso_mass: float
-    worst_direction_mass: float
-    obstacle_mass: float
-    reduced_mass: float
-    stiffness: float
-    predicted_force: float
-    allowable_speed: float
-    margin: float
-    smallest_singular_value: float
-    worst_normal_reduced_mass: float
-    force_bound: float
-    clamping_force: float
-    lumped_mobility: Annotated[FloatArray, (6,)]
-    full_mobility: Annotated[FloatArray, (6,)]
-    test_direction: Vector
-    test_effective_mass: float
-    worst_direction_used: float
-    mass_capped: float
-    verdict: float
-    body_region: float
-    criterion: float
-    mass_model: float
-    mass_model_reason: float
-    reason: Annotated[FloatArray, (REASON_SIZE,)]
 
 
 @dataclass
@@ -223,5 +184,19 @@ def dtype_of(record: type) -> np.dtype[np.void]:
 
 
 CASE, POINT, SETUP, WORK = dtype_of(Case), dtype_of(Point), dtype_of(Setup), dtype_of(Work)
-CONTACT = dtype_of(Contact)
-"""numpy's types of the records; `Contact` is all of float64."""
+Contact = Any
+"""A record of CONTACT; numpy has no type for its fields."""
+_SHAPES: dict[object, tuple[int, ...]] = {Vector3: (3,), Mobility6: (6,)}
+_NOT_NUMBERS = {"contact_point", "reason_code"}
+"""Fields that are the column of an array, or part of the reason."""
+CONTACT = np.dtype(
+    (
+        np.record,
+        [
+            (name, "f8", (REASON_SIZE,) if name == "reason" else _SHAPES.get(kind, ()))
+            for name, kind in get_type_hints(ContactAssessment).items()
+            if name not in _NOT_NUMBERS
+        ],
+    )
+)
+"""numpy's type of a `ContactAssessment`: all float64, texts as the codes of `safety.reasons`, `reason` as in `state`."""

@@ -104,7 +104,9 @@ def summarize(state: State, contacts: tuple[Contact, ...], reference_speed: floa
             state.speed_scaling = 0.0
         elif speed > allowed:
             state.speed_scaling = min(state.speed_scaling, allowed / speed)
-        if severity(verdict) > severity(int(contacts[state.contact].verdict)):
+        worst = contacts[state.contact]
+        worse = severity(verdict) - severity(int(worst.verdict))
+        if worse > 0 or (worse == 0 and contact.margin < worst.margin):
             state.contact = p
     state.verdict = int(contacts[state.contact].verdict)
 

@@ -12,17 +12,18 @@ import struct
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactStates
 
 from scara_effmass.errors import DecodeError, EffmassError
 from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.wire.contact_states import decode_contact_states
 from scara_effmass.wire.joint_state import JointStateDecoder
-from scara_effmass.wire.topics import CONTACT_STATE, STREAM_QOS
+from scara_effmass.wire.topics import CONTACT_STATES, STREAM_QOS
 
 if TYPE_CHECKING:
     from scara_effmass.nodes.replay import ReplayReport
@@ -49,10 +50,10 @@ def header_stamp_ns(data: bytes) -> int:
 
 
 class Lockstep:
-    """Counts in the report the `contact_state` messages that answer the joint states sent, matched by header stamp."""
+    """Counts in the report the `contact_states` messages that answer the joint states sent, matched by header stamp."""
 
     def __init__(self, node: Node, timeout_s: float, report: ReplayReport) -> None:
-        """Subscribe to `contact_state`; `timeout_s` is the maximum wait for an expected answer [s]."""
+        """Subscribe to `contact_states`; `timeout_s` is the maximum wait for an expected answer [s]."""
         self.publishers = 0
         self._report = report
         self._timeout_ns = round(timeout_s * 1e9)
@@ -63,9 +64,9 @@ class Lockstep:
         self._awaited_stamp_ns: int | None = None
         self._is_answered = False
         self.topic = node.create_subscription(
-            ContactState,
-            CONTACT_STATE,
-            self._on_contact_state,
+            ContactStates,
+            CONTACT_STATES,
+            self._on_contact_states,
             qos_profile(STREAM_QOS),
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(matched=self._on_matched),
@@ -110,11 +111,12 @@ class Lockstep:
         if self._unanswered_in_a_row >= MAX_UNANSWERED_IN_A_ROW:
             raise EffmassError(f"{self.topic}: {MAX_UNANSWERED_IN_A_ROW} joint states in a row without an answer")
 
-    def _on_contact_state(self, data: bytes) -> None:
+    def _on_contact_states(self, data: bytes) -> None:
         if self._is_answered or self._awaited_stamp_ns not in (None, header_stamp_ns(data)):
             return
         # The watchdog's messages carry the clock, which shows the stamp of the first joint state before it is sent.
-        self._is_answered = not deserialize_message(data, ContactState).watchdog
+        with suppress(DecodeError):
+            self._is_answered = not decode_contact_states(data).watchdog
 
     def _on_matched(self, info: QoSSubscriptionMatchedInfo) -> None:
         self.publishers = info.current_count

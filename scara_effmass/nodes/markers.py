@@ -44,6 +44,7 @@ def robot_markers(geometry: PoseGeometry) -> Iterator[Marker]:
 def contact_markers(
     contacts: Iterable[ContactAssessment],
     places: Mapping[str, tuple[float, float, float]],
+    contact_normal: str,
     *,
     ellipsoid_scale: float,
     arrow_scale: float,
@@ -51,7 +52,7 @@ def contact_markers(
 ) -> Iterator[Marker]:
     """Yield what is known of each contact point: verdict, mass ellipsoid, velocity, allowable speed, worst normal.
 
-    `places` are the positions [m] of the contact points; others only have a text above the base, and UNKNOWN only its
+    `contact_normal` is that of the decision. `places` are the positions [m] of the contact points; others only have a text above the base, and UNKNOWN only its
     text. The ellipsoid has a semi-axis of `ellipsoid_scale` [m] at 1 kg, an arrow `arrow_scale` [m] at 1 m/s. Texts of
     contact points at the same place are stacked, so that none covers another.
     """
@@ -81,8 +82,8 @@ def contact_markers(
         yield _arrow("velocity", index, color, 0.012, at, velocity)
         if contact.allowable_speed > 0.0:
             yield _arrow("allowable_speed", index, ALLOWABLE_COLOR, 0.006, at, allowable)
-        if contact.contact_normal == "worst" and contact.mobility != NO_MOBILITY:
-            normal = np.array(worst_normal(mobility, contact.direction, contact.obstacle_mass))
+        if contact_normal == "worst" and contact.mobility != NO_MOBILITY:
+            normal = np.array(worst_normal(mobility, contact.direction, contact.body_mass))
             yield _arrow("worst_normal", index, NORMAL_COLOR, 0.006, at, NORMAL_LENGTH_M * normal)
 
 

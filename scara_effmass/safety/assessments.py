@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scara_effmass.codes import Reason
 from scara_effmass.kernel.records import CONTACT
-from scara_effmass.kernel.state import STATE
+from scara_effmass.kernel.state import CODE, STATE
 from scara_effmass.safety.reasons import CRITERIA, MODELS, ReasonTexts
 from scara_effmass.values import ContactAssessment, Decision, FloatArray, Verdict
 
@@ -85,35 +86,47 @@ class Assessments:
     def decision(self, row: int) -> Decision:
         """Return the assessment of all contacts at joint state number `row`."""
         state = self.states[row]
-        contacts = tuple(self._contact(row, point, state) for point in range(len(self.points)))
-        return Decision(contacts, float(state["allowable_speed"]), float(state["speed_scaling"]))
+        return Decision(
+            stamp_ns=int(state["stamp_ns"]),
+            input_age=float(state["age"]),
+            velocity_delay=float(state["delay"]),
+            contact_normal=self.normal if state["is_admitted"] else "",
+            watchdog=bool(state["is_watchdog"]),
+            contacts=tuple(self._contact(row, point) for point in range(len(self.points))),
+            allowable_speed=float(state["allowable_speed"]),
+            speed_scaling=float(state["speed_scaling"]),
+        )
 
     def decisions(self) -> Iterator[Decision]:
         """Yield the assessment of all contacts at each joint state."""
         return (self.decision(row) for row in range(len(self)))
 
-    def _contact(self, row: int, point: int, state: Any) -> ContactAssessment:  # noqa: ANN401 - a record
+    def _contact(self, row: int, point: int) -> ContactAssessment:
         record = self.contacts[row, point]
-        fields: dict[str, Any] = {}
-        for name in ContactAssessment._fields:
-            if name in CONTACT.names:
-                value = record[name].tolist()
-                fields[name] = tuple(value) if isinstance(value, list) else value
-        for name, texts in self.labels.items():
-            fields[name] = texts[int(record[name])]
-        fields |= {
-            "stamp_ns": int(state["stamp_ns"]),
-            "contact_point": self.points[point],
-            "verdict": Verdict(int(record["verdict"])),
-            "reason": self.texts.text(record["reason"], self.details),
-            "input_age": float(state["age"]),
-            "velocity_delay": float(state["delay"]) if state["is_admitted"] else 0.0,
-            "watchdog": bool(state["is_watchdog"]),
-            "worst_direction_used": bool(record["worst_direction_used"]),
-            "mass_capped": bool(record["mass_capped"]),
-            "contact_normal": self.normal if state["is_admitted"] else "",
-        }
-        return ContactAssessment(**fields)
+        return contact_of(record, self.points[point], self.texts.text(record["reason"], self.details), self.labels)
+
+
+def contact_of(
+    record: Any,  # noqa: ANN401 - of CONTACT
+    point: str,
+    reason: str,
+    labels: Mapping[str, tuple[str, ...]],
+) -> ContactAssessment:
+    """Return the contact in a record of CONTACT, with the text of its reason; `labels` are the texts of its codes."""
+    fields: dict[str, Any] = {}
+    for name in CONTACT.names:
+        value = record[name].tolist()
+        fields[name] = tuple(value) if isinstance(value, list) else value
+    fields |= {name: texts[int(record[name])] for name, texts in labels.items()}
+    fields |= {
+        "worst_direction_used": bool(record["worst_direction_used"]),
+        "mass_capped": bool(record["mass_capped"]),
+        "verdict": Verdict(int(record["verdict"])),
+        "reason_code": Reason(int(record["reason"][CODE])),
+        "contact_point": point,
+        "reason": reason,
+    }
+    return ContactAssessment(**fields)
 
 
 def joined(parts: Sequence[Assessments]) -> Assessments:
@@ -132,17 +145,10 @@ def unknown_numbers(iso_mass: float = 0.0) -> FloatArray:
     return contact.view(np.float64)
 
 
-def unknown_contact(name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:
-    """Return an UNKNOWN without numbers: all are 0, the masses of the models NaN."""
-    record = unknown_numbers().view(CONTACT)[0]
-    fields: dict[str, Any] = {}
-    for field in ContactAssessment._fields:
-        if field in CONTACT.names:
-            value = record[field].tolist()
-            fields[field] = tuple(value) if isinstance(value, list) else value
-    fields |= dict.fromkeys(("body_region", "criterion", "mass_model", "mass_model_reason"), "")
-    return ContactAssessment(
-        **fields
-        | {"stamp_ns": max(stamp_ns, 0), "contact_point": name, "verdict": Verdict.UNKNOWN, "reason": reason}
-        | {"input_age": age, "worst_direction_used": False, "mass_capped": False}
-    )
+_NO_LABELS = dict.fromkeys(("body_region", "criterion", "mass_model", "mass_model_reason"), ("",))
+
+
+def unknown_contact(point: str, reason: str, code: Reason = Reason.STATED) -> ContactAssessment:
+    """Return an UNKNOWN without numbers."""
+    contact = contact_of(unknown_numbers().view(CONTACT)[0], point, reason, _NO_LABELS)
+    return contact._replace(reason_code=code)

@@ -410,4 +410,5 @@ def unknown_assessments(
     record["stamp_ns"], record["is_watchdog"] = max(stamp_ns, 0), watchdog
     numbers = np.tile(unknown_numbers(), (1, len(points), 1))
     numbers.view(CONTACT)["reason"][..., [CODE, DETAIL]] = reason, 1.0
+    record["verdict"] = Verdict.UNKNOWN
     return Assessments(record.view(np.uint8), numbers, points, "", ("", detail), NO_TEXTS)

@@ -12,9 +12,17 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from scara_effmass.safety.debounce import severity
-from scara_effmass.safety.monitor import unknown_contact
-from scara_effmass.values import ContactAssessment, FloatArray, ForceBlock, Impact, JointState, RunInfo, Verdict
+from scara_effmass.values import (
+    ContactAssessment,
+    Decision,
+    FloatArray,
+    ForceBlock,
+    Impact,
+    JointState,
+    RunInfo,
+    SeriesStatistics,
+    Verdict,
+)
 
 HISTORY_NS = 60_000_000_000
 BIN_NS = 50_000_000
@@ -29,7 +37,7 @@ TRACE_BEFORE_NS, TRACE_AFTER_NS = 2_000_000, 6_000_000
 """Force shown before the onset and after the end of an impact."""
 _LOST_FORCE_NS = 2_000_000_000
 """Longest wait for the force of an impact [ns]."""
-_NO_STATE = "no contact state yet"
+_NO_STATE = "no contact states yet"
 
 
 class SpeedSample(NamedTuple):
@@ -58,21 +66,19 @@ class Episode:
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """Fields of `ImpactValidation.msg` that displays show."""
+    """What displays show of an `ImpactValidation.msg`."""
 
     stamp_ns: int
     predicted_force: float
     measured_force: float
     relative_error: float
+    reduced_mass: float
+    speed: float
     conservative: bool
     body_region: str
     limit_force: float
     exceeds_limit: bool
-    count: int
-    correlation: float
-    accepted: bool
-    decidable: bool
-    reason: str
+    series: SeriesStatistics
 
 
 @dataclass
@@ -104,15 +110,16 @@ class Diagnostic(NamedTuple):
 class CellStatus:
     """What is known about a cell at the time of the last `update`.
 
-    `verdict` is the worst of the contact points, with `contact_point` and `reason`. It is UNKNOWN before the first
-    contact state, with no or two monitors, and when a contact point is silent for longer than `timeout_ns`.
-    `allowable_speed` [m/s] and `speed_scaling` [0-1] are then 0. `contacts` holds the latest state of each point.
+    `verdict` is that of the latest `decision`, with `contact_point` and `reason`. It is UNKNOWN before the first one,
+    with no or two monitors, and when the monitor is silent for longer than `timeout_ns`. `allowable_speed` [m/s] and
+    `speed_scaling` [0-1] are then 0. `lost` counts the messages that did not arrive.
     """
 
     def __init__(self, now_ns: int) -> None:
         self.timeout_ns = DEFAULT_TIMEOUT_NS
         self.has_monitor = True
-        self.contacts: dict[str, ContactAssessment] = {}
+        self.decision: Decision | None = None
+        self.lost = 0
         self.verdict, self.contact_point, self.reason = Verdict.UNKNOWN, "", _NO_STATE
         self.verdict_since_ns = now_ns
         self.allowable_speed = self.speed_scaling = 0.0
@@ -125,9 +132,7 @@ class CellStatus:
         self.diagnostics: dict[str, Diagnostic] = {}
         self.run_info: RunInfo | None = None
         self._force: deque[ForceBlock] = deque()
-        self._arrived_ns: dict[str, int] = {}
-        self._conflict_ns = -(2**62)
-        self._scalars: dict[str, tuple[float, int]] = {}
+        self._arrived_ns = self._conflict_ns = -(2**62)
 
     @property
     def simulated(self) -> list[str]:
@@ -137,36 +142,32 @@ class CellStatus:
         return [name for name, simulated in (("robot", robot), ("force", any(force))) if simulated]
 
     @property
-    def deciding(self) -> ContactAssessment | None:
-        """The contact point with the smallest margin among those with the worst verdict; None without any."""
-        points = self.contacts.values()
-        return max(points, key=lambda c: (severity(c.verdict), c.speed - c.allowable_speed), default=None)
+    def contacts(self) -> tuple[ContactAssessment, ...]:
+        """The contacts of the latest decision."""
+        return self.decision.contacts if self.decision is not None else ()
 
-    def take_contact(self, contact: ContactAssessment, at_ns: int) -> None:
-        """Take the state of one contact point; numbers that are not finite make it UNKNOWN."""
-        if not (math.isfinite(contact.speed) and math.isfinite(contact.allowable_speed)):
-            reason = "the contact state has a speed that is not a number"
-            contact = unknown_contact(contact.contact_point, reason, contact.stamp_ns, contact.input_age)
-        name = contact.contact_point
-        if name not in self.contacts and (not name or "" in self.contacts):
-            self._forget_contacts()  # a monitor without a robot names no contact point
-        self.contacts[name] = contact
-        self.take_speed(name, contact.speed, contact.allowable_speed, at_ns)
+    def take_decision(self, decision: Decision, at_ns: int) -> None:
+        """Take a decision; a number that does not increase is that of another monitor.
+
+        It is a successor, or a second monitor unless the first one is silent.
+        """
+        last = self.decision.sequence_number if self.decision is not None else 0
+        if 0 < decision.sequence_number <= last:
+            if at_ns - self._arrived_ns <= self.timeout_ns:
+                self._conflict_ns = at_ns
+        elif last and decision.sequence_number and at_ns - self._conflict_ns > self.timeout_ns:
+            self.lost += decision.sequence_number - last - 1
+        self.decision, self._arrived_ns = decision, at_ns
+        self._take_speed(min(decision.contacts, key=lambda contact: contact.margin), at_ns)
         self.update(at_ns)
 
-    def take_speed(self, contact_point: str, speed: float, allowable_speed: float, at_ns: int) -> None:
-        """Take the speeds [m/s] of one contact point whose verdict has not changed."""
-        self._arrived_ns[contact_point] = at_ns
-        sample = SpeedSample(at_ns, contact_point, speed, allowable_speed)
+    def _take_speed(self, contact: ContactAssessment, at_ns: int) -> None:
+        sample = SpeedSample(at_ns, contact.contact_point, contact.speed, contact.allowable_speed)
         last = self.speeds[-1] if self.speeds else None
         if last is None or last.at_ns // BIN_NS < at_ns // BIN_NS:
             self.speeds.append(sample)
-        elif allowable_speed - speed < last.allowable_speed - last.speed:
+        elif contact.margin < last.allowable_speed - last.speed:
             self.speeds[-1] = sample
-
-    def take_scalar(self, name: str, value: float, at_ns: int) -> None:
-        """Take `allowable_speed` [m/s] or `speed_scaling` [0-1]."""
-        self._scalars[name] = (value if math.isfinite(value) else 0.0, at_ns)
 
     def take_joint_state(self, state: JointState, at_ns: int) -> None:
         """Take the latest joint state."""
@@ -187,7 +188,7 @@ class CellStatus:
 
     def take_validation(self, validation: Validation) -> None:
         """Take the validation of an impact; one with count 1 starts a new series."""
-        if validation.count == 1:
+        if validation.series.count == 1:
             self.validations.clear()
         self.validations.append(validation)
         for record in self.impacts:
@@ -195,16 +196,10 @@ class CellStatus:
                 record.validation = validation
 
     def take_publisher(self, timeout_ns: int, *, exists: bool) -> None:
-        """Take whether contact states have a publisher, and the time within which it promises a message."""
+        """Take whether contact_states has a publisher, and the time within which it promises a message."""
         self.has_monitor, self.timeout_ns = exists, timeout_ns
         if not exists:
-            self._forget_contacts()  # the next monitor may have other contact points
-
-    def take_other_monitor(self, at_ns: int) -> None:
-        """Note that another monitor publishes: a successor, or a second one unless the first is silent."""
-        if any(at_ns - arrived_ns <= self.timeout_ns for arrived_ns in self._arrived_ns.values()):
-            self._conflict_ns = at_ns
-        self._forget_contacts()
+            self.decision = None
 
     def update(self, now_ns: int) -> None:
         """Judge silence at `now_ns`, log the verdict, and cut out the force of new impacts."""
@@ -216,10 +211,9 @@ class CellStatus:
                 self.episodes.append(Episode(verdict, point, reason, now_ns))
             self.verdict_since_ns = now_ns
         self.verdict, self.contact_point, self.reason = verdict, point, reason
-        self.allowable_speed, self.speed_scaling = (
-            value if verdict is not Verdict.UNKNOWN and now_ns - at_ns <= self.timeout_ns else 0.0
-            for value, at_ns in (self._scalars.get(name, (0.0, 0)) for name in ("allowable_speed", "speed_scaling"))
-        )
+        self.allowable_speed = self.speed_scaling = 0.0
+        if self.decision is not None and verdict is not Verdict.UNKNOWN:
+            self.allowable_speed, self.speed_scaling = self.decision.allowable_speed, self.decision.speed_scaling
         if self.episodes and self.episodes[-1].end_ns is None:  # which may have begun before the report of a simulation
             self.episodes[-1].simulated = self.simulated or self.episodes[-1].simulated
         for record in self.impacts:
@@ -229,20 +223,16 @@ class CellStatus:
     def _judge(self, now_ns: int) -> tuple[Verdict, str, str]:
         """Return the verdict of the cell, the contact point that decides, and the reason."""
         if not self.has_monitor:
-            return Verdict.UNKNOWN, "", "no monitor: contact_state has no publisher"
+            return Verdict.UNKNOWN, "", "no monitor: contact_states has no publisher"
         if now_ns - self._conflict_ns <= self.timeout_ns:
-            return Verdict.UNKNOWN, "", "two monitors publish contact_state: must be one"
-        deciding = self.deciding
-        if deciding is None:
+            return Verdict.UNKNOWN, "", "two monitors publish contact_states: must be one"
+        if self.decision is None:
             return Verdict.UNKNOWN, "", _NO_STATE
-        name, silence_ns = max(((name, now_ns - at) for name, at in self._arrived_ns.items()), key=lambda pair: pair[1])
+        silence_ns = now_ns - self._arrived_ns
         if silence_ns > self.timeout_ns:
-            return Verdict.UNKNOWN, name, f"the monitor is silent: no contact state for {silence_ns / 1e9:.1f} s"
-        return deciding.verdict, deciding.contact_point, deciding.reason
-
-    def _forget_contacts(self) -> None:
-        self.contacts.clear()
-        self._arrived_ns.clear()
+            return Verdict.UNKNOWN, "", f"the monitor is silent: no contact states for {silence_ns / 1e9:.1f} s"
+        worst = self.decision.worst
+        return worst.verdict, worst.contact_point, worst.reason
 
     def _cut_trace(self, record: ImpactRecord) -> None:
         """Copy the force around an impact once it has arrived completely."""
