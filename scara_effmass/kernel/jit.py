@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""numba, where the extra `fast` is installed; without it the functions stay plain Python."""
+"""numba; where it is missing or switched off, the functions stay plain Python."""
 
 import os
 from collections.abc import Callable
@@ -16,7 +16,7 @@ try:
     if numba is None or numba.config.DISABLE_JIT:
         WHY_NOT = "NUMBA_DISABLE_JIT is set"
 except ImportError:
-    WHY_NOT = "numba is not installed: pip install scara_effmass[fast]"
+    WHY_NOT = "numba is not installed: pip install 'numba>=0.61'"
 
 
 def compiled(function: Function) -> Function:
