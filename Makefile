@@ -105,7 +105,7 @@ clean:  ## remove all generated files
 .venv-tools/.requirements: requirements/tools.lock
 %/.requirements:
 	@python=$$(scripts/check_machine.sh . $(PYTHON)) && \
-	rm -rf $* build/messages-* && \
+	rm -rf $* $(if $(filter .venv,$*),build/messages-*) && \
 	echo "making $* with $$($$python --version)" && \
 	$$python -m venv $* && \
 	scripts/install_locked.sh $* $< && \
