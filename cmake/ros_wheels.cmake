@@ -28,16 +28,17 @@ cmake_language(DEFER CALL drop_missing_include_directories)
 
 # Only for pip. A workspace builds everything, and takes control_msgs from its ROS, as package.xml says.
 if(SKBUILD_PLATLIB_DIR AND PROJECT_NAME STREQUAL "scara_effmass_msgs")
-  # rclpy with Fast DDS uses only these; the code for C++ and for other middlewares takes more than half of the time.
+  # rclpy with Fast DDS uses only these; the code for C++ would take half of the time.
   find_package(rosidl_default_generators REQUIRED)
   list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces INCLUDE REGEX
-    "^rosidl_(generator_(type_description|c|py)|typesupport_(c|fastrtps_c)):")
-  set(STATIC_ROSIDL_TYPESUPPORT_C rosidl_typesupport_fastrtps_c)
+    "^rosidl_(generator_(type_description|c|py)|typesupport_(c|fastrtps_c|introspection_c)):")
 
-  # Their C++ files include the same large headers, so one file per target compiles faster than one per message.
+  # Their files include the same large headers, so one file per target compiles faster than one per message.
   function(unite_typesupports)
-    set_target_properties(scara_effmass_msgs__rosidl_typesupport_c scara_effmass_msgs__rosidl_typesupport_fastrtps_c
-      PROPERTIES UNITY_BUILD ON)
+    list(TRANSFORM AMENT_EXTENSIONS_rosidl_generate_idl_interfaces REPLACE ":.*" "" OUTPUT_VARIABLE targets)
+    list(FILTER targets INCLUDE REGEX "typesupport")
+    list(TRANSFORM targets PREPEND "scara_effmass_msgs__")
+    set_target_properties(${targets} PROPERTIES UNITY_BUILD ON)
   endfunction()
   cmake_language(DEFER CALL unite_typesupports)
 
