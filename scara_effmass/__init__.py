@@ -8,11 +8,8 @@ use, so that `import scara_effmass` alone imports neither Pinocchio nor ROS.
 
 from __future__ import annotations
 
-import os
-import sys
 from importlib import import_module
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -56,25 +53,7 @@ __all__ = [
     "load_robot",
 ]
 
-__version__ = version("scara_effmass")
-
-
-def _import_changed_sources() -> None:
-    """Let an editable installation import all sources if one of them is newer than its compiled module.
-
-    Compiled modules depend on each other, so either all of them are used or none. SCARA_EFFMASS_SOURCES=1: none.
-    """
-    for finder in sys.meta_path:
-        compiled, sources = getattr(finder, "known_wheel_files", {}), getattr(finder, "known_source_files", {})
-        ours = [name for name in compiled if name in sources and name.startswith(f"{__name__}.")]
-        folder = Path(getattr(finder, "dir", ""))
-        times = [(Path(sources[name]).stat().st_mtime, (folder / compiled[name]).stat().st_mtime) for name in ours]
-        if os.environ.get("SCARA_EFFMASS_SOURCES") == "1" or any(source > library for source, library in times):
-            for name in ours:
-                del compiled[name]
-
-
-_import_changed_sources()
+__version__: str
 
 _MODULES = [
     "errors",
@@ -91,7 +70,9 @@ _MODULES = [
 
 
 def __getattr__(name: str) -> object:
-    """Import the public name `name` on first use."""
+    """Import the public name `name` on first use; read the version, which needs an installation, on first use too."""
+    if name == "__version__":
+        return version("scara_effmass")
     for module in map(import_module, (f"{__name__}.{module}" for module in _MODULES if name in __all__)):
         if hasattr(module, name):
             return getattr(module, name)

@@ -15,6 +15,7 @@ from scara_effmass import __version__
 from scara_effmass.cli.commands import COMMANDS, GROUPS, MODULES, ROS_COMMANDS
 from scara_effmass.cli.options import ALIASES, Option
 from scara_effmass.errors import EffmassError
+from scara_effmass.extras import missing_extra
 
 BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 """Exit codes; 130 and 143 are what a shell reports after SIGINT and SIGTERM."""
@@ -43,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _keep_stdout()
     previous_handler = signal.signal(signal.SIGTERM, _terminate)
     try:
-        code: int = import_module(f"scara_effmass.cli.{MODULES.get(name, name)}").run(parsed)
+        code = _run(MODULES.get(name, name), parsed)
         sys.stdout.flush()
     except EffmassError as error:
         print(error, file=sys.stderr)  # noqa: T201 - the only error output
@@ -62,6 +63,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INPUT_ERROR
     finally:
         signal.signal(signal.SIGTERM, previous_handler)
+    return code
+
+
+def _run(module: str, parsed: argparse.Namespace) -> int:
+    """Run the command of `module` and return its exit code. Raises EffmassError, also for a missing extra."""
+    try:
+        code: int = import_module(f"scara_effmass.cli.{module}").run(parsed)
+    except ModuleNotFoundError as error:
+        if line := missing_extra(error):
+            raise EffmassError(line) from error
+        raise
     return code
 
 

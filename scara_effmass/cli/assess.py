@@ -10,7 +10,6 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import ModuleType
 from typing import NamedTuple
 
 from scara_effmass.analysis.assessment import Time, input_lines
@@ -39,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _assess(args: argparse.Namespace) -> int:
-    properties = _load_properties() if args.properties else None
+    properties = import_module("scara_effmass.analysis.properties") if args.properties else None
     settings = monitor_settings(args)
     dynamics = load_dynamics(settings)
     robot = dynamics.robot
@@ -91,14 +90,6 @@ def _assess(args: argparse.Namespace) -> int:
     written = [("written", args.output), *([("open", args.report / "report.html")] if report else [])]
     print_result(printed, [*lines, *written], as_json=args.json)
     return 1 if unreadable or summary.only_unknown or any(check.violations for check in checks) else 0
-
-
-def _load_properties() -> ModuleType:
-    """Return the module that checks properties. Raises SettingsError without its library."""
-    try:
-        return import_module("scara_effmass.analysis.properties")
-    except ModuleNotFoundError as error:
-        raise SettingsError(f"{error}: must be installed: pip install 'scara_effmass[properties]'") from None
 
 
 def _assess_part(

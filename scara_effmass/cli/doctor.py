@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from scara_effmass import __version__
+from scara_effmass.analysis.lumped_model import compare_models
 from scara_effmass.cli.console import LEVEL_STYLES, print_json, print_table, printer
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
@@ -94,11 +95,6 @@ def _installation() -> Iterator[CheckResult]:
             reason = " ".join(str(error).split()) or type(error).__name__
             yield CheckResult("wrong", subject, f"{reason}; install scara_effmass again, or source ROS 2")
 
-    if str(import_module("scara_effmass.safety.monitor").__file__).endswith(".py"):
-        hint = "a cycle takes about three times as long; `make setup` or `pip install` compiles it again"
-        yield CheckResult("note", "core", f"Python sources, not compiled or changed since: {hint}")
-    else:
-        yield CheckResult("ok", "core", "compiled by mypyc")
     why_not = import_module("scara_effmass.kernel.jit").WHY_NOT
     yield CheckResult(
         "note" if why_not else "ok",
@@ -223,8 +219,6 @@ def _home_masses(dynamics: RobotDynamics) -> Iterator[tuple[str, str]]:
 
 def _comparison(dynamics: RobotDynamics, margin: float) -> Iterator[CheckResult]:
     """Compare the lumped with the full mass of each contact point, in one line."""
-    from scara_effmass.analysis.lumped_model import compare_models  # noqa: PLC0415 - loads matplotlib
-
     if dynamics.lumped is None or dynamics.full_reason:
         return
     comparisons, missing = compare_models(dynamics, margin, COMPARED_POSES, seed=1)

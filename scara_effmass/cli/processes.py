@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from scara_effmass.cli import dashboard
 from scara_effmass.cli.nodes import node_arguments
 from scara_effmass.cli.settings import selected
 from scara_effmass.errors import EffmassError
+from scara_effmass.extras import pip_line
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.parent import end_with_parent
 from scara_effmass.settings import MonitorSettings
@@ -152,8 +154,8 @@ def recorded_line(recorded: dict[str, Any]) -> str:
 
 def dashboard_command(args: argparse.Namespace) -> tuple[list[str], str]:
     """Return the command of the dashboard and its address, or no command and the reason."""
-    if not dashboard.is_installed():
-        return [], dashboard.MISSING
+    if not find_spec("nicegui"):
+        return [], f"needs NiceGUI: {pip_line('nicegui')}"
     if not (dashboard.has_display() or sys.stdout.isatty()):
         return [], "not started: there is no display and no terminal"
     with socket.create_server(("127.0.0.1", 0)) as probe:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 from scara_effmass.codes import Reason
-from scara_effmass.kernel.jit import compiled
+from scara_effmass.kernel.jit import compiled, inlined
 from scara_effmass.kernel.records import ByteArray
 from scara_effmass.kernel.state import (
     CODE,
@@ -51,7 +51,7 @@ METRES_PER_RADIAN = 0.25
 """Tolerance of the position of a prismatic joint [m] per radian of that of a revolute joint."""
 
 
-@compiled
+@inlined
 def forget(memory: Memory, joints: tuple[JointMemory, ...]) -> None:
     """Forget all joint states, and the latest command."""
     memory.last_stamp_ns, memory.sequence, memory.observed_ns = 0, NO_SEQUENCE, 0
@@ -61,7 +61,7 @@ def forget(memory: Memory, joints: tuple[JointMemory, ...]) -> None:
         joint.is_unconfirmed = 1
 
 
-@compiled
+@inlined
 def check_stamp(state: State, rules: Rules, memory: Memory) -> Reason:
     """Write why the stamp is refused; return the code, 0 if it is not."""
     stamp_ns, now_ns, last_ns = state.stamp_ns, state.now_ns, memory.last_stamp_ns
@@ -84,7 +84,7 @@ def check_stamp(state: State, rules: Rules, memory: Memory) -> Reason:
     return code
 
 
-@compiled
+@inlined
 def check_range(state: State, q: FloatArray, qd: FloatArray, joints: tuple[JointMemory, ...]) -> bool:
     """Write which value is not finite or out of range; return whether one is."""
     for i in range(len(joints)):
@@ -103,7 +103,7 @@ def check_range(state: State, q: FloatArray, qd: FloatArray, joints: tuple[Joint
     return False
 
 
-@compiled
+@inlined
 def begin_comparison(
     state: State, q: FloatArray, qd: FloatArray, memory: Memory, joints: tuple[JointMemory, ...]
 ) -> None:
@@ -116,7 +116,7 @@ def begin_comparison(
         joint.since_ns, joint.since_position = state.stamp_ns, q[i]
 
 
-@compiled
+@inlined
 def check_velocities(
     state: State,
     motion: FloatArray,
@@ -163,7 +163,7 @@ def check_velocities(
     return is_wrong
 
 
-@compiled
+@inlined
 def check_zeros(state: State, motion: FloatArray, joints: tuple[JointMemory, ...]) -> bool:
     """Write which joint reads a velocity of exactly zero that its position has not confirmed; return whether one does.
 
@@ -186,7 +186,7 @@ def check_zeros(state: State, motion: FloatArray, joints: tuple[JointMemory, ...
     return first >= 0
 
 
-@compiled
+@inlined
 def check_command(state: State, q: FloatArray, rules: Rules, memory: Memory, joints: tuple[JointMemory, ...]) -> bool:
     """Write how the latest command contradicts the positions; return whether it does.
 
@@ -206,7 +206,7 @@ def check_command(state: State, q: FloatArray, rules: Rules, memory: Memory, joi
     return False
 
 
-@compiled
+@inlined
 def check(state: State, motion: FloatArray, rules: Rules, memory: Memory, joints: tuple[JointMemory, ...]) -> bool:
     """Return whether a joint state is valid; write why it is not, or which gap lies before it."""
     if state.now_ns + rules.future_tolerance_ns < memory.last_stamp_ns:  # system time was set back

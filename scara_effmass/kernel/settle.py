@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from scara_effmass.kernel.jit import compiled
+from scara_effmass.kernel.jit import compiled, inlined
 from scara_effmass.kernel.records import CONTACT, ByteArray, Contact
 from scara_effmass.kernel.state import (
     CODE,
@@ -29,19 +29,19 @@ UNKNOWN, OK, VIOLATION = int(Verdict.UNKNOWN), int(Verdict.OK), int(Verdict.VIOL
 WORST_FIRST = UNKNOWN, VIOLATION, int(Verdict.WARN)
 
 
-@compiled
+@inlined
 def severity(verdict: int) -> int:
     """Return 0 for OK to 3 for UNKNOWN, under which nothing is allowed."""
     return 3 if verdict == UNKNOWN else verdict - OK
 
 
-@compiled
+@inlined
 def allow_nothing(contact: Contact, verdict: int) -> None:
     """Write a verdict under which the contact point must not move."""
     contact.verdict, contact.allowable_speed, contact.margin = verdict, 0.0, -contact.speed
 
 
-@compiled
+@inlined
 def debounce(contact: Contact, stamp_ns: int, release_ns: int, memory: Debounce) -> None:
     """Write the verdict that shows at `stamp_ns`, and its reason."""
     if memory.is_stale != 0:
@@ -66,7 +66,7 @@ def debounce(contact: Contact, stamp_ns: int, release_ns: int, memory: Debounce)
         memory.has_seen[worse] = 0
 
 
-@compiled
+@inlined
 def note_cause(state: State, contacts: tuple[Contact, ...], memory: Memory) -> None:
     """Count the verdicts, and remember the first cause."""
     for p in range(len(contacts)):
@@ -80,7 +80,7 @@ def note_cause(state: State, contacts: tuple[Contact, ...], memory: Memory) -> N
             copy_reason(contacts[p].reason, memory.cause_reason)
 
 
-@compiled
+@inlined
 def latch(contacts: tuple[Contact, ...], memory: Memory) -> None:
     """Write the verdict of the first cause, unless that of a contact is worse; nothing is allowed."""
     for p in range(len(contacts)):
@@ -91,7 +91,7 @@ def latch(contacts: tuple[Contact, ...], memory: Memory) -> None:
             allow_nothing(contact, memory.cause_verdict)
 
 
-@compiled
+@inlined
 def summarize(state: State, contacts: tuple[Contact, ...], reference_speed: float) -> None:
     """Write the worst verdict of all contacts, the smallest allowable speed, and the speed scaling."""
     state.allowable_speed, state.speed_scaling, state.contact = math.inf, 1.0, 0

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from scara_effmass.codes import Reason
-from scara_effmass.kernel.jit import compiled
+from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.records import REASON_SIZE, IntArray, dtype_of
 from scara_effmass.values import FloatArray
 
@@ -126,7 +126,7 @@ STATE, RULES, MEMORY = dtype_of(State), dtype_of(Rules), dtype_of(Memory)
 JOINT_MEMORY, DEBOUNCE = dtype_of(JointMemory), dtype_of(Debounce)
 
 
-@compiled
+@inlined
 def set_reason(reason: FloatArray, code: Reason, joint: int, a: float, b: float, c: float) -> None:
     """Write a reason with its joint and up to three numbers."""
     for i in range(REASON_SIZE):
@@ -135,7 +135,7 @@ def set_reason(reason: FloatArray, code: Reason, joint: int, a: float, b: float,
     reason[VALUES], reason[VALUES + 1], reason[VALUES + 2] = a, b, c
 
 
-@compiled
+@inlined
 def copy_reason(source: FloatArray, target: FloatArray) -> None:
     """Copy a reason."""
     for i in range(REASON_SIZE):

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.kernel.jit import compiled
+from scara_effmass.kernel.jit import compiled, inlined
 from scara_effmass.kernel.records import IntArray
 from scara_effmass.values import FloatArray
 
@@ -90,7 +90,7 @@ def filter_rows(
     return first
 
 
-@compiled
+@inlined
 def slope(stamps: IntArray, values: FloatArray) -> float:
     """Return the slope of the least-squares line through `values` (m,) at `stamps` (m,) [ns], per second."""
     last = len(stamps) - 1

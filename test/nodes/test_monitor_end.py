@@ -168,9 +168,8 @@ raise SystemExit(monitor_node.main())
 
 
 def test_watchdog_speaks_while_a_callback_takes_long(
-    new_harness: Callable[..., NodeHarness], monkeypatch: pytest.MonkeyPatch
+    new_harness: Callable[..., NodeHarness],
 ) -> None:
-    monkeypatch.setenv("SCARA_EFFMASS_SOURCES", "1")  # a compiled Monitor has no subclass
     harness = new_harness()
     harness.start("--ros-args", "-p", "timeout:=1.0", "-p", "release_time:=0.0", command=(sys.executable, "-c", BUSY))
     harness.subscribe()

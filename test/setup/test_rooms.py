@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "scara_effmass"
 
 FLOORS = (
-    {"errors", "input_files", "parent", "share", "streams", "url", "values", "settings"},
+    {"errors", "extras", "input_files", "parent", "share", "streams", "url", "values", "settings"},
     {"iso15066"},
     {"model"},
     {"kernel"},
