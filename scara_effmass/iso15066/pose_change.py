@@ -6,12 +6,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from scara_effmass.iso15066.contact import TRANSIENT_S
+from scara_effmass.iso15066.contact import TIME_FACTOR, contact_time
 from scara_effmass.iso15066.mobility_matrix import CLAMPED_TOLERANCE, Matrix, mobility_along
 from scara_effmass.values import Vector3
 
-TIME_FACTOR = 1.5
-"""Time for which the growth counts, over the time to the peak force; above 1, to cover what is not linear in time."""
+__all__ = ["TIME_FACTOR", "PoseChange", "contact_time"]
 
 
 class PoseChange(NamedTuple):
@@ -111,12 +110,3 @@ class PoseChange(NamedTuple):
             (t * x + q * y + v * z) / determinant,
             (u * x + v * y + r * z) / determinant,
         )
-
-
-def contact_time(reduced_mass: float, stiffness: float) -> float:
-    """Return the time [s] for which the growth counts.
-
-    It is TIME_FACTOR times the time to the peak, a quarter period of `reduced_mass` [kg] on `stiffness` [N/m], and at
-    most TRANSIENT_S.
-    """
-    return min(TIME_FACTOR * 0.5 * math.pi * math.sqrt(reduced_mass / stiffness), TRANSIENT_S)
