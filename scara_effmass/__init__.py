@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from scara_effmass.codes import ModelCode
     from scara_effmass.errors import EffmassError
     from scara_effmass.impacts.detector import Detector
     from scara_effmass.impacts.validator import Result, Validator
-    from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
     from scara_effmass.model.load import load_robot
     from scara_effmass.model.robot import Robot
+    from scara_effmass.reference import PoseState, RobotDynamics
     from scara_effmass.safety import Monitor
     from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings
     from scara_effmass.values import (
@@ -39,13 +40,14 @@ __all__ = [
     "Decision",
     "DetectionSettings",
     "Detector",
-    "EffectiveMasses",
     "EffmassError",
     "ForceBlock",
     "Impact",
     "JointState",
+    "ModelCode",
     "Monitor",
     "MonitorSettings",
+    "PoseState",
     "Result",
     "Robot",
     "RobotDynamics",
@@ -78,6 +80,7 @@ _import_changed_sources()
 
 _MODULES = [
     "errors",
+    "codes",
     "values",
     "settings",
     "impacts.detector",
@@ -85,7 +88,7 @@ _MODULES = [
     "safety",
     "model.robot",
     "model.load",
-    "model.dynamics",
+    "reference",
 ]
 """Modules of the public names; those that load Pinocchio come last."""
 

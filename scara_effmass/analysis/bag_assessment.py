@@ -30,7 +30,7 @@ from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 

@@ -16,8 +16,8 @@ from typing import Any
 from nicegui import ui
 
 from scara_effmass.dashboard.scene import RobotScene
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.cell_client import CellClient
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.cell_status import CellStatus
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MonitorSettings

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scara_effmass.iso15066 import SpeedLimits
+from scara_effmass.iso15066.speed_limit import SpeedLimits
 from scara_effmass.kernel import jit
 from scara_effmass.kernel.functions import WORK, assess, assess_columns
 from scara_effmass.kernel.records import (
@@ -26,9 +26,9 @@ from scara_effmass.kernel.records import (
     Setup,
     dtype_of,
 )
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.model.robot import Robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import ZERO_VECTOR, FloatArray, Vector3
 

@@ -23,7 +23,6 @@ from std_msgs.msg import Float64
 
 from scara_effmass.errors import DecodeError
 from scara_effmass.iso15066 import limits_for
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher
@@ -38,6 +37,7 @@ from scara_effmass.nodes.monitor_health import (
     worst_contacts,
 )
 from scara_effmass.nodes.robot_input import use_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor, unknown_decision
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed

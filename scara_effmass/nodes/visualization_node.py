@@ -15,7 +15,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from scara_effmass import values
 from scara_effmass.errors import DecodeError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.pose_geometry import pose_geometry
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
@@ -23,6 +22,7 @@ from scara_effmass.nodes.cell_client import ContactStateReader
 from scara_effmass.nodes.lifecycle import LifecycleBase, run, with_info
 from scara_effmass.nodes.markers import contact_markers, robot_markers, stamped
 from scara_effmass.nodes.robot_input import use_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import unknown_contact
 from scara_effmass.safety.cell_status import CellStatus
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter
@@ -134,7 +134,7 @@ class VisualizationNode(LifecycleBase):
         if dynamics is None or isinstance(pose, str):
             contacts.append(unknown_contact("", str(pose), 0, 0.0))
         else:
-            geometry = pose_geometry(dynamics, pose.position)
+            geometry = pose_geometry(dynamics.robot, dynamics.lumped, pose.position)
             places = geometry.contact_points
             for marker in robot_markers(geometry):
                 yield stamp(marker, stamp_ns=pose.stamp_ns)

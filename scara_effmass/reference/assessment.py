@@ -130,8 +130,7 @@ class ContactAssessor:
         """Take the direction of the velocity; None below the speed threshold, where the worst direction counts."""
         contact = self.contact
         self.state, self.dynamics = contact.state, contact.state.dynamics
-        moves = contact.speed >= self.settings.speed_threshold and contact.speed > 0.0
-        self.direction = contact.velocity / contact.speed if moves else None
+        self.direction = contact.direction if contact.speed >= self.settings.speed_threshold else None
         self.iso_mass = 0.0 if self.dynamics.robot.masses_reason else self.dynamics.robot.iso_mass
         codes = (ModelCode.LUMPED, ModelCode.FULL)
         self.masses = {code: contact.effective_mass(code, self.direction) for code in codes}

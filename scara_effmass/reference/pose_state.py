@@ -83,6 +83,8 @@ class ContactState:
         self.velocity: FloatArray = self.jacobian @ state.qd
         """v = J_v qd [m/s] (Eq. 1)."""
         self.speed = float(np.linalg.norm(self.velocity))
+        self.direction = self.velocity / self.speed if self.speed > 0.0 else None
+        """Unit vector n of the velocity; None at rest."""
         self.position = np.array(state.data.oMf[self.frame].translation)
 
     @cached_property
@@ -133,6 +135,16 @@ class ContactState:
             return math.nan
         mobility = self.mobilities[model]
         return worst_mass(mobility, self.rank) if n is None else effective_mass(mobility, n)
+
+    @property
+    def lumped(self) -> float:
+        """Lumped effective mass [kg] along the velocity, the largest of all directions at rest; NaN without one."""
+        return self.effective_mass(ModelCode.LUMPED, self.direction)
+
+    @property
+    def full(self) -> float:
+        """Full effective mass [kg] along the velocity, the largest of all directions at rest; NaN without one."""
+        return self.effective_mass(ModelCode.FULL, self.direction)
 
     def mobility(self, model: ModelCode, n: FloatArray | None) -> Mobility:
         """Return the mobility of free joints for a contact along n at the current speed; at rest for None.

@@ -12,18 +12,19 @@ import numpy as np
 
 from scara_effmass.iso15066 import (
     MIN_EFFECTIVE_MASS,
-    Mobility,
-    SpeedLimit,
-    SpeedLimits,
     limits_for,
     peak_force,
     reduced_mass,
 )
+from scara_effmass.iso15066.mobility import Mobility
 from scara_effmass.iso15066.mobility_matrix import Matrix
+from scara_effmass.iso15066.speed_limit import SpeedLimit, SpeedLimits
 from scara_effmass.kernel.contact_columns import NUMBERS, ContactColumns, columns_of, columns_of_kernel
 from scara_effmass.kernel.records import CODE_LAYOUT, MIN_NORMAL_COMPONENT, ROW_LAYOUT
-from scara_effmass.model.dynamics import EffectiveMasses, ModelMass, RobotDynamics, effective_mass
+from scara_effmass.model.dynamics import EffectiveMasses, ModelMass, effective_mass
+from scara_effmass.model.dynamics import RobotDynamics as FormerDynamics
 from scara_effmass.model.lumping import is_scara, lumped_suffices
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.reasons import CRITERIA, MASSLESS, MODELS, NO_CLAMPING_FORCE, Reasons
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
 from scara_effmass.values import (
@@ -69,6 +70,7 @@ class ContactAssessor:
         Raises LimitError for body regions without a limit, unless `speed_limits` are given.
         """
         self.dynamics = dynamics
+        self._former = FormerDynamics(dynamics.robot)
         self.settings = settings
         self.iso_mass = 0.0 if dynamics.robot.masses_reason else dynamics.robot.iso_mass
         self._is_scara = is_scara(dynamics.robot)
@@ -122,7 +124,7 @@ class ContactAssessor:
         `velocity_tolerance` (n,) bounds the errors of `qd`; empty: no errors. `stamp_ns`, the `age` of the joint state
         [s] and the `delay` of its velocity [s] are those of the assessments.
         """
-        effective_masses = self.dynamics.effective_masses(
+        effective_masses = self._former.effective_masses(
             q, qd, self._speed_threshold, velocity_tolerance, self._changes, self._margin
         )
         return [
@@ -336,7 +338,7 @@ class ContactAssessor:
                     mass, model_name = model.mass, model.name
             any_normal = _any_normal(models, masses)
             held = [
-                self.dynamics.composite_mass(q, qd, index, model.name, masses)
+                self._former.composite_mass(q, qd, index, model.name, masses)
                 for model in models
                 if self._joints_are_held and model.mobility
             ]
@@ -344,7 +346,7 @@ class ContactAssessor:
                 mobilities, share = self._at_normal(models + held, masses, q)
             else:
                 mobilities, share = any_normal + _any_normal(held, masses), 1.0
-            push = (self.dynamics.drive_acceleration(q, index), 1.0 / worst_mass) if self._drives_push else None
+            push = (self._former.drive_acceleration(q, index), 1.0 / worst_mass) if self._drives_push else None
             max_force = self._holding_force(models, masses, q, index) if self._joints_are_coupled else math.inf
             speed_limit = self._limits.worst_normal(mobilities, self._mass_factor, push, max_force)
             limit, criterion = speed_limit.limit, speed_limit.criterion
@@ -412,7 +414,7 @@ class ContactAssessor:
         """Return the test direction in base axes, and the largest mass of `models` along it [kg]; 0 if one has none."""
         if self._test_direction is None:
             return ZERO_VECTOR, 0.0
-        direction = self.dynamics.in_base(q, self._test_direction, self.settings.test_direction_frame)
+        direction = self._former.in_base(q, self._test_direction, self.settings.test_direction_frame)
         if masses.has_massless_direction and any(model.name == "lumped" for model in models):
             return direction, 0.0
         along = [effective_mass(model.mobility, direction) if model.mobility else model.mass for model in models]
@@ -425,7 +427,7 @@ class ContactAssessor:
         settings, velocity = self.settings, masses.direction
         if settings.fixed_normal is None:
             return [Mobility.of_mass(model.mass) for model in models], 1.0
-        normal = self.dynamics.in_base(q, settings.fixed_normal, settings.contact_normal_frame)
+        normal = self._former.in_base(q, settings.fixed_normal, settings.contact_normal_frame)
         share = abs(sum(n * v for n, v in zip(normal, velocity, strict=True)))
         share = 1.0 if velocity == ZERO_VECTOR else max(share, MIN_NORMAL_COMPONENT)
         mobilities = []
@@ -505,7 +507,7 @@ class ContactAssessor:
 
     def _clamping_force(self, masses: EffectiveMasses, q: FloatArray, index: int) -> float:
         """Return the largest static force [N] of the drives along `_directions`; infinite if it is unknown."""
-        force = self.dynamics.clamping_force(q, index, *self._directions(masses, q))
+        force = self._former.clamping_force(q, index, *self._directions(masses, q))
         return min(force, self.settings.external_force_limit or math.inf)
 
     def _holding_force(self, models: list[ModelMass], masses: EffectiveMasses, q: FloatArray, index: int) -> float:
@@ -517,13 +519,13 @@ class ContactAssessor:
         normals = self._directions(masses, q)
         if self.settings.fixed_normal is None:
             normals += [model.change.worst_normal(self._min_obstacle_mobility) for model in models if model.change]
-        return self.dynamics.holding_force(q, index, *normals)
+        return self._former.holding_force(q, index, *normals)
 
     def _directions(self, masses: EffectiveMasses, q: FloatArray) -> list[Vector3]:
         """Return a fixed normal and its opposite, else the direction of the velocity, at rest those of all axes."""
         settings = self.settings
         if settings.fixed_normal is not None:
-            x, y, z = self.dynamics.in_base(q, settings.fixed_normal, settings.contact_normal_frame)
+            x, y, z = self._former.in_base(q, settings.fixed_normal, settings.contact_normal_frame)
             return [(x, y, z), (-x, -y, -z)]
         return [*_AXES] if masses.direction == ZERO_VECTOR else [masses.direction]
 

@@ -6,11 +6,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from scara_effmass.errors import EffmassError, RobotError
-from scara_effmass.iso15066 import SpeedLimits, limits_for
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.iso15066 import limits_for
+from scara_effmass.iso15066.speed_limit import SpeedLimits
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.contact_assessor import ContactAssessor
 from scara_effmass.safety.debounce import UNKNOWN, VIOLATION, VerdictDebouncer, severity
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter, suggested_map
@@ -86,9 +85,8 @@ class Monitor:
         """Return the speed limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
         if settings.payload != self.settings.payload:
             self.dynamics.robot.rebuild(settings)
-        q = np.zeros(self.dynamics.robot.model.nv)
-        self.dynamics.in_base(q, settings.fixed_normal or ZERO_VECTOR, settings.contact_normal_frame)
-        self.dynamics.in_base(q, ZERO_VECTOR, settings.test_direction_frame, "test_direction_frame")
+        self.dynamics.frame_index(settings.contact_normal_frame, "contact_normal_frame")
+        self.dynamics.frame_index(settings.test_direction_frame, "test_direction_frame")
         return SpeedLimits(limits_for(settings), settings)
 
     def apply(self, settings: MonitorSettings) -> None:

@@ -5,16 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, SpeedLimits
+from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
+from scara_effmass.iso15066.speed_limit import SpeedLimits
 from scara_effmass.kernel import records as codes
 from scara_effmass.kernel.records import OFFSETS
-from scara_effmass.model.dynamics import LUMPED_NOT_DEFINITE, RobotDynamics, massless_text
 from scara_effmass.model.lumping import lumped_suffices
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 
 NO_CLAMPING_FORCE = (
     "the clamping force is unknown: state effort limits in the robot file that carry the arm, or external_force_limit"
 )
+LUMPED_NOT_DEFINITE = "the lumped mass matrix is singular or not positive definite at this pose"
 MASSLESS = "a joint moves the contact point, but no lumped mass"
 MODELS = ("", "lumped", "full", "iso")
 CRITERIA = ("", "force", "pressure")
@@ -34,7 +36,9 @@ class Reasons:
         self.setting = f"effective_mass_model {self._model}"
         largest = "lumped" if lumped_suffices(dynamics.robot) else "lumped and iso"
         self.largest = f"largest of {largest}, no full mass: {dynamics.full_reason}"
-        massless = [massless_text(joint) for joint in dynamics.robot.joint_names]
+        massless = [
+            f"{joint} moves the contact point along n, but no lumped mass" for joint in dynamics.robot.joint_names
+        ]
         self._lumped_reasons = (dynamics.lumped_reason, LUMPED_NOT_DEFINITE, MASSLESS, *massless)
         self.whys = (
             *("", self.setting, self.heavy_enough, self.lighter, self.largest),
