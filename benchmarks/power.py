@@ -28,7 +28,7 @@ from rich.table import Table
 
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings

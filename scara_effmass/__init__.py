@@ -13,12 +13,13 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from scara_effmass.codes import ModelCode
     from scara_effmass.errors import EffmassError
     from scara_effmass.impacts.detector import Detector
     from scara_effmass.impacts.validator import Result, Validator
-    from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
     from scara_effmass.model.load import load_robot
     from scara_effmass.model.robot import Robot
+    from scara_effmass.reference import PoseState, RobotDynamics
     from scara_effmass.safety import Monitor
     from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings
     from scara_effmass.values import (
@@ -36,13 +37,14 @@ __all__ = [
     "Decision",
     "DetectionSettings",
     "Detector",
-    "EffectiveMasses",
     "EffmassError",
     "ForceBlock",
     "Impact",
     "JointState",
+    "ModelCode",
     "Monitor",
     "MonitorSettings",
+    "PoseState",
     "Result",
     "Robot",
     "RobotDynamics",
@@ -57,6 +59,7 @@ __version__: str
 
 _MODULES = [
     "errors",
+    "codes",
     "values",
     "settings",
     "impacts.detector",
@@ -64,7 +67,7 @@ _MODULES = [
     "safety",
     "model.robot",
     "model.load",
-    "model.dynamics",
+    "reference",
 ]
 """Modules of the public names; those that load Pinocchio come last."""
 

@@ -61,3 +61,47 @@ class Reason(IntEnum):
     SHUTDOWN = 83
     NODE_ERROR = 84  # detail: error
     STATED = 90  # detail: the text
+
+
+class ModelCode(IntEnum):
+    """Model of the effective mass."""
+
+    NONE = 0
+    LUMPED = 1
+    FULL = 2
+    ISO = 3
+
+
+class CriterionCode(IntEnum):
+    """Limit that governs a speed."""
+
+    NONE = 0
+    FORCE = 1
+    PRESSURE = 2
+
+
+class NoLumpedMass(IntEnum):
+    """Why a contact point has no lumped mass along a direction, or along all of them (MASSLESS)."""
+
+    NOT_THERE = 0
+    NOT_DEFINITE = 1
+    MASSLESS = 2
+    MASSLESS_JOINT = 3
+    """Plus the index of the joint that moves the contact point, but no lumped mass."""
+
+
+class ModelReason(IntEnum):
+    """Why a model decides."""
+
+    NONE = 0
+    SETTING = 1
+    HEAVY_ENOUGH = 2
+    LIGHTER = 3
+    LARGEST = 4
+    NO_LUMPED = 5
+    """Plus `NoLumpedMass`: the full model decides alone. See `only_iso` for the case without a full model."""
+
+    @classmethod
+    def only_iso(cls, no_lumped: int, joints: int) -> int:
+        """Return the code of ISO's mass that decides alone, of a robot with this number of `joints`."""
+        return cls.NO_LUMPED + NoLumpedMass.MASSLESS_JOINT + joints + no_lumped

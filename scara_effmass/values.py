@@ -30,6 +30,12 @@ NONE_SATURATED: NDArray[np.uint32] = np.empty(0, np.uint32)
 NONE_SATURATED.flags.writeable = False
 
 
+def mobility_matrix(entries: Mobility6) -> FloatArray:
+    """Return the symmetric (3, 3) matrix of a mobility [1/kg]."""
+    xx, xy, xz, yy, yz, zz = entries
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
 def true_runs(mask: BoolArray) -> NDArray[np.intp]:
     """Return start and stop (k, 2) of each run of True in `mask` (n,)."""
     return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)

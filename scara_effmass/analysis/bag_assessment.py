@@ -24,7 +24,7 @@ from scara_effmass.analysis.summary import Summary
 from scara_effmass.analysis.tables import AssessmentWriter
 from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
 from scara_effmass.bags.files import open_bag
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 

@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from scara_effmass.codes import ModelCode
 from scara_effmass.iso15066 import BODY_REGIONS
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 
 REGIONS = ("hand_fingers", "chest")
 """Body regions of the reduced masses: a light and a heavy one."""
@@ -49,12 +50,13 @@ def compare_models(
     along: list[list[tuple[float, float]]] = [[] for _ in dynamics.contact_points]
     if dynamics.lumped is None or dynamics.full_reason:
         return [], [1.0 for _ in along]
+    models = (ModelCode.LUMPED, ModelCode.FULL)
     lower, upper = np.maximum(model.lowerPositionLimit, -np.pi), np.minimum(model.upperPositionLimit, np.pi)
     configurations, normals = rng.uniform(lower, upper, (poses, model.nv)), rng.normal(size=(poses, 3))
     for q, n in zip(configurations, normals, strict=True):
-        for values, masses in zip(along, dynamics.effective_masses(q, np.zeros(model.nv), 1.0), strict=True):
-            if masses.lumped_mobility and not masses.has_massless_direction:
-                lumped, full = (n @ np.array([masses.lumped_mobility, masses.full_mobility]) @ n / (n @ n)).tolist()
+        for values, contact in zip(along, dynamics.at(q).contacts, strict=True):
+            if contact.no_lumped_mass(None) is None:
+                lumped, full = (n @ np.array([contact.mobilities[m] for m in models]) @ n / (n @ n)).tolist()
                 if min(lumped, full) > 0.0:
                     values.append((lumped, full))
     inverse_obstacle_masses = {"mass": 0.0}

@@ -37,7 +37,7 @@ from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo, Val
 from scara_effmass.wire.cdr import NS
 
 if TYPE_CHECKING:
-    from scara_effmass.model.dynamics import RobotDynamics
+    from scara_effmass.reference import RobotDynamics
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from scara_effmass.cli.console import print_result
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.cli.tasks import SMALL_BYTES, Advance, Run, open_run, sound
 from scara_effmass.errors import CrossCheckError, EffmassError, SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.url import Url

@@ -18,8 +18,8 @@ from scara_effmass.cli.console import live_status, print_lines, print_result, pr
 from scara_effmass.cli.demo_bag import run_bag
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import EffmassError, SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.cell_client import CellClient
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings, ValidatorSettings
 from scara_effmass.values import Decision
 

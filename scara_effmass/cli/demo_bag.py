@@ -26,9 +26,9 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.cli import processes
 from scara_effmass.cli.console import live_status, print_lines, print_result, printer
 from scara_effmass.errors import EffmassError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.nodes.replay_topics import JOINT_STATES
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Decision

@@ -23,7 +23,7 @@ from scara_effmass.cli.options import Option, options_of
 from scara_effmass.cli.settings import monitor_settings
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.iso15066 import BODY_REGIONS
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.settings.loading import flat_fields

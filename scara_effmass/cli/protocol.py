@@ -22,7 +22,7 @@ from scara_effmass.cli.console import print_json, print_result, progress_bar, tr
 from scara_effmass.cli.settings import load_dynamics, monitor_settings, override, require_no_payload_topic
 from scara_effmass.cli.validate import validated, validation_settings
 from scara_effmass.errors import RobotError, SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import ContactType, MonitorSettings
 from scara_effmass.values import Verdict

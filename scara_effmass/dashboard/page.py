@@ -17,8 +17,8 @@ from nicegui import ui
 
 from scara_effmass.cell.status import CellStatus
 from scara_effmass.dashboard.scene import RobotScene
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.cell_client import CellClient
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import ContactAssessment, Verdict

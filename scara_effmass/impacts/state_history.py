@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.impacts.clock_offset import WINDOW, Kink, velocity_kink
-from scara_effmass.iso15066.mobility_matrix import matrix_of, mobility_along
 from scara_effmass.settings import MassModel, ValidatorSettings
-from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vector3, Verdict
+from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vector3, Verdict, mobility_matrix
 
 NANOSECONDS = 1e9
 MODELS = ("lumped", "full", "iso")
@@ -214,7 +213,7 @@ def _by_model(lumped: float, full: float, iso: float) -> dict[str, float]:
 
 def _mass_along(mobility: Mobility6, normal: Vector3) -> float:
     """Return 1 / (n^T A n) [kg]; NaN if no joint moves the point along n, or if there is no model."""
-    inverse = mobility_along(matrix_of(mobility), normal)
+    inverse = float(normal @ mobility_matrix(mobility) @ np.array(normal))
     return 1.0 / inverse if inverse > 0.0 else math.nan
 
 

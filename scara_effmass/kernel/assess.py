@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from scara_effmass.codes import Reason
-from scara_effmass.kernel.codes import Error, Model, Normal
+from scara_effmass.kernel.codes import Model, Normal
 from scara_effmass.kernel.contact_point import (
     Approach,
     approach_of,
@@ -49,9 +49,10 @@ from scara_effmass.kernel.records import (
 from scara_effmass.kernel.speed_limit import Bound, Drives, governing_case
 from scara_effmass.kernel.state import STATE, VALUES, set_reason
 from scara_effmass.kernel.static_force import clamping_force, holding_force
-from scara_effmass.model.dynamics import EIGENVALUE_ROUNDING
 from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3, Verdict
 
+EIGENVALUE_ROUNDING = 1e-12
+"""Ratio of an eigenvalue of J_v J_v^T to its trace, up to which it counts as 0: its root would be rounding."""
 _OK, _WARN, _VIOLATION = float(Verdict.OK), float(Verdict.WARN), float(Verdict.VIOLATION)
 
 
@@ -214,7 +215,7 @@ def set_motion(contact: Contact, approach: Approach, choice: Choice, setup: Setu
     assign(contact.test_direction, test_direction)
     contact.test_effective_mass = 0.0
     is_unknown = choice.is_massless and choice.takes.lumped
-    if setup.has_test and choice.error == Error.NONE and not is_unknown:
+    if setup.has_test and choice.error == Reason.NONE and not is_unknown:
         contact.test_effective_mass = min(largest_along(choice, test_direction, setup), cap)
 
 
@@ -230,43 +231,29 @@ def assess_point(
     contact.clamping_force = clamping_force(approach, setup, work) if setup.clamps else 0.0
     if contact.clamping_force == math.inf:
         contact.clamping_force = 0.0
-        error = Error.NO_FORCE if error == Error.NONE else error
+        error = Reason.NO_CLAMPING_FORCE if error == Reason.NONE else error
     contact.effective_mass = contact.worst_direction_mass = contact.body_mass = contact.reduced_mass = (
         contact.stiffness
     ) = 0.0
     contact.predicted_force = contact.allowable_speed = contact.worst_normal_reduced_mass = contact.force_bound = 0.0
     contact.mass_capped = contact.verdict = contact.body_region = contact.criterion = contact.mass_model = 0.0
-    contact.mass_model_reason = 0.0 if error else choice.why
+    contact.mass_model_reason = choice.why if error == Reason.NONE else 0.0
     set_reason(contact.reason, Reason.NONE, 0, 0.0, 0.0, 0.0)
-    if error == Error.NONE:
+    if error == Reason.NONE:
         fill_limits(setup, cases, work, contact, choice, approach)
     else:
-        explain(error, contact)
+        explain(error, choice.error_value, contact)
     contact.margin = contact.allowable_speed - approach.speed
 
 
 @inlined
-def explain(error: int, contact: Contact) -> None:
-    """Write the reason why the verdict is UNKNOWN."""
-    reason = contact.reason
-    if error >= Error.NO_LUMPED:
-        set_reason(reason, Reason.NO_LUMPED_MASS, 0, error - Error.NO_LUMPED, 0.0, 0.0)
-    elif error >= Error.NO_WORST:
-        set_reason(reason, Reason.NO_WORST_MASS, 0, error - Error.NO_WORST + 1, 0.0, 0.0)
-    elif error >= Error.TOO_LIGHT:
-        model = error - Error.TOO_LIGHT
-        mass = contact.iso_mass
-        if model == Model.LUMPED:
-            mass = contact.lumped_mass
-        elif model == Model.FULL:
-            mass = contact.full_mass
-        set_reason(reason, Reason.TOO_LIGHT, 0, 1.0 + model, mass, 0.0)
-    elif error == Error.NO_FORCE:
-        set_reason(reason, Reason.NO_CLAMPING_FORCE, 0, 0.0, 0.0, 0.0)
-    elif error == Error.NO_FULL:
-        set_reason(reason, Reason.NO_FULL_MASS, 0, 0.0, 0.0, 0.0)
-    else:
-        set_reason(reason, Reason.NO_MASSES, 0, 0.0, 0.0, 0.0)
+def explain(error: Reason, value: float, contact: Contact) -> None:
+    """Write the reason why the verdict is UNKNOWN; `value` is its first number."""
+    mass = 0.0
+    if error == Reason.TOO_LIGHT:
+        masses = contact.lumped_mass, contact.full_mass, contact.iso_mass
+        mass = masses[int(value) - 1]
+    set_reason(contact.reason, error, 0, value, mass, 0.0)
 
 
 @compiled

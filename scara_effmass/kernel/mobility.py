@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 
-from scara_effmass.iso15066.mobility_matrix import BOUND_TOLERANCE, CLAMPED_TOLERANCE
 from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.records import Mobility
 from scara_effmass.kernel.spatial import dot, symmetric_product
-from scara_effmass.model.dynamics import MAX_NEGATIVE
+from scara_effmass.reference.mobility import BOUND_TOLERANCE, CLAMPED_TOLERANCE, MAX_NEGATIVE
 from scara_effmass.values import Mobility6, Vector3
 
 _THIRD_TURN = 2.0 * math.pi / 3.0

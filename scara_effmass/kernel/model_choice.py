@@ -6,14 +6,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from scara_effmass.iso15066.speed_limit import MIN_EFFECTIVE_MASS
-from scara_effmass.kernel.codes import Error, Model, NoLumped, Normal, Why
+from scara_effmass.codes import ModelReason, NoLumpedMass, Reason
+from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
+from scara_effmass.kernel.codes import Model, Normal
 from scara_effmass.kernel.contact_point import Approach, mobility_of
 from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import along, inverse, is_bounded, is_definite, smallest_eigenvalue
 from scara_effmass.kernel.records import Setup, Work
 from scara_effmass.kernel.spatial import dot, vector_at
-from scara_effmass.model.dynamics import MIN_LEVER_M
+from scara_effmass.reference.pose_state import MIN_LEVER_M
 from scara_effmass.values import NO_MOBILITY, Mobility6, Vector3
 
 
@@ -34,7 +35,8 @@ class Choice(NamedTuple):
     why: int
     is_heavy: bool
     is_massless: bool
-    error: int
+    error: Reason
+    error_value: float
 
 
 @inlined
@@ -69,19 +71,19 @@ def choose_models(approach: Approach, setup: Setup, work: Work) -> Choice:
     lumped = full = NO_MOBILITY
     masses[Model.LUMPED] = masses[Model.FULL] = worst[Model.LUMPED] = worst[Model.FULL] = math.nan
     masses[Model.ISO] = worst[Model.ISO] = setup.iso_mass
-    has_lumped, reason = setup.has_lumped, NoLumped.NOT_THERE
+    has_lumped, reason = setup.has_lumped, NoLumpedMass.NOT_THERE
     if has_lumped:
         lumped = mobility_of(Model.LUMPED, count, work)
         if setup.is_lumped_regular or is_definite(lumped, rank):
             masses[Model.LUMPED] = mass_along(lumped, approach)
         else:
-            has_lumped, reason, lumped = False, NoLumped.NOT_DEFINITE, NO_MOBILITY
+            has_lumped, reason, lumped = False, NoLumpedMass.NOT_DEFINITE, NO_MOBILITY
     if setup.has_full:
         full = mobility_of(Model.FULL, count, work)
         masses[Model.FULL] = mass_along(full, approach)
     is_massless, joint = massless_joint(approach, setup, work)
     if joint >= 0:
-        masses[Model.LUMPED], reason = math.nan, NoLumped.MASSLESS_JOINT + joint
+        masses[Model.LUMPED], reason = math.nan, NoLumpedMass.MASSLESS_JOINT + joint
     is_heavy = has_lumped and setup.has_full and not is_massless and setup.model == Model.AUTO
     is_heavy = is_heavy and is_bounded(lumped, full, 1.0 - setup.model_margin)
     takes_lumped, takes_full, takes_iso, why = deciding_models(setup, work, reason, is_massless, is_heavy)
@@ -90,7 +92,8 @@ def choose_models(approach: Approach, setup: Setup, work: Work) -> Choice:
     if takes_full:
         worst[Model.FULL] = worst_mass(full, rank) if approach.is_moving else masses[Model.FULL]
     takes = Takes(takes_lumped, takes_full, takes_iso)
-    return Choice(lumped, full, takes, why, is_heavy, is_massless, error_of(takes, reason, setup, work))
+    error, value = error_of(takes, reason, setup, work)
+    return Choice(lumped, full, takes, why, is_heavy, is_massless, error, value)
 
 
 @inlined
@@ -103,35 +106,35 @@ def deciding_models(
     if model != Model.AUTO:
         takes_lumped = has_lumped and (model in (Model.LUMPED, Model.LARGEST))
         takes_full = has_full and (model in (Model.FULL, Model.LARGEST))
-        return takes_lumped, takes_full, model in (Model.ISO, Model.LARGEST), Why.SETTING
+        return takes_lumped, takes_full, model in (Model.ISO, Model.LARGEST), ModelReason.SETTING
     if is_heavy:
-        return True, not setup.is_scara, False, Why.HEAVY
+        return True, not setup.is_scara, False, ModelReason.HEAVY_ENOUGH
     if is_massless:
         has_lumped = False
-        reason = NoLumped.MASSLESS if reason == NoLumped.NOT_THERE else reason
+        reason = NoLumpedMass.MASSLESS if reason == NoLumpedMass.NOT_THERE else reason
     if has_full:
-        return False, True, False, Why.LIGHTER if has_lumped else Why.FULL + reason
+        return False, True, False, ModelReason.LIGHTER if has_lumped else ModelReason.NO_LUMPED + reason
     if not has_lumped:
-        return False, False, True, Why.FULL + NoLumped.MASSLESS_JOINT + setup.joints + reason
-    return True, False, not setup.lumped_suffices, Why.LARGEST
+        return False, False, True, ModelReason.NO_LUMPED + NoLumpedMass.MASSLESS_JOINT + setup.joints + reason
+    return True, False, not setup.lumped_suffices, ModelReason.LARGEST
 
 
 @inlined
-def error_of(takes: Takes, reason: int, setup: Setup, work: Work) -> int:
-    """Return why there is no mass to decide with."""
+def error_of(takes: Takes, reason: int, setup: Setup, work: Work) -> tuple[Reason, float]:
+    """Return why there is no mass to decide with, and the first number of that reason."""
     if not setup.has_masses:
-        return Error.NO_MASSES
+        return Reason.NO_MASSES, 0.0
     if setup.model == Model.LUMPED and not takes.lumped:
-        return Error.NO_LUMPED + reason
+        return Reason.NO_LUMPED_MASS, 1.0 * reason
     if setup.model == Model.FULL and not takes.full:
-        return Error.NO_FULL
+        return Reason.NO_FULL_MASS, 0.0
     for k in range(3):
         if takes[k]:
             if work.masses[k] < MIN_EFFECTIVE_MASS:
-                return Error.TOO_LIGHT + k
+                return Reason.TOO_LIGHT, 1.0 + k
             if math.isnan(work.worst[k]) and setup.normal != Normal.VELOCITY:
-                return Error.NO_WORST + k
-    return Error.NONE
+                return Reason.NO_WORST_MASS, 1.0 + k
+    return Reason.NONE, 0.0
 
 
 @inlined

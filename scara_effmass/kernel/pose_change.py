@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import math
 
-from scara_effmass.iso15066.contact import TRANSIENT_S
-from scara_effmass.iso15066.mobility_matrix import CLAMPED_TOLERANCE
-from scara_effmass.iso15066.pose_change import TIME_FACTOR
+from scara_effmass.iso15066.contact import TIME_FACTOR, TRANSIENT_S
 from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import adjugate, along, determinant, inverse, shifted, trace
 from scara_effmass.kernel.records import Mobility
@@ -22,6 +20,7 @@ from scara_effmass.kernel.spatial import (
     vector,
     vector_at,
 )
+from scara_effmass.reference.mobility import CLAMPED_TOLERANCE
 from scara_effmass.values import FloatArray, Mobility6, Vector3
 
 

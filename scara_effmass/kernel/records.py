@@ -40,7 +40,7 @@ class Point:
 
 @dataclass
 class Case:
-    """One limit, as `iso15066.speed_limit.Case` has it, with the `region` (an index) and its nominal values."""
+    """One limit, as `iso15066.ContactCase` has it, with the `region` (an index) and its nominal values."""
 
     region: int
     is_pressure: bool

@@ -12,7 +12,7 @@ from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.pose_change import solve_mobility
 from scara_effmass.kernel.records import Case, Mobility, Setup, Work
 from scara_effmass.kernel.spatial import dot, norm, scale, vector_at
-from scara_effmass.model.dynamics import MIN_LEVER_M
+from scara_effmass.reference.pose_state import MIN_LEVER_M
 from scara_effmass.values import Vector3
 
 

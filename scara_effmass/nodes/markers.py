@@ -12,9 +12,17 @@ from geometry_msgs.msg import Point, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
-from scara_effmass.iso15066.mobility_matrix import matrix_of
-from scara_effmass.model.pose_geometry import PoseGeometry, mass_ellipsoid, quaternion, worst_normal
-from scara_effmass.values import NO_MOBILITY, VERDICT_COLORS, ZERO_VECTOR, ContactAssessment, FloatArray, Verdict
+from scara_effmass.model.pose_geometry import PoseGeometry, mass_ellipsoid, quaternion
+from scara_effmass.reference.mobility import Mobility
+from scara_effmass.values import (
+    NO_MOBILITY,
+    VERDICT_COLORS,
+    ZERO_VECTOR,
+    ContactAssessment,
+    FloatArray,
+    Verdict,
+    mobility_matrix,
+)
 from scara_effmass.wire.cdr import NS, sec_and_nanosec
 
 LINK_COLOR = "#9AA5B1"
@@ -69,7 +77,7 @@ def contact_markers(
         is_finite = np.isfinite([*contact.direction, *contact.mobility]).all()
         if contact.verdict is Verdict.UNKNOWN or contact.contact_point not in places or not is_finite:
             continue
-        direction, mobility = np.array(contact.direction), matrix_of(contact.mobility)
+        direction, mobility = np.array(contact.direction), mobility_matrix(contact.mobility)
         if contact.mobility != NO_MOBILITY:
             masses, axes = mass_ellipsoid(mobility, MAX_MASS)
             sizes = 2.0 * ellipsoid_scale * np.sqrt(masses)
@@ -83,7 +91,8 @@ def contact_markers(
         if contact.allowable_speed > 0.0:
             yield _arrow("allowable_speed", index, ALLOWABLE_COLOR, 0.006, at, allowable)
         if contact_normal == "worst" and contact.mobility != NO_MOBILITY:
-            normal = np.array(worst_normal(mobility, contact.direction, contact.body_mass))
+            alpha = 1.0 / contact.body_mass if contact.body_mass else 0.0
+            normal = Mobility.of_matrix(mobility, direction, 3).worst_normal(alpha)
             yield _arrow("worst_normal", index, NORMAL_COLOR, 0.006, at, NORMAL_LENGTH_M * normal)
 
 

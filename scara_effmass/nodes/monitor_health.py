@@ -9,9 +9,9 @@ from itertools import pairwise
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.diagnostics import status
 from scara_effmass.nodes.terminal import CHANGES, REMEDY
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MassModel

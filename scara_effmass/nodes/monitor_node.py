@@ -24,7 +24,6 @@ from std_msgs.msg import Float64
 from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.iso15066 import limits_for
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher
@@ -38,6 +37,7 @@ from scara_effmass.nodes.monitor_health import (
     worst_contacts,
 )
 from scara_effmass.nodes.robot_input import use_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Assessments, Cause, Monitor, unknown_assessments
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed
@@ -56,6 +56,9 @@ _MIN_REPORT_INTERVAL_NS = 100_000_000
 class NodeSettings(parameters.NodeParameters, MonitorSettings):
     """Settings of the monitor and of its node."""
 
+    use_reference: bool = fixed(
+        default=False, description="compute with the reference in plain Python in place of the compiled kernel: slow"
+    )
     command_tolerance: float = fixed(
         0.0,
         "maximum distance of a joint from its command on joint_commands [rad; a quarter of it in m for a prismatic "
@@ -184,7 +187,8 @@ class MonitorNode(LifecycleBase):
     def _use_robot(self, robot: Robot) -> None:
         """Monitor `robot`. Raises EffmassError."""
         dynamics = RobotDynamics(robot)
-        monitor = Monitor(dynamics, self._settings)
+        monitor = Monitor(dynamics, self._settings, use_reference=self._settings.use_reference)
+        monitor.compile()
         if self._settings.command_tolerance:
             monitor.expect_commands(self._settings.command_tolerance)
         with self._monitor_lock:

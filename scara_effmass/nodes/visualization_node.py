@@ -16,13 +16,13 @@ from scara_effmass import values
 from scara_effmass.cell.status import CellStatus
 from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.pose_geometry import pose_geometry
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.markers import contact_markers, robot_markers, stamped
 from scara_effmass.nodes.robot_input import use_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import unknown_assessments, unknown_contact
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter
 from scara_effmass.settings import MonitorSettings
@@ -134,7 +134,7 @@ class VisualizationNode(LifecycleBase):
         if dynamics is None or isinstance(pose, str):
             contacts.append(unknown_contact("", str(pose)))
         else:
-            geometry = pose_geometry(dynamics, pose.position)
+            geometry = pose_geometry(dynamics.robot, dynamics.lumped, pose.position)
             places = geometry.contact_points
             for marker in robot_markers(geometry):
                 yield stamp(marker, stamp_ns=pose.stamp_ns)

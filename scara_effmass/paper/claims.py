@@ -11,7 +11,6 @@ from enum import Enum
 import numpy as np
 
 from scara_effmass.iso15066 import reduced_mass
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.scara_closed_form import scara_max_lumped_mass
 from scara_effmass.paper.density import density_peaks, sampled_distribution, workspace_distribution
 from scara_effmass.paper.runs import (
@@ -36,6 +35,7 @@ from scara_effmass.paper.scara import (
     max_difference,
     relative_error,
 )
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import DaqSettings
 from scara_effmass.sim.motion import ElbowConfig
 

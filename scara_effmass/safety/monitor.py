@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.codes import Reason
-from scara_effmass.errors import EffmassError, RobotError
-from scara_effmass.iso15066 import SpeedLimits, limits_for
+from scara_effmass.errors import EffmassError, KernelError, RobotError
+from scara_effmass.iso15066 import Limit, limits_for
+from scara_effmass.kernel import jit
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, NANOSECONDS, WINDOW_S, admit, forget_all
-from scara_effmass.kernel.contact_kernel import ContactKernel
+from scara_effmass.kernel.contact_kernel import ContactKernel, too_large
 from scara_effmass.kernel.records import CONTACT, IntArray
 from scara_effmass.kernel.settle import settle
 from scara_effmass.kernel.state import (
@@ -31,13 +32,18 @@ from scara_effmass.kernel.state import (
     STATE,
     VALUES,
 )
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.assessments import Assessments, Records, unknown_numbers
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter, Layout, suggested_map
 from scara_effmass.safety.reasons import NO_TEXTS, ReasonTexts
+from scara_effmass.safety.second_channel import ReferenceChannel
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import ZERO_VECTOR, Decision, FloatArray, JointState, Payload, Verdict
+from scara_effmass.values import Decision, FloatArray, JointState, Payload, Verdict
 
+CHECK_INTERVAL = 2000
+"""Number of joint states of which one is compared with the reference."""
+TRIALS = 24
+"""Number of joint states at which kernel and reference are compared when the kernel is compiled."""
 CLOCK_STEPS = 10
 """Number of steps of a simulated clock that are remembered."""
 DEFAULT_MAX_SPEED = (60.0, 10.0)
@@ -71,7 +77,7 @@ class Pending(NamedTuple):
     states: NDArray[np.uint8]
     motions: FloatArray
     numbers: FloatArray
-    kernel: ContactKernel
+    kernel: ContactKernel | ReferenceChannel
     unknown: FloatArray
     texts: ReasonTexts
 
@@ -83,14 +89,19 @@ class Monitor:
     """
 
     def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings, *, use_reference: bool = False) -> None:
-        """Watch the robot of `dynamics`.
+        """Watch the robot of `dynamics`; `use_reference`: compute with the reference in place of the kernel, slowly.
 
-        Raises LimitError or RobotError for `settings` that `check` refuses, and for a robot that is not in SI units.
+        Raises KernelError if the kernel cannot be compiled, LimitError or RobotError for `settings` that `check` refuses, and for a robot that is not in SI units.
         """
         robot = dynamics.robot
         if reason := robot.units_reason:
             raise RobotError(f"{robot.origin}: {reason}")
+        if jit.WHY_NOT and not use_reference:
+            raise KernelError(f"{jit.WHY_NOT}: repair it, or set use_reference to compute without it, slowly")
         self.dynamics, self.settings = dynamics, settings
+        self._why_reference = "use_reference" if use_reference else too_large(robot)
+        self.kernel_fault = ""
+        """Where the kernel disagreed with the reference, which works alone since then; empty if nowhere."""
         self._adapter = JointStateAdapter(robot.joint_names, settings)
         self._rules, self._memory = np.zeros(1, RULES), np.zeros(1, MEMORY)
         self._joints = np.zeros(robot.model.nv, JOINT_MEMORY)
@@ -108,14 +119,39 @@ class Monitor:
         forget_all(*self._memory_bytes[1:3])
         self.apply(settings)
 
-    def check(self, settings: MonitorSettings) -> SpeedLimits:
-        """Return the speed limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
+    def compile(self) -> None:
+        """Compile or load the kernel, by assessing one joint state without a trace. Raises KernelError.
+
+        Compare it with the reference, too, which reveals a faulty compiler or cache.
+        """
+        robot, trial = self.dynamics.robot, self._new_pending(TRIALS)
+        trial.records["stamp_ns"] = trial.records["now_ns"] = np.arange(1, TRIALS + 1)
+        trial.motions[:, 0] = q = robot.sample_configurations(TRIALS)
+        # Some at rest, fast ones, and each joint in both directions.
+        qd = np.cos(np.outer(np.arange(TRIALS) % 7, np.arange(1.0, q.shape[1] + 1.0)))
+        trial.motions[:, 1] = qd * (np.arange(TRIALS) % 3)[:, None]
+        rules, memory, joints, debounces = (array.copy() for array in self._memory_bytes)
+        try:
+            admit(trial.states, trial.motions, rules, memory, joints)
+            trial.records["is_admitted"] = 1
+            self.compute(trial)
+            fields = map(self._reference.difference, trial.motions, trial.numbers)
+            field = next(filter(None, fields), "")
+            settle(trial.states, trial.numbers, trial.unknown, rules, memory, debounces)
+        except Exception as error:
+            raise KernelError(
+                f"the kernel cannot be compiled: {error!r}: set use_reference to do without it"
+            ) from error
+        if field and not self._why_reference:
+            self._doubt(field)
+
+    def check(self, settings: MonitorSettings) -> tuple[Limit, ...]:
+        """Return the limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
         if settings.payload != self.settings.payload:
             self.dynamics.robot.rebuild(settings)
-        q = np.zeros(self.dynamics.robot.model.nv)
-        self.dynamics.in_base(q, settings.fixed_normal or ZERO_VECTOR, settings.contact_normal_frame)
-        self.dynamics.in_base(q, ZERO_VECTOR, settings.test_direction_frame, "test_direction_frame")
-        return SpeedLimits(limits_for(settings), settings)
+        self.dynamics.frame_index(settings.contact_normal_frame, "contact_normal_frame")
+        self.dynamics.frame_index(settings.test_direction_frame, "test_direction_frame")
+        return limits_for(settings)
 
     def apply(self, settings: MonitorSettings) -> None:
         """Apply changed settings; of the robot, only the payload. Raises as `check`, and then changes nothing."""
@@ -143,12 +179,22 @@ class Monitor:
         """Compute with the present settings and payload from the next joint state on."""
         settings, robot = self.settings, self.dynamics.robot
         self._texts = ReasonTexts.of(self.dynamics, settings, self._limits)
-        self._kernel = ContactKernel(self.dynamics, settings, self._limits)
+        self._reference = ReferenceChannel(self.dynamics, settings, self._limits)
+        if self._why_reference:
+            self._kernel: ContactKernel | ReferenceChannel = self._reference
+        else:
+            self._kernel = ContactKernel(self.dynamics, settings, self._limits)
+        self._until_check = CHECK_INTERVAL
         self._unknown = unknown_numbers(0.0 if robot.masses_reason else robot.iso_mass)
         self._normal = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._points = self.dynamics.contact_points
         self._single = self._new_pending(1)
         self._single_q, self._single_qd = self._single.motions[0, :2]
+
+    @property
+    def core(self) -> str:
+        """What computes the numbers: the kernel, or the reference and why."""
+        return f"reference: {self._why_reference}" if self._why_reference else "compiled kernel"
 
     @property
     def _per_joint(self) -> FloatArray:
@@ -290,7 +336,26 @@ class Monitor:
         REASON_HEAD.pack_into(pending.states, REASON_AT, layout.reason, layout.joint, self._detail(layout.detail))
         self._read(pending, layout, state.position[None], state.velocity[None])
         self.compute(pending)
+        self._until_check -= 1
+        if self._until_check <= 0:
+            self._compare(pending)
         return self.settle(pending)
+
+    def _compare(self, pending: Pending) -> None:
+        """Compare the kernel with the reference; where they disagree, the reference works alone from then on."""
+        self._until_check = CHECK_INTERVAL
+        if self._why_reference or not pending.records["is_admitted"][0]:
+            return
+        field = self._reference.difference(pending.motions[0], pending.numbers[0])
+        if field:
+            self._doubt(field)
+            pending.records["is_admitted"] = 0
+            pending.records["reason"][0, [CODE, DETAIL]] = Reason.KERNEL_DISAGREES, self._detail(field)
+
+    def _doubt(self, field: str) -> None:
+        """Compute with the reference from now on."""
+        self.kernel_fault = self._why_reference = f"the compiled kernel disagrees with the reference in {field}"
+        self._use_dynamics()
 
     def admit(
         self, names: tuple[str, ...], stamps: IntArray, clocks: IntArray, position: FloatArray, velocity: FloatArray

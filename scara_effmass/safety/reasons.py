@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from scara_effmass.codes import Reason
-from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, SpeedLimits
+from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, Limit
 from scara_effmass.kernel.state import CODE, DETAIL, HELD, JOINT, LATCHED, VALUES
-from scara_effmass.model.dynamics import LUMPED_NOT_DEFINITE, RobotDynamics, massless_text
 from scara_effmass.model.lumping import lumped_suffices
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray
 
+NOT_DEFINITE = "the lumped mass matrix is singular or not positive definite at this pose"
 MASSLESS = "a joint moves the contact point, but no lumped mass"
 MODELS = ("", "lumped", "full", "iso")
 CRITERIA = ("", "force", "pressure")
@@ -73,7 +74,7 @@ TEXTS = {
     Reason.NEAR_LIMIT: "{v[0]:.3f} m/s is close to the {v[1]:.3f} m/s that the {criterion} limit of {region} allows",
     Reason.LIGHT_MODEL: "the {choice} mass of {v[4]:.3g} kg is below the {best} model's {v[5]:.3g} kg",
     Reason.CLAMPED: "the drives can clamp with {v[0]:.0f} N, above the {weakest}, at any speed",
-    Reason.KERNEL_DISAGREES: "the compiled kernel disagrees with Pinocchio in {detail}",
+    Reason.KERNEL_DISAGREES: "the compiled kernel disagrees with the reference in {detail}",
     Reason.TOO_SLOW: "the assessment took {v[0]:.3f} s",
     Reason.STUCK: "the assessment of a joint state takes too long",
     Reason.NO_ROBOT: "{detail}",
@@ -102,18 +103,18 @@ class ReasonTexts:
     fixed: Mapping[str, object] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, dynamics: RobotDynamics, settings: MonitorSettings, limits: SpeedLimits) -> ReasonTexts:
+    def of(cls, dynamics: RobotDynamics, settings: MonitorSettings, limits: Sequence[Limit]) -> ReasonTexts:
         """Return the texts of a robot under `limits`, those of `settings`."""
         robot, full_reason, choice = dynamics.robot, dynamics.full_reason, settings.effective_mass_model.value
-        weakest = limits.weakest
+        weakest = min(limits, key=lambda limit: limit.permissible_force_n)
         margin = f"more than {100.0 * settings.model_margin:.3g} % lighter than the full model"
         largest = "lumped" if lumped_suffices(robot) else "lumped and iso"
-        massless = (massless_text(joint) for joint in robot.joint_names)
-        lumped = (dynamics.lumped_reason, LUMPED_NOT_DEFINITE, MASSLESS, *massless)
+        massless = (f"{joint} moves the contact point along n, but no lumped mass" for joint in robot.joint_names)
+        lumped = (dynamics.lumped_reason, NOT_DEFINITE, MASSLESS, *massless)
         return cls(
             joints=robot.joint_names,
             units=tuple("rad" if revolute else "m" for revolute in robot.revolute),
-            regions=("", *(limit.region for limit in limits.limits)),
+            regions=("", *(limit.region for limit in limits)),
             whys=(
                 "",
                 f"effective_mass_model {choice}",

@@ -24,8 +24,8 @@ from scara_effmass.analysis.cross_check import cross_checked, first_difference
 from scara_effmass.analysis.tables import open_writer
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError, CrossCheckError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Verdict

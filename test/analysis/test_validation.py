@@ -20,8 +20,8 @@ from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.kernel import jit
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import ImportSettings, MassModel, MonitorSettings, SensorSettings, ValidatorSettings
 from scara_effmass.share import share

@@ -30,8 +30,8 @@ from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.kernel import jit
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.debounce import severity
 from scara_effmass.safety.monitor import unknown_contact

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.nodes.monitor_health import monitor_statuses, worst_contacts
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor, unknown_contact, unknown_decision
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share

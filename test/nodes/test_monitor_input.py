@@ -13,8 +13,8 @@ from rclpy.serialization import serialize_message
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState as JointStateMessage
 
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share

@@ -24,8 +24,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import READ_ONLY, flat_fields
 from scara_effmass.share import share
@@ -211,7 +211,7 @@ class TestParameters:
             settings = MonitorSettings(payload_mass=2.5, payload_com=(0.0, 0.0, 0.1))
             dynamics = RobotDynamics(load_robot(settings=settings))
             q, qd = np.array(sent.position), np.array(sent.velocity)
-            masses = dynamics.effective_masses(q, qd, settings.speed_threshold)[0]
+            masses = dynamics.at(q, qd).contacts[0]
             assert (heavy.lumped_mass, heavy.full_mass) == (masses.lumped, masses.full)
             assert heavy.iso_mass == dynamics.robot.iso_mass == pytest.approx(light.iso_mass + 2.5)
             text = harness.diagnostic("model", "payload", lambda value: "2.5" in value)

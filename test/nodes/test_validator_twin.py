@@ -10,8 +10,8 @@ from pathlib import Path
 from scara_effmass_msgs.msg import ForceBlock, ImpactValidation
 
 from scara_effmass.analysis.validation import ValidationSettings, validate
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from test.nodes.conftest import NodeHarness, node_environment, stamp_ns

@@ -13,10 +13,10 @@ from scara_effmass_msgs.msg import ContactState, RunInfo
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.pose_geometry import pose_geometry
 from scara_effmass.nodes.visualization_node import VisualizationNode
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import unknown_contact
 from scara_effmass.share import share
 from scara_effmass.values import ContactAssessment, Verdict
@@ -84,7 +84,8 @@ def test_markers_follow_the_states_and_become_unknown_without_them(new_harness: 
         assert marker.header.frame_id == "base_link"
         assert 0 < stamp_ns(marker) <= stamp_ns(viewer.sent)
         assert (marker.lifetime.sec, marker.lifetime.nanosec) == (0, S // 10)
-    geometry = pose_geometry(RobotDynamics(load_robot()), np.array(Q))
+    dynamics = RobotDynamics(load_robot())
+    geometry = pose_geometry(dynamics.robot, dynamics.lumped, np.array(Q))
     for index, (_, place) in enumerate(geometry.lumped_masses):
         at = markers[f"lumped_masses {index}"].pose.position
         assert (at.x, at.y, at.z) == pytest.approx(place)

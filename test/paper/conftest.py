@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.paper.runs import (
     REPETITIONS,
@@ -18,6 +17,7 @@ from scara_effmass.paper.runs import (
     root_reduced_mass,
 )
 from scara_effmass.paper.scara import OBSTACLES_KG, Scara
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from scara_effmass.errors import OutputError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.scara_closed_form import scara_lumped_mass
 from scara_effmass.paper.other_robot import LEFT_OUT, NUMBERS, RobotMasses, make_figures
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share

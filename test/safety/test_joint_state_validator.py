@@ -13,7 +13,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.joint_state_validator import WINDOW_S, JointStateValidator, Motion
 from scara_effmass.settings import MonitorSettings

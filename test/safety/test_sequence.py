@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.debounce import HELD, VerdictDebouncer
 from scara_effmass.safety.joint_state_validator import ComparedMotion, JointStateValidator, Motion

@@ -15,8 +15,8 @@ from mcap.stream_reader import StreamReader
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.run_info import run_infos
 from scara_effmass.errors import OutputError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.sim.__main__ import CAMPAIGN, CHECKSUMS, generate

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.speed_scaling import SpeedScaler
 from scara_effmass.settings import MonitorSettings
