@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from scara_effmass import __version__
 from scara_effmass.cli.commands import COMMANDS, GROUPS, MODULES, ROS_COMMANDS
-from scara_effmass.cli.options import ALIASES, Option, former_options
+from scara_effmass.cli.options import Option
 from scara_effmass.errors import EffmassError
 
 BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143
@@ -21,6 +21,10 @@ BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 
 
 class _Parser(argparse.ArgumentParser):
+    def __init__(self, **keywords: Any) -> None:  # noqa: ANN401 - as ArgumentParser
+        """Refuse abbreviated options, which would change their meaning when an option is added."""
+        super().__init__(allow_abbrev=False, **keywords)
+
     def error(self, message: str) -> NoReturn:
         """Print one line and exit, as for all other invalid input."""
         self.exit(INPUT_ERROR, f"{self.prog}: {message} (see --help)\n")
@@ -29,7 +33,6 @@ class _Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0, 1 (negative result), 2 (invalid input), 130 (interrupted)."""
     arguments, ros_arguments = _split(sys.argv[1:] if argv is None else list(argv))
-    arguments[:1] = [ALIASES.get(name, name) for name in arguments[:1]]
     parser = make_parser()
     if "_ARGCOMPLETE" in os.environ:
         import_module("argcomplete").autocomplete(parser)  # ends the process
@@ -115,8 +118,6 @@ def make_parser() -> argparse.ArgumentParser:
         for item in command.options:
             if isinstance(item, Option):
                 subparser.add_argument(*item.names, **item.keywords)
-                for former in former_options(item):
-                    subparser.add_argument(*former.names, **former.keywords)
                 continue
             exclusive = subparser.add_mutually_exclusive_group(required=True)
             for option in item:

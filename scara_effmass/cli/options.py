@@ -4,30 +4,24 @@
 import argparse
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from scara_effmass import settings
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
-from scara_effmass.settings.loading import FORMER_UNITS, number_rule, rescaled
+from scara_effmass.settings.loading import number_rule
 from scara_effmass.url import location
-
-ALIASES = {"bench": "sim"}
-"""Former names of commands and force sources, still accepted."""
 
 
 class Option:
     """An option or argument: `names` separated by spaces, and the `keywords` of `add_argument`."""
 
     def __init__(self, names: str, keywords: Mapping[str, Any]) -> None:
-        """Replace `type` by one of `TYPES`, and a name in `choices` by the values of that setting.
-
-        Without `help` the option is hidden.
-        """
+        """Replace `type` by one of `TYPES`, and a name in `choices` by the values of that setting."""
         self.names = names.split()
-        self.keywords = {"help": argparse.SUPPRESS, **keywords}
+        self.keywords = dict(keywords)
         if "type" in keywords:
             self.keywords["type"] = TYPES[keywords["type"]]
         if isinstance(keywords.get("choices"), str):
@@ -81,7 +75,6 @@ TYPES: Mapping[str, Callable[[str], object]] = {
     "name": _name,
     "words": lambda text: text.split(","),
     "plane": _plane,
-    "source": lambda text: ALIASES.get(text, text),
     "velocity": lambda text: text.replace("-", "_"),
     "number": NUMBER,
     "finite": number("a number", math.isfinite),
@@ -109,17 +102,3 @@ def options_of(*items: str | Mapping[str, Mapping[str, Any]]) -> Iterator[Option
             yield from options_of(*_GROUPS[item])
         else:
             yield from (Option(names, keywords) for names, keywords in item.items())
-
-
-def former_options(option: Option) -> Iterable[Option]:
-    """Yield a hidden option that refuses the former name of `option`, which would else pass as its abbreviation."""
-    for name, (new_name, factor) in FORMER_UNITS.items():
-        if option.dest == new_name:
-
-            def refuse(text: str, factor: float = factor) -> float:
-                value = rescaled(NUMBER(text), factor)
-                raise argparse.ArgumentTypeError(f"{text}: must be {option.names[-1]} {value!r}")
-
-            former = Option(f"--{name.replace('_', '-')}", {})
-            former.keywords["type"] = refuse
-            yield former

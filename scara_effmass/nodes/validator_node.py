@@ -9,7 +9,6 @@ from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
-from std_msgs.msg import String
 
 from scara_effmass import values
 from scara_effmass.errors import DecodeError, EffmassError, SettingsError
@@ -25,7 +24,7 @@ from scara_effmass.values import ValidatedImpact
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_state import contact_from
 from scara_effmass.wire.force import decode_force_block, decode_impact
-from scara_effmass.wire.run_info import decode_run_info, run_info_from_json
+from scara_effmass.wire.run_info import decode_run_info
 
 WriteReport = Callable[[Result, "NodeSettings", Path], Path]
 
@@ -80,12 +79,11 @@ class ValidatorNode(LifecycleBase):
             (ContactState, topics.CONTACT_STATE, self._on_contact_state, topics.VALIDATOR_INPUT_QOS),
             (ForceBlock, topics.FORCE, self._on_force, topics.VALIDATOR_INPUT_QOS),
             (RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS),
-            (String, topics.RECORDING_INFO, self._on_recording_info, topics.INFO_QOS),
         ]
         if not settings.find_impacts:
             inputs.append((Impact, topics.IMPACT, self._on_impact, topics.VALIDATOR_INPUT_QOS))
         for kind, topic, callback, qos in inputs:
-            self.create_owned_subscription(kind, topic, callback, qos, raw=kind not in {ContactState, String})
+            self.create_owned_subscription(kind, topic, callback, qos, raw=kind is not ContactState)
         self.create_owned_trigger("~/reset", self._reset)
         self.create_owned_trigger("~/write_report", self._on_write_report)
 
@@ -121,11 +119,6 @@ class ValidatorNode(LifecycleBase):
             self._begin_run(decode_run_info(data))
         except DecodeError as error:
             self._refuse_run(error)
-
-    def _on_recording_info(self, message: String) -> None:
-        """Read run information in the JSON format of older recordings; ignore other text."""
-        if info := run_info_from_json(message.data):
-            self._begin_run(info)
 
     def _begin_run(self, info: values.RunInfo) -> None:
         try:

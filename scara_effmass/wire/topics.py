@@ -36,8 +36,6 @@ RUN_INFO = "run_info"
 """What the robot hits: mass and plate of the obstacle, name of the configuration."""
 MARKERS = "effective_mass_markers"
 """Robot, masses and verdicts for RViz and Foxglove."""
-RECORDING_INFO = "scara_effmass/recording_info"
-"""Topic of the JSON text (std_msgs/String) in recordings made before `RunInfo.msg`."""
 READINESS = "/scara_effmass/readiness"
 """Topic on which every node reports to a replay whether it is ready."""
 
@@ -55,7 +53,6 @@ RECORDED = (
     "/tf",
     "/tf_static",
     RUN_INFO,
-    RECORDING_INFO,
     MARKERS,
 )
 """Topics that `record` records by default."""
