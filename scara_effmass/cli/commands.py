@@ -24,6 +24,13 @@ MODULES = {"import": "import_force"} | dict.fromkeys(NODES, "nodes") | dict.from
 """Modules of the commands that have no module of their name."""
 GROUPS = {"protocol": "write, fill in and render a measurement protocol of contact forces"}
 """Help of commands of two words, by the first word."""
+HELP = {
+    "live": ("demo", *NODES, "replay", "record", "watch", "dashboard", "foxglove"),
+    "offline": ("assess", "validate", "protocol", "advise", "coverage", "import"),
+    "prepare": ("init", "doctor", "limits", "map", "lump", "completion"),
+    "research": ("figures", "campaign", "evidence"),
+}
+"""Commands by the group under which --help lists them."""
 
 
 def _commands() -> dict[str, Command]:

@@ -45,9 +45,6 @@ def _lines(report: ReplayReport) -> Iterator[tuple[str, str]]:
     for topic, reason in report.skipped.items():
         yield "not replayed", f"{topic}: {reason}"
     yield "played", f"{report.replayed_s:.2f} s in {report.wall_s:.2f} s, {report.achieved_rate:.2f} times real time"
-    if report.answered or report.unanswered or report.not_awaited:
-        not_awaited = f", {report.not_awaited} not awaited" if report.not_awaited else ""
-        yield "answered", f"{report.answered} joint states, {report.unanswered} unanswered{not_awaited}"
     if report.late:
         yield "late", f"{report.late} messages by more than 10 ms, at worst {1e3 * report.worst_lateness_s:.0f} ms"
     for topic in report.unacknowledged:

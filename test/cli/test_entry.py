@@ -53,6 +53,19 @@ def test_help_has_an_example_of_the_command(command: str, capsys: pytest.Capture
     assert any(example.strip().startswith(f"scara-effmass {command}") for example in examples)
 
 
+def test_help_lists_every_command_in_one_group(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main(["--help"])
+    words = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("  ")]
+    assert sorted(words) == sorted({*(name.split()[0] for name in COMMANDS), "-h,", "--version"})
+
+
+def test_help_of_an_option_is_the_description_of_its_setting() -> None:
+    (option,) = options_of({"--warn": {"dest": "warn_ratio"}})
+    description = MonitorSettings.model_fields["warn_ratio"].description
+    assert option.keywords["help"] == f"{description} (default: 0.8)"
+
+
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(["--version"])
@@ -123,8 +136,8 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
         ["assess", TOUR, "-o", "/proc/none/a.mcap"],
         "/proc/none/a.mcap: cannot be written",
     ),
-    "negative rate": (["replay", TOUR, "--rate", "-1"], "argument --rate: -1: must be a number >= 0"),
-    "infinite rate": (["replay", TOUR, "--rate", "inf"], "argument --rate: inf: must be a number >= 0"),
+    "negative rate": (["replay", TOUR, "--rate", "-1"], "argument --rate: -1: must be a number > 0"),
+    "infinite rate": (["replay", TOUR, "--rate", "inf"], "argument --rate: inf: must be a number > 0"),
     "negative start": (["replay", TOUR, "--start", "-0.1"], "argument --start: -0.1: must be a number >= 0"),
     "duration of NaN": (["replay", TOUR, "--duration", "nan"], "argument --duration: nan: must be a number > 0"),
     "no subscribers": (["replay", TOUR, "--subscribers", "0"], "--subscribers: 0: must be a whole number from 1"),
