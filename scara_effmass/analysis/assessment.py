@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.analysis.assessed_states import AssessedStates, states_of
-from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.bag import Bag, first_run_info
 from scara_effmass.bags.batches import IntArray
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.run_info import first_run_info
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings, VelocitySource

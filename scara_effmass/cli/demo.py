@@ -13,7 +13,7 @@ from scara_effmass_msgs.msg import ImpactValidation
 from scara_effmass.analysis.pages import PageOptions
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
-from scara_effmass.bags.rosbag2 import check_output
+from scara_effmass.bags.files import check_output
 from scara_effmass.cli import processes
 from scara_effmass.cli.console import live_status, print_lines, print_result, printer
 from scara_effmass.cli.demo_bag import run_bag

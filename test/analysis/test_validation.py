@@ -12,8 +12,8 @@ import yaml
 
 from scara_effmass.analysis.assessment import Time
 from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
+from scara_effmass.bags.bag import run_infos
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
