@@ -20,13 +20,13 @@ from typing import NamedTuple
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scara_effmass.safety.debounce import severity
 
 from scara_effmass.analysis.assessment import assessed_rows, joint_state_topic
 from scara_effmass.bags.files import find_bags, open_bag
-from scara_effmass.reference import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety.debounce import severity
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import Decision, FloatArray, JointState, Verdict

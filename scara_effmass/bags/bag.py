@@ -4,6 +4,7 @@
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -16,10 +17,11 @@ from scara_effmass.bags.batches import MAX_TIME_NS, LossLog, MessageBatch, Topic
 from scara_effmass.bags.definitions import check_definition, types_of
 from scara_effmass.bags.joint_state_blocks import BlockDecoder, JointStateBlock
 from scara_effmass.errors import BagError, DecodeError
-from scara_effmass.values import ForceBlock, Impact
+from scara_effmass.values import ForceBlock, Impact, RunInfo
 from scara_effmass.wire.force import decode_force_block, decode_impact
 from scara_effmass.wire.former_contact_state import DEFINITION
-from scara_effmass.wire.message_types import FORCE_BLOCK, FORMER_CONTACT_STATE, IMPACT, JOINT_STATE
+from scara_effmass.wire.message_types import FORCE_BLOCK, FORMER_CONTACT_STATE, IMPACT, JOINT_STATE, RUN_INFO
+from scara_effmass.wire.run_info import decode_run_info
 
 Decoded = TypeVar("Decoded", ForceBlock, Impact)
 
@@ -180,3 +182,29 @@ class Bag(ABC):
 def one_line(error: Exception) -> str:
     """Return the message of another library's error in one line; the name of its type if there is no message."""
     return " ".join(str(error).split()) or type(error).__name__
+
+
+def run_infos(bag: Bag) -> Iterator[tuple[int, RunInfo]]:
+    """Yield log time [ns] and content of each run information in `bag`, unchecked.
+
+    Raises BagError for a RunInfo that cannot be decoded or has another definition.
+    """
+    topics = [topic.name for topic in bag.topics if topic.type == RUN_INFO]
+    if not topics:
+        return
+    check_definition(bag.types, RUN_INFO, str(bag.path))
+    for message in bag.messages(topics):
+        if message.type != RUN_INFO:
+            continue
+        try:
+            info = decode_run_info(message.data)
+        except DecodeError as error:
+            raise BagError(f"{bag.path}: {message.topic}: {error}") from None
+        yield message.log_time_ns, info
+
+
+def first_run_info(bag: Bag) -> RunInfo | None:
+    """Return the first run information in `bag`, unchecked; None if none can be read."""
+    with suppress(BagError):
+        return next((info for _, info in run_infos(bag)), None)
+    return None

@@ -141,7 +141,7 @@ def visualization_command(settings: MonitorSettings) -> list[str]:
 
 def record_command(args: argparse.Namespace) -> list[str]:
     """Return the command that records the topics of the suite."""
-    return ["record", "-o", str(args.out / RECORDING), "--json", *(["--force"] if args.force else []), *SIM_TIME]
+    return ["record", "-o", str(args.out / RECORDING), "--json", *(["--force"] * args.force), *SIM_TIME]
 
 
 def recorded_line(recorded: dict[str, Any]) -> str:

@@ -25,8 +25,8 @@ from scara_effmass import __version__
 from scara_effmass.analysis import bag_assessment
 from scara_effmass.analysis.properties import PROPERTIES
 from scara_effmass.analysis.tables import SCHEMA
+from scara_effmass.bags.bag import run_infos
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.kernel import jit

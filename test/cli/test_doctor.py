@@ -267,7 +267,7 @@ def test_channel_of_the_parameter_file_is_checked(tmp_path: Path, capsys: pytest
     file.write_text(monitor + daq.format("ni9230.channels: [cDAQ1Mod1/ai2]"), encoding="utf-8")
     _, result = run_doctor(capsys, "--params", str(file))
     assert texts(result, "note")["ni9230.channels"].startswith("cDAQ1Mod1/ai2 not found")
-    file.write_text(monitor + daq.format("source: bench"), encoding="utf-8")
+    file.write_text(monitor + daq.format("source: sim"), encoding="utf-8")
     _, result = run_doctor(capsys, "--params", str(file))
     assert "ni9230.channels" not in texts(result, "note") | texts(result, "ok")
     file.write_text(monitor, encoding="utf-8")

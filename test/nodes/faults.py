@@ -838,7 +838,6 @@ VALIDATOR_FAULTS = (
             ("force", ForceBlock, "NaN samples", lambda: ForceBlock(sample_rate=12800.0, force=[NAN] * 1280)),
             ("force", ForceBlock, "8 MB of samples", lambda: ForceBlock(sample_rate=12800.0, force=[0.0] * 1_000_000)),
             ("run_info", RunInfo, "random bytes, then valid again", lambda: noise(bytearray())),
-            ("scara_effmass/recording_info", String, "random bytes", lambda: noise(bytearray())),
         )
     ),
     Fault("validator", "SIGSTOP, SIGCONT", "silent", signalled("SIGSTOP"), bad_input=False),

@@ -14,7 +14,6 @@ import pytest
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from scara_effmass_msgs.msg import ContactState, Impact, ImpactValidation, RunInfo
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from scara_effmass.impacts.validator import Validator
@@ -27,7 +26,6 @@ from scara_effmass.values import RunInfo as RunInfoValue
 from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.force import impact_message
 from scara_effmass.wire.run_info import run_info_message
-from scara_effmass.wire.topics import RECORDING_INFO
 from test.nodes.conftest import NodeHarness
 
 EXECUTABLE = Path(sys.executable).with_name("validator_node")
@@ -73,19 +71,15 @@ class ValidatorHarness:
         self.states = node.create_publisher(ContactState, "contact_state", DEEP)
         self.impacts = node.create_publisher(Impact, "impact", DEEP)
         self.run_info = node.create_publisher(RunInfo, "run_info", LATCHED)
-        self.recording_info = node.create_publisher(String, RECORDING_INFO, LATCHED)
-        ends = (self.states, self.impacts, self.run_info, self.recording_info)
+        ends = (self.states, self.impacts, self.run_info)
         harness.spin_until(
             lambda: all(end.get_subscription_count() for end in ends) and node.count_publishers("impact_validation")
         )
 
-    def state_run(self, mass: float, *infos: bytes | str | RunInfoValue) -> None:
-        """Publish run information, as JSON where it is text, and wait until the obstacle mass is `mass` [kg]."""
+    def state_run(self, mass: float, *infos: bytes | RunInfoValue) -> None:
+        """Publish run information and wait until the obstacle mass is `mass` [kg]."""
         for info in infos:
-            if isinstance(info, str):
-                self.recording_info.publish(String(data=info))
-            else:
-                self.run_info.publish(info if isinstance(info, bytes) else run_info_message(info))
+            self.run_info.publish(info if isinstance(info, bytes) else run_info_message(info))
         self.harness.diagnostic("validator: series", "obstacle mass [kg]", f"{mass:g}".__eq__)
 
     def run(self, *masses: float, first: int = 0) -> None:
@@ -156,18 +150,12 @@ def test_without_a_mass_an_impact_is_counted_and_not_predicted(node: ValidatorHa
 
 
 def test_malformed_run_information_makes_the_obstacle_mass_unknown(node: ValidatorHarness) -> None:
-    malformed: list[bytes | str | RunInfoValue] = [
-        '{"obstacle_mass": 2.39, "since_ns": 1e999}',
-        '{"obstacle_mass": true}',
-        '{"obstacle_mass": "2.39"}',
-        '{"obstacle_mass": NaN}',
-        '{"configuration": "\\ud800"}',
+    malformed: list[bytes | RunInfoValue] = [
         b"\x00\x01\x00\x00 too short",
         RunInfoValue(obstacle_mass=math.nan),
         RunInfoValue(obstacle_mass=2.39, configuration="a\nb"),
     ]
     assert node.harness.set_parameters(obstacle_mass=2.39) == ""
-    node.state_run(2.39, "[" * 100_000)  # no JSON object: ignored
     node.run(0.0)
     node.harness.spin_until(lambda: len(node.received) == 1)
     for number, info in enumerate(malformed, start=1):
@@ -175,7 +163,7 @@ def test_malformed_run_information_makes_the_obstacle_mass_unknown(node: Validat
         node.run(0.0, first=2 * number - 1)
         not_paired = "not paired: obstacle_mass is not given"
         assert node.harness.diagnostic("validator: series", not_paired, f"{number}".__eq__).endswith(f"| {number}")
-        node.state_run(0.5, '{"obstacle_mass": 0.5, "configuration": [1]}')
+        node.state_run(0.5, RunInfoValue(obstacle_mass=0.5))
         node.run(0.0, first=2 * number)
         node.harness.spin_until(lambda: len(node.received) == number + 1)  # noqa: B023
 

@@ -12,8 +12,8 @@ import pytest
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
+from scara_effmass.bags.bag import run_infos
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.run_info import run_infos
 from scara_effmass.errors import OutputError
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics

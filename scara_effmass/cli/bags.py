@@ -1,28 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`scara-effmass record`."""
+"""`scara-effmass record` and `replay`."""
+
+from __future__ import annotations
 
 import argparse
 import math
 from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.progress import BarColumn, TextColumn
 from rich.status import Status
 
-from scara_effmass.bags.recording_report import RecordingReport, TopicReport
+from scara_effmass.bags.recorder import RecordingReport, TopicReport
 from scara_effmass.bags.repair import RepairReport, repair
 from scara_effmass.bags.split_writer import RecorderOptions
-from scara_effmass.cli.console import print_result
+from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.errors import SettingsError
 from scara_effmass.wire.topics import RECORDED
+
+if TYPE_CHECKING:
+    from scara_effmass.nodes.replay import ReplayReport
 
 MB = 1_000_000
 NS = 1_000_000_000
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record or repair, and print the result."""
+    """Record, repair or replay, and print the result."""
+    if args.command == "replay":
+        return _replay(args)
     return _repair(args) if args.repair else _record(args)
 
 
@@ -113,3 +122,46 @@ def _repair_lines(report: RepairReport) -> Iterator[tuple[str, str]]:
         yield "not repaired", line
     if report.metadata_rewritten:
         yield "repaired", str(report.files[0].path.with_name("metadata.yaml"))
+
+
+def _replay(args: argparse.Namespace) -> int:
+    from scara_effmass.nodes.replay import ReplayOptions, replay  # noqa: PLC0415 - rclpy
+
+    options = ReplayOptions(
+        bag=args.bag,
+        rate=args.rate,
+        start_s=args.start,
+        duration_s=args.duration,
+        passes=0 if args.loop else 1,
+        topics=tuple(args.topics),
+        joint_state_topic=args.topic or "",
+        subscribers=args.subscribers,
+        ready_timeout_s=args.wait,
+        ros_arguments=tuple(args.ros_arguments),
+    )
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:.1f} s"))
+    with progress_bar(*columns) as progress:
+        task = progress.add_task("replay", total=None)
+
+        def on_progress(pass_number: int, time_s: float, span_s: float) -> None:
+            name = f"pass {pass_number}" if args.loop else args.bag.name
+            progress.update(task, description=name, completed=time_s, total=span_s)
+
+        report = replay(options, on_progress)
+    print_result({**asdict(report), "achieved_rate": report.achieved_rate}, _replay_lines(report), as_json=args.json)
+    return 130 if report.interrupted else 0
+
+
+def _replay_lines(report: ReplayReport) -> Iterator[tuple[str, str]]:
+    for topic, count in report.sent.items():
+        note = ", no subscriber" if topic in report.unheard else ""
+        yield "sent", f"{topic}: {count} messages{note}"
+    for topic, reason in report.skipped.items():
+        yield "not replayed", f"{topic}: {reason}"
+    yield "played", f"{report.replayed_s:.2f} s in {report.wall_s:.2f} s, {report.achieved_rate:.2f} times real time"
+    if report.late:
+        yield "late", f"{report.late} messages by more than 10 ms, at worst {1e3 * report.worst_lateness_s:.0f} ms"
+    for topic in report.unacknowledged:
+        yield "not received", f"{topic}: a subscriber has not acknowledged every message"
+    for warning in report.warnings:
+        yield "warning", warning
