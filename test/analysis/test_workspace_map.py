@@ -13,10 +13,10 @@ from scara_effmass.errors import RobotError
 from scara_effmass.kernel.contact_columns import NUMBERS, columns_of, joined
 from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
-from scara_effmass.model.scara_closed_form import scara_lumped_mass
 from scara_effmass.safety import Monitor, unknown_contact
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share
+from scara_effmass.studies.scara import scara_lumped_mass
 from scara_effmass.values import Vector3, Verdict
 
 ALONG_X: Vector3 = (1.0, 0.0, 0.0)

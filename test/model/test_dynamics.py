@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.dynamics import RobotDynamics, smallest_eigenvalue
-from scara_effmass.model.scara_closed_form import scara_lumped_mass
+from scara_effmass.studies.scara import scara_lumped_mass
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.model.robot import Robot
-from scara_effmass.model.scara_closed_form import (
+from scara_effmass.studies.scara import (
     ScaraInertia,
     scara_full_mass,
     scara_lumped_mass,
