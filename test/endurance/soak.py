@@ -18,6 +18,7 @@ import tempfile
 import time
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -81,7 +82,7 @@ def soak(duration_s: float, bag: Path) -> tuple[str, list[str]]:  # noqa: PLR091
     def spin(seconds: float) -> None:
         executor.spin_until_future_complete(Future(), timeout_sec=seconds)
 
-    processes = {
+    processes: dict[str, subprocess.Popen[Any]] = {
         name: subprocess.Popen([*map(str, words)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         for name, words in NODES.items()
     }

@@ -89,7 +89,7 @@ def test_a_controller_per_joint_stays_within_its_bound(arm: MonitoredArm, bandwi
     ratios = {}
     for computed_torque in (False, True):
         servo = {"bandwidth": bandwidth, "computed_torque": computed_torque}
-        options = {"pushing": JointServo(bandwidth, coupled=False), "drives": "servo", "servo": servo}
+        options: dict[str, Any] = {"pushing": JointServo(bandwidth, coupled=False), "drives": "servo", "servo": servo}
         ratios[computed_torque] = bounds.contacts(arm, "chest", 12, np.random.default_rng(9), **options)[:, 0]
     assert ratios[False].max() < 1.0
     assert np.median(ratios[False]) > 0.5
@@ -110,10 +110,8 @@ def test_effort_limits_bound_the_push_of_stiff_drives(coupled: bool) -> None:  #
     arm = MonitoredArm(share("config", "omron_i4_550l.yaml"))
     arm.dynamics.robot.model.effortLimit = np.array(effort)
     pushing = JointServo(20.0, 0.7, coupled)
-    settings = {"drives": "servo", "servo": {"bandwidth": 1000.0}}
-    held = bounds.contacts(arm, "chest", 30, np.random.default_rng(7), pushing=pushing, pace=bounds.HELD, **settings)[
-        :, 0
-    ]
+    options: dict[str, Any] = {"pushing": pushing, "drives": "servo", "servo": {"bandwidth": 1000.0}}
+    held = bounds.contacts(arm, "chest", 30, np.random.default_rng(7), pace=bounds.HELD, **options)[:, 0]
     assert held.max() < TOLERANCE
 
 
@@ -130,7 +128,7 @@ def test_clamping_force_is_that_of_a_linear_programme(ur5: MonitoredArm) -> None
     assert 200.0 < np.median(forces) < 500.0
 
 
-def assess(arm: MonitoredArm, q: Any, qd: Any, **settings: object) -> Any:  # noqa: ANN401
+def assess(arm: MonitoredArm, q: Any, qd: Any, **settings: Any) -> Any:  # noqa: ANN401
     monitor = Monitor(arm.dynamics, bounds.settings_for(**settings))
     decision = monitor.assess(JointState(EPOCH_NS, arm.dynamics.robot.joint_names, q, qd), EPOCH_NS)
     assert decision is not None
@@ -169,7 +167,7 @@ def test_clamping_without_effort_limits_is_unknown(scara: MonitoredArm) -> None:
 def test_tool_at_its_limit_does_not_allow_too_fast_an_elbow(scara: MonitoredArm) -> None:
     """Where the elbow is above its own limit, speed and scaling are those that bring it back to it."""
     rng = np.random.default_rng(11)
-    options = {"body_regions": ["hand_fingers"], "contact_normal": "velocity"}
+    options: dict[str, Any] = {"body_regions": ["hand_fingers"], "contact_normal": "velocity"}
     too_fast = 0
     for _ in range(100):
         q, creep = scara.draw_motion(rng)
