@@ -63,19 +63,19 @@ bench: .venv/.test  ## measure the speed of core, nodes, bag reader, assess and 
 	$(BIN)/python benchmarks/run.py
 
 fuzz: .venv/.test  ## damaged input through core, live node and file parsers; N sequences (a tenth messages, a 500th of each file) and SEED
-	$(BIN)/python benchmarks/fuzz.py --number $(if $(filter command line environment,$(origin N)),$(N),1000000) --seed $(SEED)
+	$(BIN)/python test/endurance/fuzz.py --number $(if $(filter command line environment,$(origin N)),$(N),1000000) --seed $(SEED)
 
 faults: .venv/.test  ## inject faults into live nodes one by one and write docs/faults.md; takes about 6 minutes
-	$(BIN)/pytest --numprocesses 0 test/nodes/faults.py
+	$(BIN)/pytest --numprocesses 0 test/endurance/faults.py
 
 soak: .venv/.test  ## run all nodes at 1 kHz for DURATION seconds and write docs/soak.md
-	$(BIN)/python benchmarks/soak.py --duration $(DURATION) --write
+	$(BIN)/python test/endurance/soak.py --duration $(DURATION) --write
 
 scale: .venv/.test  ## assess many recordings with 1 and 2 worker processes, end some of them, and write the table of docs/scale.md
 	$(BIN)/python benchmarks/scale.py --write
 
 bags: setup  ## generate the shipped recordings again
-	$(BIN)/python -m scara_effmass.sim -o bags --force
+	$(BIN)/python -m scara_effmass.studies.shipped_bags -o bags --force
 
 docs: setup .venv-tools/.requirements  ## build the documentation as a site in build/site; a warning is an error
 	$(BIN)/python scripts/docs_reference.py

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What consumers do with verdicts: the status of a cell, and the speed scaling. Pure: time is an argument."""
+"""What consumers do with verdicts: the status of a cell, speed scaling, re-timing. Pure: time is an argument."""

@@ -9,10 +9,10 @@ from typing import Any
 
 from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.errors import SettingsError
-from scara_effmass.sim.campaign import Campaign, CampaignStep, run_campaign
 from scara_effmass.sim.cart import HERTZ, LINEAR, POLYETHYLENE, SpringContact
 from scara_effmass.sim.experiment import CONFIGURATIONS, OBSTACLE_MASSES, build_sim
 from scara_effmass.sim.recordings import SEED
+from scara_effmass.studies.campaign import Campaign, CampaignStep, run_campaign
 
 MM_PER_M = 1e3
 HERTZ_STIFFNESS = 3400.0 * MM_PER_M**HERTZ

@@ -6,7 +6,11 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from scara_effmass.analysis.evidence import (
+from scara_effmass.analysis.output import check_output_files
+from scara_effmass.analysis.report import figure_files
+from scara_effmass.cli.console import print_result
+from scara_effmass.cli.tasks import Advance, Run, open_run, raised
+from scara_effmass.studies.evidence import (
     DRIVES,
     FIGURE,
     PAGE,
@@ -15,12 +19,7 @@ from scara_effmass.analysis.evidence import (
     Evidence,
     write_evidence,
 )
-from scara_effmass.analysis.output import check_output_files
-from scara_effmass.analysis.report import figure_files
-from scara_effmass.cli.console import print_result
-from scara_effmass.cli.tasks import Advance, Run, open_run, raised
-from scara_effmass.sim.impact_table import Simulate, extend_table
-from scara_effmass.sim.random_impacts import Row
+from scara_effmass.studies.random_impacts import Row, Simulate, extend_table
 
 
 def run(args: argparse.Namespace) -> int:

@@ -10,13 +10,13 @@ from scara_effmass.analysis.workspace_map import AS_SAMPLED
 from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
-from scara_effmass.paper.claims import Outcome
-from scara_effmass.paper.figure_set import PAGE, STEPS, FigureSet, make_figure_set
-from scara_effmass.paper.other_robot import SAMPLES, make_figures
-from scara_effmass.paper.runs import read_inputs
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
+from scara_effmass.studies.claims import Outcome
+from scara_effmass.studies.figure_set import PAGE, STEPS, FigureSet, make_figure_set
+from scara_effmass.studies.other_robot import SAMPLES, make_figures
+from scara_effmass.studies.runs import read_inputs
 
 
 def run(args: argparse.Namespace) -> int:

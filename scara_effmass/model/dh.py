@@ -15,10 +15,9 @@ from pydantic_core import PydanticCustomError
 
 from scara_effmass.errors import RobotError
 from scara_effmass.input_files import read_yaml
-from scara_effmass.model.contact_point import ContactPoint, contact_point
-from scara_effmass.model.inertial_check import StatedLink, principal_moments
-from scara_effmass.model.plausibility import MAX_ANGLE_RAD
-from scara_effmass.model.robot import PARALLEL, Robot, add_contact_frame, build_robot, inertia_tensor
+from scara_effmass.model.build import ContactPoint, add_contact_frame, build_robot, contact_point, inertia_tensor
+from scara_effmass.model.plausibility import MAX_ANGLE_RAD, StatedLink, principal_moments
+from scara_effmass.model.robot import PARALLEL, Robot
 from scara_effmass.model.rotors import rotor_inertia
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import FrozenSettings, broken_rule, nearest

@@ -4,10 +4,15 @@
 The matrix B (n, n) is added to M(q). Its diagonal is the armature N^2 J of each joint (reduction N, rotor inertia J).
 Off-diagonal terms belong to geared chains in which a motor turns with more than one joint: B = T^T J T, with T the
 velocities of the motors per joint velocity.
+
+A URDF's `<transmission>` states the reduction, and some robots the rotor inertia beside it: `<motorInertia>`, or
+Drake's `<drake:rotor_inertia value=...>` with `<drake:gear_ratio value=...>`. `<dynamics armature=...>` of a joint is
+the reflected inertia itself.
 """
 
 import math
-from collections.abc import Sequence
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,6 +27,9 @@ _RULE = "must be joint=value (0 or more), joint1,joint2=value"
 
 _MAX_INERTIA = 1e6
 """Largest inertia that is not a typing error."""
+_ROTOR_INERTIA = ("rotor_inertia", "motorInertia")
+_REDUCTION = ("gear_ratio", "mechanicalReduction")
+"""Drake's ratio first: its files keep a mechanicalReduction of 1 beside it."""
 
 
 @dataclass(frozen=True)
@@ -115,3 +123,48 @@ def _published(name: str, count: int, origin: str) -> tuple[list[float], str]:
     if len(arm["armature"]) != count:
         raise RobotError(f"{origin}: armature = {name!r}: must be for {count} joints, not {len(arm['armature'])}")
     return arm["armature"], f"{name} ({arm['source']}: {arm['note']})"
+
+
+def armatures(root: ET.Element, origin: str) -> tuple[dict[str, float], dict[str, str]]:
+    """Return the armature N^2 J by joint name, and why a transmission gives none, by joint name. Raises RobotError."""
+    armature: dict[str, float] = {}
+    reasons: dict[str, str] = {}
+    for joint in root.findall("joint"):
+        dynamics = joint.find("dynamics")
+        if dynamics is not None and "armature" in dynamics.attrib:
+            name = joint.get("name", "")
+            armature[name] = _number(dynamics.get("armature"), f"{origin}: joint {name}: <dynamics armature>")
+    for transmission in root.findall("transmission"):
+        where = f"{origin}: transmission {transmission.get('name')}"
+        joints = [joint.get("name", "") for joint in transmission.findall("joint")]
+        actuators = transmission.findall("actuator")
+        if len(joints) != 1 or len(actuators) > 1:
+            reasons |= dict.fromkeys(joints, "couples several joints or motors")
+            continue
+        rotor = _first(actuators, _ROTOR_INERTIA, where)
+        if math.isnan(rotor):
+            reasons[joints[0]] = "states no rotor inertia"
+        else:
+            reduction = _first((*actuators, transmission), _REDUCTION, where)
+            armature[joints[0]] = rotor * (1.0 if math.isnan(reduction) else reduction * reduction)
+    return armature, {joint: reason for joint, reason in reasons.items() if joint not in armature}
+
+
+def _first(parents: Iterable[ET.Element], tags: Sequence[str], where: str) -> float:
+    """Return the number in the first child of `parents` named in `tags`, in any namespace; NaN if there is none."""
+    for tag in tags:
+        for parent in parents:
+            for child in parent:
+                if child.tag.rpartition("}")[2] == tag:
+                    return _number(child.get("value", child.text), f"{where}: <{tag}>")
+    return math.nan
+
+
+def _number(text: str | None, where: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= abs(value) < math.inf:
+        raise RobotError(f"{where} = {text!r}: must be a finite number")
+    return value

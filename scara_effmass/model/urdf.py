@@ -1,10 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Load a robot from URDF with Pinocchio's parser."""
+"""Load a robot from URDF: check the numbers of its tree of links and joints, then build it with Pinocchio's parser.
+
+Pinocchio's parser skips what it cannot read, with a message on stderr only, so all numbers are checked before.
+"""
+
+from __future__ import annotations
 
 import math
+import reprlib
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +19,23 @@ import pinocchio as pin
 
 from scara_effmass.errors import RobotError
 from scara_effmass.input_files import read_text
-from scara_effmass.model.contact_point import contact_point
-from scara_effmass.model.robot import Robot, add_contact_frame, build_robot
-from scara_effmass.model.rotors import RotorInertia, rotor_inertia
-from scara_effmass.model.transmission import armatures
-from scara_effmass.model.urdf_tree import UrdfTree, read_urdf
+from scara_effmass.model.build import add_contact_frame, build_robot, contact_point
+from scara_effmass.model.plausibility import MAX_ANGLE_RAD, StatedLink, principal_moments
+from scara_effmass.model.robot import Robot
+from scara_effmass.model.rotors import RotorInertia, armatures, rotor_inertia
 from scara_effmass.settings import MonitorSettings
+
+MOVING = ("revolute", "continuous", "prismatic")
+MAX_JOINTS = 500
+"""Largest number of joints in a file, fixed ones included; the time to check them grows with its square."""
+_MAX_NUMBER = 1e6
+"""Largest magnitude of a length, mass or inertia [SI]; beyond it the dynamics overflow."""
+_CONTINUOUS_LIMIT = 1e6
+"""Limit [rad] of a continuous joint read as revolute, for which Pinocchio uses one coordinate, as joint_states do."""
+LIGHT_SHARE = 0.1
+"""Share of the moving mass below which joints beyond a contact point may be held in the model."""
+_MIN_AXIS_LENGTH = 1e-9
+"""Length below which an axis has no direction."""
 
 
 def load_urdf(path: Path, settings: MonitorSettings) -> Robot:
@@ -104,3 +122,239 @@ def _reduced_model(tree: UrdfTree, fixed: set[str]) -> pin.Model:
         return pin.buildReducedModel(model, [model.getJointId(name) for name in sorted(fixed)], reference)
     except (ValueError, RuntimeError) as error:  # RuntimeError includes that of elements nested too deeply
         raise RobotError(f"{tree.origin}: Pinocchio cannot read it: {' '.join(str(error).split())}") from None
+
+
+def read_urdf(
+    text: str, origin: str, locked_joints: Sequence[str], limits: Mapping[str, tuple[float, float]]
+) -> UrdfTree:
+    """Return the tree of the URDF `text`; a continuous joint becomes a revolute one.
+
+    `limits` [rad or m] replace those of the joints that they name; locked joints need none. Raises RobotError.
+    """
+    if "<!ENTITY" in text:
+        raise RobotError(f"{origin}: must not define XML entities")
+    try:
+        root = ET.fromstring(text)  # noqa: S314  a robot description is trusted input: the robot runs on it
+    except (ET.ParseError, ValueError) as error:
+        raise RobotError(f"{origin}: not XML: {error}") from None
+    if root.tag != "robot":
+        raise RobotError(f"{origin}: root element = <{root.tag}>: must be <robot>")
+    if any("xacro" in element.tag for element in root.iter()):
+        raise RobotError(f"{origin}: must not contain xacro macros: expand them first (xacro FILE > robot.urdf)")
+    joints = root.findall("joint")
+    if len(joints) > MAX_JOINTS:
+        raise RobotError(f"{origin}: {len(joints)} joints: must be at most {MAX_JOINTS}")
+    for joint in joints:
+        where = f"{origin}: joint {joint.get('name')}"
+        _check_pose(joint, where)
+        for dynamics in joint.findall("dynamics"):
+            dynamics.attrib.setdefault("damping", "0")  # urdfdom refuses an armature alone
+        if joint.get("type") in MOVING:
+            name = joint.get("name", "")
+            _add_limit(joint, limits.get(name), is_locked=_is_locked(name, locked_joints))
+            if not _is_locked(name, locked_joints):
+                _check_limit(joint, where)
+    return UrdfTree(root, origin, locked_joints)
+
+
+class UrdfTree:
+    """Links and joints of a URDF; `locked` are the joints that match the globs of `locked_joints`."""
+
+    def __init__(self, root: ET.Element, origin: str, locked_joints: Sequence[str]) -> None:
+        self.root = root
+        self.origin = origin
+        self.links = _by_name(root, "link", origin)
+        self.joints = _by_name(root, "joint", origin)
+        self.stated = [link for name, element in self.links.items() for link in _stated(name, element, origin)]
+        self.locked = {name for name in self.joints if self.kind(name) != "fixed" and _is_locked(name, locked_joints)}
+        self._parents: dict[str, tuple[str, str]] = {}
+        for name, joint in self.joints.items():
+            parent, child = (_end(joint, role, self.links, origin) for role in ("parent", "child"))
+            if child in self._parents:
+                raise RobotError(
+                    f"{origin}: link {child}: must have one joint above it, not {self._parents[child][1]} and {name}"
+                )
+            self._parents[child] = (parent, name)
+        bases = sorted(self.links.keys() - self._parents.keys())
+        if len(bases) != 1:
+            raise RobotError(
+                f"{origin}: links without parent: {', '.join(bases) or 'none'}: must be exactly one, the base"
+            )
+        self.base = bases[0]
+        for link in self.links:
+            if len(set(self._chain_links(link))) != len(self._chain_links(link)):
+                raise RobotError(f"{origin}: link {link}: the joints above it must not form a loop")
+
+    def kind(self, joint: str) -> str:
+        """Return the type of `joint`."""
+        return self.joints[joint].get("type", "")
+
+    def chain(self, link: str) -> list[str]:
+        """Return the joints from `link` up to the base."""
+        return [self._parents[step][1] for step in self._chain_links(link)[:-1]]
+
+    def tip(self, link: str) -> str:
+        """Return the end of the longest chain from `link` outwards: most moving joints, then most joints.
+
+        A chain ends before a locked joint: the tip is the link that carries a gripper's fingers, not a finger.
+        """
+        free = {name: parent for name, (parent, joint) in self._parents.items() if joint not in self.locked}
+        ranked = []
+        for end in free.keys() - set(free.values()) | {link}:
+            beyond = self._joints_beyond(link, end)
+            if (beyond or end == link) and self.locked.isdisjoint(beyond):
+                ranked.append((-sum(self.kind(joint) != "fixed" for joint in beyond), -len(beyond), end))
+        return min(ranked)[2]
+
+    def tip_beyond(self, link: str) -> str:
+        """Return the end of the chain of joints whose motion counts for a contact point at `link`.
+
+        For a link that is fixed to another one, that is the tip of the other, unless less than a tenth of the moving
+        mass moves there, as in a gripper, whose fingers often have no joint states.
+        """
+        body = link
+        while body in self._parents and self.kind(self._parents[body][1]) == "fixed":
+            body = self._parents[body][0]
+        light = self._mass_beyond(body) < LIGHT_SHARE * self._mass_beyond(self.base)
+        return self.tip(link if light else body)
+
+    def _mass_beyond(self, body: str) -> float:
+        """Return the mass [kg] of the links that move on `body`."""
+        mass = 0.0
+        for link in self.stated:
+            joints = self._joints_beyond(body, link.name)
+            if any(self.kind(joint) != "fixed" and joint not in self.locked for joint in joints):
+                mass += link.mass
+        return mass
+
+    def require_movable(self, joint: str) -> None:
+        """Raise RobotError if the model cannot move `joint`, which a contact point needs."""
+        kind = self.kind(joint)
+        if kind not in {*MOVING, "fixed"}:
+            raise RobotError(
+                f"{self.origin}: joint {joint}: type = {kind!r}: must be one of {', '.join(MOVING)}, fixed"
+            )
+        if kind != "fixed" and joint not in self.locked and self.joints[joint].find("mimic") is not None:
+            raise RobotError(f"{self.origin}: joint {joint}: must not mimic another joint: fix it with locked_joints")
+
+    def _joints_beyond(self, body: str, link: str) -> list[str]:
+        """Return the joints from `link` up to the link `body`, none if `link` is not on it."""
+        links = self._chain_links(link)
+        return self.chain(link)[: links.index(body) if body in links else 0]
+
+    def _chain_links(self, link: str) -> list[str]:
+        """Return the links from `link` to the base, cut at the first repetition."""
+        path = [link]
+        while path[-1] in self._parents and path.count(path[-1]) == 1:
+            path.append(self._parents[path[-1]][0])
+        return path
+
+
+def _check_pose(joint: ET.Element, where: str) -> None:
+    pose, axis = joint.find("origin"), joint.find("axis")
+    if pose is not None:
+        _numbers(pose, "xyz", where, 3, default="0 0 0")
+        angles = _numbers(pose, "rpy", where, 3, default="0 0 0")
+        if max(map(abs, angles)) > MAX_ANGLE_RAD:
+            raise RobotError(f"{where}: <origin rpy> = {pose.get('rpy')!r}: must be in radians, not in degrees")
+    if (
+        axis is not None
+        and math.hypot(*_numbers(axis, "xyz", where, 3)) < _MIN_AXIS_LENGTH
+        and joint.get("type") in MOVING
+    ):
+        raise RobotError(f"{where}: axis = {axis.get('xyz')!r}: must have a direction")
+
+
+def _is_locked(joint: str, globs: Sequence[str]) -> bool:
+    return any(fnmatchcase(joint.lower(), glob.lower()) for glob in globs)
+
+
+def _add_limit(joint: ET.Element, limits: tuple[float, float] | None, *, is_locked: bool) -> None:
+    """Replace the ends of the <limit> of `joint` by `limits`, and complete it, which urdfdom requires."""
+    if limits is None and not is_locked:
+        return
+    limit = joint.find("limit")
+    if limit is None:
+        limit = ET.SubElement(joint, "limit")
+    for key in ("effort", "velocity"):
+        limit.attrib.setdefault(key, "0")
+    if limits is not None:
+        joint.set("type", joint.get("type", "").replace("continuous", "revolute"))
+        limit.attrib.update(lower=str(limits[0]), upper=str(limits[1]))
+
+
+def _check_limit(joint: ET.Element, where: str) -> None:
+    limit = joint.find("limit")
+    if joint.get("type") == "continuous":
+        joint.set("type", "revolute")
+        if limit is None:
+            limit = ET.SubElement(joint, "limit", effort="0", velocity="0")
+        limit.set("lower", str(-_CONTINUOUS_LIMIT))
+        limit.set("upper", str(_CONTINUOUS_LIMIT))
+    hint = f', in the file or as joint_limits "{joint.get("name")}=LOWER UPPER"'
+    if limit is None:
+        raise RobotError(f"{where}: must have <limit> with lower < upper{hint}")
+    lower, upper = (_numbers(limit, key, where, 1, default="0", largest=math.inf)[0] for key in ("lower", "upper"))
+    if lower >= upper:
+        raise RobotError(f"{where}: limit lower = {lower:g}: must be < upper = {upper:g}{hint}")
+    if _numbers(limit, "velocity", where, 1, largest=math.inf)[0] < 0.0:
+        raise RobotError(f"{where}: limit velocity = {limit.get('velocity')!r}: must not be negative")
+
+
+def _by_name(root: ET.Element, tag: str, origin: str) -> dict[str, ET.Element]:
+    elements: dict[str, ET.Element] = {}
+    for element in root.findall(tag):
+        name = element.get("name", "")
+        if not name or name in elements:
+            raise RobotError(f"{origin}: {tag} {name!r}: must have a unique name")
+        elements[name] = element
+    return elements
+
+
+def _end(joint: ET.Element, role: str, links: dict[str, ET.Element], origin: str) -> str:
+    element = joint.find(role)
+    name = "" if element is None else element.get("link", "")
+    if name not in links:
+        raise RobotError(f"{origin}: joint {joint.get('name')}: {role} = {name!r}: must be a link")
+    return name
+
+
+def _stated(name: str, link: ET.Element, origin: str) -> list[StatedLink]:
+    """Return the link's inertial data in a list, which is empty if the link has none."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return []
+    where = f"{origin}: link {name}"
+    pose, mass, inertia = (inertial.find(tag) for tag in ("origin", "mass", "inertia"))
+    if mass is None or inertia is None:
+        raise RobotError(f"{where}: <inertial> must have <mass> and <inertia>")
+    com = (0.0, 0.0, 0.0) if pose is None else _numbers(pose, "xyz", where, 3, default="0 0 0")
+    if pose is not None:
+        _numbers(pose, "rpy", where, 3, default="0 0 0")
+    (mass_kg,) = _numbers(mass, "value", where, 1)
+    if mass_kg < 0.0:
+        raise RobotError(f"{where}: mass = {mass_kg:g}: must not be negative")
+    xx, xy, xz, yy, yz, zz = (_numbers(inertia, key, where, 1)[0] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    try:
+        principal_moments(tensor)
+    except ValueError as error:
+        raise RobotError(f"{where}: inertia: {error}") from None
+    return [StatedLink(name, mass_kg, np.array(com), tensor)]
+
+
+def _numbers(
+    element: ET.Element, key: str, where: str, count: int, default: str = "", largest: float = _MAX_NUMBER
+) -> tuple[float, ...]:
+    text = element.get(key, default)
+    try:
+        # Python also reads 1_000 and digits of other scripts, which Pinocchio's parser does not.
+        values = tuple(float(word) for word in text.split()) if text.isascii() and "_" not in text else ()
+    except ValueError:
+        values = ()
+    name = f"{where}: <{element.tag} {key}> = {reprlib.repr(text)}"
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise RobotError(f"{name}: must be {count} finite number{'s' * (count > 1)}")
+    if max(map(abs, values)) > largest:
+        raise RobotError(f"{name}: must be at most {largest:g}")
+    return values

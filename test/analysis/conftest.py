@@ -16,7 +16,7 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
-from scara_effmass.sim.campaign import Campaign, run_campaign
+from scara_effmass.studies.campaign import Campaign, run_campaign
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.force import decode_force_block, force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, RUN_INFO

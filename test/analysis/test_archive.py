@@ -15,10 +15,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
-
-from scara_effmass.analysis import assessed_states
 from scara_effmass.analysis.archive import many_at_once, slow_reason
 from scara_effmass.analysis.assessed_states import AssessedStates, batch_size
+
+from scara_effmass.analysis import assessed_states
 from scara_effmass.analysis.assessment import ClockSkew, Time, assess_joint_states, joint_state_topic, one_by_one
 from scara_effmass.analysis.cross_check import cross_checked, first_difference
 from scara_effmass.analysis.tables import open_writer

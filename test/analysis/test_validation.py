@@ -24,9 +24,9 @@ from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import ImportSettings, MassModel, MonitorSettings, SensorSettings, ValidatorSettings
 from scara_effmass.share import share
-from scara_effmass.sim.campaign import Campaign
 from scara_effmass.sim.experiment import run_impact
 from scara_effmass.sim.recordings import write_recording
+from scara_effmass.studies.campaign import Campaign
 from scara_effmass.values import ForceBlock, JointState, RunInfo
 from scara_effmass.wire.force import impact_message
 from scara_effmass.wire.joint_state import joint_state_message

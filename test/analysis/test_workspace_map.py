@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scara_effmass.kernel.contact_columns import NUMBERS, columns_of, joined
 
 from scara_effmass.analysis.workspace_map import Cells, Plane, WorkspaceSample, map_table, sample_workspace, summarize
 from scara_effmass.errors import RobotError
-from scara_effmass.kernel.contact_columns import NUMBERS, columns_of, joined
 from scara_effmass.model.load import load_robot
-from scara_effmass.model.scara_closed_form import scara_lumped_mass
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor, unknown_contact
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share
+from scara_effmass.studies.scara import scara_lumped_mass
 from scara_effmass.values import Vector3, Verdict
 
 ALONG_X: Vector3 = (1.0, 0.0, 0.0)

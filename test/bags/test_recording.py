@@ -37,7 +37,7 @@ MS = 1_000_000
 MB = 1_000_000
 TIMEOUT_S = 120.0
 FAST_FLUSH = RecorderOptions(flush_period_s=0.005)
-KILL_BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "kill_recorder.py"
+KILL_BENCHMARK = Path(__file__).parents[1] / "endurance" / "kill_recorder.py"
 
 
 class Message(NamedTuple):
@@ -544,7 +544,7 @@ def test_failure_of_the_writing_thread_is_reported(tmp_path: Path) -> None:
 
 @pytest.mark.live
 def test_killed_recorder_keeps_flushed_messages() -> None:
-    """Do ten of the runs of `benchmarks/kill_recorder.py`, which checks each."""
+    """Do ten of the runs of `test/endurance/kill_recorder.py`, which checks each."""
     process = subprocess.run(
         [sys.executable, str(KILL_BENCHMARK), "--runs", "10", "--seed", "7", "--json"],
         capture_output=True,

@@ -20,6 +20,7 @@ import yaml
 from geometry_msgs.msg import Inertia, Vector3
 from pyarrow import parquet
 from rclpy.serialization import serialize_message
+from scara_effmass.wire.contact_state import ContactStateEncoder
 
 from scara_effmass import __version__
 from scara_effmass.analysis import bag_assessment
@@ -33,13 +34,11 @@ from scara_effmass.kernel import jit
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety.debounce import severity
 from scara_effmass.safety.monitor import unknown_contact
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share
-from scara_effmass.values import ContactAssessment, Verdict
-from scara_effmass.wire.contact_state import ContactStateEncoder
+from scara_effmass.values import ContactAssessment, Verdict, severity
 from scara_effmass.wire.joint_state import JointStateDecoder
 from scara_effmass.wire.message_types import CONTACT_STATE, INERTIA
 from test.cli.conftest import Cli, Refused, swing

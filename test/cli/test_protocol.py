@@ -10,7 +10,7 @@ import pytest
 from scara_effmass.analysis.protocol import Protocol, protocol_yaml, read_protocol
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.sim.campaign import Campaign, run_campaign
+from scara_effmass.studies.campaign import Campaign, run_campaign
 from scara_effmass.wire.force import decode_force_block, force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
 from test.analysis.conftest import RAW, changed, content

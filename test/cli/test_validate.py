@@ -8,7 +8,7 @@ import pytest
 
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.sim.campaign import Campaign, run_campaign
+from scara_effmass.studies.campaign import Campaign, run_campaign
 from test.cli.conftest import Cli, Refused
 
 FIGURES = ("force_over_root_mu", "force_over_obstacle_mass", "bland_altman", "exponent")

@@ -12,15 +12,15 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scara_effmass.kernel.contact_columns import NUMBERS, ContactColumns
+from scara_effmass.safety.contact_assessor import ContactAssessor
 
 from scara_effmass.iso15066 import SpeedLimits, limits_for
 from scara_effmass.kernel import jit
-from scara_effmass.kernel.contact_columns import NUMBERS, ContactColumns
 from scara_effmass.kernel.contact_kernel import ContactKernel
 from scara_effmass.kernel.records import MAX_JOINTS, OFFSETS
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.safety.contact_assessor import ContactAssessor
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import FloatArray
 

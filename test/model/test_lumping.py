@@ -16,9 +16,9 @@ from scara_effmass.codes import ModelCode, NoLumpedMass
 from scara_effmass.errors import RobotError
 from scara_effmass.model.lumping import LumpedModel, is_scara, lump, lumped_links
 from scara_effmass.model.robot import Robot
-from scara_effmass.model.scara_closed_form import scara_lumped_mass
 from scara_effmass.reference import ContactState, RobotDynamics
 from scara_effmass.settings import FreeParameters, LumpingPolicy, LumpingSettings
+from scara_effmass.studies.scara import scara_lumped_mass
 from scara_effmass.values import FloatArray
 
 shared_fixture_settings = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])

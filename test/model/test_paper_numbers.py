@@ -9,13 +9,13 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from scara_effmass.model.robot import Robot
-from scara_effmass.model.scara_closed_form import (
+from scara_effmass.reference import ContactState, RobotDynamics
+from scara_effmass.studies.scara import (
     ScaraInertia,
     scara_full_mass,
     scara_lumped_mass,
     scara_max_lumped_mass,
 )
-from scara_effmass.reference import ContactState, RobotDynamics
 from scara_effmass.values import FloatArray
 
 M2, M3, M_R = 2.38, 0.97, 2.77

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from scara_effmass.errors import RobotError
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.model.robot import Robot
-from scara_effmass.model.scara_closed_form import ScaraInertia, scara_full_mass
 from scara_effmass.model.urdf import load_urdf, parse_urdf
 from scara_effmass.reference import ContactState, RobotDynamics
 from scara_effmass.settings import MonitorSettings
+from scara_effmass.studies.scara import ScaraInertia, scara_full_mass
 
 
 def link(name: str, mass: float, com: str = "0.1 0 0", moments: str = "0.001 0.02 0.02") -> str:

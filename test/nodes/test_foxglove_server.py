@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from rclpy.serialization import deserialize_message
+from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from
 from scara_effmass_msgs.msg import ContactState
 from websockets.sync.client import ClientConnection, connect
 
 from scara_effmass.bags.definitions import definition_of, known_types
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
-from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from
 from test.nodes.conftest import DEEP_QOS, TIMEOUT_S, NodeHarness
 
 COMMAND = (sys.executable, "-m", "scara_effmass", "foxglove")

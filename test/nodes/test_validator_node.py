@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass_msgs.msg import ContactState, Impact, ImpactValidation, RunInfo
 from std_srvs.srv import Trigger
 
@@ -23,7 +24,6 @@ from scara_effmass.settings import ValidatorSettings
 from scara_effmass.values import ContactAssessment, Verdict
 from scara_effmass.values import Impact as ImpactValue
 from scara_effmass.values import RunInfo as RunInfoValue
-from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.force import impact_message
 from scara_effmass.wire.run_info import run_info_message
 from test.nodes.conftest import NodeHarness

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass_msgs.msg import ContactState, RunInfo
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
@@ -21,7 +22,6 @@ from scara_effmass.safety import unknown_contact
 from scara_effmass.share import share
 from scara_effmass.values import ContactAssessment, Verdict
 from scara_effmass.values import RunInfo as RunInfoValue
-from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.run_info import run_info_message
 from test.nodes.conftest import DEEP_QOS, NodeHarness, Q, joint_state, stamp_ns
 

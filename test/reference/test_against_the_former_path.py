@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scara_effmass.model.dynamics import RobotDynamics as FormerDynamics
+from scara_effmass.safety.contact_assessor import ContactAssessor
 
 from scara_effmass.iso15066 import SpeedLimits, limits_for
 from scara_effmass.kernel.records import ROW
-from scara_effmass.model.dynamics import RobotDynamics as FormerDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import ContactResult, RobotDynamics, assess
-from scara_effmass.safety.contact_assessor import ContactAssessor
 from scara_effmass.safety.reasons import CRITERIA, MODELS, Reasons
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import ContactAssessment

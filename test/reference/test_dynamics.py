@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 
 from scara_effmass.codes import ModelCode, NoLumpedMass
 from scara_effmass.errors import RobotError
-from scara_effmass.model.scara_closed_form import scara_lumped_mass
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.reference.mobility import worst_mass
+from scara_effmass.studies.scara import scara_lumped_mass
 
 if TYPE_CHECKING:
     from collections.abc import Callable

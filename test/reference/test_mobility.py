@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scara_effmass.iso15066.mobility_matrix import is_bounded
 
 from scara_effmass.iso15066 import Mobility
-from scara_effmass.iso15066.mobility_matrix import is_bounded
 from scara_effmass.values import FloatArray
 
 OBSTACLES = st.sampled_from([0.6, 1.2, 2.0, 4.4, 40.0, 75.0, 1000.0, math.inf])

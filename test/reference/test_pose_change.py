@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from scara_effmass.iso15066.pose_change import PoseChange, contact_time
 
 from scara_effmass.iso15066 import TRANSIENT_S, Mobility, SpeedLimits, limits_for
 from scara_effmass.iso15066.drives import contact_lines
-from scara_effmass.iso15066.pose_change import PoseChange, contact_time
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import FloatArray, Vector3
 

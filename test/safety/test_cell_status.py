@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scara_effmass.cell.status import BIN_NS, HISTORY_NS, CellStatus, Validation
 from scara_effmass.safety import unknown_contact
-from scara_effmass.safety.cell_status import BIN_NS, HISTORY_NS, CellStatus, Validation
 from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RunInfo, Verdict
 
 MS = 1_000_000

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scara_effmass.model.dynamics import LUMPED_NOT_DEFINITE, RobotDynamics
 
 from scara_effmass.iso15066 import SpeedLimits, limits_for
 from scara_effmass.kernel import codes
 from scara_effmass.kernel.records import OFFSETS
-from scara_effmass.model.dynamics import LUMPED_NOT_DEFINITE, RobotDynamics
 from scara_effmass.safety.reasons import MASSLESS, NO_CLAMPING_FORCE, Reasons
 from scara_effmass.settings import MonitorSettings
 
@@ -29,7 +29,10 @@ def text(dynamics: RobotDynamics, settings: MonitorSettings, **numbers: float) -
     ("error", "reason"),
     [
         (codes.Error.NO_FORCE, NO_CLAMPING_FORCE),
-        (codes.Error.TOO_LIGHT + codes.Model.LUMPED, "lumped mass = 1e-05 kg: must be at least 1e-06 kg: check the robot"),
+        (
+            codes.Error.TOO_LIGHT + codes.Model.LUMPED,
+            "lumped mass = 1e-05 kg: must be at least 1e-06 kg: check the robot",
+        ),
         (codes.Error.TOO_LIGHT + codes.Model.FULL, "full mass = 2e-05 kg: must be at least 1e-06 kg: check the robot"),
         (codes.Error.TOO_LIGHT + codes.Model.ISO, "iso mass = 3e-05 kg: must be at least 1e-06 kg: check the robot"),
         (codes.Error.NO_WORST + codes.Model.LUMPED, "no lumped mass for every contact normal, "),
@@ -65,9 +68,17 @@ LIMIT = {"criterion": 1.0, "body_region": 1.0}
         (0, {}, ""),
         (codes.Remark.FAST, {}, "1.500 m/s is above the 0.750 m/s that the force limit of {} allows"),
         (codes.Remark.CLOSE, {}, "1.500 m/s is close to the 0.750 m/s that the force limit of {} allows"),
-        (codes.Remark.FAST, {"criterion": 2.0, "allowable_speed": -1.0}, "1.500 m/s is above the 0.000 m/s that the pressure"),
+        (
+            codes.Remark.FAST,
+            {"criterion": 2.0, "allowable_speed": -1.0},
+            "1.500 m/s is above the 0.000 m/s that the pressure",
+        ),
         (codes.Remark.LIGHT, {}, "the lumped mass of 2 kg is below the full model's 2e-05 kg"),
-        (codes.Remark.CLOSE | codes.Remark.LIGHT, {}, "1.500 m/s is close to the 0.750 m/s that the force limit of {} allows; the "),
+        (
+            codes.Remark.CLOSE | codes.Remark.LIGHT,
+            {},
+            "1.500 m/s is close to the 0.750 m/s that the force limit of {} allows; the ",
+        ),
         (codes.Remark.CLAMPED, {}, "the drives can clamp with 900 N, above the {:.0f} N of {}, at any speed"),
     ],
 )

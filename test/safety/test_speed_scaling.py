@@ -6,8 +6,8 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from scara_effmass.cell.speed_scaling import SpeedScaler
 from scara_effmass.safety.monitor import unknown_contact
-from scara_effmass.safety.speed_scaling import SpeedScaler
 from scara_effmass.values import ContactAssessment, Verdict
 
 TIMEOUT_NS = 200_000_000

@@ -20,15 +20,17 @@ FLOORS = (
     {"bags"},
     {"sim", "importers"},
     {"daq"},
+    {"cell"},
     {"analysis"},
-    {"nodes", "paper"},
+    {"nodes"},
     {"dashboard"},
+    {"studies"},
     {"cli"},
     {"__init__", "__main__"},
 )
 """The rooms from the bottom up. Rooms on one floor do not import each other, except on the bottom floor."""
 
-PURE = {"values", "settings", "model", "iso15066", "kernel", "safety", "impacts"}
+PURE = {"values", "settings", "model", "iso15066", "kernel", "safety", "impacts", "cell"}
 IMPURE = {"rclpy", "logging", "threading", "time", "datetime", "asyncio"}
 """Libraries that pure rooms do not import: ROS, loggers, threads, clocks. Time is an argument."""
 
@@ -46,11 +48,11 @@ IMPORTERS = {
     "mujoco": {"sim"},
     "jinja2": {"analysis"},
     "nicegui": {"dashboard"},
-    "matplotlib": {"analysis", "paper"},
+    "matplotlib": {"analysis", "studies"},
     "numba": {"kernel"},
-    "pyarrow": {"analysis", "bags"},
+    "pyarrow": {"analysis", "bags", "studies"},
     "rtamt": {"analysis"},
-    "scipy": {"daq", "analysis", "impacts", "iso15066", "paper", "sim"},
+    "scipy": {"analysis", "cell", "daq", "impacts", "iso15066", "sim", "studies"},
 }
 """The rooms that may import a library."""
 MESSAGE_IMPORTERS = {"nodes", "wire", "cli"}
@@ -115,9 +117,9 @@ def test_misplaced_import_is_detected(room: str, source: str) -> None:
 
 @pytest.mark.live
 @pytest.mark.parametrize("module", ["nodes.monitor_node", "nodes.daq_node", "nodes.validator_node", "cli.nodes"])
-def test_node_loads_no_simulator_no_paper_and_only_with_bags_their_libraries(module: str) -> None:
+def test_node_loads_no_simulator_no_study_and_only_with_bags_their_libraries(module: str) -> None:
     code = f"import sys, scara_effmass.{module}; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     bag_libraries = () if module == "nodes.daq_node" else ("mcap", "rosbags")
-    assert not [name for name in loaded if name.startswith(("scara_effmass.sim", "scara_effmass.paper", "mujoco"))]
+    assert not [name for name in loaded if name.startswith(("scara_effmass.sim", "scara_effmass.studies", "mujoco"))]
     assert not {*bag_libraries}.intersection(loaded)

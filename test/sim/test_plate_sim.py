@@ -11,7 +11,7 @@ import pytest
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.sim.plate_sim import PHASE_STEP, JointServo
-from scara_effmass.sim.random_impacts import ROBOTS, arm_of
+from scara_effmass.studies.random_impacts import ROBOTS, arm_of
 
 (CHEST,) = limits_for(MonitorSettings(body_regions=("chest",)))
 STILL = 1e-6

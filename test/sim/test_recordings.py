@@ -19,9 +19,9 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.sim.__main__ import CAMPAIGN, CHECKSUMS, generate
 from scara_effmass.sim.measurement import FORCE_SENSOR, POSITION_STEP, VELOCITY_STEP
 from scara_effmass.sim.recordings import EPOCH_NS, FORCE_TOPIC, RECORDINGS, SEED, TOUR_PULSES, ReferenceRecording
+from scara_effmass.studies.shipped_bags import CAMPAIGN, CHECKSUMS, generate
 from scara_effmass.values import ContactAssessment, FloatArray, ForceBlock, JointState, Verdict
 from test.bags.messages import run_info_of
 
@@ -60,7 +60,10 @@ def assess(name: str) -> list[ContactAssessment]:
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "scara_effmass.sim", *arguments], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "scara_effmass.studies.shipped_bags", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
+from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from, float64_message, glance
 from scara_effmass_msgs import msg
 from std_msgs.msg import Float64
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.errors import DecodeError
 from scara_effmass.values import ContactAssessment, ForceBlock, Impact, Mobility6, RunInfo, Vector3, Verdict
-from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from, float64_message, glance
 from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message, impact_message
 from scara_effmass.wire.message_types import CONTACT_STATE, FORCE_BLOCK, IMPACT, RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message

@@ -1,0 +1,14 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Studies on top of the product: the paper recomputed, simulated campaigns, and how far the verdicts can be trusted.
+
+The paper: A. C., M. B., M. T., A. D. and G. R. (initials as in its author contributions; see CITATION.cff) on a
+simplified lumped-parameter model of the effective mass, validated by impacts of an Omron i4-550L on a cart.
+
+The paper: `scara` has the three models of the robot and the poses, `runs` reads the recordings, `claims` compares the
+paper's numbers with ours, `figures` draws, and `figure_set` writes everything. `other_robot` draws the figures that
+another robot can have.
+
+Simulated experiments: `campaign` records the paper's experiment, `shipped_bags` those in `bags/`; `random_impacts`
+simulates contacts at the allowed speed, and `evidence` reports on them. `bounds`, `power` and `lies` are commands:
+`python -m scara_effmass.studies.power`.
+"""
