@@ -74,7 +74,7 @@ class WorkspaceSample(NamedTuple):
     direction: Vector3
     q: FloatArray
     positions: FloatArray
-    assessments: Assessments
+    assessed: Assessments
     left_out: int
 
     @property
@@ -85,7 +85,7 @@ class WorkspaceSample(NamedTuple):
     @property
     def contacts(self) -> Records:
         """The assessments (m,) of the contact point, of dtype CONTACT."""
-        return self.assessments.contacts[:, 0]
+        return self.assessed.contacts[:, 0]
 
     def masses(self, field: str) -> FloatArray:
         """Return a mass of the assessments (m,) [kg], NaN without a verdict."""
@@ -93,7 +93,7 @@ class WorkspaceSample(NamedTuple):
 
     def assessments(self) -> list[ContactAssessment]:
         """Return the assessments one by one."""
-        return [decision.contacts[0] for decision in self.assessments.decisions()]
+        return [decision.contacts[0] for decision in self.assessed.decisions()]
 
 
 def sample_workspace(
@@ -130,7 +130,7 @@ def sample_workspace(
     q, positions = (np.concatenate([part[column] for part in parts]) for column in range(2))
     sample = WorkspaceSample(plane, direction, q, positions, joined(computed), left_out)
     if sample.unknown.all():
-        raise RobotError(f"{robot.origin}: {sample.assessments.reason(0, 0)}")
+        raise RobotError(f"{robot.origin}: {sample.assessed.reason(0, 0)}")
     return sample
 
 
@@ -231,7 +231,7 @@ def map_table(cells: Cells, joints: Sequence[str]) -> pa.Table:
     speed = np.ascontiguousarray(contacts["allowable_speed"])
     order = np.lexsort((speed, cells.of))
     slowest = order[np.unique(cells.of[order], return_index=True)[1]]
-    labels = {name: np.array(sample.assessments.labels[name]) for name in ("body_region", "mass_model")}
+    labels = {name: np.array(sample.assessed.labels[name]) for name in ("body_region", "mass_model")}
     return pa.table(
         {
             **{f"{AXES[axis]}_m": column for axis, column in zip(cells.axes, cells.centres.T, strict=True)},
@@ -281,7 +281,7 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
 
 def _mass_models(sample: WorkspaceSample) -> list[tuple[str, int]]:
     """Return how often which mass model decides and why, the most frequent first."""
-    models, whys = (sample.assessments.labels[name] for name in ("mass_model", "mass_model_reason"))
+    models, whys = (sample.assessed.labels[name] for name in ("mass_model", "mass_model_reason"))
     pairs = Counter(zip(*(sample.contacts[name].tolist() for name in ("mass_model", "mass_model_reason")), strict=True))
     return [(f"{models[int(model)]}: {whys[int(why)]}", count) for (model, why), count in pairs.most_common() if model]
 
