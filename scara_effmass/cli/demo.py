@@ -133,7 +133,6 @@ def _run_live(
         return len(stamps_ns) >= IMPACTS or (is_over and bool(stamps_ns))
 
     processes.isolate_ros_domain()
-    os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # the monitor would load its kernel during the first impact
     with ExitStack() as stack:
         children = [stack.enter_context(processes.ChildProcess(command)) for command in commands]
         if dashboard:  # not one of the children, whose end would end the demo

@@ -73,7 +73,7 @@ def ros_node(name: str, namespace: str = "/", domain: int | None = None) -> Iter
 
 def node_environment(domain: int, directory: Path, *, kernel: bool = False) -> dict[str, str]:
     """Return the environment of a node; without `kernel` it loads none, which takes a second."""
-    own = {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(directory), "NUMBA_DISABLE_JIT": str(int(not kernel))}
+    own = {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(directory)}
     return {**os.environ, **own}
 
 
