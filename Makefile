@@ -65,13 +65,13 @@ bench: setup  ## measure the speed of core, nodes, bag reader, assess and record
 fuzz: setup  ## damaged input through core, live node and file parsers; N sequences (a tenth messages, a 500th of each file) and SEED
 	$(BIN)/python benchmarks/fuzz.py --number $(if $(filter command line environment,$(origin N)),$(N),1000000) --seed $(SEED)
 
-faults: setup  ## inject faults into live nodes one by one and write docs/faults.md; takes about 6 minutes
+faults: setup  ## inject faults into live nodes one by one and write them into docs/measured.md; takes about 6 minutes
 	$(BIN)/pytest --numprocesses 0 test/nodes/faults.py
 
-soak: setup  ## run all nodes at 1 kHz for DURATION seconds and write docs/soak.md
+soak: setup  ## run all nodes at 1 kHz for DURATION seconds and write the figures into docs/measured.md
 	$(BIN)/python benchmarks/soak.py --duration $(DURATION) --write
 
-scale: setup  ## assess many recordings with 1 and 2 worker processes, end some of them, and write the table of docs/scale.md
+scale: setup  ## assess many recordings with 1 and 2 worker processes, end some of them, and write the table into docs/measured.md
 	$(BIN)/python benchmarks/scale.py --write
 
 bags: setup  ## generate the shipped recordings again
