@@ -1211,8 +1211,8 @@ def write_table() -> Iterator[None]:
 
 
 PAGE = """`make faults` wrote this section on {date} at commit {commit}, in {minutes:.0f} min,
-with {cores} cores and a load average of {load:.0f}. It injects each fault into live nodes over DDS, beside or in place of valid input at 100 Hz, and
-ends it. Monitors compute with the compiled core.
+with {cores} cores and a load average of {load:.0f}. It injects each fault into live nodes over DDS, beside or in place
+of valid input at 100 Hz, and ends it. Monitors compute with the compiled core.
 
 The `timeout` of the monitor is {timeout} s. A subscriber must know within {bound:.3f} s (the time-out, a quarter of it
 for the watchdog, a period of {period} s, and {machine} s for the machine), and within {lost:.3f} s of a monitor that is
