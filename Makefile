@@ -65,13 +65,13 @@ bench: .venv/.test  ## measure the speed of core, nodes, bag reader, assess and 
 fuzz: .venv/.test  ## damaged input through core, live node and file parsers; N sequences (a tenth messages, a 500th of each file) and SEED
 	$(BIN)/python test/endurance/fuzz.py --number $(if $(filter command line environment,$(origin N)),$(N),1000000) --seed $(SEED)
 
-faults: .venv/.test  ## inject faults into live nodes one by one and write docs/faults.md; takes about 6 minutes
+faults: .venv/.test  ## inject faults into live nodes one by one and write them into docs/measured.md; takes about 6 minutes
 	$(BIN)/pytest --numprocesses 0 test/endurance/faults.py
 
-soak: .venv/.test  ## run all nodes at 1 kHz for DURATION seconds and write docs/soak.md
+soak: .venv/.test  ## run all nodes at 1 kHz for DURATION seconds and write the figures into docs/measured.md
 	$(BIN)/python test/endurance/soak.py --duration $(DURATION) --write
 
-scale: .venv/.test  ## assess many recordings with 1 and 2 worker processes, end some of them, and write the table of docs/scale.md
+scale: .venv/.test  ## assess many recordings with 1 and 2 worker processes, end some of them, and write the table into docs/measured.md
 	$(BIN)/python benchmarks/scale.py --write
 
 bags: setup  ## generate the shipped recordings again

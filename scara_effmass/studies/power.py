@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Power of the validation: how often it accepts true and wrong simulated campaigns; prints the table of docs/power.md.
+"""Power of the validation: how often it accepts true and wrong simulated campaigns; the table of docs/validity.md.
 
     python -m scara_effmass.studies.power [--campaigns 100] [--seed 1] [--workers 2]
 

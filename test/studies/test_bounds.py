@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The force bounds of the verdict against MuJoCo, a free plate and an explicit spring; see docs/bounds.md."""
+"""The force bounds of the verdict against MuJoCo, a free plate and an explicit spring; see docs/validity.md."""
 
 from typing import Any
 
