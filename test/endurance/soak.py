@@ -34,10 +34,6 @@ from scara_effmass.analysis.properties import check_recording
 from scara_effmass.bags.files import open_bag
 from scara_effmass.settings import MonitorSettings
 
-<<<<<<< HEAD:test/endurance/soak.py
-ROOT = Path(__file__).parents[2]
-=======
->>>>>>> refs/heads/docs:benchmarks/soak.py
 BIN = Path(sys.executable).parent
 WARM_UP_S = 10.0
 SETTLE_S = 2.0
@@ -153,17 +149,9 @@ def soak(duration_s: float, bag: Path) -> tuple[str, list[str]]:  # noqa: PLR091
     latency = [f"| {name} tenth | {np.median(x):.0f} | {np.percentile(x, 99):.0f} |" for name, x in parts]
     holding = sum(not check.violations for check in checks)
     git = ["git", "rev-parse", "--short", "HEAD"]
-<<<<<<< HEAD:test/endurance/soak.py
-    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
-    page = f"""# Soak
-
-`make soak DURATION={duration_s:.0f}` on {datetime.now(timezone.utc):%Y-%m-%d} at commit {commit}: all nodes, the
-recorder (a new file every {FILE_S / 60:.0f} minutes) and the dashboard (without a browser) at 1 kHz,
-=======
     commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()  # noqa: S603
     page = f"""`make soak DURATION={duration_s:.0f}` on {datetime.now(timezone.utc):%Y-%m-%d} at commit {commit}:
 all nodes, the recorder (a new file every {FILE_S / 60:.0f} minutes) and the dashboard (without a browser) at 1 kHz,
->>>>>>> refs/heads/docs:benchmarks/soak.py
 {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}.
 {"Failed: " + "; ".join(failures) if failures else "Passed."}
 

@@ -71,8 +71,8 @@ def ros_node(name: str, namespace: str = "/", domain: int | None = None) -> Iter
         context.try_shutdown()
 
 
-def node_environment(domain: int, directory: Path, *, kernel: bool = False) -> dict[str, str]:
-    """Return the environment of a node; without `kernel` it loads none, which takes a second."""
+def node_environment(domain: int, directory: Path) -> dict[str, str]:
+    """Return the environment of a node."""
     own = {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(directory)}
     return {**os.environ, **own}
 
@@ -110,10 +110,10 @@ class NodeHarness:
             self._stack.close()
 
     def start(
-        self, *arguments: str, command: Sequence[str] = (str(MONITOR_NODE),), kernel: bool = False
+        self, *arguments: str, command: Sequence[str] = (str(MONITOR_NODE),)
     ) -> subprocess.Popen[str]:
-        """Start the node with `arguments`, its output piped; `kernel` as in `node_environment`."""
-        environment = node_environment(self.domain, self.directory, kernel=kernel)
+        """Start the node with `arguments`, its output piped."""
+        environment = node_environment(self.domain, self.directory)
         self.process = subprocess.Popen(
             [*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
         )
