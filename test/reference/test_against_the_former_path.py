@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.iso15066 import SpeedLimits, limits_for
+from scara_effmass.iso15066 import limits_for
+from scara_effmass.iso15066.speed_limit import SpeedLimits
 from scara_effmass.kernel.records import ROW
-from scara_effmass.model.dynamics import RobotDynamics as FormerDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import ContactResult, RobotDynamics, assess
 from scara_effmass.safety.contact_assessor import ContactAssessor
@@ -85,9 +85,9 @@ def difference(result: ContactResult, expected: ContactAssessment, reasons: Reas
 def differences(robot: Path, values: dict[str, Any], seed: int, count: int) -> list[str]:
     chosen = MonitorSettings.model_validate({"lumping": LUMPING, **values})
     loaded = load_robot(robot, chosen)
-    former = ContactAssessor(FormerDynamics(loaded), chosen)
     dynamics, limits = RobotDynamics(loaded), limits_for(chosen)
-    reasons = Reasons(former.dynamics, chosen, SpeedLimits(limits, chosen))
+    former = ContactAssessor(dynamics, chosen)
+    reasons = Reasons(dynamics, chosen, SpeedLimits(limits, chosen))
     cancels = chosen.drives is Drives.SERVO or chosen.contact is ContactType.QUASI_STATIC
     rng = np.random.default_rng(seed)
     lower = np.maximum(loaded.model.lowerPositionLimit, -math.pi)
