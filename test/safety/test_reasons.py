@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scara_effmass.iso15066 import SpeedLimits, limits_for
+from scara_effmass.iso15066 import limits_for
+from scara_effmass.iso15066.speed_limit import SpeedLimits
 from scara_effmass.kernel import records as codes
 from scara_effmass.kernel.records import OFFSETS
-from scara_effmass.model.dynamics import LUMPED_NOT_DEFINITE, RobotDynamics
-from scara_effmass.safety.reasons import MASSLESS, NO_CLAMPING_FORCE, Reasons
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety.reasons import LUMPED_NOT_DEFINITE, MASSLESS, NO_CLAMPING_FORCE, Reasons
 from scara_effmass.settings import MonitorSettings
 
 NUMBERS = {"speed": 1.5, "allowable_speed": 0.75, "effective_mass": 2.0, "clamping_force": 900.0}
