@@ -23,8 +23,8 @@ from rich.table import Table
 
 from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
 from scara_effmass.bags.files import find_bags, open_bag
-from scara_effmass.reference import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.debounce import severity
 from scara_effmass.settings import MonitorSettings

@@ -28,8 +28,8 @@ from rich.table import Table
 
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
-from scara_effmass.reference import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.share import share

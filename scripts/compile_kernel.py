@@ -3,8 +3,8 @@
 
 import sys
 
-from scara_effmass.reference import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 

@@ -139,14 +139,14 @@ def bounding_speed(
         w, along_speed = np.linalg.solve(matrix, n), masses.speed
         if settings.fixed_normal is not None:
             normal = np.array(settings.fixed_normal)
-            along_speed *= max(abs(n @ normal), 0.1)
+            along_speed *= max(abs(float(n @ normal)), 0.1)
             n = normal * (1.0 if n @ normal >= 0.0 else -1.0)
             w = n / (n @ matrix @ n)
         rate: FloatArray = 0.5 * change.mobility_rate / (1.0 + settings.mass_uncertainty)
         if settings.drives is Drives.IMMOVABLE:
             w, rate = n, 0.0 * rate
         faster = max(0.0, *(float(w @ a) for a in change.accelerations)) / along_speed
-        growth = 2.0 * (faster + max(0.0, -(w @ rate @ w))) / (n @ w)
+        growth = 2.0 * (faster + max(0.0, -float(w @ rate @ w))) / float(n @ w)
         growth *= 0.5 * min(1.5 * math.pi / 2.0 * math.sqrt(mu / stiffness), 0.5) / along_speed
     return float(2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed)))
 
