@@ -16,7 +16,7 @@ from scara_effmass.iso15066 import (
     TABLE_HASH,
     Limit,
     limits_for,
-    speed_limit,
+    speed_limit_of_mass,
     transferred_energy,
 )
 from scara_effmass.settings import MonitorSettings
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _speed(mass: float, limit: Limit, settings: MonitorSettings) -> dict[str, Any]:
-    found = speed_limit([limit], mass, settings)
+    found = speed_limit_of_mass([limit], mass, settings)
     return {
         "effective_mass_kg": mass,
         "region": limit.region,
@@ -102,11 +102,11 @@ def _speed(mass: float, limit: Limit, settings: MonitorSettings) -> dict[str, An
 def _print_speeds(masses: list[float], limits: tuple[Limit, ...], settings: MonitorSettings) -> None:
     rows = []
     for limit in limits:
-        speed_limits = (speed_limit([limit], mass, settings) for mass in masses)
+        speed_limits = (speed_limit_of_mass([limit], mass, settings) for mass in masses)
         speeds = (f"{1e3 * speed.allowable_speed:.0f} ({speed.criterion})" for speed in speed_limits)
         rows.append((limit.region, *speeds, limit.clause))
     if len(limits) > 1:
-        speed_limits = (speed_limit(limits, mass, settings) for mass in masses)
+        speed_limits = (speed_limit_of_mass(limits, mass, settings) for mass in masses)
         speeds = (f"{1e3 * s.allowable_speed:.0f} ({s.limit.region}, {s.criterion})" for s in speed_limits)
         rows.append(("lowest", *speeds, ""))
     headings = ("region", *(f"{mass:g} kg" for mass in masses), "limits")

@@ -9,7 +9,7 @@ from scara_effmass.iso15066.allowable_speed import (
     ContactCase,
     SpeedLimit,
     contact_cases,
-    speed_limit,
+    speed_limit_of_mass,
 )
 from scara_effmass.iso15066.contact import (
     TRANSIENT_S,
@@ -52,6 +52,6 @@ __all__ = [
     "peak_force",
     "reduced_mass",
     "robot_mass",
-    "speed_limit",
+    "speed_limit_of_mass",
     "transferred_energy",
 ]

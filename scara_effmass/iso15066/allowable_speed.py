@@ -117,7 +117,9 @@ def contact_cases(limits: Iterable[Limit], settings: MonitorSettings | None = No
     return tuple(sorted(cases, key=lambda case: case.speed_limit_of_mass(TYPICAL_MASS).allowable_speed))
 
 
-def speed_limit(limits: Iterable[Limit], effective_mass: float, settings: MonitorSettings | None = None) -> SpeedLimit:
+def speed_limit_of_mass(
+    limits: Iterable[Limit], effective_mass: float, settings: MonitorSettings | None = None
+) -> SpeedLimit:
     """Return the smallest v_max = min(F, p A) / sqrt(mu k) of all `limits` for one `effective_mass` [kg].
 
     It may be infinite. Raises LimitError for one that is NaN or too small.

@@ -17,6 +17,8 @@ CLAMPED_TOLERANCE = 1e-11
 """Ratio to the trace of a mobility, below which a direction counts as that much mobile against a clamped body part."""
 BOUND_TOLERANCE = 1e-9
 """Ratio to the trace of a mobility, below which a difference of two mobilities is rounding."""
+DIRECTION_ROUNDING = 1e-9
+"""Length of the component of a unit vector up to which it is rounding."""
 MAX_NEGATIVE = 1e-6
 """Ratio of a negative eigenvalue of a mobility to its trace, up to which it is rounding."""
 
@@ -119,20 +121,28 @@ class Mobility:
         With alpha = 1/m_H and beta = 1 the body part m_H and the robot move on together. Against a clamped body part
         (alpha = 0) a direction that the point cannot reach counts as nearly rigid.
         """
-        shares = max(alpha, CLAMPED_TOLERANCE * beta * self.trace) + beta * self.values
+        if len(self.values) > 1:
+            alpha = max(alpha, CLAMPED_TOLERANCE * beta * self.trace)
+        shares = alpha + beta * self.values
         if not (shares > 0.0).all():
             return np.full(3, math.inf)
-        return np.asarray(self.axes / shares @ self.axes.T @ self.direction)
+        along = self.axes.T @ self.direction
+        out_of_reach = self.direction - self.axes @ along
+        w = self.axes @ (along / shares)
+        return w + out_of_reach / alpha if np.linalg.norm(out_of_reach) > DIRECTION_ROUNDING else w
 
     def reduced_mass(self, alpha: float, beta: float = 1.0) -> float:
         """Return mu = n^T (alpha I + beta A)^-1 n [kg], that of the worst contact normal.
 
         That is the largest (n.m)^2 / (alpha + beta m^T A m) over all unit normals m (the generalised Rayleigh
-        quotient). The peak force of the worst normal is |v| sqrt(mu k), the energy of a sticking contact mu |v|^2 / 2.
-        For one effective mass it is the mu of ISO/TS 15066 (Eq. 16).
+        quotient), so never less than that of m = n. The peak force of the worst normal is |v| sqrt(mu k), the energy
+        of a sticking contact mu |v|^2 / 2. For one effective mass it is the mu of ISO/TS 15066 (Eq. 16).
         """
         w = self.impulse(alpha, beta)
-        return float(self.direction @ w) if np.isfinite(w).all() else math.inf
+        if not np.isfinite(w).all():
+            return math.inf
+        along = alpha + beta / self.effective_mass(self.direction)
+        return max(float(self.direction @ w), 1.0 / along if along > 0.0 else 0.0)
 
     def worst_normal(self, alpha: float) -> FloatArray:
         """Return the unit normal of that mass, along (alpha I + A)^-1 n; n itself where that is infinite."""

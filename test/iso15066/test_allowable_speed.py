@@ -15,10 +15,11 @@ from scara_effmass.errors import LimitError
 from scara_effmass.iso15066 import (
     BODY_REGIONS,
     MIN_EFFECTIVE_MASS,
-    SpeedLimits,
+    SpeedLimit,
     limits_for,
     peak_force,
     reduced_mass,
+    speed_limit_of_mass,
     transferred_energy,
 )
 from scara_effmass.settings import ContactType, MonitorSettings
@@ -43,9 +44,9 @@ any_limit = st.builds(
 )
 
 
-def speed_limits(**settings: object) -> SpeedLimits:
+def speed_limit_of(mass: float, **settings: object) -> SpeedLimit:
     checked = MonitorSettings.model_validate(settings)
-    return SpeedLimits(limits_for(checked), checked)
+    return speed_limit_of_mass(limits_for(checked), mass, checked)
 
 
 def smallest_speed(limits: tuple[Limit, ...], mass: float, uncertainty: float) -> float:
@@ -71,11 +72,10 @@ def smallest_speed(limits: tuple[Limit, ...], mass: float, uncertainty: float) -
 )
 def test_reference_speeds(contact: str, region: str, light: float, heavy: float, criterion: str) -> None:
     """Worked figures for 0.97 and 2.77 kg at 1 cm2 [m/s]."""
-    limits = speed_limits(contact=contact, body_regions=[region])
     for mass, expected in ((0.97, light), (2.77, heavy)):
-        speed_limit = limits.speed_limit(mass)
-        assert speed_limit.allowable_speed == pytest.approx(expected, abs=0.0005)
-        assert (speed_limit.limit.region, speed_limit.criterion) == (region, criterion)
+        found = speed_limit_of(mass, contact=contact, body_regions=[region])
+        assert found.allowable_speed == pytest.approx(expected, abs=0.0005)
+        assert (found.limit.region, found.criterion) == (region, criterion)
 
 
 @given(st.lists(any_limit, min_size=1, max_size=8).map(tuple), masses, uncertainties)
@@ -84,27 +84,26 @@ def test_governing_limits_give_the_speed_of_all_limits(
 ) -> None:
     expected = smallest_speed(limits, mass, uncertainty)
     settings = MonitorSettings(stiffness_uncertainty=uncertainty)
-    assert SpeedLimits(limits, settings).speed_limit(mass).allowable_speed == pytest.approx(
-        expected, rel=1e-9, abs=1e-12
-    )
+    assert speed_limit_of_mass(limits, mass, settings).allowable_speed == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
 @given(st.sampled_from(ContactType), st.floats(0.05, 10.0), masses, uncertainties)
-def test_pruning_changes_nothing_in_the_standards_table(
+def test_speed_is_that_of_the_standards_table(
     contact: ContactType, area: float, mass: float, uncertainty: float
 ) -> None:
-    limits = speed_limits(contact=contact, contact_area_m2=1e-4 * area, stiffness_uncertainty=uncertainty)
-    expected = smallest_speed(limits.limits, mass, uncertainty)
-    assert limits.speed_limit(mass).allowable_speed == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    settings = MonitorSettings(contact=contact, contact_area_m2=1e-4 * area, stiffness_uncertainty=uncertainty)
+    limits = limits_for(settings)
+    expected = smallest_speed(limits, mass, uncertainty)
+    assert speed_limit_of_mass(limits, mass, settings).allowable_speed == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
 @given(regions, masses.filter(math.isfinite), uncertainties)
 def test_force_at_the_allowable_speed_is_the_limit(region: str, mass: float, uncertainty: float) -> None:
-    speed_limit = speed_limits(body_regions=[region], stiffness_uncertainty=uncertainty).speed_limit(mass)
-    speed, limit, _, mu, stiffness, *_ = speed_limit
+    found = speed_limit_of(mass, body_regions=[region], stiffness_uncertainty=uncertainty)
+    speed, limit, mu, stiffness = found.allowable_speed, found.limit, found.reduced_mass, found.stiffness
     assert stiffness == (1.0 + uncertainty) * limit.stiffness_n_m
     assert mu == pytest.approx(reduced_mass(mass, limit.obstacle_mass_kg), rel=1e-12)
-    assert speed_limit.force(speed) == pytest.approx(limit.permissible_force_n)
+    assert found.force(speed) == pytest.approx(limit.permissible_force_n)
     assert peak_force(speed, mu, stiffness) == pytest.approx(limit.permissible_force_n)
     assert transferred_energy(speed, mu) == pytest.approx(limit.permissible_force_n**2 / (2.0 * stiffness))
 
@@ -113,65 +112,65 @@ def test_force_at_the_allowable_speed_is_the_limit(region: str, mass: float, unc
 def test_higher_mass_or_stiffness_never_raises_the_speed(
     contact: ContactType, mass: float, other_mass: float, uncertainty: float, other_uncertainty: float
 ) -> None:
-    soft, stiff = (
-        speed_limits(contact=contact, stiffness_uncertainty=u) for u in sorted((uncertainty, other_uncertainty))
+    masses_and_uncertainties = zip(sorted((mass, other_mass)), sorted((uncertainty, other_uncertainty)), strict=True)
+    light, heavy = (
+        speed_limit_of(mass, contact=contact, stiffness_uncertainty=u).allowable_speed
+        for mass, u in masses_and_uncertainties
     )
-    light = soft.speed_limit(min(mass, other_mass)).allowable_speed
-    heavy = stiff.speed_limit(max(mass, other_mass)).allowable_speed
     assert heavy <= light * (1 + 1e-12)
 
 
 @given(masses, st.floats(0.01, 100.0), st.floats(0.01, 100.0))
 def test_larger_area_never_lowers_the_speed(mass: float, area: float, other_area: float) -> None:
-    small, large = (speed_limits(contact_area_m2=1e-4 * a).speed_limit(mass) for a in sorted((area, other_area)))
+    small, large = (speed_limit_of(mass, contact_area_m2=1e-4 * a) for a in sorted((area, other_area)))
     assert small.allowable_speed <= large.allowable_speed * (1 + 1e-12)
 
 
 @given(masses, regions, st.floats(1.0, 4.0))
 def test_tighter_settings_never_raise_the_speed(mass: float, region: str, tighter: float) -> None:
-    standard = speed_limits(body_regions=[region])
-    (limit,) = standard.limits
+    standard = speed_limit_of(mass, body_regions=[region])
+    limit = standard.limit
     for key, value in (
         ("max_force", limit.force_n / tighter),
         ("max_pressure_pa", 1e4 * limit.pressure_n_cm2 / tighter),
         ("stiffness_n_m", BODY_REGIONS[region].stiffness_n_m * tighter),
         ("obstacle_mass", BODY_REGIONS[region].mass_kg * tighter),
     ):
-        own = speed_limits(body_regions=[region], **{key: value})
-        assert own.speed_limit(mass).allowable_speed <= standard.speed_limit(mass).allowable_speed * (1 + 1e-12)
+        own = speed_limit_of(mass, body_regions=[region], **{key: value})
+        assert own.allowable_speed <= standard.allowable_speed * (1 + 1e-12)
 
 
 @given(masses, regions)
 def test_more_regions_never_raise_the_speed(mass: float, region: str) -> None:
-    all_regions = speed_limits().speed_limit(mass).allowable_speed
-    assert all_regions <= speed_limits(body_regions=[region]).speed_limit(mass).allowable_speed * (1 + 1e-12)
+    all_regions = speed_limit_of(mass).allowable_speed
+    assert all_regions <= speed_limit_of(mass, body_regions=[region]).allowable_speed * (1 + 1e-12)
 
 
 @given(masses, regions)
 def test_quasi_static_contact_is_never_faster_than_transient(mass: float, region: str) -> None:
-    clamped, free = (speed_limits(contact=c, body_regions=[region]) for c in ("quasi_static", "transient"))
-    assert clamped.speed_limit(mass).allowable_speed <= 0.5 * free.speed_limit(mass).allowable_speed * (1 + 1e-12)
+    clamped, free = (speed_limit_of(mass, contact=c, body_regions=[region]) for c in ("quasi_static", "transient"))
+    assert clamped.allowable_speed <= 0.5 * free.allowable_speed * (1 + 1e-12)
 
 
 def test_speed_at_infinite_effective_mass() -> None:
-    free = speed_limits(body_regions=["lower_leg"]).speed_limit(math.inf)
+    free = speed_limit_of(math.inf, body_regions=["lower_leg"])
     assert free.reduced_mass == pytest.approx(75.0)
     assert free.allowable_speed == pytest.approx(260.0 / math.sqrt(75.0 * 60e3))
-    assert speed_limits(contact="quasi_static").speed_limit(math.inf).allowable_speed == 0.0
+    assert speed_limit_of(math.inf, contact="quasi_static").allowable_speed == 0.0
 
 
 @pytest.mark.parametrize("mass", [0.0, -1.0, math.nan, -math.inf, 5e-324, MIN_EFFECTIVE_MASS / 2])
 def test_invalid_mass_raises(mass: float) -> None:
     with pytest.raises(LimitError, match="effective_mass"):
-        speed_limits().speed_limit(mass)
+        speed_limit_of(mass)
 
 
 def test_limit_without_a_maximum_allows_any_speed() -> None:
     unlimited = replace(EXAMPLE, force_n=math.inf, pressure_n_cm2=math.inf)
-    found = SpeedLimits([unlimited]).speed_limit(2.0)
+    found = speed_limit_of_mass([unlimited], 2.0)
     assert (found.allowable_speed, found.limit) == (math.inf, unlimited)
 
 
 def test_no_limit_raises() -> None:
     with pytest.raises(LimitError, match="at least one region"):
-        SpeedLimits(())
+        speed_limit_of_mass((), 2.0)

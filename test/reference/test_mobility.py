@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scara_effmass.iso15066.mobility_matrix import is_bounded
 
-from scara_effmass.iso15066 import Mobility
+from scara_effmass.reference.mobility import Mobility, is_bounded, is_definite
 from scara_effmass.values import FloatArray
 
+X = np.array([1.0, 0.0, 0.0])
 OBSTACLES = st.sampled_from([0.6, 1.2, 2.0, 4.4, 40.0, 75.0, 1000.0, math.inf])
 
 
@@ -37,25 +37,27 @@ def test_bound_of_a_mobility_is_that_of_the_eigenvalues(
     matrix = bound + 0.3 * (change + change.T)
     lowest = np.linalg.eigvalsh(basis[:, 3 - rank :].T @ (bound - factor * matrix) @ basis[:, 3 - rank :])[0]
     if abs(lowest) > 1e-8 * values[-1]:
-        assert is_bounded(matrix.tolist(), bound.tolist(), factor) == (lowest > 0.0)
-    assert is_bounded(bound.tolist(), bound.tolist(), factor)
+        assert is_bounded(matrix, bound, factor) == (lowest > 0.0)
+    assert is_bounded(bound, bound, factor)
 
 
 def test_mobility_that_is_nan_is_not_bounded() -> None:
-    eye, nan = np.eye(3).tolist(), np.full((3, 3), math.nan).tolist()
+    eye, nan = np.eye(3), np.full((3, 3), math.nan)
     assert is_bounded(eye, eye, 1.0)
     assert not is_bounded(nan, eye, 0.5)
     assert not is_bounded(eye, nan, 0.5)
+    assert not is_definite(nan, 3)
+    assert not is_definite(-eye, 3)
+    assert is_definite(np.diag([1.0, 1.0, -1e-9]), 3)  # rounding
 
 
 def reduced(mobility: tuple[FloatArray, FloatArray, int], alpha: float, beta: float = 1.0) -> float:
     matrix, velocity, rank = mobility
-    x, y, z = velocity.tolist()
-    return Mobility.of_matrix(matrix.tolist(), (x, y, z), rank).worst_reduced_mass(alpha, beta)
+    return Mobility.of_matrix(matrix, velocity, rank).reduced_mass(alpha, beta)
 
 
 @given(mobilities(), OBSTACLES, st.floats(0.05, 1.0))
-def test_closed_form_is_the_rayleigh_quotient(
+def test_reduced_mass_is_the_rayleigh_quotient(
     mobility: tuple[FloatArray, FloatArray, int], obstacle: float, beta: float
 ) -> None:
     matrix, velocity, _ = mobility
@@ -65,7 +67,7 @@ def test_closed_form_is_the_rayleigh_quotient(
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_no_normal_of_a_search_exceeds_the_closed_form(seed: int) -> None:
+def test_no_normal_of_a_search_exceeds_that_of_the_worst(seed: int) -> None:
     """(v.n)^2 mu(n) over 200 000 random normals comes within 3e-4 of the maximum, and not above it."""
     rng = np.random.default_rng(seed)
     factor = rng.normal(size=(3, 3))
@@ -79,9 +81,9 @@ def test_no_normal_of_a_search_exceeds_the_closed_form(seed: int) -> None:
             along = np.einsum("ni,ij,nj->n", normals, matrix, normals)
             forces = (normals @ velocity) ** 2 / (along + 1.0 / obstacle)
             maximum, centre, width = float(forces.max()), normals[forces.argmax()], 0.03
-        closed_form = reduced((matrix, velocity, 3), 1.0 / obstacle)
-        assert maximum <= closed_form * (1.0 + 1e-12)
-        assert math.sqrt(maximum) == pytest.approx(math.sqrt(closed_form), rel=3e-4)
+        expected = reduced((matrix, velocity, 3), 1.0 / obstacle)
+        assert maximum <= expected * (1.0 + 1e-12)
+        assert math.sqrt(maximum) == pytest.approx(math.sqrt(expected), rel=3e-4)
 
 
 @given(mobilities(), OBSTACLES)
@@ -104,18 +106,29 @@ def test_sticking_contact_takes_up_this_energy(mobility: tuple[FloatArray, Float
 @given(st.floats(1e-3, 1e3), OBSTACLES)
 def test_single_mass_has_the_reduced_mass_of_the_standard(mass: float, obstacle: float) -> None:
     expected = mass if math.isinf(obstacle) else mass * obstacle / (mass + obstacle)
-    assert Mobility.of_mass(mass).worst_reduced_mass(1.0 / obstacle) == pytest.approx(expected, rel=1e-12)
+    assert Mobility.of_mass(mass, X).reduced_mass(1.0 / obstacle) == pytest.approx(expected, rel=1e-12)
 
 
 def test_immovable_robot_has_the_mass_of_the_obstacle() -> None:
-    assert Mobility.of_mass(math.inf).worst_reduced_mass(1.0 / 40.0) == pytest.approx(40.0)
-    assert Mobility.of_mass(2.0).worst_reduced_mass(1.0 / 40.0, 0.0) == pytest.approx(40.0)
-    assert Mobility.of_mass(2.0).worst_reduced_mass(0.0, 0.0) == math.inf
-    assert Mobility.of_mass(math.inf).worst_reduced_mass(0.0) == math.inf
+    assert Mobility.of_mass(math.inf, X).reduced_mass(1.0 / 40.0) == pytest.approx(40.0)
+    assert Mobility.of_mass(2.0, X).reduced_mass(1.0 / 40.0, 0.0) == pytest.approx(40.0)
+    assert Mobility.of_mass(2.0, X).reduced_mass(0.0, 0.0) == math.inf
+    assert Mobility.of_mass(math.inf, X).reduced_mass(0.0) == math.inf
 
 
 @pytest.mark.parametrize("trace", [0.01, 100.0])
 def test_clamped_body_part_counts_directions_out_of_reach_as_nearly_rigid(trace: float) -> None:
     """Their mobility counts as 1e-11 of the trace."""
-    mobility = Mobility.of_matrix(np.diag([trace, 0.0, 0.0]).tolist(), (0.0, 1.0, 0.0), 2)
-    assert mobility.worst_reduced_mass(0.0) == pytest.approx(1e11 / trace)
+    mobility = Mobility.of_matrix(np.diag([trace, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), 2)
+    assert mobility.reduced_mass(0.0) == pytest.approx(1e11 / trace)
+
+
+@given(mobilities(), OBSTACLES, st.floats(1.0, 2.0))
+def test_heavier_robot_is_the_one_with_larger_masses(
+    mobility: tuple[FloatArray, FloatArray, int], obstacle: float, factor: float
+) -> None:
+    matrix, velocity, rank = mobility
+    heavier = Mobility.of_matrix(matrix, velocity, rank).with_masses(factor)
+    assert heavier.effective_mass(velocity) == pytest.approx(factor / (velocity @ matrix @ velocity), rel=1e-9)
+    expected = reduced((matrix / factor, velocity, rank), 1.0 / obstacle)
+    assert heavier.reduced_mass(1.0 / obstacle) == pytest.approx(expected, rel=1e-9)
