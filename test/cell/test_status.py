@@ -139,29 +139,16 @@ def test_points_of_a_monitor_that_ended_are_forgotten() -> None:
     status.take_publisher(400 * MS, exists=True)
     status.update(2 * S)
     assert (status.verdict, status.reason) == (Verdict.UNKNOWN, "no contact states yet")
-    status.take_contact(contact(point="flange"), 9 * S)
-    assert (status.verdict, list(status.contacts)) == (Verdict.OK, ["flange"])
-
-
-@given(st.permutations(["tool", "elbow", "rim"]), st.sampled_from(["tool", "elbow", "rim"]))
-def test_a_contact_point_that_disappears_stays_unknown_and_is_named(order: list[str], gone: str) -> None:
-    status = CellStatus(0)
-    status.take_publisher(400 * MS, exists=True)
-    for step in range(100):
-        for place, name in enumerate(order):
-            if step < 10 or name != gone:
-                status.take_contact(contact(point=name), S + 10 * MS * step + place)
-        is_silent = step > 50
-        assert status.verdict is (Verdict.UNKNOWN if is_silent else Verdict.OK) or 48 <= step <= 50
-    assert (status.contact_point, status.reason[:21]) == (gone, "the monitor is silent")
+    status.take_decision(decision(1, contact(point="flange")), 9 * S)
+    assert (status.verdict, [one.contact_point for one in status.contacts]) == (Verdict.OK, ["flange"])
 
 
 def test_episodes_have_cause_start_and_end() -> None:
     status = ok_cell(S)
-    status.take_contact(contact(Verdict.WARN, reason="close"), S + 10)
-    status.take_contact(contact(Verdict.WARN, reason="closer"), S + 20)
-    status.take_contact(contact(), S + 30)
-    status.take_contact(contact(Verdict.VIOLATION, reason="too fast"), S + 40)
+    status.take_decision(decision(2, contact(Verdict.WARN, reason="close")), S + 10)
+    status.take_decision(decision(3, contact(Verdict.WARN, reason="closer")), S + 20)
+    status.take_decision(decision(4, contact()), S + 30)
+    status.take_decision(decision(5, contact(Verdict.VIOLATION, reason="too fast")), S + 40)
     episodes = [(e.verdict, e.contact_point, e.cause, e.start_ns, e.end_ns) for e in status.episodes]
     assert episodes == [
         (Verdict.UNKNOWN, "", "no contact states yet", 0, S),
@@ -183,9 +170,9 @@ def test_an_episode_stays_simulated_when_the_simulation_has_ended() -> None:
 @given(st.lists(st.tuples(st.integers(0, 30 * MS), st.floats(0, 2), st.floats(0, 2)), min_size=1, max_size=60))
 def test_each_interval_of_the_history_keeps_its_worst_sample(steps: list[tuple[int, float, float]]) -> None:
     status, at_ns, margins = CellStatus(0), 0, dict[int, float]()
-    for step_ns, speed, limit in steps:
+    for number, (step_ns, speed, limit) in enumerate(steps):
         at_ns += step_ns
-        status.take_speed("tool", speed, limit, at_ns)
+        status.take_decision(decision(number + 1, contact(speed=speed, limit=limit)), at_ns)
         margins[at_ns // BIN_NS] = min(margins.get(at_ns // BIN_NS, 9.0), limit - speed)
     kept = {sample.at_ns // BIN_NS: sample.allowable_speed - sample.speed for sample in status.speeds}
     assert kept == margins
@@ -194,7 +181,8 @@ def test_each_interval_of_the_history_keeps_its_worst_sample(steps: list[tuple[i
 def test_an_hour_at_1_khz_keeps_a_minute_and_few_episodes() -> None:
     status = ok_cell()
     for number in range(5000):
-        status.take_contact(contact(Verdict.WARN if number % 2 else Verdict.OK), S + number * BIN_NS)
+        verdict = Verdict.WARN if number % 2 else Verdict.OK
+        status.take_decision(decision(number + 2, contact(verdict)), S + number * BIN_NS)
     assert status.speeds[-1].at_ns - status.speeds[0].at_ns == HISTORY_NS
     assert len(status.speeds) == HISTORY_NS // BIN_NS + 1
     assert len(status.episodes) == 1000
@@ -248,4 +236,4 @@ def test_a_new_series_of_validations_replaces_the_old_one() -> None:
     status = CellStatus(0)
     for count in (1, 2, 3, 1):
         status.take_validation(validation(S, count))
-    assert [validation.count for validation in status.validations] == [1]
+    assert [validation.series.count for validation in status.validations] == [1]

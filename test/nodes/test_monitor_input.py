@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactState, ContactStates
 from sensor_msgs.msg import JointState as JointStateMessage
 
 from scara_effmass.model.dynamics import RobotDynamics
@@ -19,14 +19,14 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import ContactAssessment, JointState
-from test.nodes.conftest import JOINTS, QD, NodeHarness, Q, joint_state, stamp_ns
+from test.nodes.conftest import Answer, JOINTS, QD, NodeHarness, Q, joint_state, stamp_ns
 
 NAN, INF = float("nan"), float("inf")
 S = 1_000_000_000
 MS = 1_000_000
 
 
-def assert_unknown_at_zero_speed(harness: NodeHarness, contact: ContactState, reason: str) -> None:
+def assert_unknown_at_zero_speed(harness: NodeHarness, contact: Answer, reason: str) -> None:
     assert contact.verdict == ContactState.UNKNOWN
     assert contact.reason.startswith(reason), contact.reason
     assert contact.allowable_speed == 0.0
@@ -213,13 +213,13 @@ def test_empty_velocity_is_differentiated_on_request(harness: NodeHarness) -> No
 
 def test_diagnostics_name_a_subscriber_with_incompatible_qos(harness: NodeHarness) -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    subscriber = harness.node.create_subscription(ContactState, "contact_state", lambda _: None, latched)
+    subscriber = harness.node.create_subscription(ContactStates, "contact_states", lambda _: None, latched)
     line = harness.diagnostic("input", "incompatible QoS", bool)
     harness.node.destroy_subscription(subscriber)
-    assert line.endswith("a subscriber of contact_state cannot be connected: its DURABILITY does not fit")
+    assert line.endswith("a subscriber of contact_states cannot be connected: its DURABILITY does not fit")
 
 
-def bits(contact: ContactState | ContactAssessment, without: tuple[str, ...] = ("input_age",)) -> dict[str, object]:
+def bits(contact: Answer | ContactAssessment, without: tuple[str, ...] = ("input_age",)) -> dict[str, object]:
     """Return every field, floats as bytes."""
     if isinstance(contact, ContactState):
         fields: dict[str, Any] = {name: getattr(contact, name) for name in contact.get_fields_and_field_types()}

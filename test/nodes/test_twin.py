@@ -14,24 +14,24 @@ from scara_effmass_msgs.msg import ContactState
 
 from scara_effmass.bags.files import open_bag
 from scara_effmass.share import share
-from test.nodes.conftest import NodeHarness
+from test.nodes.conftest import Answer, NodeHarness
 
 COMMAND = str(Path(sys.executable).with_name("scara-effmass"))
 JOINT_STATES = 1900
 
 
-def exact_text(contact: ContactState) -> str:
+def exact_text(contact: Answer) -> str:
     """Return all fields but the age as text; `repr` is exact for floats."""
     contact.input_age = 0.0
     return repr(contact)
 
 
-def responses(contacts: list[ContactState]) -> list[ContactState]:
+def responses(contacts: list[Answer]) -> list[Answer]:
     """Return the responses to joint states, without those of the watchdog."""
     return [contact for contact in contacts if not contact.watchdog]
 
 
-def responses_when_complete(contacts: list[ContactState]) -> list[ContactState]:
+def responses_when_complete(contacts: list[Answer]) -> list[Answer]:
     return found if len(found := responses(contacts)) >= JOINT_STATES else []
 
 
@@ -61,7 +61,7 @@ def test_replay_and_assess_agree_on_every_joint_state(
     assess = [COMMAND, "assess", recording, "-o", str(assessed), *["--cross-check"] * kernel]
     subprocess.run(assess, check=True, stdout=subprocess.DEVNULL)
     with open_bag(assessed) as bag:
-        offline = [deserialize_message(message.data, ContactState) for message in bag.messages(["/contact_state"])]
+        offline = [deserialize_message(message.data, ContactState) for message in bag.messages(["/contact_states"])]
     for live_states, offline_states in zip(live, (offline[::2], offline[1::2]), strict=True):
         assert len(live_states) == len(offline_states) == JOINT_STATES
         for live_contact, offline_contact in zip(live_states, offline_states, strict=True):
