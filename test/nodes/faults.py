@@ -30,6 +30,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
+from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -45,7 +46,6 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Impact as ImpactValue
 from scara_effmass.values import Verdict
 from scara_effmass.wire import topics
-from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.force import impact_message
 from test.nodes.conftest import JOINTS, NodeHarness, Q, joint_state, ros_node, stamp_ns
 from test.nodes.test_flood import FLOODER

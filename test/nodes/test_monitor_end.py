@@ -16,7 +16,7 @@ from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from test.nodes.conftest import Answer, JOINTS, TIMEOUT_S, NodeHarness, Q, joint_state, stamp_ns
+from test.nodes.conftest import JOINTS, TIMEOUT_S, Answer, NodeHarness, Q, joint_state, stamp_ns
 
 S = 1_000_000_000
 STILL = (0.0,) * 4

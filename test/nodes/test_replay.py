@@ -30,7 +30,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.task import Future
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
-from scara_effmass_msgs.msg import ContactState, NodeReadiness
+from scara_effmass_msgs.msg import ContactStates, NodeReadiness
 from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import Float64, Header, String
 
@@ -183,12 +183,12 @@ class Receiver:
         # A replay at rate 0 waits for this publisher: create it once the subscriptions have matched.
         if self._answering and self._answers is None:
             events = PublisherEventCallbacks(matched=self._publish_watchdog_state)
-            self._answers = self._node.create_publisher(ContactState, "contact_state", DEEP, event_callbacks=events)
+            self._answers = self._node.create_publisher(ContactStates, "contact_states", DEEP, event_callbacks=events)
         self._matched.set()
 
     def _publish_watchdog_state(self, _: object) -> None:
         if self._answers is not None:
-            self._answers.publish(ContactState(reason="no joint state yet", watchdog=True))
+            self._answers.publish(ContactStates(reason="no joint state yet", watchdog=True))
 
     def _on_message(self, topic: str, data: bytes) -> None:
         with self._changed:
@@ -204,7 +204,7 @@ class Receiver:
             self._answers = None
             return
         joint_state = self._decoder.decode(data)
-        message = ContactState(watchdog=True)
+        message = ContactStates(watchdog=True)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(joint_state.stamp_ns, 1_000_000_000)
         while not answers.get_subscription_count() and not self._stop.done():
             threading.Event().wait(0.001)  # the replay has matched this publisher, but not vice versa
@@ -318,7 +318,7 @@ def test_rate_0_continues_after_joint_states_of_another_device(tmp_path: Path, a
 def test_rate_0_fails_when_the_monitor_leaves(bag: Path) -> None:
     with (
         Receiver("/joint_states", answers=True, leaves_after=7),
-        pytest.raises(EffmassError, match="/contact_state: its publisher left after 6 answers"),
+        pytest.raises(EffmassError, match="/contact_states: its publisher left after 6 answers"),
     ):
         play(bag, rate=0.0)
 
@@ -341,7 +341,7 @@ def test_replay_without_subscribers_fails(bag: Path) -> None:
 
 
 def test_rate_0_without_a_monitor_fails(bag: Path) -> None:
-    message = "/contact_state: no publisher; rate 0 needs a monitor"
+    message = "/contact_states: no publisher; rate 0 needs a monitor"
     with Receiver("/joint_states"), pytest.raises(EffmassError, match=message):
         play(bag, rate=0.0, ready_timeout_s=5.0)
 
