@@ -12,11 +12,11 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scara_effmass.iso15066.speed_limit import SpeedLimits
 from scara_effmass.kernel.contact_columns import NUMBERS, ContactColumns
 from scara_effmass.safety.contact_assessor import ContactAssessor
 
 from scara_effmass.iso15066 import limits_for
-from scara_effmass.iso15066.speed_limit import SpeedLimits
 from scara_effmass.kernel import jit
 from scara_effmass.kernel.contact_kernel import ContactKernel
 from scara_effmass.kernel.records import MAX_JOINTS, OFFSETS

@@ -33,9 +33,12 @@ def assessed(q: np.ndarray = Q, qd: tuple[float, ...] = (0.5, 0.3, 0.01, 0.2), *
     return monitor.assess(state, state.stamp_ns).contacts[0]  # type: ignore[union-attr]
 
 
-def drawn(contact: ContactAssessment, *, simulated: bool = False) -> dict[str, Marker]:
+def drawn(contact: ContactAssessment, contact_normal: str = "worst", *, simulated: bool = False) -> dict[str, Marker]:
     places = {contact.contact_point: PLACE}
-    return {marker.ns: marker for marker in contact_markers([contact], places, simulated=simulated, **SCALES)}
+    return {
+        marker.ns: marker
+        for marker in contact_markers([contact], places, contact_normal, simulated=simulated, **SCALES)
+    }
 
 
 def vector(marker: Marker) -> np.ndarray:
@@ -101,7 +104,7 @@ def test_arrows_have_the_length_of_the_speeds_and_the_directions_of_the_state() 
 
 @pytest.mark.parametrize("normal", ["velocity", "0 0 1"])
 def test_worst_normal_is_drawn_only_where_the_verdict_assumes_it(normal: str) -> None:
-    assert "worst_normal" not in drawn(assessed(contact_normal=normal))
+    assert "worst_normal" not in drawn(assessed(contact_normal=normal), normal)
 
 
 def test_contact_point_at_rest_has_no_arrows() -> None:
@@ -130,7 +133,7 @@ def test_verdict_is_a_word_and_a_colour_of_its_own(verdict: Verdict) -> None:
 
 
 def test_contact_point_without_a_place_has_its_word_above_the_base() -> None:
-    markers = list(contact_markers([assessed(), unknown_contact("", "why", 0, 0.0)], {}, simulated=False, **SCALES))
+    markers = list(contact_markers([assessed(), unknown_contact("", "why")], {}, "worst", simulated=False, **SCALES))
     assert [marker.ns for marker in markers] == ["verdict", "verdict"]
     assert markers[0].pose.position.z < markers[1].pose.position.z
     assert markers[1].text == "robot: UNKNOWN\nwhy"
@@ -142,7 +145,7 @@ def test_words_of_contact_points_at_one_place_do_not_cover_each_other(z: float) 
     names = ("elbow", "tool", "flange", "rim")
     places = dict.fromkeys(names, (0.4, 0.0, z)) | {"elbow": (0.2, 0.0, z)}
     contacts = [assessed()._replace(contact_point=name) for name in names]
-    markers = contact_markers(contacts, places, simulated=False, **SCALES)
+    markers = contact_markers(contacts, places, "worst", simulated=False, **SCALES)
     at = {marker.text.partition(":")[0]: marker.pose.position.z for marker in markers if marker.ns == "verdict"}
     away = math.copysign(0.2, z)
     assert [at[name] - z for name in names] == pytest.approx([away, away, 2.0 * away, 3.0 * away])

@@ -169,7 +169,6 @@ def test_parameters_of_other_nodes_under_all_nodes_are_ignored_with_a_warning(
         ),
         ("/**:\n  ros__parameters: {payload_mas: 5.0}\n", "monitor: no parameter 'payload_mas': must be payload_mass"),
         ("/**:\n  ros__parameters: {servo: {stiff: 5.0}}\n", "monitor: no parameter 'servo.stiff': must be"),
-        ("/**:\n  ros__parameters: {stiffness: 75.0}\n", "monitor: no parameter 'stiffness': must be stiffness_n_m"),
     ],
 )
 def test_misspelt_parameters_of_the_node_are_refused(

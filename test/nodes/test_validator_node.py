@@ -13,19 +13,20 @@ import numpy as np
 import pytest
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from scara_effmass.wire.contact_state import ContactStateEncoder
-from scara_effmass_msgs.msg import ContactState, Impact, ImpactValidation, RunInfo
+from scara_effmass_msgs.msg import ContactStates, Impact, ImpactValidation, RunInfo
 from std_srvs.srv import Trigger
 
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.validator_node import ValidatorNode
 from scara_effmass.safety import unknown_contact
 from scara_effmass.settings import ValidatorSettings
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.values import Decision, Verdict
 from scara_effmass.values import Impact as ImpactValue
 from scara_effmass.values import RunInfo as RunInfoValue
+from scara_effmass.wire.contact_states import ContactStatesEncoder
 from scara_effmass.wire.force import impact_message
 from scara_effmass.wire.run_info import run_info_message
+from test.decisions import decision_on
 from test.nodes.conftest import NodeHarness
 
 EXECUTABLE = Path(sys.executable).with_name("validator_node")
@@ -36,10 +37,10 @@ START_NS = 1_800_000_000 * S
 PEAKS = (200.0, 290.0, 331.0, 302.0)
 
 
-def contact(number: int) -> ContactAssessment:
-    """Return a contact state each millisecond, its mass and speed slowly changing."""
+def decision(number: int) -> Decision:
+    """Return a decision each millisecond, its mass and speed slowly changing."""
     mass = 1.0 + number * 1e-4
-    return unknown_contact("tool", "", START_NS + number * MS, 0.0)._replace(
+    contact = unknown_contact("tool", "")._replace(
         verdict=Verdict.OK,
         direction=(1.0, 0.0, 0.0),
         speed=0.25 + number * 1e-6,
@@ -49,6 +50,7 @@ def contact(number: int) -> ContactAssessment:
         iso_mass=2.77,
         allowable_speed=1.0,
     )
+    return decision_on(contact, stamp_ns=START_NS + number * MS)
 
 
 def impact(number: int, peak: float) -> ImpactValue:
@@ -68,7 +70,7 @@ class ValidatorHarness:
         # Before the diagnostics, of which a test waits for one: the validator has found this one too by then.
         node.create_subscription(ImpactValidation, "impact_validation", self.received.append, DEEP)
         harness.subscribe()
-        self.states = node.create_publisher(ContactState, "contact_state", DEEP)
+        self.states = node.create_publisher(ContactStates, "contact_states", DEEP)
         self.impacts = node.create_publisher(Impact, "impact", DEEP)
         self.run_info = node.create_publisher(RunInfo, "run_info", LATCHED)
         ends = (self.states, self.impacts, self.run_info)
@@ -77,7 +79,7 @@ class ValidatorHarness:
         )
 
     def state_run(self, mass: float, *infos: bytes | RunInfoValue) -> None:
-        """Publish run information and wait until the obstacle mass is `mass` [kg]."""
+        """Publish run information, and wait until the obstacle mass is `mass` [kg]."""
         for info in infos:
             self.run_info.publish(info if isinstance(info, bytes) else run_info_message(info))
         self.harness.diagnostic("validator: series", "obstacle mass [kg]", f"{mass:g}".__eq__)
@@ -89,10 +91,10 @@ class ValidatorHarness:
         ]
         if infos:
             self.state_run(masses[-1], *infos)
-        encoder = ContactStateEncoder("tool", "base_link")
+        encoder = ContactStatesEncoder("base_link")
         for number in range(first, first + len(masses)):
             for millisecond in range(number * 1000 + 400, number * 1000 + 600):
-                self.states.publish(encoder.encode(contact(millisecond)))
+                self.states.publish(encoder.encode(decision(millisecond)))
             self.impacts.publish(impact_message(impact(number, PEAKS[number % len(PEAKS)])))
 
 
@@ -125,15 +127,17 @@ def test_what_it_publishes_is_what_the_core_gives_offline(node: ValidatorHarness
     for number, (mass, peak) in enumerate(zip(masses, PEAKS, strict=True)):
         validator.runs.set(START_NS + number * S, obstacle_mass=mass)
         for millisecond in range(number * 1000 + 400, number * 1000 + 600):
-            expected += validator.add_state(contact(millisecond), 0)
+            expected += validator.add_decision(decision(millisecond), 0)
         expected += validator.add_impact(impact(number, peak), 0)
     assert len(expected) == 4
-    names = set(ImpactValidation.get_fields_and_field_types()) - {"header"}
+    names = set(ImpactValidation.get_fields_and_field_types()) - {"header", "series"}
     for message, validated in zip(node.received, expected, strict=True):
         assert message.header.stamp.sec * S + message.header.stamp.nanosec == validated.stamp_ns
         assert {name: plain(getattr(message, name)) for name in names} == {
             name: plain(getattr(validated, name)) for name in names
         }
+        for name in message.series.get_fields_and_field_types():
+            assert plain(getattr(message.series, name)) == plain(getattr(validated.series, name))
         line = f"simulated impact: peak {validated.measured_force:.1f} N, predicted {validated.predicted_force:.1f} N"
         limit = f" N on {validated.body_region}, {'ABOVE' if validated.exceeds_limit else 'below'} its limit of "
         node.harness.spin_until(lambda: any(line in log.msg and limit in log.msg for log in logs))  # noqa: B023

@@ -7,19 +7,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.cell.speed_scaling import SpeedScaler
-from scara_effmass.safety.monitor import unknown_contact
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.safety import unknown_contact
+from scara_effmass.values import ContactAssessment, Decision, Verdict
+from test.decisions import decision_on
 
 TIMEOUT_NS = 200_000_000
 START_NS = 10**15
 PERIOD_NS = 4_000_000
 
 
-def state(
+def contact(
     speed: float, allowable_speed: float, name: str = "tool", verdict: Verdict = Verdict.OK, *, at_rest: bool = False
 ) -> ContactAssessment:
-    contact = unknown_contact(name, "", START_NS, 0.0)._replace(verdict=verdict, worst_direction_used=at_rest)
-    return contact._replace(speed=speed, allowable_speed=allowable_speed)
+    values = {"speed": speed, "allowable_speed": allowable_speed, "worst_direction_used": at_rest}
+    return unknown_contact(name, "")._replace(verdict=verdict, **values)
+
+
+def state(speed: float, allowable_speed: float, *, at_rest: bool = False) -> Decision:
+    return decision_on(contact(speed, allowable_speed, at_rest=at_rest))
 
 
 def released(rise_rate: float = 1.0, latency_ns: int = 0) -> tuple[SpeedScaler, int]:
@@ -38,36 +43,40 @@ def released(rise_rate: float = 1.0, latency_ns: int = 0) -> tuple[SpeedScaler, 
 def test_factor_is_0_before_the_first_state() -> None:
     scaler = SpeedScaler(TIMEOUT_NS, START_NS)
     assert [scaler.factor(START_NS + step * TIMEOUT_NS) for step in range(5)] == [0.0] * 5
-    assert scaler.reason == "no contact state yet"
+    assert scaler.reason == "no contact states yet"
 
 
 any_number = st.floats() | st.sampled_from([0.0, -0.0, 5e-324, 1e-3, 0.5, 1.0, 1e308])
 contacts = st.builds(
-    state, any_number, any_number, st.sampled_from(["tool", "elbow"]), st.sampled_from(Verdict), at_rest=st.booleans()
+    contact, any_number, any_number, st.sampled_from(["tool", "elbow"]), st.sampled_from(Verdict), at_rest=st.booleans()
 )
+decisions = st.lists(contacts, min_size=1, max_size=3).map(lambda contacts: decision_on(*contacts))
 steps = st.lists(
-    st.tuples(st.integers(0, 3 * TIMEOUT_NS), st.none() | contacts, st.integers(-TIMEOUT_NS, 2 * TIMEOUT_NS)),
+    st.tuples(st.integers(0, 3 * TIMEOUT_NS), st.none() | decisions, st.integers(-TIMEOUT_NS, 2 * TIMEOUT_NS)),
     max_size=40,
 )
 
 
 @given(steps, st.floats(1e-3, 100.0), st.integers(0, TIMEOUT_NS), st.floats(0.01, 1.0))
 def test_factor_is_a_number_from_0_to_1_that_rises_slowly(
-    steps: list[tuple[int, ContactAssessment | None, int]], rise_rate: float, latency_ns: int, speed_ratio: float
+    steps: list[tuple[int, Decision | None, int]], rise_rate: float, latency_ns: int, speed_ratio: float
 ) -> None:
     scaler, now_ns, last, last_ns = SpeedScaler(TIMEOUT_NS, START_NS), START_NS, 0.0, START_NS
     scaler.rise_rate, scaler.latency_ns, scaler.speed_ratio = rise_rate, latency_ns, speed_ratio
-    for wait_ns, contact, age_ns in steps:
+    for wait_ns, decision, age_ns in steps:
         now_ns += wait_ns
-        falls = contact is not None and scaler.take(contact, now_ns, age_ns)
+        falls = decision is not None and scaler.take(decision, now_ns, age_ns)
         factor = scaler.factor(now_ns)
         assert 0.0 <= factor <= 1.0
         assert factor <= last + rise_rate * (now_ns - last_ns) / 1e9 + 1e-12
         assert not falls or factor < last
-        if contact is not None and (
-            contact.verdict is Verdict.UNKNOWN
-            or not (math.isfinite(contact.speed) and 0.0 < contact.allowable_speed < math.inf)
-            or age_ns > TIMEOUT_NS
+        if decision is not None and (
+            age_ns > TIMEOUT_NS
+            or any(
+                one.verdict is Verdict.UNKNOWN
+                or not (math.isfinite(one.speed) and 0.0 < one.allowable_speed < math.inf)
+                for one in decision.contacts
+            )
         ):
             assert factor == 0.0
             assert scaler.reason
@@ -84,118 +93,67 @@ def test_factor_falls_at_once_to_what_is_allowed(speed: float, allowable_speed: 
     assert falls == (expected < 1.0)
 
 
-def test_tightest_contact_point_decides_and_none_may_fall_silent() -> None:
+def test_tightest_contact_point_decides() -> None:
     scaler, now_ns = released(rise_rate=100.0)
     for _ in range(200):
         now_ns += PERIOD_NS
-        scaler.take(state(scaler.factor(now_ns), 0.3, "elbow"), now_ns + 1)
-        scaler.take(state(scaler.factor(now_ns + 1), 0.6), now_ns + 2)
-    assert math.isclose(scaler.factor(now_ns + 3), 0.3, rel_tol=1e-9)
-    silent_ns = now_ns + 2 * TIMEOUT_NS + 2
-    scaler.take(state(0.3, 0.6), silent_ns)
-    assert scaler.factor(silent_ns) == 0.0
-    assert scaler.reason == "elbow: no contact state for 0.400 s"
-    # The other contact point does not release it, until this one comes again.
-    for now_ns in range(silent_ns, silent_ns + 3 * TIMEOUT_NS, PERIOD_NS):
-        scaler.take(state(0.0, 0.6), now_ns)
-        assert scaler.factor(now_ns) == 0.0
-        assert scaler.reason == "elbow: no contact state for 0.400 s"
-    scaler.take(state(0.0, 0.3, "elbow"), now_ns)
+        speed = scaler.factor(now_ns)
+        scaler.take(decision_on(contact(speed, 0.3, "elbow"), contact(speed, 0.6)), now_ns + 1)
+    assert math.isclose(scaler.factor(now_ns + 2), 0.3, rel_tol=1e-9)
+
+
+def test_silence_stops_until_the_next_decision() -> None:
+    scaler, now_ns = released(rise_rate=100.0)
+    assert scaler.factor(now_ns + 2 * TIMEOUT_NS) == 1.0
+    now_ns += 2 * TIMEOUT_NS + 1_000_000
+    for wait_ns in (0, TIMEOUT_NS):
+        assert scaler.factor(now_ns + wait_ns) == 0.0
+        assert scaler.reason == "no contact states for 0.401 s"
+    now_ns += 2 * TIMEOUT_NS
+    scaler.take(state(0.0, 0.3), now_ns)
     assert scaler.factor(now_ns + PERIOD_NS) > 0.0
     assert scaler.reason == ""
 
 
-def test_after_a_stop_each_contact_point_has_to_release_the_factor() -> None:
+def test_after_a_stop_the_next_decision_releases_the_factor() -> None:
     scaler, now_ns = released(rise_rate=100.0)
-    scaler.take(state(0.0, 0.3, "elbow"), now_ns)
-    scaler.stop("deadline of contact_state missed")
-    scaler.take(state(0.0, 0.6), now_ns + PERIOD_NS)
-    assert scaler.factor(now_ns + 2 * PERIOD_NS) == 0.0
-    assert scaler.reason == "deadline of contact_state missed"
-    scaler.take(state(0.0, 0.3, "elbow"), now_ns + 2 * PERIOD_NS)
+    scaler.stop("deadline of contact_states missed")
+    assert scaler.factor(now_ns + PERIOD_NS) == 0.0
+    assert scaler.reason == "deadline of contact_states missed"
+    scaler.take(state(0.0, 0.3), now_ns + 2 * PERIOD_NS)
     assert scaler.factor(now_ns + 3 * PERIOD_NS) > 0.0
-
-
-def test_contact_points_count_until_the_monitor_has_another_robot_or_is_lost() -> None:
-    scaler, now_ns = released(rise_rate=100.0)
-    scaler.take(state(0.0, 0.0, "", Verdict.UNKNOWN), now_ns)
-    assert scaler.factor(now_ns) == 0.0
-    assert scaler.reason == "no speed is allowed"
-    for name in ("flange", "gripper"):
-        for _ in range(3 * TIMEOUT_NS // PERIOD_NS):  # longer than the contact point before may be silent
-            now_ns += PERIOD_NS
-            scaler.take(state(0.0, 1.0, name), now_ns)
-            scaler.factor(now_ns)
-        assert scaler.factor(now_ns) == 1.0
-        scaler.forget("liveliness of the monitor lost")
-        assert scaler.factor(now_ns) == 0.0
-        assert scaler.reason == "liveliness of the monitor lost"
 
 
 @given(
     st.permutations(
         [
-            state(0.0, 0.0, "tool", Verdict.UNKNOWN),
-            state(0.0, 1.0, "elbow", at_rest=True),
-            state(0.3, 1.0, "rim"),
+            contact(0.0, 0.0, "tool", Verdict.UNKNOWN),
+            contact(0.0, 1.0, "elbow", at_rest=True),
+            contact(0.3, 1.0, "rim"),
         ]
-    ),
-    st.integers(0, PERIOD_NS),
+    )
 )
 def test_one_contact_point_that_allows_nothing_stops_until_it_allows_something(
-    contacts: list[ContactAssessment], between_ns: int
+    contacts: list[ContactAssessment],
 ) -> None:
     scaler, now_ns = SpeedScaler(TIMEOUT_NS, START_NS), START_NS
     scaler.rise_rate = 100.0
     for _ in range(100):
-        for contact in contacts:
-            now_ns += between_ns
-            scaler.take(contact, now_ns)
-            factor = scaler.factor(now_ns + 1)
-        assert factor == 0.0
-        assert scaler.reason == "tool: no speed is allowed"
         now_ns += PERIOD_NS
-    for name in ("elbow", "rim", "tool"):
-        assert scaler.factor(now_ns) == 0.0
-        scaler.take(state(0.0, 1.0, name, at_rest=True), now_ns)
+        scaler.take(decision_on(*contacts), now_ns)
+        assert scaler.factor(now_ns + 1) == 0.0
+        assert scaler.reason == "tool: no speed is allowed"
+    rest = [contact(0.0, 1.0, one.contact_point, at_rest=True) for one in contacts]
+    scaler.take(decision_on(*rest), now_ns)
     assert scaler.factor(now_ns + PERIOD_NS) > 0.0
     assert scaler.reason == ""
-
-
-interleaved = st.lists(
-    st.tuples(
-        st.sampled_from(["tool", "elbow", "elbow", "elbow", ""]),
-        st.sampled_from([Verdict.OK, Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN]),
-        st.sampled_from([0, PERIOD_NS, TIMEOUT_NS]),
-    ),
-    min_size=20,
-    max_size=60,
-)
-
-
-@given(interleaved)
-def test_factor_is_0_while_any_contact_point_is_unknown_or_silent(steps: list[tuple[str, Verdict, int]]) -> None:
-    scaler, now_ns = SpeedScaler(TIMEOUT_NS, START_NS), START_NS
-    scaler.rise_rate = 100.0
-    last: dict[str, tuple[Verdict, int]] = {}
-    for name, stated, wait_ns in steps:
-        now_ns += wait_ns
-        verdict = stated if name else Verdict.UNKNOWN
-        if not name or "" in last:
-            last.clear()
-        last[name] = verdict, now_ns
-        scaler.take(state(0.0, 0.6, name, verdict, at_rest=True), now_ns)
-        factor = scaler.factor(now_ns)
-        if any(its is Verdict.UNKNOWN or now_ns - at_ns > 2 * TIMEOUT_NS for its, at_ns in last.values()):
-            assert factor == 0.0
-            assert scaler.reason
 
 
 def test_old_state_stops() -> None:
     scaler, now_ns = released()
     scaler.take(state(0.1, 1.0), now_ns, TIMEOUT_NS + 1_000_000)
     assert scaler.factor(now_ns) == 0.0
-    assert scaler.reason == "tool: the state is 0.201 s old"
+    assert scaler.reason == "the joint state is 0.201 s old"
 
 
 def test_state_counts_with_the_factor_in_force_when_it_was_measured() -> None:
