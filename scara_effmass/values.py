@@ -111,6 +111,7 @@ class ContactAssessment(NamedTuple):
     reduced_mass: Annotated[float, "kg"]
     stiffness: Annotated[float, "n_m"]
     predicted_force: Annotated[float, "n"]
+    contact_energy: Annotated[float, "j"]
     allowable_speed: Annotated[float, "m_s"]
     margin: Annotated[float, "m_s"]
     smallest_singular_value: float
