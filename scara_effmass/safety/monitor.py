@@ -28,6 +28,7 @@ from scara_effmass.kernel.state import (
     JOINT_MEMORY,
     MEMORY,
     NO_SEQUENCE,
+    REASON_SIZE,
     RULES,
     STATE,
     VALUES,
@@ -51,8 +52,9 @@ DEFAULT_MAX_SPEED = (60.0, 10.0)
 MAX_DETAILS = 10_000
 """Number of different texts of reasons that are kept."""
 OTHER_DETAIL = "one of too many different reasons"
-HEAD, REASON_HEAD = Struct("3q"), Struct("3d")
-"""Layout of the first three fields of a State, and of a reason."""
+HEAD, REASON = Struct("3q"), Struct(f"{REASON_SIZE}d")
+"""Layout of the first three fields of a State, and of its reason."""
+NO_VALUES = (0.0,) * (REASON_SIZE - DETAIL - 1)
 REASON_AT = STATE.fields["reason"][1]
 
 
@@ -333,7 +335,8 @@ class Monitor:
         pending = self._single
         number = NO_SEQUENCE if sequence_number is None else sequence_number
         HEAD.pack_into(pending.states, 0, state.stamp_ns, now_ns, number)
-        REASON_HEAD.pack_into(pending.states, REASON_AT, layout.reason, layout.joint, self._detail(layout.detail))
+        detail = self._detail(layout.detail)
+        REASON.pack_into(pending.states, REASON_AT, layout.reason, layout.joint, detail, *NO_VALUES)
         self._read(pending, layout, state.position[None], state.velocity[None])
         self.compute(pending)
         self._until_check -= 1

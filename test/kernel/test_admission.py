@@ -55,9 +55,7 @@ class Motion(NamedTuple):
 def admitted(monitor: Monitor, joint_state: JointState, now_ns: int) -> FloatArray | str:
     """Return the tolerances of the velocities (n,) of an admitted joint state, or why it is refused."""
     stamps, clocks = np.array([joint_state.stamp_ns]), np.array([now_ns])
-    pending = monitor.admit(
-        joint_state.names, stamps, clocks, joint_state.position[None], joint_state.velocity[None]
-    )
+    pending = monitor.admit(joint_state.names, stamps, clocks, joint_state.position[None], joint_state.velocity[None])
     assert pending is not None
     monitor.compute(pending)
     assessments = monitor.settle(pending)

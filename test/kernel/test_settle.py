@@ -55,11 +55,16 @@ class Settler:
         states, contacts = np.zeros(len(steps), STATE), np.zeros((len(steps), 1, 1), CONTACT)
         for state, contact, step in zip(states, contacts[:, 0, 0], steps, strict=True):
             state["stamp_ns"], state["is_cleared"] = step.stamp_ns, step.clears
-            state["is_admitted"], state["is_watchdog"] = step.verdict is not None, step.verdict is None and not step.stale
+            state["is_admitted"], state["is_watchdog"] = (
+                step.verdict is not None,
+                step.verdict is None and not step.stale,
+            )
             if step.verdict is None or step.stale:
                 state["reason"][[CODE, VALUES]] = Reason.GAP, step.stamp_ns
             if step.verdict is not None:
-                contact["verdict"], contact["speed"], contact["allowable_speed"] = step.verdict, 0.5, 1.0
+                allowable = 0.0 if step.verdict is Verdict.UNKNOWN else 1.0
+                contact["verdict"], contact["speed"], contact["allowable_speed"] = step.verdict, 0.5, allowable
+                contact["margin"] = allowable - 0.5
                 if step.verdict is not Verdict.OK:
                     contact["reason"][[CODE, VALUES]] = Reason.TOO_FAST, step.stamp_ns
         unknown = np.zeros(1, CONTACT).view(np.float64)

@@ -541,7 +541,9 @@ def test_tightest_contact_point_governs(offset_scara: RobotDynamics, q: Vector, 
 
 def test_configurations_have_no_stamp_age_or_delay(scara: RobotDynamics) -> None:
     monitor = Monitor(scara, settings_of())
-    for decision in monitor.assess_configurations(np.tile([0.3, 1.2, 0.1, 0.0], (2, 1)), np.full((2, 4), 0.1)).decisions():
+    for decision in monitor.assess_configurations(
+        np.tile([0.3, 1.2, 0.1, 0.0], (2, 1)), np.full((2, 4), 0.1)
+    ).decisions():
         assert (decision.stamp_ns, decision.input_age, decision.velocity_delay) == (0, 0.0, 0.0)
         assert list(decision.contacts) == first_assessment(scara, (0.3, 1.2, 0.1, 0.0), (0.1,) * 4, settings_of())
 
@@ -668,7 +670,9 @@ def test_weakest_axis_of_a_robot_at_rest_limits_computed_torque(
     settings |= {"max_velocity_lag": 0.0}
     strong, limited = assess_one(scara, q, qd, **settings), assess_one(weak, q, qd, **settings)
     axes: tuple[Vector3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    forces = [min(contact_at(weak, q).clamping_force([np.array(n)]) for n in ((x, y, z), (-x, -y, -z))) for x, y, z in axes]
+    forces = [
+        min(contact_at(weak, q).clamping_force([np.array(n)]) for n in ((x, y, z), (-x, -y, -z))) for x, y, z in axes
+    ]
     assert np.argmin(forces) == axis
     (limit,) = limits_for(settings_of(body_regions=["chest"]))
     assert limited.allowable_speed == pytest.approx(min(forces) / limit.permissible_force_n * strong.allowable_speed)
