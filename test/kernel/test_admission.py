@@ -518,7 +518,7 @@ class TestVelocityAgainstPosition:
             now = NOW + 10 * i * MS
             admitted(monitor, state(now, position=q, velocity=qd if i < 300 else 0.0 * qd), now)
             if i in {1299, 2299}:  # at rest, 10 s apart
-                memory = monitor._memory[0]
+                memory = monitor._memory[0]  # noqa: SLF001 - the estimate of the lag is not public
                 evidence[i] = np.array([memory["lag_correlation"], memory["lag_excitation"]])
         assert min(evidence[1299]) > 0.0
         np.testing.assert_allclose(evidence[2299] / evidence[1299], math.exp(-1.0), rtol=1e-3)
@@ -531,8 +531,8 @@ class TestVelocityAgainstPosition:
             for i in range(21):
                 now, motion = NOW + 8 * i * MS, sweep(8e-3 * i, 0.05)
                 if i == 20:
-                    monitor._memory["lag_correlation"] = 0.05 * excitation
-                    monitor._memory["lag_excitation"] = excitation
+                    monitor._memory["lag_correlation"] = 0.05 * excitation  # noqa: SLF001
+                    monitor._memory["lag_excitation"] = excitation  # noqa: SLF001
                 result = admitted(monitor, state(now, position=motion.q, velocity=motion.qd), now)
             assert not isinstance(result, str)
             tolerances.append(result[[0, 1, 3]])

@@ -72,7 +72,7 @@ def recording(seed: int, rate: float, faults: list[tuple[int, str]]) -> list[Ite
     ]
 
 
-def damaged(  # noqa: PLR0913 - the columns of a recording
+def damaged(
     kind: str, row: int, item: Item, stamps: FloatArray, clocks: FloatArray, q: FloatArray, qd: FloatArray
 ) -> Item:
     """Put a fault into the joint state number `row`, or begin one there; return what comes in its place."""
@@ -174,7 +174,7 @@ def texts(parts: list[Assessments]) -> list[str]:
 @example(2, 3.0, [(4 + 4 * row, kind) for row, kind in enumerate(FAULTS)], [30, 31], {"latch": True})
 @example(3, 3.0, [(4 + 4 * row, kind) for row, kind in enumerate(FAULTS[::-1])], [], SETTINGS[-1])
 @example(4, 3.0, [(4 + 4 * row, kind) for row, kind in enumerate(FAULTS)], [9], SETTINGS[6])
-def test_batches_give_bit_identical_assessments(  # noqa: PLR0913 - what a recording is made of
+def test_batches_give_bit_identical_assessments(
     two_contacts: RobotDynamics,
     seed: int,
     rate: float,

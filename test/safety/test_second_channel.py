@@ -16,7 +16,8 @@ from scara_effmass.kernel.contact_kernel import ContactKernel
 from scara_effmass.kernel.records import CONTACT, ByteArray
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.safety import Monitor, monitor as monitor_module
+from scara_effmass.safety import Monitor
+from scara_effmass.safety import monitor as monitor_module
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Decision, FloatArray, JointState, Verdict
 
@@ -122,9 +123,7 @@ def test_kernel_that_cannot_be_compiled_says_why(monkeypatch: pytest.MonkeyPatch
         monitor.compile()
 
 
-def spoil(
-    monkeypatch: pytest.MonkeyPatch, field: str, change: Callable[[float], float], correct: int = 0
-) -> list[int]:
+def spoil(monkeypatch: pytest.MonkeyPatch, field: str, change: Callable[[float], float], correct: int = 0) -> list[int]:
     """Let the kernel compute `field` wrongly after `correct` runs; return the list of its runs."""
     compute, runs = ContactKernel.compute, []
 
