@@ -116,9 +116,9 @@ def _no_verdict(code: Reason, *values: float) -> tuple[Reason, str]:
 class CellStatus:
     """What is known about a cell at the time of the last `update`.
 
-    `verdict` is that of the latest `decision`, with `contact_point`, `reason` and `reason_code`. It is UNKNOWN before the first one,
-    with no or two monitors, and when the monitor is silent for longer than `timeout_ns`. `allowable_speed` [m/s] and
-    `speed_scaling` [0-1] are then 0. `lost` counts the messages that did not arrive.
+    `verdict` is that of the latest `decision`, with `contact_point`, `reason` and `reason_code`. It is UNKNOWN before
+    the first one, with no or two monitors, and when the monitor is silent for longer than `timeout_ns`.
+    `allowable_speed` [m/s] and `speed_scaling` [0-1] are then 0. `lost` counts the messages that did not arrive.
     """
 
     def __init__(self, now_ns: int) -> None:

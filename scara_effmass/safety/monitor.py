@@ -19,7 +19,7 @@ from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.kernel import jit
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, NANOSECONDS, WINDOW_S, admit, forget_all
 from scara_effmass.kernel.contact_kernel import ContactKernel, too_large
-from scara_effmass.kernel.records import CONTACT, IntArray
+from scara_effmass.kernel.records import CONTACT, REASON_SIZE, IntArray
 from scara_effmass.kernel.settle import settle
 from scara_effmass.kernel.state import (
     CODE,
@@ -28,7 +28,6 @@ from scara_effmass.kernel.state import (
     JOINT_MEMORY,
     MEMORY,
     NO_SEQUENCE,
-    REASON_SIZE,
     RULES,
     STATE,
     VALUES,

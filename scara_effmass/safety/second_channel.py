@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from scara_effmass.iso15066 import Limit
-from scara_effmass.kernel.records import CONTACT, ByteArray
-from scara_effmass.kernel.state import CODE, REASON_SIZE, STATE, VALUES
+from scara_effmass.kernel.records import CONTACT, REASON_SIZE, ByteArray
+from scara_effmass.kernel.state import CODE, STATE, VALUES
 from scara_effmass.reference import ContactResult, RobotDynamics, assess
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import FloatArray

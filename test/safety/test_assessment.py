@@ -115,12 +115,12 @@ def bounding_reduced_mass(
     mobility = contact.mobilities[model] / factor
     normal = settings.fixed_normal
     if normal is not None:
-        return parallel(1.0 / (np.array(normal) @ mobility @ np.array(normal)), obstacle_mass)
+        return parallel(1.0 / float(np.array(normal) @ mobility @ np.array(normal)), obstacle_mass)
     velocity = direction_of(contact, settings)
     if velocity is None:
         return parallel(factor * contact.effective_mass(model, None), obstacle_mass)
     if settings.contact_normal == "velocity":
-        return parallel(1.0 / (velocity @ mobility @ velocity), obstacle_mass)
+        return parallel(1.0 / float(velocity @ mobility @ velocity), obstacle_mass)
     return float(velocity @ np.linalg.solve(mobility + np.eye(3) / obstacle_mass, velocity))
 
 
@@ -140,13 +140,13 @@ def bounding_speed(
         w, along_speed = np.linalg.solve(matrix, n), contact.speed
         if settings.fixed_normal is not None:
             normal = np.array(settings.fixed_normal)
-            along_speed *= max(abs(n @ normal), 0.1)
+            along_speed *= max(abs(float(n @ normal)), 0.1)
             n = normal * (1.0 if n @ normal >= 0.0 else -1.0)
             w = n / (n @ matrix @ n)
         if settings.drives is Drives.IMMOVABLE:
             w, rate = n, 0.0 * rate
-        faster = max(0.0, *(w @ a for a in change.accelerations)) / along_speed
-        growth = 2.0 * (faster + max(0.0, -(w @ rate @ w))) / (n @ w)
+        faster = max(0.0, *(float(w @ a) for a in change.accelerations)) / along_speed
+        growth = 2.0 * (faster + max(0.0, -float(w @ rate @ w))) / float(n @ w)
         growth *= 0.5 * min(1.5 * math.pi / 2.0 * math.sqrt(mu / stiffness), 0.5) / along_speed
     return float(2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed)))
 

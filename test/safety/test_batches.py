@@ -12,6 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from scara_effmass.codes import Reason
+from scara_effmass.kernel.records import IntArray
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Assessments, Monitor
@@ -72,9 +73,7 @@ def recording(seed: int, rate: float, faults: list[tuple[int, str]]) -> list[Ite
     ]
 
 
-def damaged(
-    kind: str, row: int, item: Item, stamps: FloatArray, clocks: FloatArray, q: FloatArray, qd: FloatArray
-) -> Item:
+def damaged(kind: str, row: int, item: Item, stamps: IntArray, clocks: IntArray, q: FloatArray, qd: FloatArray) -> Item:
     """Put a fault into the joint state number `row`, or begin one there; return what comes in its place."""
     state, later = item.state, {"late": 201_000_000, "old": 10**9, "clock back": -(10**10)}.get(kind, 0)
     stamps[row:] += later

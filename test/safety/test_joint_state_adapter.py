@@ -66,7 +66,7 @@ def velocities(
     velocity: FloatArray,
     names: tuple[str, ...] = JOINTS,
 ) -> tuple[FloatArray, FloatArray, float, bool]:
-    """Return the filtered velocity of a joint state, its change within the delay, that delay, and whether there is one."""
+    """Return the filtered velocity of a joint state, its change within the delay, the delay, and if there is one."""
     layout, motions = adapter.layout(names), np.zeros((1, 4, len(JOINTS)))
     assert adapter.read(layout, position[None], velocity[None], motions) == (Reason.NONE, (0.0, 0.0))
     filtered = adapter.filter(layout, np.array([stamp_ns]), motions)

@@ -11,6 +11,7 @@ from scara_effmass.safety.reasons import TEXTS
 from scara_effmass.safety.remedies import REMEDIES, remedy
 
 DOCS = Path(__file__).parents[2] / "docs"
+HEAD = "| code | reason | remedy |\n"
 ROW = re.compile(r"^\| (\d+) \| (.+) \| (.+) \|$", re.MULTILINE)
 """Code, reason and remedy in the documentation."""
 
@@ -28,7 +29,9 @@ def test_no_reason_has_no_remedy() -> None:
 
 def test_documentation_lists_every_reason_and_remedy() -> None:
     """In the order of the codes, "…" in place of what a text takes from a joint state."""
-    rows = [row for path in sorted(DOCS.glob("*.md")) for row in ROW.findall(path.read_text(encoding="utf-8"))]
+    pages = [path.read_text(encoding="utf-8") for path in DOCS.glob("*.md")]
+    (table,) = (page.split(HEAD)[1].partition("\n\n")[0] for page in pages if HEAD in page)
+    rows = ROW.findall(table)
     listed = {int(code): (text, advice) for code, text, advice in rows}
     expected = {reason.value: (re.sub(r"\{[^}]*\}", "…", TEXTS[reason]), advice) for reason, advice in REMEDIES.items()}
     assert listed == expected

@@ -125,7 +125,8 @@ def test_kernel_that_cannot_be_compiled_says_why(monkeypatch: pytest.MonkeyPatch
 
 def spoil(monkeypatch: pytest.MonkeyPatch, field: str, change: Callable[[float], float], correct: int = 0) -> list[int]:
     """Let the kernel compute `field` wrongly after `correct` runs; return the list of its runs."""
-    compute, runs = ContactKernel.compute, []
+    compute = ContactKernel.compute
+    runs: list[int] = []
 
     def wrong(kernel: ContactKernel, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
         compute(kernel, states, motions, numbers)
