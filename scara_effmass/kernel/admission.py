@@ -111,7 +111,7 @@ def begin_comparison(
     memory.is_comparing, memory.observed_ns = 1, state.stamp_ns
     for i in range(len(joints)):
         joint = joints[i]
-        joint.position, joint.velocity, joint.mean = q[i], qd[i], qd[i]
+        joint.position, joint.velocity, joint.mean_velocity = q[i], qd[i], qd[i]
         joint.error = joint.peak = joint.allowance = 0.0
         joint.since_ns, joint.since_position = state.stamp_ns, q[i]
 
@@ -141,8 +141,8 @@ def check_velocities(
     for i in range(len(joints)):
         joint, x, v = joints[i], q[i], qd[i]
         error = (joint.error + x - joint.position - half_step * (v + joint.velocity)) * decay
-        joint.mean = (joint.mean + v * gain) * decay
-        change = v - joint.mean
+        joint.mean_velocity = (joint.mean_velocity + v * gain) * decay
+        change = v - joint.mean_velocity
         joint.peak = max(joint.peak * decay, abs(change))
         joint.allowance = (joint.allowance + half_step * abs(v - joint.velocity) + scale_step * abs(v)) * decay
         tolerance = joint.position_tolerance + joint.allowance + lag_tolerance * joint.peak

@@ -125,7 +125,7 @@ class Mobility:
 
     along: float
     adjugate: float
-    trace: float
+    matrix_trace: float
     minors: float
     determinant: float
     rank: int

@@ -103,7 +103,7 @@ class JointMemory:
     position: float
     velocity: float
     error: float
-    mean: float
+    mean_velocity: float
     peak: float
     allowance: float
     is_unconfirmed: int

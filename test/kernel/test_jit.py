@@ -7,11 +7,15 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
+import numpy as np
 import pytest
 
-from scara_effmass.kernel import jit
+from scara_effmass.kernel import jit, records, state
 
 CALL = (
     "import numpy as np\n"
@@ -94,6 +98,21 @@ def test_each_version_of_the_sources_has_a_folder_of_its_own(monkeypatch: pytest
         folders.append(jit.cache_folder())
     assert folders[0] == folders[1]
     assert len(set(folders)) == 3
+
+
+def fields(dtype: np.dtype[Any]) -> Iterator[str]:
+    """Yield the names of all fields, also of records within."""
+    for name, (of_field, *_) in (dtype.fields or {}).items():
+        yield name
+        yield from fields(of_field.base)
+
+
+@pytest.mark.parametrize("module", [records, state])
+def test_no_field_of_a_record_has_the_name_of_a_method_of_numpy(module: ModuleType) -> None:
+    """Plain functions would get the method: without numba the kernel runs as plain Python."""
+    names = {name for value in vars(module).values() if isinstance(value, np.dtype) for name in fields(value)}
+    assert names
+    assert not names & set(dir(np.record))
 
 
 @pytest.mark.live
