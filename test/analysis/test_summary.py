@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scara_effmass.analysis.assessed_states import states_of
 
 from scara_effmass.analysis.summary import MAX_REASONS, OTHER_REASONS, Summary
-from scara_effmass.analysis.time_series import NO_JOINT_STATE
+from scara_effmass.codes import Reason
 from scara_effmass.safety import unknown_contact
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.values import ContactAssessment, Verdict
@@ -122,7 +122,7 @@ def test_remedy_of_the_leading_reason_from_five_percent_on(unknown: int, *, shar
         reason = "the header stamp is zero" if number < unknown - 1 else "the header stamp is repeated"
         verdict = Verdict.UNKNOWN if number < unknown else Verdict.OK
         summary.add(states_of([0], [[contact(verdict, reason=reason)]]))
-    assert summary.remedy == (remedy("the header stamp is zero") if share else "")
+    assert summary.remedy == (remedy(Reason.ZERO_STAMP) if share else "")
     assert (("remedy", summary.remedy) in summary.lines()) is share
 
 
@@ -131,7 +131,7 @@ def test_remedy_of_gaps() -> None:
     for at_ms in (0, 10, 5000):
         cycle = contact(Verdict.UNKNOWN if at_ms == 10 else Verdict.OK, reason="the header stamp is zero")
         summary.add(states_of([at_ms * MS], [[cycle]]))
-    assert summary.remedy == remedy(NO_JOINT_STATE)
+    assert summary.remedy == remedy(Reason.GAP)
 
 
 def test_reasons_with_an_ellipsis_are_kept() -> None:

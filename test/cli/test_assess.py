@@ -29,6 +29,7 @@ from scara_effmass.analysis.tables import SCHEMA
 from scara_effmass.bags.bag import run_infos
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
+from scara_effmass.codes import Reason
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.kernel import jit
 from scara_effmass.model.load import load_robot
@@ -370,7 +371,7 @@ def test_report_shows_every_contact_point_and_episode(swing_bag: Path, cli: Cli,
     assert violation["min_margin_m_s"] == summary["tightest"]["margin_m_s"]
     assert set(violation["positions"]) == {"joint1", "joint2", "joint3", "joint4"}
     assert violation["body_region"] in violation["reason"]
-    assert violation["remedy"] == remedy(violation["reason"]) != ""
+    assert violation["remedy"] == remedy(Reason.TOO_FAST) != ""
     assert all(episode["remedy"] for episode in summary["episodes"])
     assert abs(violation["stamp_ns"] - summary["tightest"]["stamp_ns"]) <= 1e9 * violation["duration_s"] + 1
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
