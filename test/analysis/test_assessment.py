@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint states assessed in batches get the verdicts, texts and numbers that a monitor gives them one after the other."""
+"""Joint states assessed in batches get verdicts, texts and numbers as by a monitor, one after the other."""
 
 from __future__ import annotations
 
@@ -197,4 +197,4 @@ def test_kernel_agrees_with_the_reference(changes: dict[str, Any], tmp_path: Pat
         batches = (
             assess_joint_states(source, "/joint_states", own) for source, own in ((bag, kernel), (again, reference))
         )
-        assert sum(map(len, cross_checked("bag", *batches))) > 300
+        assert sum(map(len, cross_checked("bag", *batches))) > 200
