@@ -120,8 +120,8 @@ def test_misplaced_import_is_detected(room: str, source: str) -> None:
 def executed(node: ast.AST) -> Iterator[ast.AST]:
     """Yield `node` and all nodes in it, without what only a type checker reads."""
     if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-        for child in node.orelse:
-            yield from executed(child)
+        for other in node.orelse:
+            yield from executed(other)
         return
     yield node
     for child in ast.iter_child_nodes(node):
