@@ -33,7 +33,7 @@ unexport PYTHONDONTWRITEBYTECODE
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
 
-setup: .venv/.installed  ## make .venv: install the locked requirements, build the messages, install this tree editable
+setup: .venv/.installed  ## make .venv: what the demo needs, the messages, the compiled kernel, and this tree, editable
 
 demo: setup  ## run all nodes on the simulated cell and write a report
 	$(BIN)/scara-effmass demo --force
@@ -44,41 +44,41 @@ test: .venv/.caches lint  ## run lint, types and all tests
 check: .venv/.caches lint  ## run lint, types and the tests without DDS and processes
 	$(PYTEST) -m "not live"
 
-lint: setup  ## run ruff and mypy
+lint: .venv/.test  ## run ruff and mypy
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
-coverage: setup  ## measure the branch coverage of each room; ROOM restricts the tests
+coverage: .venv/.test  ## measure the branch coverage of each room; ROOM restricts the tests
 	@mkdir -p build
-	SCARA_EFFMASS_SOURCES=1 $(PYTEST) --cov --cov-report= $(addprefix test/,$(ROOM))
+	$(PYTEST) --cov --cov-report= $(addprefix test/,$(ROOM))
 	@# What numba compiles is not measured, so its tests run again as Python.
-	SCARA_EFFMASS_SOURCES=1 NUMBA_DISABLE_JIT=1 $(PYTEST) --cov --cov-append --cov-report= test/safety/test_sequence.py
+	NUMBA_DISABLE_JIT=1 $(PYTEST) --cov --cov-append --cov-report= test/safety/test_sequence.py
 	$(BIN)/python scripts/coverage_table.py $(ROOM)
 
-mutants: setup  ## test mutants of the pure rooms; ROOM, N and SEED choose the sample
+mutants: .venv/.test  ## test mutants of the pure rooms; ROOM, N and SEED choose the sample
 	$(BIN)/python scripts/mutants.py $(ROOM) --number $(N) --seed $(SEED)
 
-bench: setup  ## measure the speed of core, nodes, bag reader, assess and recorder
+bench: .venv/.test  ## measure the speed of core, nodes, bag reader, assess and recorder
 	$(BIN)/python benchmarks/run.py
 
-fuzz: setup  ## damaged input through core, live node and file parsers; N sequences (a tenth messages, a 500th of each file) and SEED
+fuzz: .venv/.test  ## damaged input through core, live node and file parsers; N sequences (a tenth messages, a 500th of each file) and SEED
 	$(BIN)/python test/endurance/fuzz.py --number $(if $(filter command line environment,$(origin N)),$(N),1000000) --seed $(SEED)
 
-faults: setup  ## inject faults into live nodes one by one and write docs/faults.md; takes about 6 minutes
+faults: .venv/.test  ## inject faults into live nodes one by one and write them into docs/measured.md; takes about 6 minutes
 	$(BIN)/pytest --numprocesses 0 test/endurance/faults.py
 
-soak: setup  ## run all nodes at 1 kHz for DURATION seconds and write docs/soak.md
+soak: .venv/.test  ## run all nodes at 1 kHz for DURATION seconds and write the figures into docs/measured.md
 	$(BIN)/python test/endurance/soak.py --duration $(DURATION) --write
 
-scale: setup  ## assess many recordings with 1 and 2 worker processes, end some of them, and write the table of docs/scale.md
+scale: .venv/.test  ## assess many recordings with 1 and 2 worker processes, end some of them, and write the table into docs/measured.md
 	$(BIN)/python benchmarks/scale.py --write
 
 bags: setup  ## generate the shipped recordings again
 	$(BIN)/python -m scara_effmass.studies.shipped_bags -o bags --force
 
 docs: setup .venv-tools/.requirements  ## build the documentation as a site in build/site; a warning is an error
-	SCARA_EFFMASS_SOURCES=1 $(BIN)/python scripts/docs_reference.py
+	$(BIN)/python scripts/docs_reference.py
 	.venv-tools/bin/sphinx-build --quiet --fail-on-warning --keep-going --conf-dir docs . build/site
 
 dist: setup  ## build sdist and wheel in build/dist and use the wheel in a clean environment
@@ -100,19 +100,24 @@ clean:  ## remove all generated files
 .PHONY: help setup demo test check lint coverage mutants bench fuzz faults soak scale bags docs dist sbom colcon lock clean
 
 # The stamps are written last, so that an interrupted set-up starts over.
-.venv/.requirements: requirements.lock
-.venv-colcon/.requirements: requirements-colcon.lock
-.venv-tools/.requirements: requirements-tools.lock
+.venv/.requirements: requirements/setup.lock
+.venv-colcon/.requirements: requirements/colcon.lock
+.venv-tools/.requirements: requirements/tools.lock
 %/.requirements:
 	@python=$$(scripts/check_machine.sh . $(PYTHON)) && \
-	rm -rf $* && \
-	echo "making $* with $$($$python --version); this takes a minute or two" && \
+	rm -rf $* $(if $(filter .venv,$*),build/messages-*) && \
+	echo "making $* with $$($$python --version)" && \
 	$$python -m venv $* && \
-	$*/bin/python -m pip install --quiet --no-deps --no-compile --use-pep517 --require-hashes \
-		--requirement $< && \
+	scripts/install_locked.sh $* $< && \
 	touch $@
 
-# The editable installation keeps a list of the modules; those of HOT_PATH are compiled.
+# Everything else that tests, measurements and all commands need.
+.venv/.test: requirements/test.lock .venv/.installed
+	@echo "installing what the tests need"
+	@scripts/install_locked.sh .venv $<
+	@touch $@
+
+# The editable installation keeps a list of the modules.
 .venv/.modules: FORCE | .venv/.requirements
 	@find scara_effmass -name '*.py' | sort > $@.new
 	@cmp -s $@.new $@ && rm $@.new || mv $@.new $@
@@ -120,13 +125,14 @@ FORCE:
 
 # What mypy and pytest compile once, at the same time: else one core waits for mypy, and then each test process compiles
 # all tests.
-.venv/.caches: .venv/.installed
+.venv/.caches: .venv/.test
 	@echo "preparing mypy and the tests"
 	@$(BIN)/mypy > /dev/null & $(BIN)/pytest --collect-only --quiet > /dev/null; wait; touch $@
 
+# The kernel compiles while the messages are built; it needs this tree, not its installation.
 .venv/.installed: .venv/.requirements .venv/.modules pyproject.toml package.xml setup.py \
-		$(shell find cmake msg_schemas scripts -type f) $(shell sed -n 's/^    "\(scara_effmass\/.*\.py\)",$$/\1/p' setup.py)
-	@echo "building the messages and installing this tree"
-	@$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
-	@$(BIN)/python scripts/compile_kernel.py
-	@touch $@
+		$(shell find cmake msg_schemas scripts -type f)
+	@echo "building the messages and compiling the kernel"
+	@PYTHONPATH=. $(BIN)/python scripts/compile_kernel.py & \
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable . && installed=1; \
+	wait $$! && [ "$$installed" ] && touch $@

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-
 from scara_effmass.analysis.archive import many_at_once, slow_reason
+
 from scara_effmass.analysis.assessment import ClockSkew, Time, assess_joint_states, one_by_one
 from scara_effmass.analysis.cross_check import differences
 from scara_effmass.bags.files import open_bag
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from distributed import Client, LocalCluster
+from measured_page import write_section
 
 from scara_effmass.analysis.bag_assessment import BagTask
 from scara_effmass.analysis.dataset import assess_part
@@ -29,8 +30,6 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import JointState
 
 WORKERS, MEMORY_GB = 2, 1.5
-PAGE = Path(__file__).parents[1] / "docs" / "scale.md"
-BEGIN, END = "<!-- written by make scale -->", "<!-- end -->"
 HOG = Path("a recording that needs more memory")
 NAMES = tuple(f"joint{number}" for number in range(1, 5))
 
@@ -103,7 +102,7 @@ def run(workers: int, bags: list[Path], warm: Path, *, kills: bool = False) -> d
 
 
 def table(number: int, states: int) -> str:
-    """Write `number` recordings with as many `states`, run all cases, and return the table of docs/scale.md."""
+    """Write `number` recordings with as many `states`, run all cases, and return the table."""
     with tempfile.TemporaryDirectory() as folder:
         bags = [Path(folder) / f"{index}" for index in range(number + 1)]
         for index, bag in enumerate(bags):
@@ -135,17 +134,16 @@ def table(number: int, states: int) -> str:
 
 
 def main() -> None:
-    """Print the table, or write it into docs/scale.md."""
+    """Print the table; with --write, also into docs/measured.md."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bags", type=int, default=16)
     parser.add_argument("--states", type=int, default=300_000, help="joint states of each (default: five minutes)")
-    parser.add_argument("--write", action="store_true", help="replace the table in docs/scale.md")
+    parser.add_argument("--write", action="store_true", help="write the table into docs/measured.md")
     args = parser.parse_args()
     text = table(args.bags, args.states)
     sys.stdout.write(f"{text}\n")
     if args.write:
-        before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-        PAGE.write_text(f"{before}{BEGIN}\n{text}\n\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+        write_section("make scale", text)
 
 
 if __name__ == "__main__":

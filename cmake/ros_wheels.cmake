@@ -26,8 +26,23 @@ function(drop_missing_include_directories)
 endfunction()
 cmake_language(DEFER CALL drop_missing_include_directories)
 
-# control_msgs has no wheel. Only for pip: a workspace takes it from its ROS, as package.xml says.
+# Only for pip. A workspace builds everything, and takes control_msgs from its ROS, as package.xml says.
 if(SKBUILD_PLATLIB_DIR AND PROJECT_NAME STREQUAL "scara_effmass_msgs")
-  set(CMAKE_PROJECT_INCLUDE "${CMAKE_CURRENT_LIST_FILE}")  # for control_msgs, too
+  # rclpy with Fast DDS uses only these; the code for C++ would take half of the time.
+  find_package(rosidl_default_generators REQUIRED)
+  list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces INCLUDE REGEX
+    "^rosidl_(generator_(type_description|c|py)|typesupport_(c|fastrtps_c|introspection_c)):")
+
+  # Their files include the same large headers, so one file per target compiles faster than one per message.
+  function(unite_typesupports)
+    list(TRANSFORM AMENT_EXTENSIONS_rosidl_generate_idl_interfaces REPLACE ":.*" "" OUTPUT_VARIABLE targets)
+    list(FILTER targets INCLUDE REGEX "typesupport")
+    list(TRANSFORM targets PREPEND "scara_effmass_msgs__")
+    set_target_properties(${targets} PROPERTIES UNITY_BUILD ON)
+  endfunction()
+  cmake_language(DEFER CALL unite_typesupports)
+
+  # control_msgs has no wheel.
+  set(CMAKE_PROJECT_INCLUDE "${CMAKE_CURRENT_LIST_FILE}")
   add_subdirectory("${CMAKE_CURRENT_LIST_DIR}/control_msgs" control_msgs)
 endif()

@@ -3,7 +3,7 @@
 
     python examples/cart_impacts.py test/recordings/cart_impacts
 
-See docs/cart_impacts.md.
+See docs/cell.md.
 """
 
 from __future__ import annotations

@@ -22,11 +22,11 @@ from rclpy.node import Node
 from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.task import Future
 from rclpy.time import Time
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactState, ContactStates
 
 
 class VerdictConsumer(Node):
-    """Follows `contact_state`; stops on UNKNOWN, VIOLATION, an old stamp, silence or a lost monitor."""
+    """Follows `contact_states`; stops on UNKNOWN, VIOLATION, an old stamp, silence, a lost or a second monitor."""
 
     def __init__(
         self, timeout_s: float, on_change: Callable[[float, str], None], max_age_s: float | None = None
@@ -39,15 +39,10 @@ class VerdictConsumer(Node):
         super().__init__("verdict_consumer")
         self._max_age = Duration(seconds=timeout_s if max_age_s is None else max_age_s)
         self._on_change = on_change
-        self._speeds: dict[str, tuple[float, str]] = {}
-        """Allowed speed of each contact point [m/s], and the reason if it is 0."""
-        self._received_s: dict[str, float] = {}
-        """Time of the last message of each contact point."""
         self._monitors = 0
         self._limit: tuple[float, str] | None = None
         # The monitor offers twice its timeout. A shorter request does not match, and then nothing arrives.
-        self._deadline_s = 2.0 * timeout_s
-        deadline = Duration(seconds=self._deadline_s)
+        deadline = Duration(seconds=2.0 * timeout_s)
         qos = QoSProfile(
             depth=10,
             deadline=deadline,
@@ -55,43 +50,28 @@ class VerdictConsumer(Node):
             liveliness_lease_duration=deadline,
         )
         events = SubscriptionEventCallbacks(
-            deadline=lambda _: self._stop("deadline missed"), liveliness=self._on_liveliness
+            deadline=lambda _: self._change(0.0, "deadline missed"), liveliness=self._on_liveliness
         )
-        self.create_subscription(ContactState, "contact_state", self._on_contact_state, qos, event_callbacks=events)
+        self.create_subscription(ContactStates, "contact_states", self._on_contact_states, qos, event_callbacks=events)
         # Neither event comes before the first match, so start stopped.
-        self._stop("no contact state yet")
+        self._change(0.0, "no contact states yet")
 
-    def _on_contact_state(self, state: ContactState) -> None:
+    def _on_contact_states(self, states: ContactStates) -> None:
         if self._monitors > 1:
             return
-        name, now_s = state.contact_point, time.monotonic()
-        if not name or "" in self._speeds:  # the monitor has no robot, or gets one: earlier contact points are void
-            self._speeds.clear()
-        age = self.get_clock().now() - Time.from_msg(state.header.stamp, clock_type=self.get_clock().clock_type)
-        is_permissive = state.verdict in {ContactState.OK, ContactState.WARN} and state.allowable_speed > 0.0
+        age = self.get_clock().now() - Time.from_msg(states.header.stamp, clock_type=self.get_clock().clock_type)
+        is_permissive = states.verdict in {ContactState.OK, ContactState.WARN} and states.allowable_speed > 0.0
         if not is_permissive:
-            limit = 0.0, f"{name}: {state.reason}"
+            self._change(0.0, states.reason or "no speed is allowed")
         elif age > self._max_age:  # a queue or a network delayed it
-            limit = 0.0, f"{name}: the state is {age.nanoseconds / 1e9:.3f} s old"
+            self._change(0.0, f"the joint state is {age.nanoseconds / 1e9:.3f} s old")
         else:
-            limit = state.allowable_speed, ""
-        # Each joint state gives one message per contact point, and all points must allow a speed.
-        self._speeds[name], self._received_s[name] = limit, now_s
-        for point in self._speeds:  # the deadline is that of the topic: another contact point can meet it
-            if now_s - self._received_s[point] > self._deadline_s:
-                self._speeds[point] = 0.0, f"{point}: no contact state"
-        self._change(*min(self._speeds.values()))
+            self._change(states.allowable_speed, "")
 
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
         self._monitors = event.alive_count
         if self._monitors != 1:
-            self._stop("two monitors" if self._monitors else "liveliness lost")
-            self._speeds.clear()  # the next monitor may have other contact points
-
-    def _stop(self, reason: str) -> None:
-        # Each contact point has to report again before the robot may move.
-        self._speeds = dict.fromkeys(self._speeds, (0.0, reason))
-        self._change(0.0, reason)
+            self._change(0.0, "two monitors" if self._monitors else "liveliness lost")
 
     def _change(self, speed: float, reason: str) -> None:
         if self._limit is None or (speed, reason) != self._limit:

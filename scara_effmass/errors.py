@@ -41,6 +41,10 @@ class DecodeError(EffmassError, ValueError):
     """Message bytes that do not match their type."""
 
 
+class KernelError(EffmassError, RuntimeError):
+    """Compiled kernel that cannot be had."""
+
+
 class OutputError(EffmassError, OSError):
     """Output file that cannot be written or already exists."""
 

@@ -11,6 +11,7 @@ from pathlib import Path, PosixPath
 from typing import IO, Any
 
 from scara_effmass.errors import BagError
+from scara_effmass.extras import pip_line
 
 
 def location(text: str) -> Path:
@@ -143,7 +144,7 @@ def _errors_of(url: Url) -> Iterator[None]:
     except FileNotFoundError as error:
         raise FileNotFoundError(errno.ENOENT, "does not exist", str(url)) from error
     except ImportError:
-        cause = "needs fsspec and the file system of its protocol, for S3: pip install 'scara_effmass[cluster]'"
+        cause = f"needs fsspec and the file system of its protocol, for S3: {pip_line('fsspec')}"
         raise OSError(errno.EIO, cause, str(url)) from None
     except Exception as error:  # noqa: BLE001 - each file system raises its own
         cause = " ".join(str(getattr(error, "strerror", None) or error).split()) or type(error).__name__

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scara_effmass.codes import Reason
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Vector3 = tuple[float, float, float]
@@ -26,6 +28,12 @@ MAX_LOST_SAMPLES = 2**32 - 1
 ZERO_VECTOR: Vector3 = (0.0, 0.0, 0.0)
 NONE_SATURATED: NDArray[np.uint32] = np.empty(0, np.uint32)
 NONE_SATURATED.flags.writeable = False
+
+
+def mobility_matrix(entries: Mobility6) -> FloatArray:
+    """Return the symmetric (3, 3) matrix of a mobility [1/kg]."""
+    xx, xy, xz, yy, yz, zz = entries
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def true_runs(mask: BoolArray) -> NDArray[np.intp]:
@@ -66,6 +74,14 @@ class Verdict(IntEnum):
     VIOLATION = 3
 
 
+_SEVERITY = {Verdict.OK: 0, Verdict.WARN: 1, Verdict.VIOLATION: 2, Verdict.UNKNOWN: 3}
+
+
+def severity(verdict: Verdict) -> int:
+    """Return 0 for OK to 3 for UNKNOWN, under which nothing is allowed."""
+    return _SEVERITY[verdict]
+
+
 VERDICT_COLORS = {
     Verdict.OK: "#009E73",
     Verdict.WARN: "#F0E442",
@@ -80,12 +96,10 @@ class ContactAssessment(NamedTuple):
 
     `lumped_mass` and `full_mass` [kg] are NaN if the robot has no such model. Under UNKNOWN, what could not be computed
     is 0. Masses and `predicted_force` [N] are nominal; `force_bound` [N], `allowable_speed` and `margin` [m/s] include
-    drives and uncertainty margins, on the safe side. `watchdog` marks a state that was published without a new joint
-    state, because none arrived in time or the monitor ended. `mass_model_reason` states why `mass_model` decides.
+    drives and uncertainty margins, on the safe side. `body_mass` [kg] is that of the body part, 0 if it is clamped.
+    `mass_model_reason` states why `mass_model` decides; `reason_code` is the code of `reason`.
     """
 
-    stamp_ns: int
-    contact_point: str
     direction: Vector3
     speed: float
     effective_mass: float
@@ -93,32 +107,30 @@ class ContactAssessment(NamedTuple):
     full_mass: float
     iso_mass: float
     worst_direction_mass: float
-    obstacle_mass: float
+    body_mass: float
     reduced_mass: float
     stiffness: float
     predicted_force: float
     allowable_speed: float
     margin: float
-    body_region: str
-    criterion: str
-    verdict: Verdict
-    reason: str
-    input_age: float
+    smallest_singular_value: float
+    worst_normal_reduced_mass: float
+    force_bound: float
+    clamping_force: float
+    lumped_mobility: Mobility6
+    full_mobility: Mobility6
+    test_direction: Vector3
+    test_effective_mass: float
     worst_direction_used: bool
     mass_capped: bool
-    smallest_singular_value: float
-    watchdog: bool = False
-    worst_normal_reduced_mass: float = 0.0
-    force_bound: float = 0.0
-    clamping_force: float = 0.0
-    lumped_mobility: Mobility6 = NO_MOBILITY
-    full_mobility: Mobility6 = NO_MOBILITY
-    contact_normal: str = ""
-    mass_model: str = ""
-    mass_model_reason: str = ""
-    test_direction: Vector3 = ZERO_VECTOR
-    test_effective_mass: float = 0.0
-    velocity_delay: float = 0.0
+    verdict: Verdict
+    reason_code: Reason
+    contact_point: str
+    body_region: str
+    criterion: str
+    mass_model: str
+    mass_model_reason: str
+    reason: str
 
     @property
     def mass_model_text(self) -> str:
@@ -134,14 +146,51 @@ class ContactAssessment(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """Output of the monitor for one joint state, or of its watchdog.
+    """Output of the monitor for one joint state, or of its watchdog: `ContactStates.msg`.
 
-    `allowable_speed` [m/s] and `speed_scaling` [0-1] are the minima over the contact points, 0 if one is UNKNOWN.
+    `stamp_ns` is that of the joint state, `input_age` its age [s] and `velocity_delay` that of its velocity [s].
+    `contact_normal` is empty where nothing was computed. `watchdog`: it answers no joint state, because none came in
+    time or the monitor ended. There is at least one contact, without a name if there is no robot. `allowable_speed`
+    [m/s] and `speed_scaling` [0-1] are the minima over the contacts, 0 if one is UNKNOWN. `sequence_number` counts the
+    messages of one monitor; 0: not published.
     """
 
+    stamp_ns: int
+    input_age: float
+    velocity_delay: float
+    contact_normal: str
+    watchdog: bool
     contacts: tuple[ContactAssessment, ...]
     allowable_speed: float
     speed_scaling: float
+    sequence_number: int = 0
+
+    @property
+    def worst(self) -> ContactAssessment:
+        """The contact with the smallest margin among those with the worst verdict."""
+        if len(self.contacts) == 1:
+            return self.contacts[0]
+        return max(self.contacts, key=lambda contact: (severity(contact.verdict), -contact.margin))
+
+    @property
+    def assessed_ns(self) -> int:
+        """Time of the assessment on the monitor's clock [ns]."""
+        return self.stamp_ns + round(self.input_age * 1e9)
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict of the worst contact."""
+        return self.worst.verdict
+
+    @property
+    def reason(self) -> str:
+        """The reason of the worst contact, empty if it is OK."""
+        return self.worst.reason
+
+    @property
+    def reason_code(self) -> Reason:
+        """The code of that reason."""
+        return self.worst.reason_code
 
 
 class ForceBlock(NamedTuple):
@@ -205,12 +254,36 @@ class Prediction(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
+class SeriesStatistics:
+    """Agreement of a series of impacts with one model, and the decision on it: `SeriesStatistics.msg`."""
+
+    count: int
+    correlation: float
+    fitted_stiffness: float
+    bias: float
+    rmse: float
+    non_conservative: int
+    gain: float
+    gain_interval: tuple[float, float]
+    mass_scale: float
+    mass_scale_interval: tuple[float, float]
+    detectable_mass_error: float
+    exponent: float
+    exponent_interval: tuple[float, float]
+    clock_offset: float
+    exceedances: int
+    accepted: bool
+    decidable: bool
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class ValidatedImpact:
     """Comparison of one impact with its prediction: `ImpactValidation.msg`, and its inputs.
 
-    `count` to `exceedances` describe the selected model over the series. `predictions` are those of every model that
-    has a mass at the onset; `obstacle_mass` m_H [kg] and `configuration` are those of the run. `from_trend`: the robot
-    state was extrapolated from before the impact, because the contact had already slowed the robot in the next one.
+    `series` describes the selected model over the series. `predictions` are those of every model that has a mass at
+    the onset; `obstacle_mass` m_H [kg] and `configuration` are those of the run. `from_trend`: the robot state was
+    extrapolated from before the impact, because the contact had already slowed the robot in the next one.
     `force_share` is the component of the plate's normal along the axis of the sensor.
     """
 
@@ -233,24 +306,7 @@ class ValidatedImpact:
     region_force: float
     limit_force: float
     exceeds_limit: bool
-    count: int
-    correlation: float
-    fitted_stiffness: float
-    bias: float
-    rmse: float
-    non_conservative: int
-    gain: float
-    gain_interval: tuple[float, float]
-    mass_scale: float
-    mass_scale_interval: tuple[float, float]
-    detectable_mass_error: float
-    exponent: float
-    exponent_interval: tuple[float, float]
-    series_clock_offset: float
-    exceedances: int
-    accepted: bool
-    decidable: bool
-    reason: str
+    series: SeriesStatistics
     predictions: tuple[Prediction, ...]
     contact_point: str
     direction: Vector3

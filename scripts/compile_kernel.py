@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compile the kernel once, before several processes do so at the same time."""
 
-import sys
-
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 
 settings = MonitorSettings()
-sys.exit(Monitor(RobotDynamics(load_robot(settings=settings)), settings).assessor.load_kernel() or None)
+Monitor(RobotDynamics(load_robot(settings=settings)), settings).compile()

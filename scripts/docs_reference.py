@@ -44,8 +44,7 @@ has exit codes, tables and files."""
 DIAGNOSTICS = """\
 Generated from the nodes. Each status on `/diagnostics` is named `/NODE: STATUS`; … stands for a name. Every node
 publishes once a second, the monitor also when a verdict changes."""
-API = """\
-Generated from the docstrings. Compiled classes show none in `help()`: start Python with `SCARA_EFFMASS_SOURCES=1`."""
+API = "Generated from the docstrings."
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
-# Write the three locked requirement files, with hashes, for all supported Pythons; usage: lock_requirements.sh PYTHON
+# Write the locked files of requirements/, with hashes, for all supported Pythons; usage: lock_requirements.sh PYTHON
 set -eu
 python=$1
 cd "$(dirname "$0")/.."
@@ -18,7 +18,11 @@ lock() {
     "$python" -m uv pip compile --quiet --universal --upgrade --generate-hashes --no-annotate \
         --python-version 3.10 --custom-compile-command "make lock" "$@"
 }
-lock pyproject.toml "$build" --group build --extra dev --output-file requirements.lock
-lock pyproject.toml "$build" --group build --group colcon --constraint requirements.lock \
-    --output-file requirements-colcon.lock
-lock --group tools --output-file requirements-tools.lock
+lock pyproject.toml "$build" --group build --extra dev --output-file requirements/test.lock
+# What `make setup` and the demo need. The other files take their versions from the first.
+lock pyproject.toml "$build" --group build --extra dashboard --extra reports --extra sim \
+    --constraint requirements/test.lock --output-file requirements/setup.lock
+lock pyproject.toml "$build" --group build --group colcon --constraint requirements/test.lock \
+    --output-file requirements/colcon.lock
+lock --group tools --output-file requirements/tools.lock
+lock --group uv --output-file requirements/uv.lock

@@ -233,11 +233,7 @@ def test_values_are_read_as_ros_reads_them(folder: Path) -> None:
         ("robot: 12", "robot = 12: must be STRING, is INTEGER: YAML needs quotes"),
         ("person_speeds: 1.0", "person_speeds: unknown: must be person_speed"),
         ("contact_area_m2: 0.0", "contact_area_m2 = 0.0: must be greater than 0"),
-        ("contact_area: 2.0", r"contact_area = 2.0: must be contact_area_m2 = 0\.0002$"),
-        ("contact_area: 0.3", r"contact_area = 0.3: must be contact_area_m2 = 3e-05$"),
-        ("contact_area: wide", r"contact_area = 'wide': must be contact_area_m2$"),
-        ("max_pressure: 190", r"max_pressure = 190: must be max_pressure_pa = 1900000\.0$"),
-        ("stiffness: 75.0", r"stiffness = 75.0: must be stiffness_n_m = 75000\.0$"),
+        ("contact_area: 2.0", "contact_area: unknown: must be contact_area_m2$"),
         ("contact_area_m2: 2.0", r"contact_area_m2 = 2.0: must be less than or equal to 0\.1$"),
     ],
 )

@@ -4,29 +4,39 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+import os
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from enum import Enum
+from itertools import chain, groupby
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from scara_effmass.analysis.assessed_states import AssessedStates, states_of
-from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.bag import Bag, first_run_info
 from scara_effmass.bags.batches import IntArray
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.run_info import first_run_info
+from scara_effmass.bags.joint_state_blocks import JointStateBlock
+from scara_effmass.codes import Reason
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.safety import Monitor
+from scara_effmass.safety import Assessments, Monitor
+from scara_effmass.safety.assessments import joined
+from scara_effmass.safety.monitor import Pending
 from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.values import Decision, FloatArray, JointState
 from scara_effmass.wire.message_types import INERTIA
 from scara_effmass.wire.payload import decode_payload
 
 Names = tuple[str, ...]
-MANY = 10_000
-"""Joint states from which on the kernel saves more time than the start of numba takes."""
+ROWS = 49_152
+"""Contacts in one batch: smaller batches cost time, larger ones memory."""
+MAX_THREADS = 4
+"""Threads that compute: one reads, and one writes, as fast as four of them."""
 
 _NO_PAYLOAD = (math.inf, "")
 _NO_VELOCITY = np.empty(0)
@@ -44,14 +54,61 @@ class Time(str, Enum):
 
 
 class AssessedState(NamedTuple):
-    """One recorded joint state and its decision.
-
-    `state` is None for an undecodable message, `decision` for a joint state without a joint of the robot.
-    """
+    """One recorded joint state and its decision; `state` is None for an undecodable message."""
 
     log_time_ns: int
     state: JointState | None
-    decision: Decision | None
+    decision: Decision
+
+
+class Source(NamedTuple):
+    """Where rows come from: those from number `first` on are those of `block` from `block_row` on, if there is one."""
+
+    first: int
+    block: JointStateBlock | None
+    block_row: int
+
+
+@dataclass(frozen=True, slots=True)
+class AssessedStates:
+    """Joint states (m,) of one robot in order, and their assessments; `log_time_ns` (m,) is when they arrived.
+
+    `names_of` gives the robot's names of recorded ones.
+    """
+
+    log_time_ns: IntArray
+    assessments: Assessments
+    sources: Sequence[Source]
+    names_of: Callable[[Names], Names]
+
+    def __len__(self) -> int:
+        return len(self.log_time_ns)
+
+    @property
+    def verdicts(self) -> IntArray:
+        """Number of the verdict of each contact (m, P)."""
+        return self.assessments.contacts["verdict"].astype(np.int64)
+
+    def state(self, row: int) -> JointState | None:
+        """Return the joint state in `row` as recorded, with the robot's names; None for an undecodable message."""
+        source = self.sources[bisect_right(self.sources, row, key=lambda source: source.first) - 1]
+        block, index = source.block, source.block_row + row - source.first
+        if block is None:
+            return None
+        names = self.names_of(block.names)
+        return JointState(int(block.stamp_ns[index]), names, block.position[index], block.velocity[index])
+
+    def positions(self, row: int) -> dict[str, float]:
+        """Return the joint positions in `row` by name [rad, m]."""
+        state = self.state(row)
+        return {} if state is None else dict(zip(state.names, state.position.tolist(), strict=False))
+
+    def rows(self) -> Iterator[AssessedState]:
+        """Yield the joint states and decisions one by one."""
+        for row, (log_time_ns, decision) in enumerate(
+            zip(self.log_time_ns.tolist(), self.assessments.decisions(), strict=True)
+        ):
+            yield AssessedState(log_time_ns, self.state(row), decision)
 
 
 def joint_state_topic(bag: Bag, requested: str | None) -> str:
@@ -77,40 +134,134 @@ def joint_state_topic(bag: Bag, requested: str | None) -> str:
 
 
 def assess_joint_states(
+    bag: Bag,
+    topic: str,
+    monitor: Monitor,
+    time: Time = Time.LIVE,
+    velocities: RecordedVelocities | None = None,
+    skew: ClockSkew | None = None,
+) -> Iterator[AssessedStates]:
+    """Yield the assessments of the joint states on `topic` by `monitor`, as the live node assesses them, in batches.
+
+    The joint states have the robot's names, the stamps of `time`, and, if given, the `velocities` of another recording;
+    their clocks are counted in `skew`. An undecodable message gives UNKNOWN and debounces the following verdicts.
+    Payloads that were recorded on the `payload_topic` of the settings count from their log times on. Threads compute,
+    while this one admits and settles, in order. Raises BagError, at the end also if no joint state names a joint of the
+    robot.
+    """
+    threads = min(len(os.sched_getaffinity(0)), MAX_THREADS)
+    waiting: deque[tuple[_Batch, Future[None]]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
+        for batch in _admitted(bag, topic, monitor, time, velocities, skew or ClockSkew()):
+            waiting.append((batch, pool.submit(batch.compute, monitor)))
+            if len(waiting) > threads:
+                yield _finished(monitor, *waiting.popleft())
+        while waiting:
+            yield _finished(monitor, *waiting.popleft())
+
+
+def assessed_rows(
     bag: Bag, topic: str, monitor: Monitor, time: Time = Time.LIVE, velocities: RecordedVelocities | None = None
 ) -> Iterator[AssessedState]:
-    """Yield the decision of `monitor` for each joint state on `topic`, decoded as the live node decodes it.
+    """Yield what `assess_joint_states` does, one joint state after another."""
+    return chain.from_iterable(states.rows() for states in assess_joint_states(bag, topic, monitor, time, velocities))
 
-    The joint states have the robot's names, the stamps of `time`, and, if given, the `velocities` of another recording.
-    An undecodable message gives UNKNOWN and debounces the following verdicts, as in the live node. Payloads that were
-    recorded on the `payload_topic` of the settings count from their log times on.
-    Raises BagError, at the end also if no joint state names a joint of the robot.
-    """
-    count = clock_ns = 0
-    loads = payload_topics(bag, monitor.settings.payload_topic)
-    messages = bag.messages(loads) if loads else iter(())
-    payloads = ((message.log_time_ns, decode_payload(message.data)) for message in messages)
-    payload_ns, payload = next(payloads, _NO_PAYLOAD)
+
+class _Batch:
+    """Joint states on their way through the steps."""
+
+    def __init__(self) -> None:
+        self.log_times: list[IntArray] = []
+        self.pending: list[Pending] = []
+        self.sources: list[Source] = []
+        self.count = 0
+
+    def add(self, pending: Pending, log_time_ns: IntArray, block: JointStateBlock | None, row: int) -> None:
+        self.sources.append(Source(self.count, block, row))
+        self.log_times.append(log_time_ns)
+        self.pending.append(pending)
+        self.count += len(log_time_ns)
+
+    def compute(self, monitor: Monitor) -> None:
+        for pending in self.pending:
+            monitor.compute(pending)
+
+
+def _finished(monitor: Monitor, batch: _Batch, computed: Future[None]) -> AssessedStates:
+    computed.result()
+    settled = joined([monitor.settle(pending) for pending in batch.pending])
+    return AssessedStates(np.concatenate(batch.log_times), settled, batch.sources, monitor.names_of)
+
+
+def _admitted(
+    bag: Bag, topic: str, monitor: Monitor, time: Time, velocities: RecordedVelocities | None, skew: ClockSkew
+) -> Iterator[_Batch]:
+    """Yield the joint states of the robot in batches, those that are refused included."""
+    size, total, batch = max(ROWS // len(monitor.dynamics.contact_points), 1), 0, _Batch()
+    clock_ns, payloads = 0, _Payloads(bag, monitor)
     for block in bag.joint_state_blocks(topic):
+        total += len(block) + len(block.decode_failures)
         for log_time_ns, reason in block.decode_failures:
-            count += 1
-            yield AssessedState(log_time_ns, None, monitor.reject(reason))
-        names = monitor.names_of(block.names)
-        for log_time_ns, recorded in zip(block.log_time_ns.tolist(), block.states(), strict=True):
-            count += 1
-            while payload_ns <= log_time_ns:
-                monitor.take_payload(payload)
-                payload_ns, payload = next(payloads, _NO_PAYLOAD)
-            state, now_ns = recorded, log_time_ns
-            if velocities is not None:
-                state = state._replace(velocity=velocities.at(log_time_ns, names, monitor.names_of))
-            if time is Time.LOG:
-                state = state._replace(stamp_ns=log_time_ns)
-            elif time is Time.HEADER:
-                now_ns = clock_ns = max(clock_ns, state.stamp_ns)  # a stamp that goes back is refused, as live
-            decision = monitor.assess(state, now_ns)
-            yield AssessedState(log_time_ns, recorded._replace(names=names), decision)
-    require_own_joints(bag, topic, monitor, count)
+            pending = monitor.refuse(Reason.UNDECODABLE, reason, log_time_ns)
+            batch.add(pending, np.array([log_time_ns]), None, 0)
+        if not len(block):
+            continue
+        skew.add(block.stamp_ns, block.log_time_ns)
+        stamps = block.log_time_ns if time is Time.LOG else block.stamp_ns
+        clocks, velocity = block.log_time_ns, block.velocity
+        if time is Time.HEADER:  # a stamp that goes back is refused, as live
+            clocks = np.maximum.accumulate(np.maximum(stamps, clock_ns))
+            clock_ns = int(clocks[-1])
+        row = 0
+        while row < len(block):
+            stop = payloads.take(block.log_time_ns, row, min(len(block), row + size - batch.count % size))
+            rows = slice(row, stop)
+            for part, measured in _parts(block, rows, velocity, velocities, monitor):
+                pending = monitor.admit(block.names, stamps[part], clocks[part], block.position[part], measured)
+                if pending is not None:
+                    batch.add(pending, block.log_time_ns[part], block, part.start)
+            row = stop
+            if batch.count >= size:
+                yield batch
+                batch = _Batch()
+    if batch.count:
+        yield batch
+    require_own_joints(bag, topic, monitor, total)
+
+
+def _parts(
+    block: JointStateBlock, rows: slice, velocity: FloatArray, velocities: RecordedVelocities | None, monitor: Monitor
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield `rows` of `block` in parts with equally many velocities, those of another recording if given."""
+    if velocities is None:
+        yield rows, velocity[rows]
+        return
+    names = monitor.names_of(block.names)
+    found = [velocities.at(log_time_ns, names, monitor.names_of) for log_time_ns in block.log_time_ns[rows].tolist()]
+    first = rows.start
+    for size, group in groupby(found, len):
+        part = list(group)
+        yield slice(first, first + len(part)), np.array(part).reshape(-1, size)
+        first += len(part)
+
+
+class _Payloads:
+    """Hands the recorded payloads to a monitor."""
+
+    def __init__(self, bag: Bag, monitor: Monitor) -> None:
+        loads = payload_topics(bag, monitor.settings.payload_topic)
+        messages = bag.messages(loads) if loads else iter(())
+        self._monitor = monitor
+        self._payloads = ((message.log_time_ns, decode_payload(message.data)) for message in messages)
+        self._next_ns, self._payload = next(self._payloads, _NO_PAYLOAD)
+
+    def take(self, log_time_ns: IntArray, row: int, stop: int) -> int:
+        """Take the payloads that came up to `row`; return the row before `stop` up to which they count."""
+        while self._next_ns <= log_time_ns[row]:
+            self._monitor.take_payload(self._payload)
+            self._next_ns, self._payload = next(self._payloads, _NO_PAYLOAD)
+        later = np.flatnonzero(log_time_ns[row:stop] >= self._next_ns)
+        return row + int(later[0]) if len(later) else stop
 
 
 def require_own_joints(bag: Bag, topic: str, monitor: Monitor, count: int) -> None:
@@ -224,29 +375,3 @@ def generated_description(bag: Bag) -> str:
     """Return the description of a generated motion; empty if `bag` has no run information or was measured."""
     info = first_run_info(bag)
     return info.note.partition("\n")[0] if info is not None and info.simulated else ""
-
-
-def one_by_one(assessed: Iterator[AssessedState], skew: ClockSkew, size: int = 4_096) -> Iterator[AssessedStates]:
-    """Yield the decisions of a monitor in batches of `size` joint states, as columns; count the clocks in `skew`."""
-    items: list[AssessedState] = []
-    count = 0
-    for item in assessed:
-        items.append(item)
-        count += item.decision is not None
-        if count == size:
-            yield from _as_columns(items, skew)
-            items, count = [], 0
-    yield from _as_columns(items, skew)
-
-
-def _as_columns(items: list[AssessedState], skew: ClockSkew) -> Iterator[AssessedStates]:
-    stamps = [(item.state.stamp_ns, item.log_time_ns) for item in items if item.state is not None]
-    skew.add(*np.array(stamps, np.int64).reshape(-1, 2).T)
-    rows = [(item, item.decision.contacts) for item in items if item.decision is not None]
-    if rows:
-
-        def positions(row: int) -> dict[str, float]:
-            state = rows[row][0].state
-            return {} if state is None else dict(zip(state.names, state.position.tolist(), strict=False))
-
-        yield states_of([item.log_time_ns for item, _ in rows], [contacts for _, contacts in rows], positions)

@@ -4,22 +4,18 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from scara_effmass.analysis.assessed_states import AssessedStates, batch_size
 from scara_effmass.analysis.assessment import (
-    MANY,
     ClockSkew,
-    RecordedVelocities,
     Time,
     assess_joint_states,
     generated_description,
     joint_state_topic,
-    one_by_one,
     open_velocities,
 )
 from scara_effmass.analysis.cross_check import cross_checked
@@ -27,10 +23,8 @@ from scara_effmass.analysis.recorded_run import RecordedForce, read_force
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.analysis.tables import AssessmentWriter
 from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
-from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
-from scara_effmass.errors import SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 
@@ -86,8 +80,13 @@ def assess_bag(
         series = [TimeSeriesBuilder() for _ in dynamics.contact_points] if task.report else []
         monitor, name = Monitor(dynamics, settings), str(bag.path)
         summary, skew = Summary(round(settings.timeout * 1e9)), ClockSkew()
-        second = stack.enter_context(open_bag(path)) if task.cross_check else None
-        batches, slow = _batches(bag, second, topic, monitor, skew, task, velocities)
+        batches = assess_joint_states(bag, topic, monitor, task.time, velocities, skew)
+        if task.cross_check:
+            reference = Monitor(dynamics, settings, use_reference=True)
+            second = stack.enter_context(open_bag(path))
+            others = stack.enter_context(open_velocities(task.velocity_bag, task.topic, settings))
+            expected = assess_joint_states(second, topic, reference, task.time, others)
+            batches = cross_checked(name, batches, expected)
         with ThreadPoolExecutor(1) as writer:
             written: deque[Future[None]] = deque()
             for states in batches:
@@ -103,41 +102,10 @@ def assess_bag(
                 add.result()
         counts["joint_states"] += monitor.ignored
         counts["foreign"], counts["refused"] = monitor.ignored, monitor.rejected
-        notes = [("one by one", f"slower than many joint states at once: {slow}")] if slow else []
-        result = BagResult(summary, counts, (), [*notes, *skew.lines(settings, task.time)])
+        result = BagResult(summary, counts, (), list(skew.lines(settings, task.time)))
         if task.report:
             builds = (builder.build() for builder in series)
             result.series = dict(zip(dynamics.contact_points, builds, strict=True))
             result.force, result.generated = read_force(bag), bool(generated_description(bag))
         result.losses = bag.losses
     return result
-
-
-def _batches(
-    bag: Bag,
-    second: Bag | None,
-    topic: str,
-    monitor: Monitor,
-    skew: ClockSkew,
-    task: BagTask,
-    velocities: RecordedVelocities | None,
-) -> tuple[Iterator[AssessedStates], str]:
-    """Return the assessments, and why they are made one by one; empty where that is no slower.
-
-    They are compared with those of the `second` reader of the same bag, if given. Raises SettingsError.
-    """
-    slow = ""
-    if second or sum(t.count for t in bag.topics if t.name == topic) >= MANY:
-        from scara_effmass.analysis import archive  # noqa: PLC0415 - numba takes a second
-
-        slow = archive.slow_reason(monitor, velocities)
-        if not slow:
-            batches = archive.many_at_once(bag, topic, monitor, skew, task.time)
-            if second:
-                decisions = assess_joint_states(second, topic, Monitor(monitor.dynamics, task.settings), task.time)
-                size = batch_size(len(monitor.dynamics.contact_points))
-                batches = cross_checked(str(bag.path), batches, one_by_one(decisions, ClockSkew(), size))
-            return batches, ""
-        if second:
-            raise SettingsError(f"--cross-check: must compare with many joint states at once: {slow}")
-    return one_by_one(assess_joint_states(bag, topic, monitor, task.time, velocities), skew), slow

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.analysis.assessed_states import AssessedStates
+from scara_effmass.analysis.assessment import AssessedStates
 from scara_effmass.errors import CrossCheckError
-from scara_effmass.kernel.contact_columns import LABELS, NUMBERS
+from scara_effmass.kernel.records import CONTACT
 from scara_effmass.values import BoolArray
 
 TOLERANCE = 1e-10
@@ -63,13 +63,13 @@ def _differs(own: NDArray[Any], other: NDArray[Any]) -> BoolArray:
 
 
 def _columns(states: AssessedStates) -> Iterator[tuple[str, NDArray[Any]]]:
-    for name in ("log_time_ns", "stamp_ns", "input_age", "velocity_delay", "refused"):
-        yield name, getattr(states, name)
-    for point, contact in enumerate(states.contacts):
-        where = f"{contact.contact_point}: "
-        texts = np.array([*states.reason_texts[point], ""], object)
-        yield f"{where}reason", texts[states.reasons[point]]
-        for name, names in LABELS.items():
-            yield where + name, np.array([*getattr(contact, names), ""], object)[getattr(contact, name)]
-        for name in NUMBERS:
-            yield where + name, getattr(contact, name)
+    assessments = states.assessments
+    yield "log_time_ns", states.log_time_ns
+    for name in ("stamp_ns", "age", "delay", "is_admitted"):
+        yield name, assessments.states[name]
+    for point, contact in enumerate(assessments.points):
+        indices, texts = assessments.reasons(point)
+        yield f"{contact}: reason", np.array(texts, object)[indices]
+        for name in CONTACT.names:
+            if name != "reason":
+                yield f"{contact}: {name}", assessments.contacts[name][:, point]

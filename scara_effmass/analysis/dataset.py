@@ -19,7 +19,7 @@ from scara_effmass.analysis.tables import open_writer, provenance
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.input_files import digest
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.url import Url
 
 RECORDS = "_results"

@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pyarrow import csv, parquet
 
+from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
 from scara_effmass.input_files import read_table
-from scara_effmass.safety.debounce import severity
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import Verdict
-from scara_effmass.wire.message_types import CONTACT_STATE
+from scara_effmass.values import Verdict, severity
+from scara_effmass.wire.contact_states import decode_contact_states
+from scara_effmass.wire.message_types import CONTACT_STATES, FORMER_CONTACT_STATE
 from scara_effmass.wire.topics import verdict_qos
 
 sys.modules["typing.io"] = typing  # for the parser of RTAMT; deprecated, and gone from Python 3.13
@@ -91,7 +92,7 @@ def check_assessment(table: Path, bags: Sequence[Path], settings: MonitorSetting
 
 
 def check_recording(path: Path, settings: MonitorSettings) -> list[PropertyResult]:
-    """Evaluate the `contact_state` topics of a recording of a live monitor; empty if there is none. Raises BagError."""
+    """Evaluate the verdicts in a recording of a live monitor; empty if there are none. Raises BagError."""
     with open_bag(path) as bag:
         end_ns = bag.end_ns
     return _check(str(path), _recorded(path), settings, end_ns)
@@ -115,21 +116,33 @@ def _rows(path: Path) -> Iterator[tuple[str, Columns]]:
 
 
 def _recorded(path: Path) -> Iterator[tuple[str, Columns]]:
-    """Yield blocks of the messages on each `contact_state` topic of a bag."""
+    """Yield blocks of the verdicts on each topic of contact states in a bag, a row per contact."""
     with open_bag(path) as bag:
-        for topic in (topic.name for topic in bag.topics if topic.type == CONTACT_STATE):
-            messages = bag.messages([topic])
-            while block := list(islice(messages, _BLOCK)):
-                rows = [(raw.log_time_ns, bag.deserialize(raw)) for raw in block]
-                values = [
-                    (
-                        *(log_time_ns, state.header.stamp.sec * 10**9 + state.header.stamp.nanosec),
-                        *(state.contact_point, _NAMES.get(state.verdict, "UNKNOWN"), state.reason, state.watchdog),
-                        *(state.allowable_speed, state.margin, state.input_age),
-                    )
-                    for log_time_ns, state in rows
-                ]
-                yield topic, dict(zip(_COLUMNS, zip(*values, strict=True), strict=True))
+        for topic in bag.topics:
+            if topic.type in {CONTACT_STATES, FORMER_CONTACT_STATE}:
+                rows = _contact_rows(bag, topic.name)
+                while block := list(islice(rows, _BLOCK)):
+                    yield topic.name, dict(zip(_COLUMNS, zip(*block, strict=True), strict=True))
+
+
+def _contact_rows(bag: Bag, topic: str) -> Iterator[tuple[Any, ...]]:
+    """Yield _COLUMNS of each contact on a topic."""
+    for raw in bag.messages([topic]):
+        if raw.type == FORMER_CONTACT_STATE:
+            state = bag.deserialize(raw)
+            yield (
+                *(raw.log_time_ns, state.header.stamp.sec * 10**9 + state.header.stamp.nanosec),
+                *(state.contact_point, _NAMES.get(state.verdict, "UNKNOWN"), state.reason, state.watchdog),
+                *(state.allowable_speed, state.margin, state.input_age),
+            )
+            continue
+        decision = decode_contact_states(raw.data)
+        for contact in decision.contacts:
+            yield (
+                *(raw.log_time_ns, decision.stamp_ns),
+                *(contact.contact_point, contact.verdict.name, contact.reason, decision.watchdog),
+                *(contact.allowable_speed, contact.margin, decision.input_age),
+            )
 
 
 class _Trace:

@@ -15,7 +15,7 @@ from scara_effmass.analysis.protocol import (
     Results,
     TestPoint,
 )
-from scara_effmass.iso15066 import EDITION, TABLE_HASH, Limit, SpeedLimits, limits_for, peak_force, reduced_mass
+from scara_effmass.iso15066 import EDITION, TABLE_HASH, Limit, limits_for, peak_force, reduced_mass, speed_limit_of_mass
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import ContactAssessment, Verdict
 
@@ -89,7 +89,7 @@ class Plan:
     def _test(self, name: str, device: str, limit: Limit, candidate: Candidate) -> ContactTest:
         contact, speed = candidate.contact, candidate.contact.speed
         if candidate.at_limit:
-            speed = SpeedLimits((limit,)).speed_limit(contact.effective_mass).allowable_speed
+            speed = speed_limit_of_mass((limit,), contact.effective_mass).allowable_speed
         mu = reduced_mass(contact.effective_mass, limit.obstacle_mass_kg)
         force = peak_force(speed, mu, limit.stiffness_n_m)
         note = f"predicted: {force:.0f} N of {limit.permissible_force_n:.0f} N, mu {mu:.2f} kg"

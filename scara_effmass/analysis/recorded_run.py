@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.analysis.summary import iso_time
-from scara_effmass.bags import run_info
 from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.bag import run_infos as stored_run_infos
 from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import check_definition
 from scara_effmass.bags.files import open_bag
@@ -81,7 +81,7 @@ def run_infos(bag: Bag) -> list[RunInfo]:
     Raises BagError for an invalid value.
     """
     infos: list[RunInfo] = []
-    for log_time_ns, info in run_info.run_infos(bag):
+    for log_time_ns, info in stored_run_infos(bag):
         try:
             check_run_info(info)
         except SettingsError as error:

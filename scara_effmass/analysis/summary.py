@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import TypedDict
 
-from scara_effmass.analysis.assessed_states import AssessedStates
+from scara_effmass.analysis.assessment import AssessedStates
 from scara_effmass.analysis.time_series import NO_JOINT_STATE
 from scara_effmass.bags.batches import IntArray
-from scara_effmass.safety.debounce import severity
 from scara_effmass.safety.remedies import remedy
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.values import ContactAssessment, Verdict, severity
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
 """Numbers in a reason, but no digits in names; reasons that differ only in numbers are counted together."""
@@ -49,8 +48,9 @@ def worst(verdicts: Iterable[Verdict]) -> Verdict:
 
 
 class TightestMargin(NamedTuple):
-    """The assessment with the smallest margin, which is never UNKNOWN, its recording and joint positions."""
+    """The assessment with the smallest margin, which is never UNKNOWN, its stamp, recording and joint positions."""
 
+    stamp_ns: int
     contact: ContactAssessment
     source: str
     positions: dict[str, float]
@@ -61,7 +61,7 @@ class TightestMargin(NamedTuple):
         speeds = f"{contact.speed:.3f} m/s where {contact.allowable_speed:.3f} m/s is allowable"
         yield "tightest margin", f"{contact.margin:+.3f} m/s ({contact.verdict.name}): {speeds}"
         source = f" in {self.source}" if self.source else ""
-        yield "  where", f"{contact.contact_point} at {iso_time(contact.stamp_ns)}{source}"
+        yield "  where", f"{contact.contact_point} at {iso_time(self.stamp_ns)}{source}"
         if self.positions:
             yield "  pose", ", ".join(f"{name} {position:.3f}" for name, position in self.positions.items())
         components = ", ".join(f"{round(component, 2) + 0.0:.2f}" for component in contact.direction)
@@ -77,7 +77,7 @@ class TightestMargin(NamedTuple):
             "speed_m_s": contact.speed,
             "allowable_speed_m_s": contact.allowable_speed,
             "effective_mass_kg": contact.effective_mass,
-            "stamp_ns": contact.stamp_ns,
+            "stamp_ns": self.stamp_ns,
             "contact_point": contact.contact_point,
             "direction": list(contact.direction),
             "criterion": contact.criterion,
@@ -125,30 +125,37 @@ class Summary:
 
     def add(self, states: AssessedStates, source: str = "") -> None:
         """Count `states`, from the recording `source` if its name is known."""
-        verdicts = np.array([contact.verdict for contact in states.contacts])
-        deciding = SEVERITIES[verdicts].argmax(axis=0)  # the first of equal ones
-        shown = verdicts[deciding, np.arange(len(states))]
+        records, labels = states.assessments.states, states.assessments.labels
+        deciding, shown = records["contact"], records["verdict"].astype(np.int8)
+        models, whys = labels["mass_model"], labels["mass_model_reason"]
         self.cycles.update({verdict: count for verdict in Verdict if (count := int((shown == verdict).sum()))})
-        self._find_tightest(states, verdicts, source)
-        for point, contact in enumerate(states.contacts):
+        self._find_tightest(states, source)
+        contacts = states.assessments.contacts
+        for point in range(contacts.shape[1]):
             decides = deciding == point
-            for index, count in _counts(states.reasons[point][decides & (shown == Verdict.UNKNOWN)]):
-                text = states.reason_texts[point][index].replace("…", "...")  # "…" will stand for a number
-                numbers = [float(number.group()) for number in NUMBER.finditer(text)]
-                self._count_reason(NUMBER.sub("…", text), count, [(number, number) for number in numbers])
+            is_unknown = decides & (shown == Verdict.UNKNOWN)
+            if is_unknown.any():
+                indices, texts = states.assessments.reasons(point)
+                for index, count in _counts(indices[is_unknown]):
+                    text = texts[index].replace("…", "...")  # "…" will stand for a number
+                    numbers = [float(number.group()) for number in NUMBER.finditer(text)]
+                    self._count_reason(NUMBER.sub("…", text), count, [(number, number) for number in numbers])
             decides &= shown != Verdict.UNKNOWN
-            pairs = contact.mass_model * len(contact.mass_model_reasons) + contact.mass_model_reason
-            for pair, count in _counts(pairs[decides]):
-                model, reason = divmod(pair, len(contact.mass_model_reasons))
-                if contact.mass_models[model]:
-                    self.mass_models[f"{contact.mass_models[model]}: {contact.mass_model_reasons[reason]}"] += count
+            pairs = contacts["mass_model"][:, point] * len(whys) + contacts["mass_model_reason"][:, point]
+            for pair, count in _counts(pairs[decides].astype(np.int64)):
+                model, reason = divmod(pair, len(whys))
+                if models[model]:
+                    self.mass_models[f"{models[model]}: {whys[reason]}"] += count
         self._pass_time(states.log_time_ns, shown)
 
-    def _find_tightest(self, states: AssessedStates, verdicts: NDArray[np.int8], source: str) -> None:
-        margins = np.where(verdicts == Verdict.UNKNOWN, np.inf, [contact.margin for contact in states.contacts])
-        row, point = divmod(int(np.argmin(margins.T)), len(states.contacts))
-        if margins[point, row] < (self.tightest.contact.margin if self.tightest else np.inf):
-            self.tightest = TightestMargin(states.contact(point, row), source, dict(states.positions(row)))
+    def _find_tightest(self, states: AssessedStates, source: str) -> None:
+        contacts = states.assessments.contacts
+        margins = np.where(contacts["verdict"] == Verdict.UNKNOWN, np.inf, contacts["margin"])
+        row, point = divmod(int(np.argmin(margins)), margins.shape[1])
+        if margins[row, point] < (self.tightest.contact.margin if self.tightest else np.inf):
+            decision = states.assessments.decision(row)
+            place = source, states.positions(row)
+            self.tightest = TightestMargin(decision.stamp_ns, decision.contacts[point], *place)
 
     @property
     def only_unknown(self) -> bool:

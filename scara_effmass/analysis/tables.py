@@ -11,23 +11,21 @@ from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 import pyarrow as pa
-from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from pyarrow import csv, parquet
 
 from scara_effmass import __version__
-from scara_effmass.analysis.assessed_states import ROWS, AssessedStates
+from scara_effmass.analysis.assessment import ROWS, AssessedStates
 from scara_effmass.analysis.output import atomic_file
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
-from scara_effmass.kernel.contact_columns import LABELS, NUMBERS
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import RunInfo, Verdict
 from scara_effmass.wire import topics
-from scara_effmass.wire.contact_state import ContactStateEncoder
-from scara_effmass.wire.message_types import CONTACT_STATE, RUN_INFO
+from scara_effmass.wire.contact_states import ContactStatesEncoder
+from scara_effmass.wire.message_types import CONTACT_STATES, RUN_INFO
 from scara_effmass.wire.run_info import run_info_message
 
 SUFFIXES = (".parquet", ".csv", ".mcap")
@@ -39,7 +37,7 @@ _UNITS = {
     "full_mass": "full_mass_kg",
     "iso_mass": "iso_mass_kg",
     "worst_direction_mass": "worst_direction_mass_kg",
-    "obstacle_mass": "obstacle_mass_kg",
+    "body_mass": "body_mass_kg",
     "reduced_mass": "reduced_mass_kg",
     "stiffness": "stiffness_n_m",
     "predicted_force": "predicted_force_n",
@@ -71,7 +69,7 @@ SCHEMA = pa.schema(
     + [(name, pa.float64()) for name in (*_UNITS.values(), *chain(*_MOBILITIES.values()))]
     + [(name, pa.bool_()) for name in _FLAGS]
 )
-"""Columns of a table: recording, log time, and the fields of ContactState with their units."""
+"""Columns of a table: recording, log time, and the fields of `Decision` and `ContactAssessment` with their units."""
 _TEXT = pa.dictionary(pa.int32(), pa.string())
 _ENCODED = pa.schema(
     pa.field(field.name, _TEXT if field.type == pa.string() else field.type, nullable=False) for field in SCHEMA
@@ -163,48 +161,43 @@ class _TableWriter:
 
 def _columns(bag: str, states: AssessedStates) -> dict[str, pa.Array]:
     """Return the columns of SCHEMA, texts as dictionaries; the rows of one joint state follow each other."""
-    contacts, count = states.contacts, len(states.contacts)
+    assessments = states.assessments
+    count, points = len(states), len(assessments.points)
 
-    def together(values: Sequence[NDArray[Any]]) -> pa.Array:
-        size = values[0].itemsize
-        places = [value.__array_interface__["data"][0] - place * size for place, value in enumerate(values)]
-        if values[0].strides == (count * size,) and len({*places}) == 1:  # as the kernel writes them: no copy
-            return pa.array(as_strided(values[0], (count * len(states),), (size,)))
-        return pa.array(np.stack(values, axis=1).reshape(-1))
+    def repeated(values: NDArray[Any]) -> pa.Array:
+        return pa.array(np.repeat(values, points))
 
-    def labels(indices: Sequence[NDArray[Any]], texts: Sequence[Sequence[str]]) -> pa.Array:
-        """Return texts of all contact points, given their indices (m,) in those of each."""
-        starts = np.cumsum([0, *map(len, texts)])
-        choices = pa.array(list(chain(*texts)), pa.string()).dictionary_encode()  # no text twice
-        own = [start + index for start, index in zip(starts, indices, strict=False)]
-        unique = choices.indices.to_numpy()[np.stack(own, axis=1).reshape(-1)]
-        return pa.DictionaryArray.from_arrays(unique, choices.dictionary)
+    def labels(codes: NDArray[Any], texts: Sequence[str]) -> pa.Array:
+        choices = pa.array(texts, pa.string()).dictionary_encode()  # no text twice
+        return pa.DictionaryArray.from_arrays(choices.indices.to_numpy()[codes], choices.dictionary)
 
-    same = [np.zeros(len(states), np.int32)] * count
-    columns: dict[str, pa.Array] = {"bag": labels(same, [[bag]] * count)}
-    for name in ("log_time_ns", "stamp_ns"):
-        columns[name] = pa.array(np.repeat(getattr(states, name), count))
-    columns |= {
-        "contact_point": labels(same, [[contact.contact_point] for contact in contacts]),
-        "verdict": labels([contact.verdict for contact in contacts], [Verdict._member_names_] * count),
-        "reason": labels(states.reasons, states.reason_texts),
-        "contact_normal": labels(
-            [states.refused.astype(np.int32)] * count, [[contact.contact_normal, ""] for contact in contacts]
-        ),
-        "watchdog": pa.array(np.zeros(count * len(states), np.bool_)),
+    records, columns = assessments.states, assessments.columns()
+    reasons, starts = [assessments.reasons(point) for point in range(points)], [0]
+    for _, texts in reasons:
+        starts.append(starts[-1] + len(texts))
+    indices = [start + own for start, (own, _) in zip(starts, reasons, strict=False)]
+    table: dict[str, pa.Array] = {
+        "bag": labels(np.zeros(count * points, np.int64), [bag]),
+        "log_time_ns": repeated(states.log_time_ns),
+        "stamp_ns": repeated(records["stamp_ns"]),
+        _UNITS["input_age"]: repeated(records["age"]),
+        _UNITS["velocity_delay"]: repeated(records["delay"]),
+        "watchdog": repeated(records["is_watchdog"] != 0),
+        "contact_point": labels(np.tile(np.arange(points), count), assessments.points),
+        "verdict": labels(columns["verdict"].astype(np.int64), Verdict._member_names_),
+        "reason": labels(np.stack(indices, axis=1).reshape(-1), [text for _, texts in reasons for text in texts]),
+        "contact_normal": labels(np.repeat(records["is_admitted"], points), ["", assessments.normal]),
     }
-    for name, texts in LABELS.items():
-        columns[name] = labels(*([getattr(contact, field) for contact in contacts] for field in (name, texts)))
-    for name in ("input_age", "velocity_delay"):
-        columns[_UNITS[name]] = pa.array(np.repeat(getattr(states, name), count))
-    for name in NUMBERS[:-1]:
-        values = [getattr(contact, name) for contact in contacts]
+    for name, texts in assessments.labels.items():
+        table[name] = labels(columns[name].astype(np.int64), texts)
+    for name, column in columns.items():
         if name in _ENTRIES:
-            for index, column in enumerate(_ENTRIES[name]):
-                columns[column] = together([value[:, index] for value in values])
-        else:
-            columns[_UNITS.get(name, name)] = together(values)
-    return {name: columns[name] for name in SCHEMA.names}
+            table |= {entry: pa.array(values) for entry, values in zip(_ENTRIES[name], column, strict=True)}
+        elif name in _FLAGS:
+            table[name] = pa.array(column != 0.0)
+        elif name in _UNITS:
+            table[_UNITS[name]] = pa.array(column)
+    return {name: table[name] for name in SCHEMA.names}
 
 
 class _BagWriter:
@@ -213,14 +206,14 @@ class _BagWriter:
         self._frame = frame
         self._note = json.dumps(dict(origin))
         self._topics: dict[str, str] = {}
-        self._encoders: dict[str, ContactStateEncoder] = {}
+        self._encoders: dict[str, ContactStatesEncoder] = {}
         self._single = len(json.loads(origin["bags"])) == 1
 
     def extend(self, bag: str, part: Path) -> None:
         with open_bag(part) as source:
-            for message in source.messages(["/contact_state"]):
+            for message in source.messages(["/contact_states"]):
                 self._begin(bag, message.log_time_ns)
-                self._writer.write(self._topics[bag], CONTACT_STATE, message.log_time_ns, message.data)
+                self._writer.write(self._topics[bag], CONTACT_STATES, message.log_time_ns, message.data)
 
     def _begin(self, bag: str, log_time_ns: int) -> None:
         if not self._topics:
@@ -229,12 +222,11 @@ class _BagWriter:
         if bag not in self._topics:
             # One topic per recording: their times may overlap.
             name = re.sub(r"\W", "_", Path(bag).stem)
-            self._topics[bag] = "/contact_state" if self._single else f"/bag_{len(self._topics)}_{name}/contact_state"
+            self._topics[bag] = "/contact_states" if self._single else f"/bag_{len(self._topics)}_{name}/contact_states"
+            self._encoders[bag] = ContactStatesEncoder(self._frame)
 
     def add(self, bag: str, states: AssessedStates) -> None:
         self._begin(bag, int(states.log_time_ns[0]))
-        for log_time_ns, contacts in zip(states.log_time_ns.tolist(), states.rows(), strict=True):
-            for contact in contacts:
-                name = contact.contact_point
-                encoder = self._encoders.setdefault(name, ContactStateEncoder(name, self._frame))
-                self._writer.write(self._topics[bag], CONTACT_STATE, log_time_ns, encoder.encode(contact))
+        topic, encoder = self._topics[bag], self._encoders[bag]
+        for row, log_time_ns in enumerate(states.log_time_ns.tolist()):
+            self._writer.write(topic, CONTACT_STATES, log_time_ns, encoder.encode(states.assessments, row))

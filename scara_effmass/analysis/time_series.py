@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.analysis.assessed_states import AssessedStates
+from scara_effmass.analysis.assessment import AssessedStates
 from scara_effmass.bags.batches import IntArray
 from scara_effmass.values import NAN, BoolArray, FloatArray, Verdict
 
@@ -92,28 +92,31 @@ class TimeSeriesBuilder:
 
     def add(self, states: AssessedStates, point: int) -> None:
         """Add contact point number `point`, each assessment at its own stamp where that is valid, else the log time."""
-        contact = states.contacts[point]
-        known, decided = contact.effective_mass > 0.0, contact.verdict != Verdict.UNKNOWN
+        assessments = states.assessments
+        contact, labels = assessments.contacts[:, point], assessments.labels
+        verdict = contact["verdict"].astype(np.int8)
+        known, decided = contact["effective_mass"] > 0.0, verdict != Verdict.UNKNOWN
         before = self._verdicts[-1][-1] if self._verdicts else -1
-        for row in np.flatnonzero(np.diff(contact.verdict, prepend=np.int8(before))).tolist():
+        for row in np.flatnonzero(np.diff(verdict, prepend=np.int8(before))).tolist():
             index = self._count + row
-            self._reasons[index] = states.reason_texts[point][int(states.reasons[point][row])]
-            self._places[index] = contact.body_regions[contact.body_region[row]], dict(states.positions(row))
-        for model, name in enumerate(contact.mass_models):
-            counts = np.bincount(contact.mass_model_reason[contact.mass_model == model])
+            self._reasons[index] = assessments.reason(row, point)
+            self._places[index] = labels["body_region"][int(contact["body_region"][row])], states.positions(row)
+        models, whys = contact["mass_model"], contact["mass_model_reason"].astype(np.int64)
+        for model, name in enumerate(labels["mass_model"]):
+            counts = np.bincount(whys[models == model])
             for reason in np.flatnonzero(counts).tolist() if name else ():
-                self._mass_models[f"{name}: {contact.mass_model_reasons[reason]}"] += int(counts[reason])
+                self._mass_models[f"{name}: {labels['mass_model_reason'][reason]}"] += int(counts[reason])
         self._count += len(states)
-        self._stamps_ns.append(np.where(known, states.stamp_ns, states.log_time_ns))
-        self._verdicts.append(contact.verdict)
+        self._stamps_ns.append(np.where(known, assessments.states["stamp_ns"], states.log_time_ns))
+        self._verdicts.append(verdict)
         columns = (
-            np.where(known, contact.speed, NAN),
-            np.where(decided, contact.allowable_speed, NAN),
-            np.where(decided, contact.margin, NAN),
-            np.where(known, contact.effective_mass, NAN),
-            contact.lumped_mass,
-            contact.full_mass,
-            np.where(contact.iso_mass > 0.0, contact.iso_mass, NAN),
+            np.where(known, contact["speed"], NAN),
+            np.where(decided, contact["allowable_speed"], NAN),
+            np.where(decided, contact["margin"], NAN),
+            np.where(known, contact["effective_mass"], NAN),
+            contact["lumped_mass"],
+            contact["full_mass"],
+            np.where(contact["iso_mass"] > 0.0, contact["iso_mass"], NAN),
         )
         self._values.append(np.array(columns))
 

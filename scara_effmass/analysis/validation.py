@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from scara_effmass.analysis.assessment import MANY, AssessedState, Time, assess_joint_states, joint_state_topic
+from scara_effmass.analysis.assessment import AssessedState, Time, assessed_rows, joint_state_topic
 from scara_effmass.analysis.recorded_run import (
     Measurement,
     file_measurements,
@@ -37,7 +37,7 @@ from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo, Val
 from scara_effmass.wire.cdr import NS
 
 if TYPE_CHECKING:
-    from scara_effmass.model.dynamics import RobotDynamics
+    from scara_effmass.reference import RobotDynamics
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,20 +186,19 @@ def _feed(
         measured = measurements(bag, force, settings.force, unreadable)
     else:
         foreign = list(file_measurements(force_path, settings.force, unreadable))
-        measured = _on_joint_clock(foreign, bag, recording, _new_monitor(dynamics, settings, count), settings)
+        measured = _on_joint_clock(foreign, bag, recording, Monitor(dynamics, settings.monitor), settings)
     _set_runs(validator, settings, infos)
     detector = Detector(settings.detection)
-    share, force_ns = 1.0 / count, 0
+    share, force_ns, monitor = 1.0 / count, 0, Monitor(dynamics, settings.monitor)
     records: tuple[Iterator[AssessedState | Measurement], ...] = (
         measured,
-        assess_joint_states(bag, states, _new_monitor(dynamics, settings, count), settings.time),
+        assessed_rows(bag, states, monitor, settings.time),
     )
     for item in merge(*records, key=lambda record: record.log_time_ns):
         if isinstance(item, AssessedState):
             recording.joint_states += 1
             advance(share)
-            for contact in item.decision.contacts if item.decision else ():
-                validator.add_state(contact, item.log_time_ns)
+            validator.add_decision(item.decision, item.log_time_ns)
             continue
         value = item.value._replace(simulated=item.value.simulated or recording.simulated)
         force_ns = item.log_time_ns
@@ -208,6 +207,7 @@ def _feed(
             validator.add_force(value, force_ns)
         for impact in _impacts(detector, value):
             validator.add_impact(impact, force_ns)
+    recording.joint_states += monitor.ignored
     for impact in detector.finish():
         validator.add_impact(impact, force_ns)
     recording.dropouts, recording.glitches = detector.dropouts, detector.glitches
@@ -215,14 +215,6 @@ def _feed(
     undecoded = (f"{line} ({count} times)" if count > 1 else line for line, count in unreadable.items())
     recording.losses = (*bag.losses, *undecoded)
     return recording
-
-
-def _new_monitor(dynamics: RobotDynamics, settings: ValidationSettings, count: int) -> Monitor:
-    """Return a monitor for `count` joint states."""
-    monitor = Monitor(dynamics, settings.monitor)
-    if count >= MANY:
-        monitor.assessor.load_kernel()
-    return monitor
 
 
 def _impacts(detector: Detector, value: ForceBlock | Impact) -> Sequence[Impact]:
@@ -239,14 +231,14 @@ def _on_joint_clock(
     """Return what was `measured` by another clock, with stamps and log times of the joint states. Raises BagError."""
     stamps_ns, lags_ns, velocity = array("q"), array("q"), array("d")
     point = settings.validator.contact_point
-    for item in assess_joint_states(bag, recording.joint_state_topic, monitor, settings.time):
-        contacts = item.decision.contacts if item.decision else ()
-        contact = next((one for one in contacts if not point or one.contact_point == point), None)
-        if contact is None or contact.stamp_ns <= (stamps_ns[-1] if stamps_ns else 0):
+    for item in assessed_rows(bag, recording.joint_state_topic, monitor, settings.time):
+        if item.decision.stamp_ns <= (stamps_ns[-1] if stamps_ns else 0):
             continue
-        if contact.verdict is not Verdict.UNKNOWN or any(contact.direction):
-            stamps_ns.append(contact.stamp_ns)
-            lags_ns.append(item.log_time_ns - contact.stamp_ns)
+        contacts, stamp_ns = item.decision.contacts, item.decision.stamp_ns
+        contact = next((one for one in contacts if not point or one.contact_point == point), None)
+        if contact is not None and (contact.verdict is not Verdict.UNKNOWN or any(contact.direction)):
+            stamps_ns.append(stamp_ns)
+            lags_ns.append(item.log_time_ns - stamp_ns)
             velocity.extend(contact.speed * component for component in contact.direction)
     offset_ns, origin = round((settings.force_offset or 0.0) * NS), "as given"
     if settings.force_offset is None:

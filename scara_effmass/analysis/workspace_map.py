@@ -19,20 +19,16 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from scara_effmass.analysis.assessed_states import AssessedStates
 from scara_effmass.analysis.plot_style import ISO_RED, STYLE, new_figure
 from scara_effmass.errors import RobotError
-from scara_effmass.kernel.contact_columns import LABELS, ContactColumns, joined
 from scara_effmass.model.many_poses import ManyPoses
 from scara_effmass.model.robot import Robot
-from scara_effmass.safety import Monitor
-from scara_effmass.safety.joint_state_validator import WINDOW_S
+from scara_effmass.safety import Assessments, Monitor
+from scara_effmass.safety.assessments import Records, joined
 from scara_effmass.values import BoolArray, ContactAssessment, FloatArray, Vector3, Verdict
 
 CELLS = 40
 """Approximate number of cells along the longer side of a map."""
-MANY = 5_000
-"""Configurations from which on it is faster to assess many at once, the start of numba included."""
 TOGETHER = 4_096
 """Configurations in one step: their Jacobians stay in the caches."""
 SPEED_RATIO = 2.0
@@ -71,33 +67,33 @@ class Plane(NamedTuple):
 class WorkspaceSample(NamedTuple):
     """Configurations `q` (m, n) [rad, m], positions (m, 3) [m], and the assessment of a motion along `direction`.
 
-    `left_out` configurations cannot move along it. `slow_reason` tells why they were
-    assessed one by one, if that was slower.
+    `left_out` configurations cannot move along it.
     """
 
     plane: Plane
     direction: Vector3
     q: FloatArray
     positions: FloatArray
-    contacts: ContactColumns
+    assessed: Assessments
     left_out: int
-    slow_reason: str = ""
 
     @property
     def unknown(self) -> BoolArray:
         """Whether there is no verdict (m,)."""
-        return np.asarray(self.contacts.verdict == Verdict.UNKNOWN)
+        return np.asarray(self.contacts["verdict"] == Verdict.UNKNOWN)
+
+    @property
+    def contacts(self) -> Records:
+        """The assessments (m,) of the contact point, of dtype CONTACT."""
+        return self.assessed.contacts[:, 0]
 
     def masses(self, field: str) -> FloatArray:
         """Return a mass of the assessments (m,) [kg], NaN without a verdict."""
-        return np.where(self.unknown, np.nan, getattr(self.contacts, field))
+        return np.where(self.unknown, np.nan, self.contacts[field])
 
     def assessments(self) -> list[ContactAssessment]:
-        """Return the assessments one by one, without reasons."""
-        count = len(self.q)
-        none, zeros, is_refused = np.zeros(count, np.int64), np.zeros(count), np.zeros(count, np.bool_)
-        states = AssessedStates(none, none, zeros, zeros, is_refused, (self.contacts,), (none,), (("",),), lambda _: {})
-        return states.assessments(0, slice(None))
+        """Return the assessments one by one."""
+        return [decision.contacts[0] for decision in self.assessed.decisions()]
 
 
 def sample_workspace(
@@ -108,38 +104,33 @@ def sample_workspace(
     `direction` is a unit vector in `frame` of the robot; `advance` takes the number of configurations since the last
     call. Raises RobotError where no configuration reaches the plane, moves along the direction, or has a verdict.
     """
-    dynamics, assessor = monitor.dynamics, monitor.assessor
+    dynamics = monitor.dynamics
     robot, point = dynamics.robot, dynamics.contact_points[0]
     drawn = robot.sample_configurations(count if math.isnan(plane.value) else MAX_DRAWS * count)
-    slow_reason = assessor.load_kernel() if count >= MANY else ""
-    is_fast = count >= MANY and not slow_reason
-    compute = assessor.compute if is_fast else assessor.compute_reference
-    tolerance = monitor.validator.limits.position_tolerances / WINDOW_S  # of the first joint state, the smallest
-    parts: list[tuple[FloatArray, FloatArray, Future[tuple[ContactColumns, ...]]]] = []
+    parts: list[tuple[FloatArray, FloatArray, Future[Assessments]]] = []
     taken = left_out = 0
     # Pinocchio's buffers are for one thread; the kernel has none.
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0)) if is_fast else 1) as pool:
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         for first in range(0, len(drawn), TOGETHER):
             q, places, qd, moves = _motions(monitor, drawn[first : first + TOGETHER], direction, frame, plane)
             rows = np.flatnonzero(moves)[: count - taken]
             taken += len(rows)
             left_out += int(np.count_nonzero(~moves[: rows[-1]] if taken == count else ~moves))
             if len(rows):
-                columns = pool.submit(compute, q[rows], qd[rows], np.tile(tolerance, (len(rows), 1)))
-                parts.append((q[rows], places[rows], columns))
+                parts.append((q[rows], places[rows], pool.submit(monitor.assess_configurations, q[rows], qd[rows])))
             if taken == count:
                 break
         computed = []
-        for q, _, columns in parts:
-            computed.append(columns.result()[0])
+        for q, _, assessed in parts:
+            computed.append(assessed.result())
             advance(len(q))
     if not parts:
         problem = f"cannot move along {direction}" if left_out else f"does not reach the {plane}"
         raise RobotError(f"{robot.origin}: contact point {point} {problem}")
     q, positions = (np.concatenate([part[column] for part in parts]) for column in range(2))
-    sample = WorkspaceSample(plane, direction, q, positions, joined(computed), left_out, slow_reason)
+    sample = WorkspaceSample(plane, direction, q, positions, joined(computed), left_out)
     if sample.unknown.all():
-        raise RobotError(f"{robot.origin}: {sample.contacts.reason_at(0)}")
+        raise RobotError(f"{robot.origin}: {sample.assessed.reason(0, 0)}")
     return sample
 
 
@@ -237,10 +228,10 @@ class Cells:
 def map_table(cells: Cells, joints: Sequence[str]) -> pa.Table:
     """Return a row for each cell: centre, worst values, and the configuration with the smallest allowable speed."""
     sample, contacts = cells.sample, cells.sample.contacts
-    speed = contacts.allowable_speed
+    speed = np.ascontiguousarray(contacts["allowable_speed"])
     order = np.lexsort((speed, cells.of))
     slowest = order[np.unique(cells.of[order], return_index=True)[1]]
-    labels = {name: np.array(getattr(contacts, LABELS[name])) for name in ("body_region", "mass_model")}
+    labels = {name: np.array(sample.assessed.labels[name]) for name in ("body_region", "mass_model")}
     return pa.table(
         {
             **{f"{AXES[axis]}_m": column for axis, column in zip(cells.axes, cells.centres.T, strict=True)},
@@ -248,7 +239,7 @@ def map_table(cells: Cells, joints: Sequence[str]) -> pa.Table:
             "unknown": np.bincount(cells.of, sample.unknown).astype(int),
             **{f"{name}_kg": cells.largest(sample.masses(name)) for name in MASSES},
             "allowable_speed_m_s": speed[slowest],
-            **{name: texts[getattr(contacts, name)[slowest]] for name, texts in labels.items()},
+            **{name: texts[contacts[name][slowest].astype(int)] for name, texts in labels.items()},
             **{f"{joint}_position": sample.q[slowest, i] for i, joint in enumerate(joints)},
         }
     )
@@ -276,9 +267,8 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
         "plane": str(sample.plane),
         "configurations": len(bound),
         "left_out": sample.left_out,
-        "one_by_one": sample.slow_reason,
         "unknown": int(sample.unknown.sum()),
-        "mass_models": Counter(f"{model}: {why}" for *_, model, why in sample.contacts.labels() if model).most_common(),
+        "mass_models": _mass_models(sample),
         "cells": table.num_rows,
         "cell_m": cells.size,
         **{name: _percentiles(table[name].to_numpy()) for name in columns},
@@ -287,6 +277,13 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
         "rise_by_second_half": _percentiles(cells.largest(bound) / early - 1.0),
         "slowest": table.take([int(np.argmin(table[columns[-1]].to_numpy()))]).to_pylist()[0],
     }
+
+
+def _mass_models(sample: WorkspaceSample) -> list[tuple[str, int]]:
+    """Return how often which mass model decides and why, the most frequent first."""
+    models, whys = (sample.assessed.labels[name] for name in ("mass_model", "mass_model_reason"))
+    pairs = Counter(zip(*(sample.contacts[name].tolist() for name in ("mass_model", "mass_model_reason")), strict=True))
+    return [(f"{models[int(model)]}: {whys[int(why)]}", count) for (model, why), count in pairs.most_common() if model]
 
 
 def _percentiles(values: FloatArray) -> dict[str, float]:

@@ -4,11 +4,12 @@
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from rosbags.interfaces import MessageDefinition
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.store import Typestore
 from typing_extensions import Self
 
@@ -16,9 +17,11 @@ from scara_effmass.bags.batches import MAX_TIME_NS, LossLog, MessageBatch, Topic
 from scara_effmass.bags.definitions import check_definition, types_of
 from scara_effmass.bags.joint_state_blocks import BlockDecoder, JointStateBlock
 from scara_effmass.errors import BagError, DecodeError
-from scara_effmass.values import ForceBlock, Impact
+from scara_effmass.values import ForceBlock, Impact, RunInfo
 from scara_effmass.wire.force import decode_force_block, decode_impact
-from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE
+from scara_effmass.wire.former_contact_state import DEFINITION
+from scara_effmass.wire.message_types import FORCE_BLOCK, FORMER_CONTACT_STATE, IMPACT, JOINT_STATE, RUN_INFO
+from scara_effmass.wire.run_info import decode_run_info
 
 Decoded = TypeVar("Decoded", ForceBlock, Impact)
 
@@ -92,7 +95,10 @@ class Bag(ABC):
     @cached_property
     def types(self) -> Typestore:
         """Message types: those that the bag defines, and the known ones."""
-        return types_of(frozenset(self._definitions.items()), ros1=self._is_ros1)
+        definitions = dict(self._definitions)
+        if any(topic.type == FORMER_CONTACT_STATE for topic in self.topics):
+            definitions.setdefault(FORMER_CONTACT_STATE, MessageDefinition(MessageDefinitionFormat.MSG, DEFINITION))
+        return types_of(frozenset(definitions.items()), ros1=self._is_ros1)
 
     def messages(
         self, topics: Collection[str] | None = None, start_ns: int = 0, stop_ns: int = MAX_TIME_NS
@@ -176,3 +182,29 @@ class Bag(ABC):
 def one_line(error: Exception) -> str:
     """Return the message of another library's error in one line; the name of its type if there is no message."""
     return " ".join(str(error).split()) or type(error).__name__
+
+
+def run_infos(bag: Bag) -> Iterator[tuple[int, RunInfo]]:
+    """Yield log time [ns] and content of each run information in `bag`, unchecked.
+
+    Raises BagError for a RunInfo that cannot be decoded or has another definition.
+    """
+    topics = [topic.name for topic in bag.topics if topic.type == RUN_INFO]
+    if not topics:
+        return
+    check_definition(bag.types, RUN_INFO, str(bag.path))
+    for message in bag.messages(topics):
+        if message.type != RUN_INFO:
+            continue
+        try:
+            info = decode_run_info(message.data)
+        except DecodeError as error:
+            raise BagError(f"{bag.path}: {message.topic}: {error}") from None
+        yield message.log_time_ns, info
+
+
+def first_run_info(bag: Bag) -> RunInfo | None:
+    """Return the first run information in `bag`, unchecked; None if none can be read."""
+    with suppress(BagError):
+        return next((info for _, info in run_infos(bag)), None)
+    return None

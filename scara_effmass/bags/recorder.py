@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorder of live messages."""
+"""Recorder of live messages, and its message counts."""
 
 import shutil
 import tempfile
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, final
 
@@ -15,9 +15,8 @@ from typing_extensions import Self
 
 from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import definition_of, known_types
-from scara_effmass.bags.recording_report import RecordedTopic, RecordingReport, TopicReport
-from scara_effmass.bags.rosbag2 import check_output
-from scara_effmass.bags.split_writer import DiskSpace, RecorderOptions, SplitWriter
+from scara_effmass.bags.files import check_output
+from scara_effmass.bags.split_writer import DiskSpace, LossCounts, RecordedTopic, RecorderOptions, SplitWriter
 from scara_effmass.bags.writer import FileOpener, open_unbuffered
 from scara_effmass.errors import OutputError
 from scara_effmass.wire.cdr import NS
@@ -26,6 +25,43 @@ POLL_S = 0.05
 """Maximum time for which a message waits in the queue."""
 WAKE_BYTES = 1 << 20
 """Queue size that wakes the writing thread immediately."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicReport:
+    """Message counts of one topic."""
+
+    type: str
+    received: int
+    recorded: int
+    lost: LossCounts
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingReport:
+    """Message counts of a recording. Until it ends, `recorded` includes messages in the queue."""
+
+    folder: Path
+    topics: Mapping[str, TopicReport]
+    files: tuple[str, ...]
+    """Completed files."""
+    unindexed: tuple[str, ...]
+    """Files without an index, because the disk was full; `repair` adds the index."""
+    saved: int
+    """Messages in the files; they survive if the process is killed."""
+    size_bytes: int
+    stopped_by_disk: bool
+    """Whether the recording has stopped because the disk is full or refuses to write."""
+
+    @property
+    def recorded(self) -> int:
+        """Recorded messages of all topics."""
+        return sum(topic.recorded for topic in self.topics.values())
+
+    @property
+    def lost(self) -> int:
+        """Lost messages of all topics."""
+        return sum(topic.lost.total for topic in self.topics.values())
 
 
 class MessageSink(Protocol):

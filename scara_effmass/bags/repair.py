@@ -13,11 +13,18 @@ from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 
 from scara_effmass.bags.batches import LossLog
-from scara_effmass.bags.files import METADATA, SPLIT_NAME, bag_files
+from scara_effmass.bags.files import (
+    METADATA,
+    SPLIT_NAME,
+    BagFile,
+    bag_files,
+    is_being_written,
+    sync_folder,
+    write_metadata,
+)
 from scara_effmass.bags.mcap_bag import McapFile, read_index
 from scara_effmass.bags.mcap_copy import DAMAGE, RECORD_HEAD, copy_records, open_mcap, records
-from scara_effmass.bags.recording_report import LOSSES_RECORD, losses_custom_data
-from scara_effmass.bags.rosbag2 import BagFile, is_being_written, sync_folder, write_metadata
+from scara_effmass.bags.split_writer import LOSSES_RECORD, losses_custom_data
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.input_files import YAML_ERRORS
 

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writer of a rosbag2 folder that is split into files; it survives a full or failing disk."""
 
+import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import final
 
-from scara_effmass.bags.recording_report import LOSSES_RECORD, RecordedTopic, losses_custom_data, losses_record
-from scara_effmass.bags.rosbag2 import BagFile, sync_folder, write_metadata
+from scara_effmass.bags.batches import Topic
+from scara_effmass.bags.files import BagFile, sync_folder, write_metadata
 from scara_effmass.bags.writer import CHUNK_BYTES, FileOpener, McapFileWriter
 from scara_effmass.wire.cdr import NS
 
@@ -20,6 +21,45 @@ RESUME_FACTOR = 2
 """Free space, as a multiple of the reserve, at which a stopped recording resumes."""
 CLEAR_FACTOR = 1.25
 """Multiple of the limits at which a warning is cleared; a varying rate then does not repeat it."""
+LOSSES_RECORD = "scara_effmass/losses"
+"""Name of the MCAP metadata record, and key in custom_data of metadata.yaml, with the lost messages."""
+
+
+@dataclass(slots=True)
+class LossCounts:
+    """Messages of one topic that are not in the recording, by cause."""
+
+    queue: int = 0
+    """The queue was full."""
+    disk: int = 0
+    """The disk was full or refused to write."""
+    middleware: int = 0
+    """The middleware reported them as lost."""
+
+    @property
+    def total(self) -> int:
+        """The sum over all causes."""
+        return self.queue + self.disk + self.middleware
+
+
+@dataclass(slots=True)
+class RecordedTopic:
+    """A topic while it is recorded."""
+
+    topic: Topic
+    definition: str
+    received: int = 0
+    lost: LossCounts = field(default_factory=LossCounts)
+
+
+def losses_record(topics: Iterable[RecordedTopic]) -> dict[str, str]:
+    """Return the content of the metadata record: for each topic with losses, the counts by cause as JSON."""
+    return {topic.topic.name: json.dumps(asdict(topic.lost)) for topic in topics if topic.lost.total}
+
+
+def losses_custom_data(record: Mapping[str, str]) -> dict[str, str]:
+    """Convert the content of the metadata record to custom_data of metadata.yaml."""
+    return {LOSSES_RECORD: json.dumps({topic: json.loads(counts) for topic, counts in record.items()})}
 
 
 @dataclass(frozen=True, slots=True)

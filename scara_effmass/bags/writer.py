@@ -19,8 +19,8 @@ from typing_extensions import Self
 
 from scara_effmass.bags.batches import MAX_TIME_NS, Topic
 from scara_effmass.bags.definitions import definition_of, known_types
+from scara_effmass.bags.files import BagFile, check_output, metadata, write_metadata, yaml_text
 from scara_effmass.bags.mcap_bag import HASH_KEY, QOS_KEY
-from scara_effmass.bags.rosbag2 import BagFile, check_output, metadata, write_metadata, yaml_text
 from scara_effmass.errors import OutputError
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import joint_state_message

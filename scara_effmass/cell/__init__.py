@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a cell does with the verdicts. Pure."""
+"""What consumers do with verdicts: the status of a cell, speed scaling, re-timing. Pure: time is an argument."""

@@ -9,18 +9,24 @@ from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from scara_effmass import __version__
-from scara_effmass.cli.commands import COMMANDS, GROUPS, MODULES, ROS_COMMANDS
-from scara_effmass.cli.options import ALIASES, Option, former_options
+from scara_effmass.cli.commands import COMMANDS, GROUPS, HELP, MODULES, ROS_COMMANDS
+from scara_effmass.cli.options import Option
 from scara_effmass.errors import EffmassError
+from scara_effmass.extras import missing_extra
 
+PURPOSE = "Assess a robot's effective mass by ISO/TS 15066, measure impacts, and validate the predictions."
 BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 """Exit codes; 130 and 143 are what a shell reports after SIGINT and SIGTERM."""
 
 
 class _Parser(argparse.ArgumentParser):
+    def __init__(self, **keywords: Any) -> None:  # noqa: ANN401 - as ArgumentParser
+        """Refuse abbreviated options, which would change their meaning when an option is added."""
+        super().__init__(allow_abbrev=False, **keywords)
+
     def error(self, message: str) -> NoReturn:
         """Print one line and exit, as for all other invalid input."""
         self.exit(INPUT_ERROR, f"{self.prog}: {message} (see --help)\n")
@@ -29,7 +35,6 @@ class _Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0, 1 (negative result), 2 (invalid input), 130 (interrupted)."""
     arguments, ros_arguments = _split(sys.argv[1:] if argv is None else list(argv))
-    arguments[:1] = [ALIASES.get(name, name) for name in arguments[:1]]
     parser = make_parser()
     if "_ARGCOMPLETE" in os.environ:
         import_module("argcomplete").autocomplete(parser)  # ends the process
@@ -43,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _keep_stdout()
     previous_handler = signal.signal(signal.SIGTERM, _terminate)
     try:
-        code: int = import_module(f"scara_effmass.cli.{MODULES.get(name, name)}").run(parsed)
+        code = _run(MODULES.get(name, name), parsed)
         sys.stdout.flush()
     except EffmassError as error:
         print(error, file=sys.stderr)  # noqa: T201 - the only error output
@@ -62,6 +67,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INPUT_ERROR
     finally:
         signal.signal(signal.SIGTERM, previous_handler)
+    return code
+
+
+def _run(module: str, parsed: argparse.Namespace) -> int:
+    """Run the command of `module` and return its exit code. Raises EffmassError, also for a missing extra."""
+    try:
+        code: int = import_module(f"scara_effmass.cli.{module}").run(parsed)
+    except ModuleNotFoundError as error:
+        if line := missing_extra(error):
+            raise EffmassError(line) from error
+        raise
     return code
 
 
@@ -92,18 +108,24 @@ def _split(argv: list[str]) -> tuple[list[str], list[str]]:
 @cache
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
+    summaries = GROUPS | {name: command.summary for name, command in COMMANDS.items()}
+    lists = (f"{group}:\n" + "".join(f"  {name:<14} {summaries[name]}\n" for name in HELP[group]) for group in HELP)
     parser = _Parser(
         prog="scara-effmass",
-        description="Assess a robot's effective mass by ISO/TS 15066, measure impacts, and validate the predictions.",
+        usage="%(prog)s [-h] [--version] COMMAND ...",
+        description="\n".join((PURPOSE, "", *lists)),
         epilog="'scara-effmass COMMAND --help' gives a command's options and examples. Invalid input exits with 2.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"scara-effmass {__version__}")
-    groups = {"": parser.add_subparsers(metavar="COMMAND", dest="command", parser_class=_Parser)}
+    # The description lists the commands.
+    commands = parser.add_subparsers(prog="scara-effmass", metavar="COMMAND", dest="command", help=argparse.SUPPRESS)
+    groups = {"": commands}
     for name, command in COMMANDS.items():
         group, _, own_name = name.rpartition(" ")
         if group not in groups:
-            group_parser = groups[""].add_parser(group, help=GROUPS[group], description=GROUPS[group])
-            groups[group] = group_parser.add_subparsers(metavar="COMMAND", required=True, parser_class=_Parser)
+            group_parser = commands.add_parser(group, description=GROUPS[group])
+            groups[group] = group_parser.add_subparsers(metavar="COMMAND", required=True)
         subparser = groups[group].add_parser(
             own_name,
             help=command.summary,
@@ -115,8 +137,6 @@ def make_parser() -> argparse.ArgumentParser:
         for item in command.options:
             if isinstance(item, Option):
                 subparser.add_argument(*item.names, **item.keywords)
-                for former in former_options(item):
-                    subparser.add_argument(*former.names, **former.keywords)
                 continue
             exclusive = subparser.add_mutually_exclusive_group(required=True)
             for option in item:

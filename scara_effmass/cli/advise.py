@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from scara_effmass.analysis.advice import Advice, Motion, advise, draw_advice
-from scara_effmass.analysis.assessment import Time, assess_joint_states, joint_state_topic
+from scara_effmass.analysis.assessment import Time, assessed_rows, joint_state_topic
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
 from scara_effmass.analysis.tables import provenance
@@ -36,9 +36,9 @@ def run(args: argparse.Namespace) -> int:
     dynamics = load_dynamics(settings)
     with progress_bar() as progress, open_bag(args.bag) as bag:
         topic = joint_state_topic(bag, args.topic)
-        assessed = assess_joint_states(bag, topic, Monitor(dynamics, settings), Time.HEADER)
-        items = [item for item in tracked(progress, bag, topic, assessed) if item.state is None or item.decision]
-    states, recorded = [item.state for item in items if item.state], [item.decision for item in items if item.decision]
+        assessed = assessed_rows(bag, topic, Monitor(dynamics, settings), Time.HEADER)
+        items = list(tracked(progress, bag, topic, assessed))
+    states, recorded = [item.state for item in items if item.state], [item.decision for item in items]
     if len(states) < max(len(items), 2):
         raise BagError(f"{args.bag}: {topic}: must hold two joint states or more, all of them decodable")
     motion = Motion(states, f"{args.bag}: {topic}")

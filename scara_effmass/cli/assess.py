@@ -10,8 +10,7 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from scara_effmass.analysis.assessment import Time, input_lines
 from scara_effmass.analysis.bag_assessment import BagResult, BagTask, assess_bag
@@ -23,7 +22,7 @@ from scara_effmass.cli.console import print_result
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.cli.tasks import SMALL_BYTES, Advance, Run, open_run, sound
 from scara_effmass.errors import CrossCheckError, EffmassError, SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.url import Url
@@ -32,14 +31,33 @@ from scara_effmass.url import Url
 def run(args: argparse.Namespace) -> int:
     """Assess the recordings, write table and report, and print the summary."""
     try:
-        return _assess(args)
+        assessment = assess(args)
     except CrossCheckError as error:
         print(error, file=sys.stderr)  # noqa: T201 - a negative result, not invalid input
         return 1
+    print_result(assessment.result, assessment.lines, as_json=args.json)
+    return assessment.code
 
 
-def _assess(args: argparse.Namespace) -> int:
-    properties = _load_properties() if args.properties else None
+class Assessment(NamedTuple):
+    """Result of a command: for JSON, as lines of subject and text, and the exit code."""
+
+    result: dict[str, Any]
+    lines: list[tuple[str, object]]
+    code: int
+
+
+def assess(
+    args: argparse.Namespace,
+    name: str = "",
+    supplement: Callable[[Mapping[str, int]], tuple[Sequence[tuple[str, str]], dict[str, Any]]] = lambda _: ((), {}),
+) -> Assessment:
+    """Assess the recordings and write table and report.
+
+    The report calls the recording `name`, which defaults to that of its file. `supplement` gets the counts of joint
+    states and returns further lines and results. Raises CrossCheckError if --cross-check finds a difference.
+    """
+    properties = import_module("scara_effmass.analysis.properties") if args.properties else None
     settings = monitor_settings(args)
     dynamics = load_dynamics(settings)
     robot = dynamics.robot
@@ -77,28 +95,21 @@ def _assess(args: argparse.Namespace) -> int:
             input_notes += [note for note in result.notes if note not in input_notes]
             if report:
                 for point, series in result.series.items():
-                    title = f"{robot.name}: {path.name}"
+                    title = f"{robot.name}: {name or path.name}"
                     report.add(series, point, title, generated=result.generated, forces=result.force)
-        lines = list(_lines(counts, input_notes, summary, robot.rotors.warning, losses, unreadable))
-        notes = {"losses": losses, "robot_notes": list(robot.notes), "unreadable": unreadable, "input": input_notes}
-        printed = {"output": str(args.output), **counts, **summary.as_dict(), **notes}
+        notes, results = supplement(counts)
+        lines = [*notes, *_lines(counts, input_notes, summary, robot.rotors.warning, losses, unreadable)]
+        printed = {"output": str(args.output), **results, **counts, **summary.as_dict()}
+        printed |= {"losses": losses, "robot_notes": list(robot.notes), "unreadable": unreadable, "input": input_notes}
         if report:
             others = f" + {len(paths) - 1}" if len(paths) > 1 else ""
-            printed = report.write(f"{robot.name}: {paths[0].name}{others}", lines, printed, paths)
+            printed = report.write(f"{robot.name}: {name or paths[0].name}{others}", lines, printed, paths)
     checks = properties.check_assessment(args.output, paths, settings) if properties else []
     lines += [("property", str(check)) for check in checks]
     printed["properties"] = [check._asdict() for check in checks]
     written = [("written", args.output), *([("open", args.report / "report.html")] if report else [])]
-    print_result(printed, [*lines, *written], as_json=args.json)
-    return 1 if unreadable or summary.only_unknown or any(check.violations for check in checks) else 0
-
-
-def _load_properties() -> ModuleType:
-    """Return the module that checks properties. Raises SettingsError without its library."""
-    try:
-        return import_module("scara_effmass.analysis.properties")
-    except ModuleNotFoundError as error:
-        raise SettingsError(f"{error}: must be installed: pip install 'scara_effmass[properties]'") from None
+    code = 1 if unreadable or summary.only_unknown or any(check.violations for check in checks) else 0
+    return Assessment(printed, [*lines, *written], code)
 
 
 def _assess_part(

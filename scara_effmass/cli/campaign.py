@@ -9,7 +9,6 @@ from typing import Any
 
 from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.errors import SettingsError
-from scara_effmass.settings.loading import rescaled
 from scara_effmass.sim.cart import HERTZ, LINEAR, POLYETHYLENE, SpringContact
 from scara_effmass.sim.experiment import CONFIGURATIONS, OBSTACLE_MASSES, build_sim
 from scara_effmass.sim.recordings import SEED
@@ -46,9 +45,6 @@ def _campaign(args: argparse.Namespace) -> Campaign:
     if len({round(MM_PER_M * mass) for mass in masses}) < len(masses):
         raise SettingsError(f"--mass {' and '.join(map(str, masses))}: must differ by a gram")
     exponent = HERTZ if args.hertz else LINEAR
-    if args.stiffness is not None:
-        value = rescaled(args.stiffness, MM_PER_M**exponent)
-        raise SettingsError(f"--stiffness {args.stiffness:g}: must be --tip-stiffness {value!r} [N/m^{exponent:g}]")
     stiffness = HERTZ_STIFFNESS if args.hertz else POLYETHYLENE.stiffness
     if args.tip_stiffness is not None:
         stiffness = args.tip_stiffness

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The commands: commands.yaml holds their help and options, and the module of a command runs it."""
 
+import argparse
+from importlib import import_module
 from typing import NamedTuple
 
 from scara_effmass.cli.options import Option, options_of
@@ -20,10 +22,21 @@ NODES = ("monitor", "daq", "validator", "speed_scaling", "sim", "visualization")
 ROS_COMMANDS = {*NODES, "record", "replay", "foxglove", "dashboard", "watch"}
 """Commands that take ROS arguments."""
 PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "report", "schema"))
-MODULES = {"import": "import_force"} | dict.fromkeys(NODES, "nodes") | dict.fromkeys(PROTOCOL, "protocol")
+MODULES = (
+    {"import": "import_force", "completion": "commands", "record": "bags", "replay": "bags"}
+    | dict.fromkeys(NODES, "nodes")
+    | dict.fromkeys(PROTOCOL, "protocol")
+)
 """Modules of the commands that have no module of their name."""
 GROUPS = {"protocol": "write, fill in and render a measurement protocol of contact forces"}
 """Help of commands of two words, by the first word."""
+HELP = {
+    "live": ("demo", *NODES, "replay", "record", "watch", "dashboard", "foxglove"),
+    "offline": ("assess", "validate", "protocol", "advise", "coverage", "import"),
+    "prepare": ("init", "doctor", "limits", "map", "lump", "completion"),
+    "research": ("figures", "campaign", "evidence"),
+}
+"""Commands by the group under which --help lists them."""
 
 
 def _commands() -> dict[str, Command]:
@@ -40,3 +53,9 @@ def _commands() -> dict[str, Command]:
 
 COMMANDS = _commands()
 """Commands by name."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the script that completes commands and options in a shell: `scara-effmass completion`."""
+    print(import_module("argcomplete").shellcode(["scara-effmass"], shell=args.shell))  # noqa: T201
+    return 0

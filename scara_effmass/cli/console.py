@@ -18,7 +18,7 @@ from rich.progress import Progress, ProgressColumn
 from rich.table import Table
 from rich.text import Text
 
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.values import ContactAssessment, Decision, Verdict
 
 if TYPE_CHECKING:
     from scara_effmass.bags.bag import Bag
@@ -102,25 +102,26 @@ def advances(progress: Progress, name: str) -> Callable[[int, int], None]:
     return lambda count, total: progress.update(task, advance=count, total=total)
 
 
-ShowStatus = Callable[[tuple[ContactAssessment, ...], float, float], None]
+ShowStatus = Callable[[Decision, float], None]
 
 
 @contextmanager
 def live_status(console: Console, *, visible: bool) -> Iterator[ShowStatus]:
-    """Give a function that shows assessments, the time of the run [s] and the speed scaling.
+    """Give a function that shows a decision and the time of the run [s].
 
     A terminal gets updating lines, a pipe a line every 2 s; an invisible status prints nothing.
     """
     live = Live(console=console, auto_refresh=False, transient=True) if visible and console.is_terminal else None
     last_update_s = 0.0
 
-    def show(contacts: tuple[ContactAssessment, ...], time_s: float, speed_scaling: float) -> None:
+    def show(decision: Decision, time_s: float) -> None:
         nonlocal last_update_s
         now_s = time.monotonic()
         if not visible or now_s - last_update_s < (TERMINAL_PERIOD_S if live else PIPE_PERIOD_S):
             return
         last_update_s = now_s
-        lines = [_status_line(contact, time_s, speed_scaling) for contact in contacts]
+        contacts = decision.contacts
+        lines = [_status_line(contact, time_s, decision.speed_scaling) for contact in contacts]
         if live is None:
             console.print(*lines, sep="\n")
         else:

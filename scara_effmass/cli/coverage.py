@@ -6,7 +6,7 @@ import json
 from functools import partial
 from pathlib import Path
 
-from scara_effmass.analysis.assessment import Time, assess_joint_states, joint_state_topic
+from scara_effmass.analysis.assessment import Time, assessed_rows, joint_state_topic
 from scara_effmass.analysis.coverage import Coverage
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
@@ -57,8 +57,8 @@ def _counted(settings: MonitorSettings, topic: str | None, time: Time, path: Pat
         topic = joint_state_topic(bag, topic)
         coverage.begin(f"{bag.path.name}, {bag.start_ns} ns")  # also after it was moved
         share = 1.0 / next(stored.count for stored in bag.topics if stored.name == topic)
-        for _, state, decision in assess_joint_states(bag, topic, Monitor(dynamics, settings), time):
+        for _, state, decision in assessed_rows(bag, topic, Monitor(dynamics, settings), time):
             advance(share)
-            if state is not None and decision is not None:
+            if state is not None:
                 coverage.add(state, decision.contacts)
     return coverage

@@ -7,20 +7,12 @@ import secrets
 import socket
 import threading
 import webbrowser
-from importlib.util import find_spec
 
 from scara_effmass.cli.console import print_lines
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
-from scara_effmass.errors import EffmassError
 
-MISSING = "install NiceGUI: pip install 'scara_effmass[dashboard]'"
 _NICENESS = 10
 """The nodes on this machine have priority over the dashboard."""
-
-
-def is_installed() -> bool:
-    """Return whether NiceGUI is installed."""
-    return find_spec("nicegui") is not None
 
 
 def has_display() -> bool:
@@ -30,8 +22,6 @@ def has_display() -> bool:
 
 def run(args: argparse.Namespace) -> int:
     """Serve the page until a signal ends it; return 0. Raises EffmassError."""
-    if not is_installed():
-        raise EffmassError(f"dashboard: {MISSING}")
     from scara_effmass.dashboard.server import bound_socket, is_local, serve  # noqa: PLC0415 - an extra
     from scara_effmass.nodes.cell_client import CellClient  # noqa: PLC0415 - rclpy
 

@@ -3,26 +3,24 @@
 
 import argparse
 import math
-import os
 import time
 from contextlib import ExitStack
 from typing import Any
 
-from scara_effmass_msgs.msg import ImpactValidation
-
 from scara_effmass.analysis.pages import PageOptions
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
-from scara_effmass.bags.rosbag2 import check_output
+from scara_effmass.bags.files import check_output
+from scara_effmass.cell.status import Validation
 from scara_effmass.cli import processes
 from scara_effmass.cli.console import live_status, print_lines, print_result, printer
 from scara_effmass.cli.demo_bag import run_bag
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
 from scara_effmass.errors import EffmassError, SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.nodes.monitor_client import MonitorClient
+from scara_effmass.nodes.cell_client import CellClient
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings, ValidatorSettings
-from scara_effmass.values import ContactAssessment
+from scara_effmass.values import Decision
 
 MAX_SLOWDOWN = 10.0
 """Longest run in times its simulated duration: the simulation waits for nodes that fall behind."""
@@ -35,7 +33,7 @@ RECORDER_DELAY_S = 5.0
 VALIDATION_DELAY_S = 3.0
 """Time from an impact to its validation, which follows once the rebounds are over."""
 ENDPOINTS = (
-    *(("contact_state", 1, 3), ("force", 1, 1), ("impact", 1, 1), ("impact_validation", 1, 1)),
+    *(("contact_states", 1, 3), ("force", 1, 1), ("impact", 1, 1), ("impact_validation", 1, 1)),
     *(("joint_states", 0, 2), ("effective_mass_markers", 1, 0)),
 )
 """Topic, publishers and subscribers (this process included) that must exist before the simulation starts."""
@@ -71,7 +69,7 @@ def _run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monito
     if not args.json:
         print_lines((*INTRODUCTION, ("dashboard", address)))
     with processes.removed_on_failure(args.out / processes.RECORDING):
-        live, recorded = _run_live(args, dynamics, settings, dashboard)
+        live, recorded = _run_live(args, settings, dashboard)
         validation_settings = ValidationSettings(
             monitor=settings.model_copy(update={"timeout": RECORDER_DELAY_S}),
             validator=ValidatorSettings(clock_tolerance=RECORDER_DELAY_S),
@@ -91,7 +89,7 @@ def _run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monito
 
 
 def _run_live(
-    args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings, dashboard: list[str]
+    args: argparse.Namespace, settings: MonitorSettings, dashboard: list[str]
 ) -> tuple[set[int], dict[str, Any]]:
     """Start all nodes and receive until the last impact.
 
@@ -112,23 +110,20 @@ def _run_live(
     console = printer()
     assessed_s = -math.inf
 
-    def on_cycle(contacts: tuple[ContactAssessment, ...], at_ns: int) -> None:
+    def on_decision(decision: Decision) -> None:
         nonlocal assessed_s
-        assessed_s = at_ns / 1e9
-        show_status(contacts, assessed_s - start_s, client.speed_scaling)
-
-    def on_watchdog(contacts: tuple[ContactAssessment, ...]) -> None:
+        if not decision.watchdog:
+            assessed_s = decision.assessed_ns / 1e9
         if assessed_s > start_s:
-            show_status(contacts, assessed_s - start_s, 0.0)
+            show_status(decision, assessed_s - start_s)
 
-    def on_validation(message: ImpactValidation) -> None:
-        stamp = message.header.stamp
-        stamps_ns.add(stamp.sec * 1_000_000_000 + stamp.nanosec)
+    def on_validation(impact: Validation) -> None:
+        stamps_ns.add(impact.stamp_ns)
         if not args.json:
             console.print(
-                f"{stamp.sec + stamp.nanosec / 1e9 - start_s:6.1f} s  impact {message.count}: {message.speed:.3f} m/s, "
-                f"{message.reduced_mass:.3f} kg reduced mass: {message.measured_force:.1f} N simulated, "
-                f"{message.predicted_force:.1f} N predicted ({message.relative_error:+.1%})"
+                f"{impact.stamp_ns / 1e9 - start_s:6.1f} s  impact {impact.series.count}: {impact.speed:.3f} m/s, "
+                f"{impact.reduced_mass:.3f} kg reduced mass: {impact.measured_force:.1f} N simulated, "
+                f"{impact.predicted_force:.1f} N predicted ({impact.relative_error:+.1%})"
             )
 
     def finished() -> bool:
@@ -137,12 +132,11 @@ def _run_live(
         return len(stamps_ns) >= IMPACTS or (is_over and bool(stamps_ns))
 
     processes.isolate_ros_domain()
-    os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # the monitor would load its kernel during the first impact
     with ExitStack() as stack:
         children = [stack.enter_context(processes.ChildProcess(command)) for command in commands]
         if dashboard:  # not one of the children, whose end would end the demo
             stack.enter_context(processes.ChildProcess(dashboard))
-        client = stack.enter_context(MonitorClient(dynamics.contact_points, on_cycle, on_validation, on_watchdog))
+        client = stack.enter_context(CellClient("demo", on_decision=on_decision, on_validation=on_validation))
         show_status = stack.enter_context(live_status(console, visible=not args.json))
         is_ready = processes.spin_until(
             lambda: all(client.has_peers(*end) for end in ENDPOINTS), client, children, processes.START_TIMEOUT_S

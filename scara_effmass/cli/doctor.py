@@ -17,14 +17,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from scara_effmass import __version__
+from scara_effmass.analysis.lumped_model import compare_models
 from scara_effmass.cli.console import LEVEL_STYLES, print_json, print_table, printer
 from scara_effmass.cli.settings import load_dynamics, monitor_settings
+from scara_effmass.codes import ModelCode
 from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
 from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, MonitorSettings, load_settings
 
 if TYPE_CHECKING:
-    from scara_effmass.model.dynamics import RobotDynamics
+    from scara_effmass.reference import RobotDynamics
 
 
 COMPARED_POSES = 300
@@ -94,11 +96,6 @@ def _installation() -> Iterator[CheckResult]:
             reason = " ".join(str(error).split()) or type(error).__name__
             yield CheckResult("wrong", subject, f"{reason}; install scara_effmass again, or source ROS 2")
 
-    if str(import_module("scara_effmass.safety.monitor").__file__).endswith(".py"):
-        hint = "a cycle takes about three times as long; `make setup` or `pip install` compiles it again"
-        yield CheckResult("note", "core", f"Python sources, not compiled or changed since: {hint}")
-    else:
-        yield CheckResult("ok", "core", "compiled by mypyc")
     why_not = import_module("scara_effmass.kernel.jit").WHY_NOT
     yield CheckResult(
         "note" if why_not else "ok",
@@ -212,19 +209,16 @@ def _home_masses(dynamics: RobotDynamics) -> Iterator[tuple[str, str]]:
     """Yield each contact point and its masses along the base axes, all joints at 0 or their limit nearest to it."""
     model = dynamics.robot.model
     q = np.clip(np.zeros(model.nv), model.lowerPositionLimit, model.upperPositionLimit)
-    for name, masses in zip(
-        dynamics.contact_points, dynamics.effective_masses(q, np.zeros(model.nv), 0.0), strict=True
-    ):
-        for kind, mobility in (("lumped", masses.lumped_mobility), ("full", masses.full_mobility)):
-            if mobility and not (kind == "lumped" and masses.has_massless_direction):
-                axes = (f"{1.0 / mobility[i][i]:.3g}" if mobility[i][i] > 1e-9 else "no motion" for i in range(3))
-                yield name, f"{kind} mass {' / '.join(axes)} kg along x / y / z of {dynamics.robot.base_frame}"
+    for contact in dynamics.at(q).contacts:
+        for code, mobility in contact.mobilities.items():
+            if code is ModelCode.FULL or contact.no_lumped_mass(None) is None:
+                values = np.diagonal(mobility).tolist()
+                axes = " / ".join(f"{1.0 / value:.3g}" if value > 1e-9 else "no motion" for value in values)
+                yield contact.name, f"{code.name.lower()} mass {axes} kg along x / y / z of {dynamics.robot.base_frame}"
 
 
 def _comparison(dynamics: RobotDynamics, margin: float) -> Iterator[CheckResult]:
     """Compare the lumped with the full mass of each contact point, in one line."""
-    from scara_effmass.analysis.lumped_model import compare_models  # noqa: PLC0415 - loads matplotlib
-
     if dynamics.lumped is None or dynamics.full_reason:
         return
     comparisons, missing = compare_models(dynamics, margin, COMPARED_POSES, seed=1)

@@ -5,15 +5,12 @@ import argparse
 from functools import partial
 
 from scara_effmass.cli.console import printer
-from scara_effmass.errors import SettingsError
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve live topics until a signal ends it."""
-    try:
-        from scara_effmass.nodes.foxglove_server import serve  # noqa: PLC0415 - rclpy, and an optional library
-    except ModuleNotFoundError as error:
-        raise SettingsError(f"{error}: must be installed: pip install 'scara_effmass[foxglove]'") from None
+    from scara_effmass.nodes.foxglove_server import serve  # noqa: PLC0415 - rclpy, and an optional library
+
     show = partial(printer().print, soft_wrap=True)
     serve(
         args.topics,

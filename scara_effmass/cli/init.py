@@ -13,7 +13,7 @@ import yaml
 from pydantic import BaseModel
 
 from scara_effmass import __version__
-from scara_effmass.analysis.assessment import ClockSkew, assess_joint_states, joint_state_topic, one_by_one
+from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
 from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
@@ -23,7 +23,7 @@ from scara_effmass.cli.options import Option, options_of
 from scara_effmass.cli.settings import monitor_settings
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.iso15066 import BODY_REGIONS
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.settings.loading import flat_fields
@@ -129,7 +129,7 @@ def _recording(args: argparse.Namespace, settings: MonitorSettings, dynamics: Ro
         topic = joint_state_topic(bag, args.topic)
         advance, total = advances(progress, bag.path.name), next(t.count for t in bag.topics if t.name == topic)
         assessed = assess_joint_states(bag, topic, Monitor(dynamics, settings))
-        for states in one_by_one(assessed, ClockSkew()):
+        for states in assessed:
             summary.add(states)
             advance(len(states), total)
     return topic, summary

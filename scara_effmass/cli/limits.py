@@ -15,8 +15,8 @@ from scara_effmass.iso15066 import (
     EDITION,
     TABLE_HASH,
     Limit,
-    SpeedLimits,
     limits_for,
+    speed_limit_of_mass,
     transferred_energy,
 )
 from scara_effmass.settings import MonitorSettings
@@ -84,17 +84,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _speed(mass: float, limit: Limit, settings: MonitorSettings) -> dict[str, Any]:
-    speed_limit = SpeedLimits([limit], settings).speed_limit(mass)
+    found = speed_limit_of_mass([limit], mass, settings)
     return {
         "effective_mass_kg": mass,
         "region": limit.region,
-        "allowable_speed_m_s": speed_limit.allowable_speed,
-        "criterion": speed_limit.criterion,
-        "reduced_mass_kg": speed_limit.reduced_mass,
+        "allowable_speed_m_s": found.allowable_speed,
+        "criterion": found.criterion,
+        "reduced_mass_kg": found.reduced_mass,
         "permissible_force_n": limit.permissible_force_n,
         "force_n": limit.force_n,
         "pressure_n_cm2": limit.pressure_n_cm2,
-        "energy_j": transferred_energy(speed_limit.allowable_speed, speed_limit.reduced_mass),
+        "energy_j": transferred_energy(found.allowable_speed, found.reduced_mass),
         "clause": limit.clause,
     }
 
@@ -102,11 +102,11 @@ def _speed(mass: float, limit: Limit, settings: MonitorSettings) -> dict[str, An
 def _print_speeds(masses: list[float], limits: tuple[Limit, ...], settings: MonitorSettings) -> None:
     rows = []
     for limit in limits:
-        speed_limits = (SpeedLimits([limit], settings).speed_limit(mass) for mass in masses)
+        speed_limits = (speed_limit_of_mass([limit], mass, settings) for mass in masses)
         speeds = (f"{1e3 * speed.allowable_speed:.0f} ({speed.criterion})" for speed in speed_limits)
         rows.append((limit.region, *speeds, limit.clause))
     if len(limits) > 1:
-        speed_limits = (SpeedLimits(limits, settings).speed_limit(mass) for mass in masses)
+        speed_limits = (speed_limit_of_mass(limits, mass, settings) for mass in masses)
         speeds = (f"{1e3 * s.allowable_speed:.0f} ({s.limit.region}, {s.criterion})" for s in speed_limits)
         rows.append(("lowest", *speeds, ""))
     headings = ("region", *(f"{mass:g} kg" for mass in masses), "limits")

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from scara_effmass.analysis.lumped_model import ModelComparison, compare_models, draw_masses
+from scara_effmass.analysis.lumped_model import ModelComparison, compare_models
 from scara_effmass.analysis.output import check_output_files
-from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
 from scara_effmass.cli.console import print_json, print_table, printer
 from scara_effmass.cli.settings import load_dynamics, monitor_settings, override
 from scara_effmass.model.lumping import LumpedLink, lumped_links
@@ -22,6 +21,13 @@ def run(args: argparse.Namespace) -> int:
     chosen = {name: value for name in ("policy", "free_parameters") if (value := getattr(args, name))}
     settings = override(settings, {"lumping": {**settings.lumping.model_dump(), **chosen}})
     if args.output:
+        from scara_effmass.analysis.lumped_figure import draw_masses  # noqa: PLC0415 - matplotlib, an extra
+        from scara_effmass.analysis.report import (  # noqa: PLC0415
+            figure_files,
+            report_figure,
+            write_report_files,
+        )
+
         check_output_files(args.output, [*figure_files([NAME]), RESULT], overwrite=args.force)
     dynamics = load_dynamics(settings)
     robot, lumped = dynamics.robot, dynamics.lumped

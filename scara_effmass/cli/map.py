@@ -116,8 +116,6 @@ def _lines(task: _MapTask, made: _MapResult) -> Iterator[tuple[str, object]]:
     yield "robot", f"{summary['robot']}, contact point {summary['contact_point']}"
     yield "map", made.where
     yield "sample", f"{summary['configurations']} configurations; {summary['left_out']} left out: cannot move along n"
-    if summary["one_by_one"]:
-        yield "one by one", f"slower than many configurations at once: {summary['one_by_one']}"
     if summary["unknown"]:
         yield "UNKNOWN", f"{summary['unknown']} configurations; their cells allow 0 m/s"
     for model, count in summary["mass_models"]:

@@ -4,34 +4,29 @@
 import argparse
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from scara_effmass import settings
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
-from scara_effmass.settings.loading import FORMER_UNITS, number_rule, rescaled
+from scara_effmass.settings import DaqSettings, ImportSettings, LumpingSettings, MonitorSettings, ValidatorSettings
+from scara_effmass.settings.loading import flat_fields, number_rule
 from scara_effmass.url import location
-
-ALIASES = {"bench": "sim"}
-"""Former names of commands and force sources, still accepted."""
 
 
 class Option:
     """An option or argument: `names` separated by spaces, and the `keywords` of `add_argument`."""
 
     def __init__(self, names: str, keywords: Mapping[str, Any]) -> None:
-        """Replace `type` by one of `TYPES`, and a name in `choices` by the values of that setting.
-
-        Without `help` the option is hidden.
-        """
+        """Replace `type` by one of `TYPES`; an option without `help` takes help and choices from its setting."""
         self.names = names.split()
-        self.keywords = {"help": argparse.SUPPRESS, **keywords}
+        self.keywords = dict(keywords)
+        if "help" not in keywords:
+            self.keywords |= _setting_keywords(self.dest, keywords)
         if "type" in keywords:
             self.keywords["type"] = TYPES[keywords["type"]]
-        if isinstance(keywords.get("choices"), str):
-            self.keywords["choices"] = [choice.value for choice in getattr(settings, keywords["choices"])]
         if isinstance(keywords.get("metavar"), list):
             self.keywords["metavar"] = tuple(keywords["metavar"])
 
@@ -39,6 +34,32 @@ class Option:
     def dest(self) -> str:
         """Attribute of the parsed arguments, for most options a setting."""
         return str(self.keywords.get("dest", self.names[-1].lstrip("-").replace("-", "_")))
+
+
+_FIELDS = {
+    name: field
+    for kind in (LumpingSettings, ValidatorSettings, DaqSettings, ImportSettings, MonitorSettings)
+    for name, field in flat_fields(kind).items()
+}
+"""Settings by flat name; where several have a field of that name, the last one counts."""
+
+
+def _setting_keywords(name: str, keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """Return help and choices of the option for the setting `name`."""
+    field = _FIELDS[name]
+    text, _, empty = str(field.description).partition("; empty: ")
+    text += "; may be repeated" * (keywords.get("action") == "append")
+    text += "; several by commas" * (keywords.get("type") == "words")
+    found: dict[str, Any] = {}
+    default = field.default
+    if isinstance(default, Enum):
+        found["choices"] = [choice.value for choice in type(default)]
+        default = default.value
+    if isinstance(default, (int, float)) and not isinstance(default, bool):
+        empty = f"{default:g}"
+    elif isinstance(default, str):
+        empty = empty or default
+    return {**found, "help": f"{text}{f' (default: {empty})' * bool(empty)}".replace("%", "%%")}
 
 
 def number(rule: str, is_valid: Callable[[float], bool], kind: type[float] = float) -> Callable[[str], float]:
@@ -81,11 +102,11 @@ TYPES: Mapping[str, Callable[[str], object]] = {
     "name": _name,
     "words": lambda text: text.split(","),
     "plane": _plane,
-    "source": lambda text: ALIASES.get(text, text),
     "velocity": lambda text: text.replace("-", "_"),
     "number": NUMBER,
     "finite": number("a number", math.isfinite),
     "not_negative": number("a number >= 0", lambda value: 0.0 <= value < math.inf),
+    "rate": number("a number > 0", lambda value: 0.0 < value < math.inf),
     "positive": number("a number > 0", lambda value: value > 0.0),
     "whole": number("a whole number from 0", lambda count: count >= 0, int),
     "count": number("a whole number from 1", lambda count: count >= 1, int),
@@ -109,17 +130,3 @@ def options_of(*items: str | Mapping[str, Mapping[str, Any]]) -> Iterator[Option
             yield from options_of(*_GROUPS[item])
         else:
             yield from (Option(names, keywords) for names, keywords in item.items())
-
-
-def former_options(option: Option) -> Iterable[Option]:
-    """Yield a hidden option that refuses the former name of `option`, which would else pass as its abbreviation."""
-    for name, (new_name, factor) in FORMER_UNITS.items():
-        if option.dest == new_name:
-
-            def refuse(text: str, factor: float = factor) -> float:
-                value = rescaled(NUMBER(text), factor)
-                raise argparse.ArgumentTypeError(f"{text}: must be {option.names[-1]} {value!r}")
-
-            former = Option(f"--{name.replace('_', '-')}", {})
-            former.keywords["type"] = refuse
-            yield former

@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,8 @@ from scara_effmass.cli import dashboard
 from scara_effmass.cli.nodes import node_arguments
 from scara_effmass.cli.settings import selected
 from scara_effmass.errors import EffmassError
-from scara_effmass.nodes.monitor_client import MonitorClient
+from scara_effmass.extras import pip_line
+from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.parent import end_with_parent
 from scara_effmass.settings import MonitorSettings
 
@@ -104,7 +106,7 @@ class ChildProcess:
 
 
 def spin_until(
-    done: Callable[[], bool], client: MonitorClient, processes: Sequence[ChildProcess], timeout_s: float
+    done: Callable[[], bool], client: CellClient, processes: Sequence[ChildProcess], timeout_s: float
 ) -> bool:
     """Receive until `done` or the timeout; return whether it is done. Raises EffmassError if a process has ended."""
     is_done = client.spin(timeout_s, lambda: done() or any(process.ended for process in processes))
@@ -139,7 +141,7 @@ def visualization_command(settings: MonitorSettings) -> list[str]:
 
 def record_command(args: argparse.Namespace) -> list[str]:
     """Return the command that records the topics of the suite."""
-    return ["record", "-o", str(args.out / RECORDING), "--json", *(["--force"] if args.force else []), *SIM_TIME]
+    return ["record", "-o", str(args.out / RECORDING), "--json", *(["--force"] * args.force), *SIM_TIME]
 
 
 def recorded_line(recorded: dict[str, Any]) -> str:
@@ -152,8 +154,8 @@ def recorded_line(recorded: dict[str, Any]) -> str:
 
 def dashboard_command(args: argparse.Namespace) -> tuple[list[str], str]:
     """Return the command of the dashboard and its address, or no command and the reason."""
-    if not dashboard.is_installed():
-        return [], dashboard.MISSING
+    if not find_spec("nicegui"):
+        return [], f"needs NiceGUI: {pip_line('nicegui')}"
     if not (dashboard.has_display() or sys.stdout.isatty()):
         return [], "not started: there is no display and no terminal"
     with socket.create_server(("127.0.0.1", 0)) as probe:

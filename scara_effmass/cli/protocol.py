@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
+from scara_effmass.analysis.assessment import assessed_rows, joint_state_topic
 from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.pages import PageOptions
 from scara_effmass.analysis.protocol import Protocol, Repetition, protocol_yaml, read_protocol
@@ -22,7 +22,7 @@ from scara_effmass.cli.console import print_json, print_result, progress_bar, tr
 from scara_effmass.cli.settings import load_dynamics, monitor_settings, override, require_no_payload_topic
 from scara_effmass.cli.validate import validated, validation_settings
 from scara_effmass.errors import RobotError, SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import ContactType, MonitorSettings
 from scara_effmass.values import Verdict
@@ -70,9 +70,9 @@ def _init(args: argparse.Namespace) -> int:
 def _add_recording(plan: Plan, args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics) -> None:
     with open_bag(args.recording) as bag, progress_bar() as progress:
         topic = joint_state_topic(bag, args.topic)
-        assessed = assess_joint_states(bag, topic, Monitor(dynamics, settings))
+        assessed = assessed_rows(bag, topic, Monitor(dynamics, settings))
         for _, state, decision in tracked(progress, bag, topic, assessed):
-            if decision is not None and state is not None:
+            if state is not None:
                 pose = dict(zip(state.names, state.position.tolist(), strict=False))
                 for contact in decision.contacts:
                     plan.add(contact, pose)

@@ -13,7 +13,7 @@ from scara_effmass.settings import MonitorSettings, checked, load_settings
 from scara_effmass.settings.loading import Settings
 
 if TYPE_CHECKING:
-    from scara_effmass.model.dynamics import RobotDynamics
+    from scara_effmass.reference import RobotDynamics
 
 
 def monitor_settings(
@@ -42,8 +42,8 @@ def override(settings: Settings, chosen: dict[str, Any]) -> Settings:
 
 def load_dynamics(settings: MonitorSettings) -> RobotDynamics:
     """Return the robot of `settings` with its mass models. Raises RobotError."""
-    from scara_effmass.model.dynamics import RobotDynamics  # noqa: PLC0415 - loads Pinocchio
     from scara_effmass.model.load import load_robot  # noqa: PLC0415
+    from scara_effmass.reference import RobotDynamics  # noqa: PLC0415 - loads Pinocchio
 
     return RobotDynamics(load_robot(settings.robot_path, settings))
 

@@ -19,6 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from scara_effmass import __version__
 from scara_effmass.cli.console import progress_bar
 from scara_effmass.errors import BagError, EffmassError, SettingsError
+from scara_effmass.extras import pip_line
 
 if TYPE_CHECKING:
     from distributed import Future
@@ -64,7 +65,7 @@ def open_run(args: argparse.Namespace, name: str, *, is_small: bool = False) -> 
             if args.scheduler is None and jobs <= 1:
                 return serial
             if not find_spec("distributed"):
-                install = "need Dask: pip install 'scara_effmass[cluster]'"
+                install = f"need Dask: {pip_line('distributed')}"
                 if args.scheduler is not None:
                     raise SettingsError(f"--scheduler = {args.scheduler}: {install}")
                 print(f"runs in one process; several {install}", file=sys.stderr)  # noqa: T201

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import time
 from typing import TYPE_CHECKING
@@ -17,12 +16,11 @@ from rich.table import Table
 from rich.text import Text
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.safety.debounce import severity
 from scara_effmass.safety.remedies import remedy
-from scara_effmass.values import Verdict
+from scara_effmass.values import Verdict, severity
 
 if TYPE_CHECKING:
-    from scara_effmass.safety.cell_status import CellStatus
+    from scara_effmass.cell.status import CellStatus
 
 PERIOD_S = 0.1
 _CHARACTERS = "OKWARNVILTU0123456789.-"
@@ -56,7 +54,6 @@ def run(args: argparse.Namespace) -> int:
                 status = client.poll()
                 live.update(screen(status, time.monotonic_ns(), name, console.width, console.height), refresh=True)
                 time.sleep(PERIOD_S)
-    signal.raise_signal(client.signals[0])
     return 0
 
 
@@ -82,7 +79,7 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) 
         Text(fill, no_wrap=True),
     )
     parts: list[RenderableType] = [header, Padding(banner, 0, style=style)]
-    worst = status.deciding
+    worst = status.decision.worst if status.decision is not None else None
     figures = Table.grid(expand=True)
     for _ in range(2):
         figures.add_column(justify="center", ratio=1)
@@ -118,7 +115,7 @@ def _points(status: CellStatus) -> Table:
     table = Table(box=None, pad_edge=False)
     for heading in ("contact point", "verdict", "m/s", "of m/s", "kg", "body region"):
         table.add_column(heading, justify="right" if "m/s" in heading or heading == "kg" else "left")
-    for contact in sorted(status.contacts.values(), key=lambda contact: -severity(contact.verdict)):
+    for contact in sorted(status.contacts, key=lambda contact: -severity(contact.verdict)):
         verdict = contact.verdict if status.verdict is not Verdict.UNKNOWN else Verdict.UNKNOWN
         numbers = (f"{contact.speed:.3f}", f"{contact.allowable_speed:.3f}", f"{contact.effective_mass:.3g}")
         if verdict is Verdict.UNKNOWN:

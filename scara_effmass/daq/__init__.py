@@ -5,6 +5,8 @@ from collections.abc import Callable
 from importlib import import_module
 
 from scara_effmass.daq.source import ForceSource
+from scara_effmass.errors import DriverMissingError
+from scara_effmass.extras import missing_extra
 from scara_effmass.settings import DaqSettings, ForceSourceKind
 
 SOURCES = {
@@ -18,5 +20,8 @@ SOURCES = {
 def make_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
     """Return the source selected in `settings`; `now_ns` returns the ROS time. Raises DaqError or SettingsError."""
     module, _, name = SOURCES[settings.source].partition(":")
-    source: ForceSource = getattr(import_module(module), name)(settings, now_ns)
+    try:
+        source: ForceSource = getattr(import_module(module), name)(settings, now_ns)
+    except ModuleNotFoundError as error:
+        raise DriverMissingError(missing_extra(error) or str(error)) from error
     return source

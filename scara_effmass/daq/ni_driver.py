@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import scara_effmass.errors
 from scara_effmass.errors import DaqError, DeviceMissingError, DriverMissingError
+from scara_effmass.extras import pip_line
 from scara_effmass.input_files import read_table
 
 try:
@@ -19,7 +20,7 @@ try:
     from nidaqmx.system import System
 except ImportError as error:
     raise DriverMissingError(
-        f"the Python client of NI-DAQmx cannot be used: install it with pip install nidaqmx ({error})"
+        f"the Python client of NI-DAQmx cannot be used: {pip_line('nidaqmx')} ({error})"
     ) from error
 
 __all__ = [

@@ -122,8 +122,11 @@ class SimCellSource(SimSource):
     channels: tuple[str, ...] = ("cell",)
 
     def __init__(self, settings: DaqSettings, now_ns: Callable[[], int]) -> None:
+        from scara_effmass.sim.live import LiveSim  # noqa: PLC0415 - needs MuJoCo, which the other scene does not
+
         super().__init__(settings, now_ns, now_ns)
         sim = settings.sim
+        self._start_sim = LiveSim
         self._sensor = ForceSensor(
             sample_rate=sim.sample_rate,
             clock_error=sim.clock_error,
@@ -138,11 +141,9 @@ class SimCellSource(SimSource):
 
     def compute_blocks(self) -> Iterator[tuple[int, int, FloatArray]]:
         """See `SimSource`; the robot starts at `sim.start`, or now."""
-        from scara_effmass.sim.live import LiveSim  # noqa: PLC0415 - needs MuJoCo, which the other scene does not
-
         sim = self._settings.sim
         start_ns = round(sim.start * 1e3) * MS or self._now_ns()
-        simulation = LiveSim(start_ns, seed=sim.seed, sensor=self._sensor)
+        simulation = self._start_sim(start_ns, seed=sim.seed, sensor=self._sensor)
         period_ns = max(1, round(self._settings.block_time * 1e3)) * MS
         for due_ns in count(start_ns + period_ns, period_ns):
             output = simulation.advance_to(due_ns)

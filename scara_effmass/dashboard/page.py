@@ -15,10 +15,10 @@ from typing import Any
 
 from nicegui import ui
 
+from scara_effmass.cell.status import CellStatus
 from scara_effmass.dashboard.scene import RobotScene
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.cell_client import CellClient
-from scara_effmass.safety.cell_status import CellStatus
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import ContactAssessment, Verdict
@@ -209,9 +209,9 @@ def csv_of(client: CellClient) -> str:
 
 def _speed_html(status: CellStatus) -> str:
     """Return speed and allowable speed of the contact point that decides, and the speed scaling, as HTML."""
-    contact = status.deciding
-    if status.verdict is Verdict.UNKNOWN or contact is None:
+    if status.verdict is Verdict.UNKNOWN or status.decision is None:
         return "<b>0 m/s</b><br>allowed while the verdict is UNKNOWN"
+    contact = status.decision.worst
     share = min(contact.speed / contact.allowable_speed, 1.0) if contact.allowable_speed > 0.0 else 1.0
     return (
         f"<b>{contact.speed:.2f}</b> of <b>{contact.allowable_speed:.2f} m/s</b> allowed"
@@ -236,7 +236,7 @@ def _speed_lines(status: CellStatus, now_ns: int) -> tuple[list[list[float | Non
 
 def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
     """Return a table with a column for each contact point."""
-    contacts = list(status.contacts.values()) if status.verdict is not Verdict.UNKNOWN else []
+    contacts = status.contacts if status.verdict is not Verdict.UNKNOWN else ()
 
     def mass(value: float) -> str:
         return "none" if math.isnan(value) else f"{value:.2f} kg"
@@ -262,7 +262,7 @@ def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
 def _series_text(status: CellStatus) -> str:
     if not status.validations:
         return "no impact validated yet"
-    last = status.validations[-1]
+    last = status.validations[-1].series
     outcome = "accepted" if last.accepted else "not accepted" if last.decidable else "not decidable"
     text = f"{last.count} impacts, correlation {last.correlation:.3f}: {outcome}"
     return f"{text}: {last.reason}" if last.reason else text

@@ -5,13 +5,13 @@ import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
-from scara_effmass.iso15066.mobility_matrix import matrix_of
-from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.model.pose_geometry import mass_ellipsoid, pose_geometry, rotation_to, worst_normal
-from scara_effmass.safety.cell_status import CellStatus
+from scara_effmass.cell.status import CellStatus
+from scara_effmass.model.pose_geometry import mass_ellipsoid, pose_geometry, rotation_to
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.reference.mobility import Mobility
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Verdict
+from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Verdict, mobility_matrix
 
 LINK_COLOR, JOINT_COLOR, VELOCITY_COLOR, NORMAL_COLOR, ELLIPSOID_COLOR = (
     "#8a96a3",
@@ -61,7 +61,8 @@ class RobotScene:
                 unused.visible(value=False)
 
     def _draw(self, status: CellStatus, q: FloatArray, *, is_current: bool) -> None:
-        geometry = pose_geometry(self._dynamics, q)
+        geometry = pose_geometry(self._dynamics.robot, self._dynamics.lumped, q)
+        contacts = {contact.contact_point: contact for contact in status.contacts}
         thin = 0.02 * self._size
         for start, end in geometry.segments:
             self._line("link", start, end, thin, LINK_COLOR)
@@ -69,7 +70,7 @@ class RobotScene:
                 self._object("joint", JOINT_COLOR).move(*point.tolist()).scale(1.3 * thin)
         for name, point in geometry.contact_points.items():
             self._object("contact", VELOCITY_COLOR).move(*point).scale(1.6 * thin)
-            contact = status.contacts.get(name)
+            contact = contacts.get(name)
             if contact is None:
                 self.note = f"the monitor has no contact point {name}: give the dashboard its robot and parameters"
                 continue
@@ -83,12 +84,13 @@ class RobotScene:
                 self._arrow("velocity", at, at + contact.speed * self._size * direction, VELOCITY_COLOR)
             if contact.mobility == NO_MOBILITY:
                 continue
-            mobility = matrix_of(contact.mobility)
+            mobility = mobility_matrix(contact.mobility)
             masses, axes = mass_ellipsoid(mobility, MAX_MASS)
             ellipsoid = self._object("ellipsoid", ELLIPSOID_COLOR, 0.3).move(*point).rotate_R(axes.tolist())
             ellipsoid.scale(*(0.06 * self._size * np.sqrt(masses)).tolist())
             if contact.direction != ZERO_VECTOR:
-                normal = np.array(worst_normal(mobility, contact.direction, contact.obstacle_mass))
+                alpha = 1.0 / contact.body_mass if contact.body_mass else 0.0
+                normal = Mobility.of_matrix(mobility, direction, 3).worst_normal(alpha)
                 self._arrow("normal", at, at + 0.25 * self._size * normal, NORMAL_COLOR)
 
     def _arrow(self, kind: str, start: FloatArray, end: FloatArray, color: str) -> None:

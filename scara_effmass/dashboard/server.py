@@ -17,8 +17,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from scara_effmass.dashboard.page import Page, csv_of
 from scara_effmass.errors import SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.cell_client import CellClient
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 
 _POLL_S = 0.05

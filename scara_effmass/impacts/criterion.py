@@ -25,7 +25,7 @@ LIGHT, HEAVY = 0.25, 3.0
 """m_H / m_n of the obstacles that determine the gain and the mass; their mu / m_n is 0.2 and 0.75."""
 
 
-class Decision(NamedTuple):
+class Acceptance(NamedTuple):
     """Outcome for one model; `reason` is empty if accepted, and names the next measurement if not decidable."""
 
     accepted: bool
@@ -57,21 +57,21 @@ def criterion_hash(criterion: CriterionSettings) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def decide(criterion: CriterionSettings, series: Series, problem: str = "") -> Decision:
+def decide(criterion: CriterionSettings, series: Series, problem: str = "") -> Acceptance:
     """Return the decision. A `problem` with the clocks or with the sign of the force rejects the series.
 
     A series of too few impacts is not decidable. Any other series is rejected if it violates a condition, and not
     decidable if it violates none but could not have shown an error.
     """
     if problem:
-        return Decision(accepted=False, decidable=True, reason=problem)
+        return Acceptance(accepted=False, decidable=True, reason=problem)
     for reason in _too_few(criterion, series):
-        return Decision(accepted=False, decidable=False, reason=reason)
+        return Acceptance(accepted=False, decidable=False, reason=reason)
     for reason in _rejections(criterion, series):
-        return Decision(accepted=False, decidable=True, reason=reason)
+        return Acceptance(accepted=False, decidable=True, reason=reason)
     for reason in _doubts(criterion, series):
-        return Decision(accepted=False, decidable=False, reason=f"{reason}; next: {_next(criterion, series)}")
-    return Decision(accepted=True, decidable=True, reason="")
+        return Acceptance(accepted=False, decidable=False, reason=f"{reason}; next: {_next(criterion, series)}")
+    return Acceptance(accepted=True, decidable=True, reason="")
 
 
 def _too_few(criterion: CriterionSettings, series: Series) -> Iterator[str]:

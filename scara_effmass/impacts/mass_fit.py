@@ -20,7 +20,7 @@ from scara_effmass.values import FloatArray
 
 CONFIDENCE = 0.95
 MIN_IMPULSE_ERROR = 0.005
-"""Minimum relative error of an impulse or peak: that of ideal impacts, see docs/power.md."""
+"""Minimum relative error of an impulse or peak: that of ideal impacts, see docs/validity.md."""
 SAME_MASS = 0.02
 """Effective masses of one configuration that differ by less than this share belong to one pose."""
 MIN_SHARE_RANGE = 0.05

@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.impacts.clock_offset import WINDOW, Kink, velocity_kink
-from scara_effmass.iso15066.mobility_matrix import matrix_of, mobility_along
 from scara_effmass.settings import MassModel, ValidatorSettings
-from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vector3, Verdict
+from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vector3, Verdict, mobility_matrix
 
 NANOSECONDS = 1e9
 MODELS = ("lumped", "full", "iso")
@@ -106,21 +105,21 @@ class StateHistory:
         """Return whether `stamp_ns` is older than the history: the clock jumped back, or a new recording began."""
         return bool(self._states) and 0 < stamp_ns < self.last_ns - self._history_ns
 
-    def add(self, contact: ContactAssessment, received_ns: int) -> None:
-        """Add a state that arrived at `received_ns` (0: unknown)."""
+    def add(self, stamp_ns: int, contact: ContactAssessment, received_ns: int) -> None:
+        """Add the state at `stamp_ns` that arrived at `received_ns` (0: unknown)."""
         self.last_arrival_ns = max(received_ns, self.last_arrival_ns)
-        if contact.stamp_ns <= self.last_ns:
+        if stamp_ns <= self.last_ns:
             # When joint states stop, the monitor repeats the last stamp, which is not out of order.
-            self.late += contact.stamp_ns < self.last_ns
+            self.late += stamp_ns < self.last_ns
             return
-        self.first_ns = self.first_ns or contact.stamp_ns
+        self.first_ns = self.first_ns or stamp_ns
         speed, direction = contact.speed, contact.direction
         is_finite = math.isfinite(speed) and all(map(math.isfinite, direction))
         moving = is_finite and any(direction) and speed >= self._settings.speed_threshold
         unknown = contact.reason if contact.verdict is Verdict.UNKNOWN and direction == (0.0, 0.0, 0.0) else ""
         masses = (contact.lumped_mass, contact.full_mass, contact.iso_mass)
         row = (speed, *direction, *masses, *contact.lumped_mobility, *contact.full_mobility)
-        self._states.append(_State(contact.stamp_ns, self.last_arrival_ns, row, moving, unknown))
+        self._states.append(_State(stamp_ns, self.last_arrival_ns, row, moving, unknown))
         if self._states[0].stamp_ns < self.last_ns - 2 * self._history_ns:
             del self._states[: self._count(self.last_ns - self._history_ns - 1, len(self))]
 
@@ -214,7 +213,7 @@ def _by_model(lumped: float, full: float, iso: float) -> dict[str, float]:
 
 def _mass_along(mobility: Mobility6, normal: Vector3) -> float:
     """Return 1 / (n^T A n) [kg]; NaN if no joint moves the point along n, or if there is no model."""
-    inverse = mobility_along(matrix_of(mobility), normal)
+    inverse = float(normal @ mobility_matrix(mobility) @ np.array(normal))
     return 1.0 / inverse if inverse > 0.0 else math.nan
 
 

@@ -18,14 +18,23 @@ from scara_effmass.impacts.agreement import (
     predict,
 )
 from scara_effmass.impacts.clock_offset import ClockOffset, clock_offset
-from scara_effmass.impacts.criterion import Decision, Series, criterion_hash, decide
+from scara_effmass.impacts.criterion import Acceptance, Series, criterion_hash, decide
 from scara_effmass.impacts.impact_matcher import ImpactMatcher, MatchedImpact
 from scara_effmass.impacts.limit_check import RegionForce, worst_force
 from scara_effmass.impacts.mass_fit import MassFit
 from scara_effmass.impacts.state_history import MODELS, Rejection
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.settings import MassModel, ValidatorSettings
-from scara_effmass.values import ContactAssessment, ForceBlock, Impact, RefusedImpact, RunInfo, ValidatedImpact
+from scara_effmass.values import (
+    ContactAssessment,
+    Decision,
+    ForceBlock,
+    Impact,
+    RefusedImpact,
+    RunInfo,
+    SeriesStatistics,
+    ValidatedImpact,
+)
 
 Key = TypeVar("Key", str, float)
 
@@ -54,7 +63,7 @@ class ModelResult(NamedTuple):
 class _Outcome(NamedTuple):
     agreement: Agreement
     fit: MassFit
-    decision: Decision
+    acceptance: Acceptance
 
 
 class _Summary(NamedTuple):
@@ -107,7 +116,7 @@ class Result(NamedTuple):
 class Validator:
     """Validate the effective-mass models against measured impacts; the same live and offline.
 
-    Contact states and impacts must each arrive in order. Their interleaving does not change the result if an impact
+    Decisions and impacts must each arrive in order. Their interleaving does not change the result if an impact
     arrives within `settings.history` of the states around its onset. `runs` holds the conditions of the impacts.
     """
 
@@ -122,42 +131,31 @@ class Validator:
         self._matcher = ImpactMatcher(settings)
         self.runs = self._matcher.runs
         self._contact_point = settings.contact_point
-        self._is_settled = bool(settings.contact_point)
-        self._stamp_ns = self._joint_states = 0
-        self._other_contact_points: set[str] = set()
+        self._contact_points: set[str] = set()
         self._matches: list[MatchedImpact] = []
         self._earlier = 0  # of them, those of earlier recordings
         self._min_force = self._max_force = self._stated_uncertainty = 0.0
         self._past_problems = "", ""
 
-    def add_state(self, contact: ContactAssessment, received_ns: int) -> list[ValidatedImpact]:
-        """Add a contact state that arrived at `received_ns` (0: unknown); return newly validated impacts."""
-        if not self._is_selected(contact):
+    def add_decision(self, decision: Decision, received_ns: int) -> list[ValidatedImpact]:
+        """Add a decision of the monitor that arrived at `received_ns` (0: unknown); return newly validated impacts."""
+        contact = self._selected(decision)
+        if contact is None:
             return []
-        validated = self.begin_recording() if self._matcher.states.is_clock_reset(contact.stamp_ns) else []
-        self._matcher.states.add(contact, received_ns)
+        stamp_ns = decision.stamp_ns
+        validated = self.begin_recording() if self._matcher.states.is_clock_reset(stamp_ns) else []
+        self._matcher.states.add(stamp_ns, contact, received_ns)
         return validated + self._validate() if self._matcher.waiting else validated
 
-    def _is_selected(self, contact: ContactAssessment) -> bool:
-        """Return whether `contact` is of the contact point of the series, by default the first one of each joint state.
-
-        A new subscriber can miss the first point of a joint state; another one is selected until that one comes.
-        """
-        name, selected = contact.contact_point, self._contact_point
-        begins = not contact.watchdog and contact.stamp_ns != self._stamp_ns
-        if begins:
-            self._joint_states += 1
-            self._stamp_ns = contact.stamp_ns
-        if name == selected:
-            return True
-        if name and (not selected or (begins and not self._is_settled)):
-            self._other_contact_points.add(selected)
+    def _selected(self, decision: Decision) -> ContactAssessment | None:
+        """Return the contact of the series, by default the first one of the first decision with a robot."""
+        names = [contact.contact_point for contact in decision.contacts]
+        if not self._contact_point and names[0]:
+            self._contact_point = names[0]
             self._matcher.states.clear()
-            self._contact_point = name
-            return True
-        self._other_contact_points.add(name)
-        self._is_settled |= not begins and not contact.watchdog and self._joint_states > 1
-        return False
+        self._contact_points.update(names)
+        selected = self._contact_point
+        return next((contact for contact in decision.contacts if contact.contact_point == selected), None)
 
     def add_impact(self, impact: Impact, received_ns: int) -> list[ValidatedImpact]:
         """Add an impact that arrived at `received_ns` (0: unknown); return newly validated impacts."""
@@ -216,7 +214,7 @@ class Validator:
         mine.refused += its.refused
         mine.states.late += its.states.late
         self._contact_point = self._contact_point or other._contact_point  # noqa: SLF001
-        self._other_contact_points |= other._other_contact_points  # noqa: SLF001
+        self._contact_points |= other._contact_points  # noqa: SLF001
         self._stated_uncertainty = max(self._stated_uncertainty, other._stated_uncertainty)  # noqa: SLF001
         (clock, sign), (its_clock, its_sign) = self._problems(), other._problems()  # noqa: SLF001
         self._clear_problems(clock or its_clock, sign or its_sign)
@@ -227,7 +225,7 @@ class Validator:
         self._matcher.reset()
         self._matches.clear()
         self._earlier = 0
-        self._other_contact_points.clear()
+        self._contact_points.clear()
         self._stated_uncertainty = 0.0
         self._clear_problems()
 
@@ -246,9 +244,9 @@ class Validator:
                     fit=fit,
                     by_configuration=self._grouped(model, overall.stiffness, lambda match: match.run.configuration),
                     by_obstacle_mass=self._grouped(model, overall.stiffness, lambda match: match.run.obstacle_mass),
-                    **decision._asdict(),
+                    **acceptance._asdict(),
                 )
-                for model, (overall, fit, decision) in summary.outcomes.items()
+                for model, (overall, fit, acceptance) in summary.outcomes.items()
             ),
             comparison=compare_models(self._models, self._matches),
             impacts=tuple(self._validated_impact(match, summary) for match in self._matches),
@@ -258,14 +256,14 @@ class Validator:
             simulated=sum(match.impact.simulated for match in self._matches),
             excluded=Counter(impact.reason for impact in refused if impact.excluded),
             unpaired=Counter(impact.reason for impact in refused if not impact.excluded),
-            other_contact_points=tuple(sorted(self._other_contact_points - {"", self._contact_point})),
+            other_contact_points=tuple(sorted(self._contact_points - {"", self._contact_point})),
             late_states=self._matcher.states.late,
             clock=clock,
             clock_offset=summary.clock,
             force_sign=force_sign,
             gain_tolerance=self._gain_tolerance,
             exceedances=summary.exceedances,
-            **summary.outcomes[self._model].decision._asdict(),
+            **summary.outcomes[self._model].acceptance._asdict(),
             criterion_hash=self.criterion_hash,
         )
 
@@ -338,7 +336,7 @@ class Validator:
             for model, outcome in summary.outcomes.items()
             if match.has_mass(model)
         }
-        selected, (agreement, fit, decision) = predictions[self._model], summary.outcomes[self._model]
+        selected, (agreement, fit, acceptance) = predictions[self._model], summary.outcomes[self._model]
         peak, impulse = impact.peak_force / match.force_share, match.impulse
         region = self._region_force(match, selected.stiffness)
         return ValidatedImpact(
@@ -361,22 +359,24 @@ class Validator:
             region_force=region.force,
             limit_force=region.limit,
             exceeds_limit=region.exceeds,
-            count=agreement.count,
-            correlation=agreement.correlation,
-            fitted_stiffness=agreement.fitted_stiffness,
-            bias=agreement.bias,
-            rmse=agreement.rmse,
-            non_conservative=agreement.non_conservative,
-            gain=fit.gain,
-            gain_interval=fit.gain_interval,
-            mass_scale=fit.mass_scale,
-            mass_scale_interval=fit.mass_scale_interval,
-            detectable_mass_error=fit.detectable_mass_error,
-            exponent=fit.exponent,
-            exponent_interval=fit.exponent_interval,
-            series_clock_offset=summary.clock.offset,
-            exceedances=summary.exceedances,
-            **decision._asdict(),
+            series=SeriesStatistics(
+                count=agreement.count,
+                correlation=agreement.correlation,
+                fitted_stiffness=agreement.fitted_stiffness,
+                bias=agreement.bias,
+                rmse=agreement.rmse,
+                non_conservative=agreement.non_conservative,
+                gain=fit.gain,
+                gain_interval=fit.gain_interval,
+                mass_scale=fit.mass_scale,
+                mass_scale_interval=fit.mass_scale_interval,
+                detectable_mass_error=fit.detectable_mass_error,
+                exponent=fit.exponent,
+                exponent_interval=fit.exponent_interval,
+                clock_offset=summary.clock.offset,
+                exceedances=summary.exceedances,
+                **acceptance._asdict(),
+            ),
             predictions=tuple(predictions.values()),
             contact_point=self._contact_point,
             direction=state.direction,

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.bag import Bag, first_run_info
 from scara_effmass.bags.batches import IntArray, Topic
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.run_info import first_run_info
 from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.importers.force_file import ForceFile, uniform_samples
 from scara_effmass.settings import ImportSettings

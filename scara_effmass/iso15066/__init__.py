@@ -4,8 +4,16 @@
 `EDITION` states what is unconfirmed about ISO 10218-2:2025, which carries the limits on.
 """
 
+from scara_effmass.iso15066.allowable_speed import (
+    MIN_EFFECTIVE_MASS,
+    ContactCase,
+    SpeedLimit,
+    contact_cases,
+    speed_limit_of_mass,
+)
 from scara_effmass.iso15066.contact import (
     TRANSIENT_S,
+    contact_time,
     force_per_root_stiffness,
     peak_force,
     reduced_mass,
@@ -13,8 +21,6 @@ from scara_effmass.iso15066.contact import (
     transferred_energy,
 )
 from scara_effmass.iso15066.limits import Criterion, Limit, limits_for
-from scara_effmass.iso15066.mobility import Mobility
-from scara_effmass.iso15066.speed_limit import MIN_EFFECTIVE_MASS, SpeedLimit, SpeedLimits
 from scara_effmass.iso15066.table import (
     BODY_POINTS,
     BODY_REGIONS,
@@ -35,15 +41,17 @@ __all__ = [
     "TRANSIENT_S",
     "BodyPoint",
     "BodyRegion",
+    "ContactCase",
     "Criterion",
     "Limit",
-    "Mobility",
     "SpeedLimit",
-    "SpeedLimits",
+    "contact_cases",
+    "contact_time",
     "force_per_root_stiffness",
     "limits_for",
     "peak_force",
     "reduced_mass",
     "robot_mass",
+    "speed_limit_of_mass",
     "transferred_energy",
 ]

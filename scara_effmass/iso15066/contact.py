@@ -11,6 +11,8 @@ from scara_effmass.values import FloatArray
 
 TRANSIENT_S = 0.5
 """Duration of the longest transient contact [s] (ISO/TS 15066)."""
+TIME_FACTOR = 1.5
+"""Time for which the force may grow, over the time to its peak; above 1, to cover what is not linear in time."""
 Quantity = TypeVar("Quantity", float, FloatArray)
 """A scalar or an array of any shape; the arrays of one call have the same shape."""
 
@@ -45,3 +47,12 @@ def transferred_energy(speed: Quantity | float, reduced_mass: Quantity) -> Quant
     """Return E = mu v^2 / 2 [J] for the relative speed [m/s] and the reduced mass [kg]."""
     energy: Quantity = 0.5 * reduced_mass * speed**2
     return energy
+
+
+def contact_time(reduced_mass: float, stiffness: float) -> float:
+    """Return the time [s] for which a change of pose counts.
+
+    It is TIME_FACTOR times the time to the peak, a quarter period of `reduced_mass` [kg] on `stiffness` [N/m], and at
+    most TRANSIENT_S.
+    """
+    return min(TIME_FACTOR * 0.5 * math.pi * math.sqrt(reduced_mass / stiffness), TRANSIENT_S)

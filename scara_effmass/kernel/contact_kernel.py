@@ -4,64 +4,45 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from functools import partial
-from struct import Struct
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from scara_effmass.iso15066 import SpeedLimits
-from scara_effmass.kernel import jit
-from scara_effmass.kernel.functions import WORK, assess, assess_columns
+from scara_effmass.iso15066 import Limit, contact_cases
+from scara_effmass.kernel.assess import assess_states
+from scara_effmass.kernel.codes import MODELS, NORMALS, Normal
 from scara_effmass.kernel.records import (
-    FIXED,
     MAX_JOINTS,
-    MODELS,
-    NORMALS,
-    ROW,
+    WORK,
     ByteArray,
     Case,
     Point,
     Setup,
     dtype_of,
 )
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.model.robot import Robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import ZERO_VECTOR, FloatArray, Vector3
 
-BLOCK = 64
-"""Number of joint states whose rows are turned into columns together: few enough for the first-level cache."""
 
-
-def why_not(robot: Robot) -> str:
-    """Return why the kernel cannot be used for `robot`, empty if it can."""
+def too_large(robot: Robot) -> str:
+    """Return why the kernel is not for `robot`, empty if it is."""
     if robot.model.nv > MAX_JOINTS:
         return f"the compiled kernel is for at most {MAX_JOINTS} joints, the robot has {robot.model.nv}"
-    return jit.WHY_NOT
-
-
-class SingleState(NamedTuple):
-    """Memory of one joint state: `write` q, qd and the tolerances of qd in one call, `run`, and read the `rows`.
-
-    `rows` are the bytes of P rows, as `records.Row` has them.
-    """
-
-    write: Callable[..., None]
-    run: Callable[[], None]
-    rows: memoryview
+    return ""
 
 
 class ContactKernel:
     """Assesses joint states of one robot with one setting."""
 
-    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings, limits: SpeedLimits) -> None:
+    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings, limits: tuple[Limit, ...]) -> None:
         """Copy what the functions need. `limits` are those of `settings`."""
         robot, self._dynamics = dynamics.robot, dynamics
         model = robot.model
-        regions = [limit.region for limit in limits.limits]
+        cases = contact_cases(limits, settings)
         lumped = dynamics.lumped
         models = (model if lumped is None else lumped.model, model)
         has_masses = not robot.masses_reason
@@ -95,14 +76,14 @@ class ContactKernel:
             has_masses=has_masses,
             is_scara=is_scara(robot),
             lumped_suffices=lumped_suffices(robot),
-            is_free=limits.is_free,
+            is_free=settings.drives is Drives.FREE,
             is_servo=is_servo,
             joints_are_coupled=is_servo and settings.servo.computed_torque,
             joints_are_held=is_servo and not settings.servo.computed_torque,
             clamps=clamps,
             needs_gravity=is_servo or clamps,
             model=MODELS.index(settings.effective_mass_model),
-            normal=NORMALS.index(settings.contact_normal) if settings.fixed_normal is None else FIXED,
+            normal=NORMALS.index(settings.contact_normal) if settings.fixed_normal is None else int(Normal.FIXED),
             iso_mass=robot.iso_mass if has_masses else 0.0,
             mass_cap=settings.mass_cap,
             mass_factor=1.0 + settings.mass_uncertainty,
@@ -112,33 +93,32 @@ class ContactKernel:
             closing_speed=settings.person_speed + settings.speed_uncertainty,
             warn_ratio=settings.warn_ratio,
             external_force=settings.external_force_limit or math.inf,
-            weakest_force=limits.weakest.permissible_force_n,
-            min_alpha=limits.min_alpha,
-            min_stiffness=limits.min_stiffness,
-            max_drive_time=limits.max_drive_time,
+            weakest_force=min(limit.permissible_force_n for limit in limits),
+            min_alpha=min((alpha / beta for case in cases for alpha, beta in case.lines if beta), default=0.0),
+            min_stiffness=min(case.stiffness for case in cases),
+            max_drive_time=max(case.drive_time or 0.0 for case in cases),
             gravity=model.gravity.linear,
         )
-        cases = [
+        rows = [
             Case(
-                region=regions.index(case.limit.region),
-                is_pressure=case.criterion == "pressure",
+                region=limits.index(case.limit),
+                is_pressure=case.limit.criterion == "pressure",
                 force=case.force,
                 stiffness=case.stiffness,
-                rate=case.rate,
+                rate=case.stiffness / case.force**2,
                 obstacle_mobility=case.obstacle_mobility,
-                max_mu=case.obstacle_mass,
-                drive_time=case.drive_time,
+                max_mu=case.limit.obstacle_mass_kg,
+                drive_time=case.drive_time or 0.0,
                 nominal_stiffness=case.limit.stiffness_n_m,
-                obstacle_mass=case.obstacle_mass,
+                body_mass=case.limit.obstacle_mass_kg,
                 line_count=len(case.lines),
                 lines=np.array(case.lines),
             )
-            for case in limits.cases
+            for case in cases
         ]
         frames = [(model.frames[frame], rank) for _, frame, rank in dynamics.contacts]
         points = [Point(frame.parentJoint - 1, rank, frame.placement.translation) for frame, rank in frames]
-        self._arrays = _bytes([setup]), _bytes(points), _bytes(cases)
-        self._points = len(points)
+        self._arrays = _bytes([setup]), _bytes(points), _bytes(rows)
 
     def _direction(self, vector: Vector3 | None, name: str) -> tuple[int, FloatArray]:
         """Return the joint that carries the frame `name`, -1 for the base, and `vector` in the axes of that joint."""
@@ -148,29 +128,9 @@ class ContactKernel:
         frame = model.frames[self._dynamics.robot.frame_indices()[name]]
         return frame.parentJoint - 1, frame.placement.rotation @ np.array(vector)
 
-    def columns(self, q: FloatArray, qd: FloatArray, velocity_tolerance: FloatArray) -> FloatArray:
-        """Return the entries of `records.Row` field by field (fields, N, P), of P contact points at N joint states.
-
-        `q`, `qd` and `velocity_tolerance` (N, n) are finite numbers.
-        """
-        columns = np.empty((ROW.itemsize // 8, len(q), self._points))
-        states, scratch = np.stack((q, qd, velocity_tolerance), axis=1), np.empty(WORK.itemsize, np.uint8)
-        assess_columns(states, *self._arrays, columns, self._new_rows(BLOCK), scratch)
-        return columns
-
-    def single_state(self) -> SingleState:
-        """Return memory for assessing one joint state after another."""
-        joints = self._dynamics.robot.model.nv
-        state, rows = np.zeros((1, 3, joints)), self._new_rows(1)
-        run = partial(assess, state, *self._arrays, rows, np.zeros(WORK.itemsize, np.uint8))
-        return SingleState(
-            partial(Struct(f"{state.size}d").pack_into, state.data.cast("B"), 0),
-            run,
-            rows.data.cast("B"),
-        )
-
-    def _new_rows(self, count: int) -> FloatArray:
-        return np.zeros((self._points, count, ROW.itemsize // 8))
+    def compute(self, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
+        """Write the contacts at the admitted ones of N joint states, as `assess_states`."""
+        assess_states(states, motions, *self._arrays, numbers, np.empty(WORK.itemsize, np.uint8))
 
 
 def _bytes(records: Sequence[Any]) -> ByteArray:

@@ -1,36 +1,77 @@
 # SPDX-License-Identifier: Apache-2.0
-"""numba, where the extra `fast` is installed; without it the functions stay plain Python."""
+"""numba compiles the functions of this room; with NUMBA_DISABLE_JIT=1 they stay plain Python, which takes far longer.
 
+What numba compiled is kept in a folder of its own, named by a hash of all sources of the kernel: numba looks only at
+the file of the function that is called, but the functions that it calls are compiled into it.
+"""
+
+import hashlib
 import os
+import platform
 from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import Any, TypeVar
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 WHY_NOT = ""
-"""Why the functions are not compiled, empty if they are."""
+"""Why numba cannot compile, empty if it can."""
 numba: Any = None
-try:
-    if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":  # else its import would take a second for nothing
+if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
+    try:
         numba = import_module("numba")
-    if numba is None or numba.config.DISABLE_JIT:
-        WHY_NOT = "NUMBA_DISABLE_JIT is set"
-except ImportError:
-    WHY_NOT = "numba is not installed: pip install scara_effmass[fast]"
+    except Exception as error:  # noqa: BLE001 - a damaged installation may raise anything
+        WHY_NOT = f"numba cannot be imported: {error}"
+# IEEE arithmetic, because fast-math breaks checks of NaN. No function makes an array, so none has to count references.
+OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
+
+
+def _source_hash() -> str:
+    sources = [*sorted(Path(__file__).parent.glob("*.py")), Path(__file__).parents[1] / "codes.py"]
+    content = [source.read_bytes() for source in sources]
+    versions = f"{platform.python_version()} {getattr(numba, '__version__', '')}".encode()
+    return hashlib.sha256(b"\0".join([*content, versions])).hexdigest()[:16]
+
+
+def cache_folder() -> Path | None:
+    """Return the folder of what was compiled from these sources; None if no folder can be written.
+
+    It lies in NUMBA_CACHE_DIR, else in the user's cache folder, else beside the sources.
+    """
+    stated = os.environ.get("NUMBA_CACHE_DIR")
+    user = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "scara_effmass")  # noqa: PTH111 - no home is no error
+    for base in [Path(stated)] if stated else [user, Path(__file__).parent / "__pycache__"]:
+        folder = base / f"kernel-{_source_hash()}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return folder
+    return None
+
+
+CACHE = cache_folder() if numba else None
 
 
 def compiled(function: Function) -> Function:
-    """Return `function` compiled at its first call, with the arithmetic of IEEE: fast-math breaks checks of NaN.
-
-    It must not make arrays, only write into its arguments: then numba need not count references, which costs time.
-    """
-    global WHY_NOT  # noqa: PLW0603 - known only when numba looks for its cache
+    """Return `function` compiled at its first call, or loaded from the cache."""
     if numba is None:
         return function
-    options = {"nogil": True, "error_model": "numpy", "_nrt": False}
+    if CACHE is None:
+        wrapped: Function = numba.njit(**OPTIONS)(function)
+        return wrapped
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(CACHE)
     try:
-        wrapped: Function = numba.njit(cache=True, **options)(function)
-    except RuntimeError:
-        WHY_NOT = "numba cannot write its cache: set NUMBA_CACHE_DIR to a folder that this user may write"
+        cached: Function = numba.njit(cache=True, **OPTIONS)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+    return cached
+
+
+def inlined(function: Function) -> Function:
+    """Return `function` compiled into the functions that call it."""
+    if numba is None:
         return function
+    wrapped: Function = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)(function)
     return wrapped

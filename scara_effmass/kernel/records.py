@@ -4,48 +4,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from struct import Struct
-from typing import Annotated, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.settings import MassModel
-from scara_effmass.values import FloatArray
+from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vector3
 
 Vector = Annotated[FloatArray, (3,)]
 ByteArray = NDArray[np.uint8]
 IntArray = NDArray[np.int64]
+REASON_SIZE = 11
+"""Numbers of a reason, see `state`."""
 MIN_NORMAL_COMPONENT = 0.1
 """Smallest share of the speed that counts along a fixed normal: its direction is known to about 6 degrees."""
-LUMPED, FULL, ISO, LARGEST, AUTO = range(5)
-HELD = 2
-"""Index in `Work.responses` of those with joints that are held, of either model."""
-MODELS = tuple(MassModel)
-"""Settings in the order of `Setup.model`; the first three are models, too."""
-WORST, VELOCITY, FIXED = range(3)
-NORMALS = ("worst", "velocity")
-"""Settings in the order of `Setup.normal`."""
-WHY_SETTING, WHY_HEAVY, WHY_LIGHTER, WHY_LARGEST, WHY_FULL = range(1, 6)
-"""Why a model decides. From WHY_FULL on: no lumped mass for a reason below; as many further on: nor a full mass."""
-NOT_THERE, NOT_DEFINITE, MASSLESS, MASSLESS_JOINT = range(4)
-"""Why there is no lumped mass; from MASSLESS_JOINT on the joint that moves the contact point, but no lumped mass."""
-NO_MASSES, NO_FULL, NO_FORCE, TOO_LIGHT, NO_WORST, NO_LUMPED = 1, 2, 3, 4, 7, 10
-"""Why the verdict is UNKNOWN; TOO_LIGHT and NO_WORST plus the model, NO_LUMPED plus the reason above."""
-OK, WARN, VIOLATION = 1.0, 2.0, 3.0
-FAST, CLOSE, LIGHT, CLAMPED = 1, 2, 4, 8
-"""Values of `Row.remark`."""
 MAX_JOINTS = 16
 """Largest number of joints; fixed, so that the functions are compiled once for all robots."""
-WIDTH = 32
-"""Numbers of a mobility, see `functions`."""
 MAX_MOBILITIES = 5
 """Largest number of mobilities: lumped, full, ISO, and the first two with joints that are held."""
 PerJoint = Annotated[FloatArray, (MAX_JOINTS,)]
 PerJointInt = Annotated[IntArray, (MAX_JOINTS,)]
-Rows3 = Annotated[FloatArray, (3, MAX_JOINTS)]
+Columns3 = Annotated[FloatArray, (MAX_JOINTS, 3)]
 Square = Annotated[FloatArray, (MAX_JOINTS, MAX_JOINTS)]
-_TYPES: dict[object, str] = {float: "f8", int: "i8", bool: "?", FloatArray: "f8", IntArray: "i8"}
+_TYPES: dict[object, Any] = {float: "f8", int: "i8", bool: "?", FloatArray: "f8", IntArray: "i8"}
 
 
 @dataclass
@@ -59,7 +40,7 @@ class Point:
 
 @dataclass
 class Case:
-    """One limit, as `iso15066.speed_limit.Case` has it, with the `region` (an index) and its nominal values."""
+    """One limit, as `iso15066.ContactCase` has it, with the `region` (an index) and its nominal values."""
 
     region: int
     is_pressure: bool
@@ -70,7 +51,7 @@ class Case:
     max_mu: float
     drive_time: float
     nominal_stiffness: float
-    obstacle_mass: float
+    body_mass: float
     line_count: int
     lines: Annotated[FloatArray, (8, 2)]
 
@@ -81,8 +62,8 @@ class Setup:
 
     Per joint: index of its `parent` (-1 the base), its pose there, its `axis` in its own frame, its effort limit. Per
     model, lumped and full, and joint: inertia of its link about `lever`, in its frame; the rotors are in `armature` and
-    `coupling`. Fixed contact normal and test direction are in the frame of a joint. `model` is an index of MODELS,
-    `normal` of NORMALS, or FIXED.
+    `coupling`. Fixed contact normal and test direction are in the frame of a joint. `model` is a
+    `codes.Model`, `normal` a `codes.Normal`.
     """
 
     joints: int
@@ -134,85 +115,88 @@ class Setup:
 
 
 @dataclass
-class Row:
-    """Assessment of one contact point at one joint state: numbers of `ContactAssessment`, in one type.
+class Mobility:
+    """Mobility of one mass model for the contact normals of the settings, and how it changes with the pose.
 
-    Indices of the texts in `safety.reasons`: `body_region`, `criterion`, `mass_model`, `mass_model_reason` and `error`.
-    `remark` is 1 too fast, 2 close to the limit, plus 4 for a model that is too light; 8 clamped with too much force.
+    `along` to `rank` are scalars of A: along the velocity, that of its adjugate, and its invariants (`total` is the trace). The others are its `PoseChange` in `change_rank`
+    dimensions, 0 without one: direction and speed of the contact point, A, the `powers` K M^-1 J^T, and the
+    accelerations with `free` and with `held` joint velocities.
     """
 
+    along: float
+    adjugate: float
+    total: float
+    minors: float
+    determinant: float
+    rank: int
+    change_rank: int
     direction: Vector
     speed: float
-    effective_mass: float
-    lumped_mass: float
-    full_mass: float
-    iso_mass: float
-    worst_direction_mass: float
-    obstacle_mass: float
-    reduced_mass: float
-    stiffness: float
-    predicted_force: float
-    allowable_speed: float
-    margin: float
-    smallest_singular_value: float
-    worst_normal_reduced_mass: float
-    force_bound: float
-    clamping_force: float
-    lumped_mobility: Annotated[FloatArray, (6,)]
-    full_mobility: Annotated[FloatArray, (6,)]
-    test_direction: Vector
-    test_effective_mass: float
-    worst_direction_used: float
-    mass_capped: float
-    verdict: float
-    body_region: float
-    criterion: float
-    mass_model: float
-    mass_model_reason: float
-    error: float
-    remark: float
+    matrix: Annotated[FloatArray, (6,)]
+    powers: Annotated[FloatArray, (3, 3)]
+    free: Vector
+    held: Vector
 
 
 @dataclass
 class Work:
-    """Intermediate results of one joint state, of both models where the first dimension is 2."""
+    """Intermediate results of one joint state, of both models where the first dimension is 2.
+
+    `jacobian`, its rate, and what M makes of it have one row per joint, up to that of the contact point.
+    """
 
     qd: PerJoint
     rotations: Annotated[FloatArray, (MAX_JOINTS, 3, 3)]
     places: Annotated[FloatArray, (MAX_JOINTS, 3)]
-    motions: Annotated[FloatArray, (MAX_JOINTS, 18)]
+    axes: Annotated[FloatArray, (MAX_JOINTS, 6)]
+    axis_rates: Annotated[FloatArray, (MAX_JOINTS, 6)]
+    velocities: Annotated[FloatArray, (MAX_JOINTS, 6)]
     inertias: Annotated[FloatArray, (2, MAX_JOINTS, 10)]
-    composites: Annotated[FloatArray, (2, MAX_JOINTS, 22)]
+    composites: Annotated[FloatArray, (2, MAX_JOINTS, 10)]
     momenta: Annotated[FloatArray, (2, MAX_JOINTS, 6)]
+    flows: Annotated[FloatArray, (MAX_JOINTS, 12)]
     diagonals: Annotated[FloatArray, (2, MAX_JOINTS)]
     factors: Annotated[FloatArray, (2, MAX_JOINTS, MAX_JOINTS)]
-    coriolis: Annotated[FloatArray, (2, MAX_JOINTS, MAX_JOINTS)]
     has_coriolis: Annotated[IntArray, (2,)]
+    coriolis: Annotated[FloatArray, (2, MAX_JOINTS, MAX_JOINTS)]
+    coriolis_diagonals: Annotated[FloatArray, (2, MAX_JOINTS)]
+    bias: Annotated[FloatArray, (2, MAX_JOINTS)]
     gravity: PerJoint
-    jacobian: Rows3
-    jacobian_rate: Rows3
-    rate: Rows3
-    responses: Annotated[FloatArray, (3, 3, MAX_JOINTS)]
+    jacobian: Columns3
+    jacobian_rate: Columns3
+    uncoupled: Annotated[FloatArray, (2, MAX_JOINTS, 3)]
+    responses: Columns3
     masses: Vector
     worst: Vector
-    any_normal: Annotated[FloatArray, (3, WIDTH)]
-    mobilities: Annotated[FloatArray, (MAX_MOBILITIES, WIDTH)]
+    any_normal: Annotated[Mobility, (3,)]
+    mobilities: Annotated[Mobility, (MAX_MOBILITIES,)]
     max_masses: Annotated[FloatArray, (MAX_MOBILITIES,)]
     growths: Annotated[FloatArray, (MAX_MOBILITIES,)]
 
 
 def dtype_of(record: type) -> np.dtype[np.void]:
-    """Return numpy's type of a record class above."""
+    """Return numpy's type of a record class above; its fields are attributes in plain Python, too."""
     fields = []
     for name, hint in get_type_hints(record, include_extras=True).items():
         kind, shape = get_args(hint) if get_origin(hint) is Annotated else (hint, ())
-        fields.append((name, _TYPES[kind], shape))
-    return np.dtype(fields)
+        fields.append((name, _TYPES.get(kind) or dtype_of(kind), shape))
+    return np.dtype((np.record, fields))
 
 
-ROW = dtype_of(Row)
-"""numpy's type of `Row`, all of float64."""
-ROW_LAYOUT, CODE_LAYOUT = Struct("35d72s"), Struct("9d")
-"""Layout of a row: its numbers in order up to `test_effective_mass`, and the bytes of the codes from then on."""
-OFFSETS = {name: field[1] // 8 for name, field in (ROW.fields or {}).items()}
-"""Place of each field in a row."""
+CASE, POINT, SETUP, WORK = dtype_of(Case), dtype_of(Point), dtype_of(Setup), dtype_of(Work)
+Contact = Any
+"""A record of CONTACT; numpy has no type for its fields."""
+_SHAPES: dict[object, tuple[int, ...]] = {Vector3: (3,), Mobility6: (6,)}
+_NOT_NUMBERS = {"contact_point", "reason_code"}
+"""Fields that are the column of an array, or part of the reason."""
+CONTACT = np.dtype(
+    (
+        np.record,
+        [
+            (name, "f8", (REASON_SIZE,) if name == "reason" else _SHAPES.get(kind, ()))
+            for name, kind in get_type_hints(ContactAssessment).items()
+            if name not in _NOT_NUMBERS
+        ],
+    )
+)
+"""numpy's type of a `ContactAssessment`: all float64, texts as the codes of `safety.reasons`, `reason` as in `state`."""

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from scara_effmass.iso15066.mobility_matrix import CLAMPED_TOLERANCE, Matrix
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.model.lumping import LumpedModel
+from scara_effmass.model.robot import Robot
 from scara_effmass.values import FloatArray, Vector3
 
 MIN_SEGMENT_M = 1e-6
@@ -38,9 +38,8 @@ class MassEllipsoid(NamedTuple):
     axes: FloatArray
 
 
-def pose_geometry(dynamics: RobotDynamics, q: FloatArray) -> PoseGeometry:
-    """Return links, lumped masses and contact points of the robot at `q` (n,) [rad, m]."""
-    robot = dynamics.robot
+def pose_geometry(robot: Robot, lumped: LumpedModel | None, q: FloatArray) -> PoseGeometry:
+    """Return links and contact points of `robot`, and its `lumped` masses, at `q` (n,) [rad, m]."""
     model = robot.model
     poses = [pin.SE3.Identity(), *(pin.SE3(pose) for pose in robot.joint_poses(q))]
     contacts = [model.frames[frame] for frame in robot.contact_frames.values()]
@@ -53,15 +52,15 @@ def pose_geometry(dynamics: RobotDynamics, q: FloatArray) -> PoseGeometry:
         lines += [(parent.translation, start), (start, poses[joint].translation)]  # the latter: how far it slides
     segments = np.array(lines)
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
-    lumped = () if dynamics.lumped is None else dynamics.lumped.masses
+    masses = () if lumped is None else lumped.masses
     return PoseGeometry(
         segments[lengths > MIN_SEGMENT_M],
-        tuple((mass, _vector(poses[joint].act(np.array(point)))) for mass, joint, point in lumped),
+        tuple((mass, _vector(poses[joint].act(np.array(point)))) for mass, joint, point in masses),
         {name: _vector(point) for name, point in zip(robot.contact_frames, points, strict=True)},
     )
 
 
-def mass_ellipsoid(mobility: Matrix, max_mass: float) -> MassEllipsoid:
+def mass_ellipsoid(mobility: FloatArray, max_mass: float) -> MassEllipsoid:
     """Return the ellipsoid of a symmetric (3, 3) `mobility` [1/kg], largest mass first.
 
     `max_mass` [kg] limits the masses, which are infinite where no joint moves the contact point.
@@ -69,18 +68,6 @@ def mass_ellipsoid(mobility: Matrix, max_mass: float) -> MassEllipsoid:
     mobilities, axes = np.linalg.eigh(mobility)
     axes[:, 2] *= np.sign(np.linalg.det(axes))  # right-handed, to be a rotation
     return MassEllipsoid(1.0 / np.maximum(mobilities, 1.0 / max_mass), axes)
-
-
-def worst_normal(mobility: Matrix, direction: Vector3, obstacle_mass: float) -> Vector3:
-    """Return the unit normal of the surface with the largest reduced mass, along (A + I/m_H)^-1 v.
-
-    `mobility` is A [1/kg], `direction` v the unit velocity, `obstacle_mass` m_H [kg]; 0: clamped. Its reduced mass
-    is `iso15066.mobility.Mobility.worst_reduced_mass`.
-    """
-    matrix = np.array(mobility)
-    alpha = max(1.0 / obstacle_mass if obstacle_mass > 0.0 else 0.0, CLAMPED_TOLERANCE * float(np.trace(matrix)))
-    normal = np.linalg.solve(matrix + alpha * np.eye(3), direction)
-    return _vector(normal / np.linalg.norm(normal))
 
 
 def rotation_to(direction: Vector3) -> FloatArray:

@@ -93,8 +93,11 @@ class Robot:
         return {frame.name: index for index, frame in reversed([*enumerate(self.model.frames)])}
 
     def mass_matrix(self, model: pin.Model, data: pin.Data, q: FloatArray) -> FloatArray:
-        """Return the mass matrix (n, n) of `model`, this robot's or its lumped copy, rotors included."""
-        return np.asarray(pin.crba(model, data, q) + self.rotors.coupling)
+        """Return the mass matrix (n, n) of `model`, this robot's or its lumped copy, rotors included.
+
+        Computed in the frames of the joints, which rounds tiny inertias at the end of an arm less than the base frame.
+        """
+        return np.asarray(pin.crba(model, data, q, pin.Convention.LOCAL) + self.rotors.coupling)
 
     def axis_in_joint_frame(self, joint: int) -> FloatArray:
         """Return the unit axis (3,) of `joint` (1-based, as in Pinocchio) in its own frame."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Client of all topics of one cell, for displays: polled, so that it costs little beside nodes at 1 kHz."""
+"""Client of all topics of one cell: polled, so that it costs little beside nodes at 1 kHz."""
 
-import math
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -10,101 +10,86 @@ from typing import Any, final
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
-from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
+from scara_effmass_msgs.msg import ContactStates, ForceBlock, Impact, ImpactValidation, RunInfo
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
 
+from scara_effmass.cell.status import DEFAULT_TIMEOUT_NS, CellStatus, Diagnostic, Validation
 from scara_effmass.errors import DecodeError
 from scara_effmass.nodes.client import ClientNode
 from scara_effmass.nodes.qos import qos_profile
-from scara_effmass.safety.cell_status import DEFAULT_TIMEOUT_NS, CellStatus, Diagnostic, Validation
+from scara_effmass.values import Decision
 from scara_effmass.wire import topics
 from scara_effmass.wire.cdr import NS
-from scara_effmass.wire.contact_state import contact_from, glance
+from scara_effmass.wire.contact_states import decode_contact_states
 from scara_effmass.wire.force import decode_force_block, decode_impact
+from scara_effmass.wire.impact_validation import series_from
 from scara_effmass.wire.joint_state import JointStateDecoder
 from scara_effmass.wire.run_info import decode_run_info
 
+_POLL_PERIOD_S = 0.01
 _GRAPH_PERIOD_NS = 250_000_000
-_STREAM = topics.STREAM_QOS._replace(reliable=False)
 _LATEST = topics.Qos(1, reliable=False)
 _RARE = topics.Qos(200)
 _MAX_DEADLINE_NS = 3_600_000_000_000
+_VALIDATION = Validation.__slots__[1:-1]
+"""Fields of the impact, between the stamp and the series."""
 
 Take = Callable[[Any, int], None]
-
-
-@final
-class ContactStateReader:
-    """Passes serialized contact states to `status`, and decodes only those completely that may change its verdict.
-
-    Call `finish` after each batch of messages, so that `status` has the latest state of each contact point.
-    """
-
-    def __init__(self, status: CellStatus) -> None:
-        self.status = status
-        self._last_number = 0
-        self._latest: dict[str, tuple[bytes, int]] = {}
-
-    def take(self, data: bytes, sequence_number: int, at_ns: int) -> None:
-        """Take a message with the number that its publisher gave it (0: unknown). Raises DecodeError."""
-        # The graph lists a killed monitor for 20 s beside its successor. One publisher's numbers increase.
-        if 0 < sequence_number <= self._last_number:
-            self.status.take_other_monitor(at_ns)
-        self._last_number = sequence_number
-        point, speed, allowable_speed, verdict = glance(data)
-        known = self.status.contacts.get(point)
-        is_finite = math.isfinite(speed) and math.isfinite(allowable_speed)
-        if known is not None and known.verdict == verdict and is_finite:
-            self.status.take_speed(point, speed, allowable_speed, at_ns)
-        else:
-            self._take_contact(data, at_ns)
-        self._latest[point] = data, at_ns
-
-    def finish(self) -> None:
-        """Decode the latest state of each contact point that the monitor still has."""
-        for point, (data, at_ns) in self._latest.items():
-            if point in self.status.contacts:
-                self._take_contact(data, at_ns)
-        self._latest.clear()
-
-    def _take_contact(self, data: bytes, at_ns: int) -> None:
-        self.status.take_contact(contact_from(deserialize_message(data, ContactState)), at_ns)
+OnDecision = Callable[[Decision], None]
+OnValidation = Callable[[Validation], None]
 
 
 @final
 class CellClient(ClientNode):
-    """Keeps the `status` of the cell in its namespace: call `poll` several times a second. Use it in a `with`.
+    """Keeps the `status` of the cell in its namespace: `poll` several times a second, or `spin`. Use it in a `with`.
 
-    Streams are subscribed best effort and taken in batches; only what changes a verdict, and the latest state, is
-    decoded completely. Time that a message spent in the queue counts as silence.
+    Messages are taken in batches; time that a message spent in the queue counts as silence. The end of the `with` hands
+    a signal that arrived to its handler from before.
     """
 
-    def __init__(self, name: str, arguments: Sequence[str] = ()) -> None:
-        """Subscribe as node `name`; ROS `arguments` state the namespace. Raises SettingsError for invalid ones."""
+    def __init__(
+        self,
+        name: str,
+        arguments: Sequence[str] = (),
+        *,
+        on_decision: OnDecision | None = None,
+        on_validation: OnValidation = lambda _: None,
+    ) -> None:
+        """Subscribe as node `name`; ROS `arguments` state the namespace. Raises SettingsError for invalid ones.
+
+        `on_decision` gets every decision, which the monitor then sends reliably; without it, it does not wait for
+        this client. `on_validation` gets every validation of an impact.
+        """
         super().__init__(name, arguments=arguments)
         self.executor.remove_node(self.node)  # which would queue an event for every message
         self._polled_ns = time.monotonic_ns()
         self.status = CellStatus(self._polled_ns)
         self._graph_ns = 0
-        self._sequence_number = 0
-        self._contact_states = ContactStateReader(self.status)
+        self._on_decision, self._on_validation = on_decision or (lambda _: None), on_validation
         self._joint_states = JointStateDecoder()
+        stream = topics.STREAM_QOS._replace(reliable=on_decision is not None)
         self._subscriptions: list[tuple[Subscription, Take]] = []
-        status = self.status
-        for kind, topic, qos, raw, take in (
-            (ContactState, topics.CONTACT_STATE, _STREAM, True, self._take_contact_state),
-            (Float64, topics.ALLOWABLE_SPEED, _LATEST, False, self._scalar_taker(topics.ALLOWABLE_SPEED)),
-            (Float64, topics.SPEED_SCALING, _LATEST, False, self._scalar_taker(topics.SPEED_SCALING)),
-            (JointState, topics.JOINT_STATES, _LATEST, True, self._take_joint_state),
-            (RunInfo, topics.RUN_INFO, topics.INFO_QOS, True, self._take_run_info),
-            (ForceBlock, topics.FORCE, topics.FORCE_QOS._replace(reliable=False), True, self._take_force),
-            (Impact, topics.IMPACT, _RARE, True, lambda data, at: status.take_impact(decode_impact(data), at)),
-            (ImpactValidation, topics.IMPACT_VALIDATION, _RARE, False, self._take_validation),
-            (DiagnosticArray, topics.DIAGNOSTICS, _RARE, False, self._take_diagnostics),
+        for kind, topic, qos, take in (
+            (ContactStates, topics.CONTACT_STATES, stream, self._take_contact_states),
+            (JointState, topics.JOINT_STATES, _LATEST, self._take_joint_state),
+            (RunInfo, topics.RUN_INFO, topics.INFO_QOS, self._take_run_info),
+            (ForceBlock, topics.FORCE, topics.FORCE_QOS._replace(reliable=False), self._take_force),
+            (Impact, topics.IMPACT, _RARE, self._take_impact),
+            (ImpactValidation, topics.IMPACT_VALIDATION, _RARE, self._take_validation),
+            (DiagnosticArray, topics.DIAGNOSTICS, _RARE, self._take_diagnostics),
         ):
-            subscription = self.node.create_subscription(kind, topic, lambda _: None, qos_profile(qos), raw=raw)
+            subscription = self.node.create_subscription(kind, topic, lambda _: None, qos_profile(qos), raw=True)
             self._subscriptions.append((subscription, take))
+
+    @property
+    def connected(self) -> bool:
+        """Whether a monitor is connected to this client."""
+        return self._subscriptions[0][0].get_publisher_count() > 0
+
+    def has_peers(self, topic: str, publishers: int, subscribers: int) -> bool:
+        """Return whether `topic` has at least so many publishers and subscribers, this client included."""
+        node = self.node
+        return node.count_publishers(topic) >= publishers and node.count_subscribers(topic) >= subscribers
 
     def wall_ns(self, at_ns: int) -> int:
         """Return the time since 1970 [ns] of a time of arrival in `status`."""
@@ -120,12 +105,37 @@ class CellClient(ClientNode):
             for message, at_ns in self._taken(subscription):
                 with suppress(DecodeError):  # no news, as silence
                     take(message, at_ns)
-        self._contact_states.finish()
         self._polled_ns = now_ns
         self.status.update(time.monotonic_ns())
         return self.status
 
-    def _taken(self, subscription: Subscription) -> Iterator[tuple[Any, int]]:
+    def spin(self, seconds: float, done: Callable[[], bool] = bool) -> bool:
+        """Poll for `seconds` or until `done`; return the result of `done`.
+
+        A signal that arrives meanwhile is handed to its handler from before the `with`.
+        """
+        end_s = time.monotonic() + seconds
+        while not (done() or self.signals) and time.monotonic() < end_s:
+            self.poll()
+            if not done():
+                time.sleep(_POLL_PERIOD_S)
+        self._hand_over_signal()
+        return done()
+
+    def __exit__(self, *_: object) -> None:
+        super().__exit__()
+        self._hand_over_signal()
+
+    def _hand_over_signal(self) -> None:
+        for number in self.signals[:1]:
+            self.signals.clear()
+            deferring = signal.signal(number, self.handlers[number])
+            try:
+                signal.raise_signal(number)
+            finally:
+                signal.signal(number, deferring)
+
+    def _taken(self, subscription: Subscription) -> Iterator[tuple[bytes, int]]:
         """Yield each message that has arrived, with the time of its publication, at least that of the last poll.
 
         So a message that waited while this process stood still is old, and a sender's clock changes little.
@@ -134,24 +144,22 @@ class CellClient(ClientNode):
         with subscription.handle:
             while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
                 message, info = taken
-                self._sequence_number = info["publication_sequence_number"] or 0
                 at_ns = info["source_timestamp"] + to_monotonic_ns
                 yield message, min(max(at_ns, self._polled_ns), time.monotonic_ns())
 
     def _look_at_graph(self) -> None:
         """Look for a monitor, and take its deadline as the longest silence; of several, the shortest deadline."""
-        publishers = self.node.get_publishers_info_by_topic(topics.CONTACT_STATE)
+        publishers = self.node.get_publishers_info_by_topic(topics.CONTACT_STATES)
         deadlines_ns = [publisher.qos_profile.deadline.nanoseconds for publisher in publishers]
         limits_ns = [deadline_ns for deadline_ns in deadlines_ns if 0 < deadline_ns < _MAX_DEADLINE_NS]
         self.status.take_publisher(min(limits_ns, default=DEFAULT_TIMEOUT_NS), exists=bool(publishers))
         if not self.node.count_publishers(topics.RUN_INFO):
             self.status.run_info = None
 
-    def _take_contact_state(self, data: bytes, at_ns: int) -> None:
-        self._contact_states.take(data, self._sequence_number, at_ns)
-
-    def _scalar_taker(self, topic: str) -> Take:
-        return lambda message, at_ns: self.status.take_scalar(topic, message.data, at_ns)
+    def _take_contact_states(self, data: bytes, at_ns: int) -> None:
+        decision = decode_contact_states(data)
+        self.status.take_decision(decision, at_ns)
+        self._on_decision(decision)
 
     def _take_joint_state(self, data: bytes, at_ns: int) -> None:
         self.status.take_joint_state(self._joint_states.decode(data), at_ns)
@@ -162,14 +170,21 @@ class CellClient(ClientNode):
     def _take_force(self, data: bytes, _: int) -> None:
         self.status.take_force(decode_force_block(data))
 
-    def _take_validation(self, message: Any, _: int) -> None:  # noqa: ANN401
-        stamp = message.header.stamp
-        values = [getattr(message, name) for name in Validation.__slots__[1:]]
-        self.status.take_validation(Validation(stamp.sec * NS + stamp.nanosec, *values))
+    def _take_impact(self, data: bytes, at_ns: int) -> None:
+        self.status.take_impact(decode_impact(data), at_ns)
 
-    def _take_diagnostics(self, message: Any, at_ns: int) -> None:  # noqa: ANN401
+    def _take_validation(self, data: bytes, _: int) -> None:
+        message: Any = deserialize_message(data, ImpactValidation)
+        stamp = message.header.stamp
+        values = {name: getattr(message, name) for name in _VALIDATION}
+        stamp_ns, series = stamp.sec * NS + stamp.nanosec, series_from(message.series)
+        validation = Validation(stamp_ns=stamp_ns, series=series, **values)
+        self.status.take_validation(validation)
+        self._on_validation(validation)
+
+    def _take_diagnostics(self, data: bytes, at_ns: int) -> None:
         """Keep the diagnostics of the nodes in the namespace of this client."""
-        for status in message.status:
+        for status in deserialize_message(data, DiagnosticArray).status:
             node, _, name = status.name.partition(": ")
             if name and (node.rpartition("/")[0] or "/") == self.node.get_namespace():
                 values = {pair.key: pair.value for pair in status.values}

@@ -12,7 +12,6 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from rclpy.duration import Duration
-from rclpy.parameter import Parameter
 from scara_effmass_msgs.msg import ForceBlock, Impact
 
 from scara_effmass import values
@@ -55,11 +54,6 @@ class DaqNode(LifecycleBase):
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError."""
         super().__init__("daq")
-        # `bench` is the former name of the group `sim`.
-        for name in [name for name in self._parameter_overrides if name.startswith("bench.")]:
-            former = self._parameter_overrides.pop(name)
-            renamed = name.replace("bench.", "sim.", 1)
-            self._parameter_overrides.setdefault(renamed, Parameter(renamed, former.type_, former.value))
         self._settings = parameters.declare(self, NodeSettings)
         self.autostart = self._settings.autostart
         self._outputs: list[_Output] = []

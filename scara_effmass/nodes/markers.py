@@ -12,9 +12,17 @@ from geometry_msgs.msg import Point, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
-from scara_effmass.iso15066.mobility_matrix import matrix_of
-from scara_effmass.model.pose_geometry import PoseGeometry, mass_ellipsoid, quaternion, worst_normal
-from scara_effmass.values import NO_MOBILITY, VERDICT_COLORS, ZERO_VECTOR, ContactAssessment, FloatArray, Verdict
+from scara_effmass.model.pose_geometry import PoseGeometry, mass_ellipsoid, quaternion
+from scara_effmass.reference.mobility import Mobility
+from scara_effmass.values import (
+    NO_MOBILITY,
+    VERDICT_COLORS,
+    ZERO_VECTOR,
+    ContactAssessment,
+    FloatArray,
+    Verdict,
+    mobility_matrix,
+)
 from scara_effmass.wire.cdr import NS, sec_and_nanosec
 
 LINK_COLOR = "#9AA5B1"
@@ -44,6 +52,7 @@ def robot_markers(geometry: PoseGeometry) -> Iterator[Marker]:
 def contact_markers(
     contacts: Iterable[ContactAssessment],
     places: Mapping[str, tuple[float, float, float]],
+    contact_normal: str,
     *,
     ellipsoid_scale: float,
     arrow_scale: float,
@@ -51,7 +60,7 @@ def contact_markers(
 ) -> Iterator[Marker]:
     """Yield what is known of each contact point: verdict, mass ellipsoid, velocity, allowable speed, worst normal.
 
-    `places` are the positions [m] of the contact points; others only have a text above the base, and UNKNOWN only its
+    `contact_normal` is that of the decision. `places` are the positions [m] of the contact points; others only have a text above the base, and UNKNOWN only its
     text. The ellipsoid has a semi-axis of `ellipsoid_scale` [m] at 1 kg, an arrow `arrow_scale` [m] at 1 m/s. Texts of
     contact points at the same place are stacked, so that none covers another.
     """
@@ -68,7 +77,7 @@ def contact_markers(
         is_finite = np.isfinite([*contact.direction, *contact.mobility]).all()
         if contact.verdict is Verdict.UNKNOWN or contact.contact_point not in places or not is_finite:
             continue
-        direction, mobility = np.array(contact.direction), matrix_of(contact.mobility)
+        direction, mobility = np.array(contact.direction), mobility_matrix(contact.mobility)
         if contact.mobility != NO_MOBILITY:
             masses, axes = mass_ellipsoid(mobility, MAX_MASS)
             sizes = 2.0 * ellipsoid_scale * np.sqrt(masses)
@@ -81,8 +90,9 @@ def contact_markers(
         yield _arrow("velocity", index, color, 0.012, at, velocity)
         if contact.allowable_speed > 0.0:
             yield _arrow("allowable_speed", index, ALLOWABLE_COLOR, 0.006, at, allowable)
-        if contact.contact_normal == "worst" and contact.mobility != NO_MOBILITY:
-            normal = np.array(worst_normal(mobility, contact.direction, contact.obstacle_mass))
+        if contact_normal == "worst" and contact.mobility != NO_MOBILITY:
+            alpha = 1.0 / contact.body_mass if contact.body_mass else 0.0
+            normal = Mobility.of_matrix(mobility, direction, 3).worst_normal(alpha)
             yield _arrow("worst_normal", index, NORMAL_COLOR, 0.006, at, NORMAL_LENGTH_M * normal)
 
 

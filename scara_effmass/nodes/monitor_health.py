@@ -9,14 +9,13 @@ from itertools import pairwise
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.nodes.diagnostics import status
 from scara_effmass.nodes.terminal import CHANGES, REMEDY
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor
-from scara_effmass.safety.debounce import severity
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MassModel
-from scara_effmass.values import ContactAssessment, Decision, Verdict
+from scara_effmass.values import ContactAssessment, Decision, Verdict, severity
 
 EDGES_US = (125, 250, 500, 1000, 2000, 4000, 8000, 16000)
 _MAX_RECENT = 10_000
@@ -81,13 +80,14 @@ def monitor_statuses(
     monitor: Monitor | None,
     contacts: Iterable[ContactAssessment],
     changes: Mapping[str, int],
+    input_age: float,
     joint_states: DiagnosticStatus,
 ) -> list[DiagnosticStatus]:
     """Return the statuses of one report; `changes` counts those of the verdict by contact point."""
     statuses = [joint_states]
     if monitor is not None:
         statuses.append(_model_status(monitor))
-    statuses += [_contact_status(contact, changes.get(contact.contact_point, 0)) for contact in contacts]
+    statuses += [_contact_status(contact, changes.get(contact.contact_point, 0), input_age) for contact in contacts]
     for entry in statuses:
         entry.hardware_id = (monitor.dynamics.robot.name if monitor else "") or _NO_ROBOT
     return statuses
@@ -159,7 +159,7 @@ def contact_text(contact: ContactAssessment) -> str:
     return f"{contact.verdict.name}{numbers}{': ' * bool(contact.reason)}{contact.reason}{advice}"
 
 
-def _contact_status(contact: ContactAssessment, changes: int) -> DiagnosticStatus:
+def _contact_status(contact: ContactAssessment, changes: int, input_age: float) -> DiagnosticStatus:
     values = {
         "verdict": contact.verdict.name,
         "speed [m/s]": f"{contact.speed:.4f}",
@@ -169,7 +169,7 @@ def _contact_status(contact: ContactAssessment, changes: int) -> DiagnosticStatu
         "mass model": contact.mass_model_text,
         "body region": contact.body_region,
         "criterion": contact.criterion,
-        "input age [s]": f"{contact.input_age:.6f}",
+        "input age [s]": f"{input_age:.6f}",
         CHANGES: changes,
     }
     name = f"contact {contact.contact_point}".rstrip()

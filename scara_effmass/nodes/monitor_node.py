@@ -17,17 +17,16 @@ from geometry_msgs.msg import Inertia
 from rclpy.clock import ClockChange, JumpHandle, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSSubscriptionMatchedInfo
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactStates
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.iso15066 import limits_for
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher
-from scara_effmass.nodes.kernel_loader import KernelLoader
 from scara_effmass.nodes.lifecycle import LifecycleBase, RCLError, run, with_info
 from scara_effmass.nodes.monitor_health import (
     Latencies,
@@ -38,16 +37,16 @@ from scara_effmass.nodes.monitor_health import (
     worst_contacts,
 )
 from scara_effmass.nodes.robot_input import use_robot
-from scara_effmass.safety import Cause, Monitor, unknown_decision
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety import Assessments, Cause, Monitor, unknown_assessments
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed
-from scara_effmass.values import Decision, Payload, Verdict
+from scara_effmass.values import Decision, Payload
 from scara_effmass.wire import topics
-from scara_effmass.wire.contact_state import ContactStateEncoder, float64_message
+from scara_effmass.wire.contact_states import ContactStatesEncoder, float64_message
 from scara_effmass.wire.joint_state import JointStateDecoder
 from scara_effmass.wire.payload import decode_payload
 
-_NO_ROBOT = ContactStateEncoder("", "")
 _WATCHDOG_CHECKS_PER_TIMEOUT = 4
 _MIN_WATCHDOG_PERIOD_S = 1e-3
 _ACK_TIMEOUT = Duration(seconds=0.5)
@@ -57,6 +56,9 @@ _MIN_REPORT_INTERVAL_NS = 100_000_000
 class NodeSettings(parameters.NodeParameters, MonitorSettings):
     """Settings of the monitor and of its node."""
 
+    use_reference: bool = fixed(
+        default=False, description="compute with the reference in plain Python in place of the compiled kernel: slow"
+    )
     command_tolerance: float = fixed(
         0.0,
         "maximum distance of a joint from its command on joint_commands [rad; a quarter of it in m for a prismatic "
@@ -67,7 +69,7 @@ class NodeSettings(parameters.NodeParameters, MonitorSettings):
 
 
 class MonitorNode(LifecycleBase):
-    """Subscribes to `joint_states`; publishes `contact_state`, `allowable_speed`, `speed_scaling`, `/diagnostics`."""
+    """Subscribes to `joint_states`; publishes `contact_states`, `allowable_speed`, `speed_scaling`, `/diagnostics`."""
 
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for an invalid one."""
@@ -80,11 +82,9 @@ class MonitorNode(LifecycleBase):
         self._monitor: Monitor | None = None
         self._first_cause: Cause | None = None
         """What `latch` holds while there is no robot."""
-        self._encoders: dict[str, ContactStateEncoder] = {}
+        self._encoder = ContactStatesEncoder()
         self._last_answer_ns = 0
         self._monitor_lock = threading.Lock()
-        self._kernel_loader = KernelLoader(self._monitor_lock, self.get_logger().info)
-        self._kernel_fault = ""
         self._output_lock = threading.Lock()
         """Held while the messages of one decision are published."""
         self._publishing = False
@@ -97,8 +97,9 @@ class MonitorNode(LifecycleBase):
         self._decoder = JointStateDecoder()
         self._received = 0
         self._latencies = Latencies()
-        self._decision: Decision | None = None
-        self._verdicts: list[Verdict] = []
+        self._latest: Assessments | None = None
+        self._verdicts: list[float] = []
+        self._changed: Decision | None = None
         self._changes: list[Decision] = []
         """Decisions since the last report that changed a verdict."""
         self._change_counts: Counter[str] = Counter()
@@ -110,7 +111,7 @@ class MonitorNode(LifecycleBase):
         qos = topics.verdict_qos(self._settings.timeout)
         scalar_qos = qos._replace(lifespan_s=topics.SCALAR_LIFESPAN_S)
         for message_type, topic, topic_qos in (
-            (ContactState, topics.CONTACT_STATE, qos),
+            (ContactStates, topics.CONTACT_STATES, qos),
             (Float64, topics.ALLOWABLE_SPEED, scalar_qos),
             (Float64, topics.SPEED_SCALING, scalar_qos),
         ):
@@ -150,8 +151,6 @@ class MonitorNode(LifecycleBase):
         self._wake_watchdog.clear()
         self._watchdog = threading.Thread(target=self._watch, name="watchdog", daemon=True)
         self._watchdog.start()
-        with self._monitor_lock:
-            self._load_kernel()
 
     def deactivate(self) -> None:
         """End the watchdog and publish a last UNKNOWN."""
@@ -159,22 +158,21 @@ class MonitorNode(LifecycleBase):
         if watchdog is not None:
             self._wake_watchdog.set()
             watchdog.join()
-        self.publish_last("the monitor was deactivated")
-        self._kernel_loader.end()
+        self._publish_last(Reason.DEACTIVATED)
 
     def publish_last(self, reason: str) -> None:
+        """Publish UNKNOWN and a speed of 0 because the process ends, and publish nothing after it."""
+        self._publish_last(Reason.STATED, reason)
+
+    def _publish_last(self, reason: Reason, detail: str = "") -> None:
         """Publish UNKNOWN and a speed of 0, wait until subscribers have them, and publish nothing after it."""
         with self._output_lock:
             if not self._publishing or not self.context.ok():
                 return
             self._publishing = False
-            self._send(self._unknown(reason))
+            self._send(self._unknown(reason, detail))
         for publisher in self._outputs.values():
             publisher.wait_for_all_acked(_ACK_TIMEOUT)
-
-    def _load_kernel(self) -> None:
-        if self._watchdog is not None:
-            self._kernel_loader.load(self._monitor)
 
     def _forget_robot(self) -> None:
         self._outputs.clear()
@@ -182,28 +180,24 @@ class MonitorNode(LifecycleBase):
 
     def _drop_monitor(self) -> None:
         if self._monitor is not None:
-            self._first_cause, self._kernel_fault = self._monitor.first_cause, self._monitor.kernel_fault
+            self._first_cause = self._monitor.first_cause
         self._monitor = None
-        self._encoders = {}
+        self._encoder.frame_id = ""
 
     def _use_robot(self, robot: Robot) -> None:
         """Monitor `robot`. Raises EffmassError."""
         dynamics = RobotDynamics(robot)
-        monitor = Monitor(dynamics, self._settings)
+        monitor = Monitor(dynamics, self._settings, use_reference=self._settings.use_reference)
+        monitor.compile()
         if self._settings.command_tolerance:
             monitor.expect_commands(self._settings.command_tolerance)
         with self._monitor_lock:
-            if self._encoders and self._encoders.keys() != set(dynamics.contact_points):
-                # Else consumers would wait for the contact points of the robot before.
-                reason = "the contact points change with the robot_description"
-                self._publish(unknown_decision(reason, self.now_ns(), watchdog=True))
             self._drop_monitor()
-            monitor.first_cause, monitor.kernel_fault = self._first_cause, self._kernel_fault
+            monitor.first_cause = self._first_cause
             self._monitor = monitor
             self._pass_payload()
-            self._encoders = {name: ContactStateEncoder(name, robot.base_frame) for name in dynamics.contact_points}
+            self._encoder.frame_id = robot.base_frame
             self._no_robot_reason = ""
-            self._load_kernel()
         self.get_logger().info(f"monitoring {robot.name} ({robot.origin}) at {', '.join(dynamics.contact_points)}")
         self.get_logger().info(f"payload: {monitor.payload_text}")
         for line in (*robot.notes, *missing_models(dynamics)):
@@ -218,23 +212,23 @@ class MonitorNode(LifecycleBase):
         with self._monitor_lock:
             monitor = self._monitor
             if monitor is None:
-                self._publish(unknown_decision(self._no_robot_reason, self.now_ns()))
+                self._publish(unknown_assessments(Reason.NO_ROBOT, self._no_robot_reason, self.now_ns()))
                 return
             try:
                 state = self._decoder.decode(data)
-                decision = monitor.assess(state, self.now_ns(), info["publication_sequence_number"])
+                assessments = monitor.assess_one(state, self.now_ns(), info["publication_sequence_number"])
             except DecodeError as error:
-                decision = monitor.reject(str(error), self.now_ns())
-            if decision is not None:
+                assessments = monitor.settle(monitor.refuse(Reason.UNDECODABLE, str(error), self.now_ns()))
+            if assessments is not None:
                 processing_ns = time.monotonic_ns() - start_ns
                 if processing_ns > self._settings.timeout * 1e9:
-                    first = decision.contacts[0]
-                    reason = f"the assessment took {processing_ns / 1e9:.3f} s"
-                    decision = monitor.reject(reason, first.stamp_ns, first.input_age)
+                    state, seconds = assessments.states[0], processing_ns / 1e9
+                    late = monitor.refuse(Reason.TOO_SLOW, "", int(state["stamp_ns"]), float(state["age"]), seconds)
+                    assessments = monitor.settle(late)
                 self._last_answer_ns = start_ns
-                self._publish(decision)
+                self._publish(assessments)
                 received_ns = info["received_timestamp"]
-                self._latencies.add(time.time_ns() - received_ns, decision.contacts[0].stamp_ns)
+                self._latencies.add(time.time_ns() - received_ns, int(assessments.states["stamp_ns"][0]))
 
     def _on_command(self, data: bytes) -> None:
         with self._monitor_lock:
@@ -264,7 +258,6 @@ class MonitorNode(LifecycleBase):
             return
         before = self._monitor.payload_text
         self._monitor.take_payload(self._payload)
-        self._load_kernel()
         if (text := self._monitor.payload_text) != before:
             self.get_logger().info(f"payload: {text}")
 
@@ -287,14 +280,14 @@ class MonitorNode(LifecycleBase):
             return
         # A callback that takes long holds the lock.
         if not self._monitor_lock.acquire(timeout=self._watchdog_period_s()):
-            self._publish(self._unknown("the assessment of a joint state takes too long"))
+            self._publish(self._unknown(Reason.STUCK))
             return
         try:
             if silence_ns := self._silence_ns():  # no answer since
                 self._publish(
                     self._monitor.watchdog_decision(silence_ns, self.now_ns())
                     if self._monitor is not None
-                    else self._unknown(self._no_robot_reason)
+                    else self._unknown(Reason.NO_ROBOT, self._no_robot_reason)
                 )
         finally:
             self._monitor_lock.release()
@@ -304,32 +297,35 @@ class MonitorNode(LifecycleBase):
         silence_ns = time.monotonic_ns() - self._last_answer_ns
         return silence_ns if self.active and silence_ns > self._settings.timeout * 1e9 else 0
 
-    def _unknown(self, reason: str) -> Decision:
+    def _unknown(self, reason: Reason, detail: str = "") -> Assessments:
         """Return UNKNOWN for `reason` and for every contact point, as the answer to no joint state."""
-        return unknown_decision(reason, self.now_ns(), tuple(self._encoders) or ("",), watchdog=True)
+        monitor = self._monitor  # which another thread may drop
+        points = monitor.dynamics.contact_points if monitor is not None else ("",)
+        return unknown_assessments(reason, detail, self.now_ns(), points, watchdog=True)
 
-    def _send(self, decision: Decision) -> None:
+    def _send(self, assessments: Assessments) -> None:
         # Without the wrappers of rclpy, which cost as much as the call: `_publishing` guards the handles.
-        contact_state = self._outputs[topics.CONTACT_STATE].handle
-        for contact in decision.contacts:
-            contact_state.publish_raw(self._encoders.get(contact.contact_point, _NO_ROBOT).encode(contact))
-        self._outputs[topics.ALLOWABLE_SPEED].handle.publish_raw(float64_message(decision.allowable_speed))
-        self._outputs[topics.SPEED_SCALING].handle.publish_raw(float64_message(decision.speed_scaling))
-        verdicts = [contact.verdict for contact in decision.contacts]
+        self._outputs[topics.CONTACT_STATES].handle.publish_raw(self._encoder.encode(assessments))
+        allowed = assessments.states[0]
+        self._outputs[topics.ALLOWABLE_SPEED].handle.publish_raw(float64_message(allowed["allowable_speed"]))
+        self._outputs[topics.SPEED_SCALING].handle.publish_raw(float64_message(allowed["speed_scaling"]))
+        verdicts = assessments.contacts["verdict"][0].tolist()
         if verdicts != self._verdicts:
-            before = {c.contact_point: c.verdict for c in self._decision.contacts} if self._decision else {}
+            decision = assessments.decision(0)
+            before = {c.contact_point: c.verdict for c in self._changed.contacts} if self._changed else {}
             self._change_counts.update(
                 c.contact_point for c in decision.contacts if c.verdict is not before.get(c.contact_point)
             )
             self._verdicts = verdicts
             self._changes.append(decision)
-        self._decision = decision
+            self._changed = decision
+        self._latest = assessments
 
-    def _publish(self, decision: Decision) -> None:
+    def _publish(self, assessments: Assessments) -> None:
         with self._output_lock:
             if not self._publishing:
                 return
-            self._send(decision)
+            self._send(assessments)
         if self._changes and time.monotonic_ns() - self._reported_ns > _MIN_REPORT_INTERVAL_NS:
             self._diagnostics.report()
 
@@ -345,14 +341,17 @@ class MonitorNode(LifecycleBase):
             incompatible_qos=self.incompatible_qos,
             latencies=self._latencies,
         )
-        contacts = worst_contacts(self._decision, changes) if self._decision else ()
-        return monitor_statuses(self._monitor, contacts, self._change_counts, joint_states)
+        decision = self._latest.decision(0) if self._latest else None
+        contacts = worst_contacts(decision, changes) if decision else ()
+        input_age = decision.input_age if decision else 0.0
+        return monitor_statuses(self._monitor, contacts, self._change_counts, input_age, joint_states)
 
     def _refuse_robot(self, reason: str) -> None:
         with self._monitor_lock:
             self._no_robot_reason = reason
             if self._monitor is not None:
-                self._monitor.reject(reason, self.now_ns())  # a cause for `latch`
+                # A cause for `latch`.
+                self._monitor.settle(self._monitor.refuse(Reason.NO_ROBOT, reason, self.now_ns()))
             self._drop_monitor()
 
     def _reset(self) -> str:
@@ -393,7 +392,6 @@ class MonitorNode(LifecycleBase):
             self._settings = settings
             if self._monitor is not None:
                 self._monitor.apply(self._settings)
-                self._load_kernel()
                 if any(name.startswith("payload") for name in changed):
                     self.get_logger().info(f"payload: {self._monitor.payload_text}")
         self._wake_watchdog.set()  # else the new period starts after the old one

@@ -22,7 +22,6 @@ from scara_effmass.settings.loading import (
     checked,
     fixed,
     flat_fields,
-    former_unit,
     is_foreign,
     nearest,
     parameter_sections,
@@ -59,9 +58,7 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
         if name in shared and is_foreign(name, settings):
             node.get_logger().warning(f"parameter {name!r} of /** is not of this node: ignored")
         else:
-            text = f"no parameter {name!r}: {nearest(name, fields)}"
-            former = former_unit(name, overrides[name].value, settings)
-            raise SettingsError(f"{node.get_name()}: {former or text}")
+            raise SettingsError(f"{node.get_name()}: no parameter {name!r}: {nearest(name, fields)}")
     check_types(settings, values, node.get_name())
     checked_settings = checked(settings, values, node.get_name())
     for name, field in fields.items():

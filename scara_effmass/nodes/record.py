@@ -6,24 +6,38 @@ The log time of a message is its receive time on the node's clock: system time, 
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any, final
 
-from scara_effmass.bags.definitions import known_types
-from scara_effmass.bags.recorder import BagRecorder
-from scara_effmass.bags.recording_report import RecordingReport
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from scara_effmass.bags.definitions import known_types, published_types
+from scara_effmass.bags.files import qos_yaml
+from scara_effmass.bags.recorder import BagRecorder, MessageSink, RecordingReport
 from scara_effmass.bags.split_writer import RecorderOptions
+from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.client import ClientNode, spin_for
-from scara_effmass.nodes.topic_recorder import TopicRecorder, resolve_topic
+from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.settings.loading import FrozenSettings
-from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED
+from scara_effmass.wire.message_types import message_class, message_definition
+from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED, STREAM_QOS
 
 _PERIOD_S = 0.1
 """Period of topic discovery and of the check for a stop signal."""
 _DRAIN_TIMEOUT_S = 10.0
 """Maximum time to record the messages that have arrived before the end."""
+_CLOCK_WARNING_AFTER = 20
+"""Discoveries without /clock before a warning."""
+QUEUE_DEPTH = 5_000
+"""Messages of a topic that may wait while the recorder stands still, at most what Fast DDS holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,3 +97,148 @@ def record(
             refused=topic_recorder.refused,
             unpublished=tuple(sorted(set(names) - set(topic_recorder.recorded) - topic_recorder.refused.keys())),
         )
+
+
+def resolve_topic(node: Node, topic: str) -> str:
+    """Return the full name of a topic, remapped and with its namespace. Raises SettingsError if invalid."""
+    try:
+        return str(node.resolve_topic_name(topic))
+    except (InvalidTopicNameException, RuntimeError, ValueError) as error:
+        reason = " ".join(str(error).split()).partition(", at /")[0]
+        raise SettingsError(f"record: topic {topic!r}: {reason}") from None
+
+
+@final
+class TopicRecorder:
+    """Subscribes to topics and passes their messages to a `BagRecorder` or another sink."""
+
+    def __init__(
+        self,
+        node: Node,
+        recorder: MessageSink,
+        topics: Collection[str],
+        warn: Callable[[str], None],
+        parents: Collection[str] = (),
+        count_lost: Callable[[int, int], None] | None = None,
+    ) -> None:
+        """Record `topics` and all topics below `parents`, by their full names; without topics, all that are not hidden.
+
+        `count_lost` gets the index of a topic and the number of messages that the middleware reports as lost. Leave it
+        out unless you need that number: taking the event can lock the process (see `LifecycleBase`).
+        """
+        self.refused: dict[str, str] = {}
+        """Topics that are not recorded, or not from all publishers, and why."""
+        self._node = node
+        self._clock = node.get_clock()
+        self._recorder = recorder
+        self._topics = frozenset(topics)
+        self._parents = tuple(f"{name}/" for name in parents)
+        self._warn = warn
+        self._count_lost = count_lost
+        self._indices: dict[str, int] = {}
+        self._types: dict[str, str] = {}
+        self._subscriptions: dict[str, Any] = {}
+        self._incompatible: set[str] = set()
+        self._discoveries_without_clock = 0
+
+    @property
+    def recorded(self) -> Collection[str]:
+        """The topics that are recorded."""
+        return self._indices.keys()
+
+    def discover(self) -> None:
+        """Subscribe to new topics, and again to topics with an incompatible publisher."""
+        # With simulated time, messages have no log time before the first /clock.
+        if not self._clock.now().nanoseconds:
+            self._discoveries_without_clock += 1
+            if self._discoveries_without_clock == _CLOCK_WARNING_AFTER:
+                self._warn("waiting for /clock: use_sim_time is set")
+            return
+        for name, types in self._node.get_topic_names_and_types():
+            if self._is_selected(name):
+                self._add(name, types)
+            elif len(types) > 1 and name in self._types and name not in self.refused:
+                self._check_types(name)
+        for name in self._incompatible & self._subscriptions.keys():
+            self._warn(f"{name}: a publisher has an incompatible QoS: subscribing again, messages may be missing")
+            self._node.destroy_subscription(self._subscriptions.pop(name))
+        self._incompatible.clear()
+
+    def _is_selected(self, name: str) -> bool:
+        if name in self._subscriptions or name in self.refused:
+            return False
+        if self._topics:
+            return name in self._topics or name.startswith(self._parents)
+        return not any(token.startswith("_") for token in name.split("/"))
+
+    def _add(self, name: str, types: Sequence[str]) -> None:
+        publishers = self._node.get_publishers_info_by_topic(name)
+        if not publishers:
+            return  # their QoS is not known yet
+        try:
+            self._subscribe(name, sorted({publisher.topic_type for publisher in publishers} or types), publishers)
+        except BagError as error:
+            self.refused[name] = str(error)
+            self._warn(f"{name}: not recorded: {error}")
+
+    def _check_types(self, name: str) -> None:
+        """Warn about new publishers of another type than the recorded one."""
+        recorded_type = self._types[name]
+        types = {publisher.topic_type for publisher in self._node.get_publishers_info_by_topic(name)}
+        if others := types - {recorded_type}:
+            self.refused[name] = (
+                f"it is also published as {', '.join(sorted(others))}; only {recorded_type} is recorded"
+            )
+            self._warn(f"{name}: {self.refused[name]}")
+
+    def _subscribe(self, name: str, types: Sequence[str], publishers: Sequence[TopicEndpointInfo]) -> None:
+        """Subscribe with a QoS compatible with all publishers.
+
+        Raises BagError for several types, a type that is not installed, and a definition that is not the publishers'.
+        """
+        message_type, *others = types
+        if others:
+            raise BagError(f"it has publishers of several types: {', '.join(types)}")
+        installed_class = message_class(message_type)
+        if installed_class is None:
+            raise BagError(f"its type {message_type} is not installed; install {message_type.partition('/')[0]}")
+        if name not in self._indices:
+            definitions = published_types(message_type, str(publishers[0].topic_type_hash), message_definition)
+            offered = qos_yaml(_rosbag2_qos(publisher) for publisher in publishers)
+            self._indices[name] = self._recorder.add_topic(name, message_type, offered_qos=offered, types=definitions)
+        index, self._types[name] = self._indices[name], message_type
+        qos = STREAM_QOS._replace(
+            depth=QUEUE_DEPTH,
+            reliable=all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers),
+            latched=all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers),
+        )
+        self._subscriptions[name] = self._node.create_subscription(
+            installed_class,
+            name,
+            partial(self._on_message, index),
+            qos_profile(qos),
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(
+                message_lost=partial(self._on_message_lost, index, self._count_lost) if self._count_lost else None,
+                incompatible_qos=lambda _: self._incompatible.add(name),
+            ),
+        )
+
+    def _on_message(self, index: int, data: bytes) -> None:
+        self._recorder.write(index, self._clock.now().nanoseconds, data)
+
+    @staticmethod
+    def _on_message_lost(index: int, count_lost: Callable[[int, int], None], lost: QoSMessageLostInfo) -> None:
+        count_lost(index, lost.total_count_change)
+
+
+def _rosbag2_qos(publisher: TopicEndpointInfo) -> dict[str, object]:
+    """Return the QoS of a publisher with rosbag2's keys."""
+    qos = publisher.qos_profile
+    values: dict[str, object] = {"depth": qos.depth, "avoid_ros_namespace_conventions": False}
+    for policy in ("history", "reliability", "durability", "liveliness"):
+        values[policy] = getattr(qos, policy).name.lower()
+    for duration in ("deadline", "lifespan", "liveliness_lease_duration"):
+        sec, nsec = divmod(getattr(qos, duration).nanoseconds, 1_000_000_000)
+        values[duration] = {"sec": sec, "nsec": nsec}
+    return values

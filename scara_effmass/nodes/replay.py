@@ -22,7 +22,6 @@ from scara_effmass.bags.batches import MAX_TIME_NS
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.client import ClientNode
-from scara_effmass.nodes.lockstep import Lockstep
 from scara_effmass.nodes.readiness import ReadinessReports
 from scara_effmass.nodes.replay_topics import JOINT_STATES, ReplayPublisher, in_namespace, replay_publishers
 from scara_effmass.wire.topics import CLOCK
@@ -46,7 +45,7 @@ class ReplayOptions:
 
     bag: Path
     rate: float = 1.0
-    """Speed relative to the recording, independent of the nodes; 0: as fast as the monitor answers."""
+    """Speed relative to the recording, independent of the nodes."""
     start_s: float = 0.0
     """Start in the recording [s]."""
     duration_s: float = math.inf
@@ -63,8 +62,6 @@ class ReplayOptions:
     """Minimum number of subscribers of the joint states, or of any topic without joint states, before the start."""
     ready_timeout_s: float = 30.0
     """Maximum wait for the nodes [s]. DDS forgets a killed node after 20 s."""
-    answer_timeout_s: float = 1.0
-    """Maximum wait for an answer at rate 0 [s]."""
 
 
 OnProgress = Callable[[int, float, float], None]
@@ -83,19 +80,13 @@ class ReplayReport:
     """Topics without any subscriber."""
     unacknowledged: tuple[str, ...] = ()
     """Topics of which a reliable subscriber had not received everything at the end."""
-    answered: int = 0
-    """Joint states that the monitor answered; this and the next two are counted at rate 0 only."""
-    unanswered: int = 0
-    """Joint states without an answer in time."""
-    not_awaited: int = 0
-    """Joint states sent without waiting, because none with these names was ever answered."""
     passes: int = 0
     """Passes started."""
     replayed_s: float = 0.0
     """Recorded time that was replayed."""
     wall_s: float = 0.0
     late: int = 0
-    """Messages sent more than 10 ms late; 0 at rate 0."""
+    """Messages sent more than 10 ms late."""
     worst_lateness_s: float = 0.0
     interrupted: bool = False
     warnings: tuple[str, ...] = ()
@@ -128,7 +119,7 @@ def replay(options: ReplayOptions, on_progress: OnProgress = lambda *_: None) ->
     """Replay a bag to the live nodes; call `on_progress` about ten times a second.
 
     SIGINT and SIGTERM end the replay early. It runs in its own ROS context. Raises BagError for an unreadable bag,
-    EffmassError if nodes are not ready in time or the monitor stops answering.
+    EffmassError if nodes are not ready in time.
     """
     with ClientNode("replay", arguments=options.ros_arguments) as client, open_bag(options.bag) as bag:
         player = _Player(options, bag, client, on_progress)
@@ -163,11 +154,6 @@ class _Player:
         self._joint_states = next(
             (p for p in self._publishers.values() if p.name == in_namespace(client.node, JOINT_STATES)), None
         )
-        if options.rate == 0.0 and self._joint_states is None:
-            raise SettingsError(
-                f"{bag.path}: rate = 0: nothing is published as {JOINT_STATES}; name its topic, or give a rate"
-            )
-        self._lockstep = Lockstep(client.node, options.answer_timeout_s, self.report) if options.rate == 0.0 else None
         self._clock = ReplayPublisher(client.node, CLOCK, Clock)  # after all other publishers
         self._readiness = ReadinessReports(client.node)  # after all other subscriptions
         self._now_ns = self._start_ns
@@ -223,46 +209,32 @@ class _Player:
         if count < expected:
             topics = ", ".join(publisher.name for publisher in inputs)
             return f"{topics}: expected {expected} subscribers, found {count}"
-        if self._lockstep and not self._lockstep.publishers:
-            return f"{self._lockstep.topic}: no publisher; rate 0 needs a monitor that answers"
         unready = self._readiness.unready(self._start_ns, [publisher.name for publisher in self._publishers.values()])
         return "; ".join(f"{name} {reason}" for name, reason in sorted(unready.items()))
 
     def _play_pass(self, messages: Iterator[RawMessage], pass_start_ns: int) -> None:
-        rate = self._options.rate
         clock_ns = -1
         for time_ns, message in timeline(messages, self._start_ns, self._end_ns):
-            due_ns = pass_start_ns + round((time_ns - self._start_ns) / rate) if rate else 0
+            due_ns = pass_start_ns + round((time_ns - self._start_ns) / self._options.rate)
             self._spin_until(due_ns)
-            if rate:
-                lateness_ns = time.monotonic_ns() - due_ns
-                self.report.late += lateness_ns > LATE_NS
-                self.report.worst_lateness_s = max(self.report.worst_lateness_s, lateness_ns / _NS)
+            lateness_ns = time.monotonic_ns() - due_ns
+            self.report.late += lateness_ns > LATE_NS
+            self.report.worst_lateness_s = max(self.report.worst_lateness_s, lateness_ns / _NS)
             self._now_ns = time_ns
             if time_ns != clock_ns:
                 clock_ns = time_ns
                 self._set_clock(time_ns)
             if message is not None:
-                self._send(message)
+                self._publishers[message.topic].send(message.data)
             self._report_progress()
 
     def _set_clock(self, time_ns: int) -> None:
         sec, nanosec = divmod(time_ns, _NS)
         self._clock.send(Clock(clock=Time(sec=sec, nanosec=nanosec)))
 
-    def _send(self, message: RawMessage) -> None:
-        publisher = self._publishers[message.topic]
-        if publisher is not self._joint_states:
-            publisher.send(message.data)
-            return
-        names = self._lockstep.expect(message.data) if self._lockstep else ()
-        publisher.send(message.data)
-        if self._lockstep:
-            self._lockstep.wait(names, self._spin_until)
-
-    def _spin_until(self, deadline_ns: int, done: Callable[[], bool] = bool) -> None:
-        """Handle events until `done` or until the monotonic clock shows `deadline_ns`; a signal interrupts."""
-        self._client.spin_for((deadline_ns - time.monotonic_ns()) / _NS, done)
+    def _spin_until(self, deadline_ns: int) -> None:
+        """Handle events until the monotonic clock shows `deadline_ns`; a signal interrupts."""
+        self._client.spin_for((deadline_ns - time.monotonic_ns()) / _NS)
         if self._client.signals:
             raise KeyboardInterrupt
 

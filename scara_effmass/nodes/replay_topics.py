@@ -25,8 +25,8 @@ NODE_OUTPUTS = {
 """Outputs of the live nodes, in any namespace, which are replayed only on request. `daq_node` plays recorded force."""
 SHARED = {"/tf", "/tf_static", wire_topics.DIAGNOSTICS}
 """Topics that keep their names in every namespace."""
-LATCHED = {"recording_info", "tf_static", wire_topics.ROBOT_DESCRIPTION, wire_topics.RUN_INFO}
-"""Topics whose last message late subscribers receive, as with all payloads. recording_info is RunInfo in old bags."""
+LATCHED = {"tf_static", wire_topics.ROBOT_DESCRIPTION, wire_topics.RUN_INFO}
+"""Topics whose last message late subscribers receive, as with all payloads."""
 
 
 def in_namespace(node: Node, topic: str) -> str:

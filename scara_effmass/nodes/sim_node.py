@@ -7,19 +7,19 @@ from collections.abc import Sequence
 from functools import partial
 
 from rosgraph_msgs.msg import Clock as ClockMessage
-from scara_effmass_msgs.msg import ContactState, ForceBlock, RunInfo
+from scara_effmass_msgs.msg import ContactStates, ForceBlock, RunInfo
 from sensor_msgs.msg import JointState
 
 from scara_effmass import values
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
-from scara_effmass.nodes.lockstep import header_stamp_ns
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.settings.loading import fixed
 from scara_effmass.sim.experiment import ImpactSetup
 from scara_effmass.sim.live import LiveSim
 from scara_effmass.wire import topics
+from scara_effmass.wire.cdr import header_stamp_ns
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.run_info import run_info_message
 
@@ -28,7 +28,7 @@ _MS = 1_000_000
 _PERIOD_S = 0.001
 _AHEAD_NS = 20 * _MS
 """Lead of the simulation: an impact takes longer to compute than the rest."""
-_BEHIND_NS = {topics.CONTACT_STATE: 50 * _MS, topics.FORCE: 400 * _MS}
+_BEHIND_NS = {topics.CONTACT_STATES: 50 * _MS, topics.FORCE: 400 * _MS}
 """Largest lag of the latest stamp behind the clock; a block of 0.1 s has the stamp of its first sample."""
 _HOLD_PERIOD_NS = 50 * _MS
 _NEVER_NS = 2**62
@@ -125,7 +125,7 @@ class SimClock:
             node.create_publisher(ClockMessage, topics.CLOCK, qos_profile(topics.CLOCK_QOS)), node.destroy_publisher
         )
         self._done_ns: dict[str, int] = {}
-        for topic, kind in ((topics.CONTACT_STATE, ContactState), (topics.FORCE, ForceBlock)):
+        for topic, kind in ((topics.CONTACT_STATES, ContactStates), (topics.FORCE, ForceBlock)):
             on_done = partial(self._on_done, topic)
             node.create_owned_subscription(kind, topic, on_done, topics.STREAM_QOS, raw=True)
 

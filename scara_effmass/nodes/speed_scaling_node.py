@@ -8,22 +8,22 @@ import threading
 import time
 from collections.abc import Sequence
 from enum import Enum
-from typing import Any
 
 from control_msgs.msg import SpeedScalingFactor
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSLivelinessChangedInfo
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactStates
 from std_msgs.msg import Float64
 
+from scara_effmass.cell.speed_scaling import SpeedScaler
+from scara_effmass.errors import DecodeError
 from scara_effmass.nodes.diagnostics import Diagnostics, status
-from scara_effmass.nodes.lifecycle import LifecycleBase, run, with_info
+from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.parameters import NodeParameters, declare
-from scara_effmass.safety.speed_scaling import SpeedScaler
 from scara_effmass.settings.loading import fixed
 from scara_effmass.wire import topics
-from scara_effmass.wire.contact_state import contact_from
+from scara_effmass.wire.contact_states import decode_contact_states
 
 _ACK_TIMEOUT = Duration(seconds=0.5)
 
@@ -57,7 +57,7 @@ class NodeSettings(NodeParameters):
 
 
 class SpeedScalingNode(LifecycleBase):
-    """Subscribes to `contact_state`; publishes `joint_trajectory_controller/speed_scaling_input`, `/diagnostics`."""
+    """Subscribes to `contact_states`; publishes `joint_trajectory_controller/speed_scaling_input`, `/diagnostics`."""
 
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for an invalid one."""
@@ -72,16 +72,17 @@ class SpeedScalingNode(LifecycleBase):
         """Create the endpoints."""
         settings = self._settings
         self._factor, self._reason = 0.0, ""
-        self._last_number, self._refused_until_ns = 0, 0
+        self._last_number = self._refused_until_ns = self._lost = 0
         self._type, self._field, self._unit = _MESSAGES[settings.output]
         qos = topics.Qos(1, latched=True, deadline_s=2.0 / settings.rate)
         self._publisher = self.create_owned_publisher(self._type, topics.SPEED_SCALING_INPUT, qos)
         self.create_owned_subscription(
-            ContactState,
-            topics.CONTACT_STATE,
-            with_info(self._on_contact_state),
+            ContactStates,
+            topics.CONTACT_STATES,
+            self._on_contact_states,
             topics.verdict_qos(settings.timeout),
-            deadline=lambda _: self._stop("deadline of contact_state missed"),
+            raw=True,
+            deadline=lambda _: self._stop("deadline of contact_states missed"),
             liveliness=self._on_liveliness,
         )
         self._diagnostics = Diagnostics(self, self._statuses, settings.status_period)
@@ -109,27 +110,34 @@ class SpeedScalingNode(LifecycleBase):
             self._publishing = False
         self._publisher.wait_for_all_acked(_ACK_TIMEOUT)
 
-    def _on_contact_state(self, message: ContactState, info: dict[str, Any]) -> None:
-        contact, now_ns, number = contact_from(message), time.monotonic_ns(), info["publication_sequence_number"] or 0
-        if 0 < number <= self._last_number:  # those of one publisher increase
+    def _on_contact_states(self, data: bytes) -> None:
+        try:
+            decision = decode_contact_states(data)
+        except DecodeError as error:
+            self._stop(str(error))
+            return
+        now_ns, number = time.monotonic_ns(), decision.sequence_number
+        if number <= self._last_number:  # those of one monitor increase
             self._refused_until_ns = now_ns + round(2e9 * self._settings.timeout)
-            self._stop("a second monitor publishes contact_state, or a new one", is_lost=True)
+            self._stop("a second monitor publishes contact_states, or a new one")
+        elif self._last_number and now_ns >= self._refused_until_ns:
+            self._lost += number - self._last_number - 1
         self._last_number = number
         with self._lock:
             if not self._publishing or now_ns < self._refused_until_ns:
                 return
-            if self._scaler.take(contact, now_ns, self.now_ns() - contact.stamp_ns):
+            if self._scaler.take(decision, now_ns, self.now_ns() - decision.stamp_ns):
                 self._send()
 
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
         if event.alive_count == 0:
-            self._stop("liveliness of the monitor lost", is_lost=True)
+            self._stop("liveliness of the monitor lost")
 
-    def _stop(self, reason: str, *, is_lost: bool = False) -> None:
-        """Publish 0; `is_lost`: the next monitor may have other contact points."""
+    def _stop(self, reason: str) -> None:
+        """Publish 0."""
         with self._lock:
             if self._publishing:
-                (self._scaler.forget if is_lost else self._scaler.stop)(reason)
+                self._scaler.stop(reason)
                 self._send()
 
     def _publish(self) -> None:
@@ -146,7 +154,8 @@ class SpeedScalingNode(LifecycleBase):
 
     def _statuses(self) -> list[DiagnosticStatus]:
         problem = f"stopped: {self._reason}" if self._reason else "; ".join(sorted(self.incompatible_qos))
-        values = {"factor": self._factor, "controllers": self._publisher.get_subscription_count()}
+        controllers = self._publisher.get_subscription_count()
+        values = {"factor": self._factor, "controllers": controllers, "lost contact states": self._lost}
         return [status("speed scaling", "scaling", values, problem=problem)]
 
 

@@ -2,7 +2,7 @@
 """Diagnostics of the validation: the series, and the impacts and messages left out of it."""
 
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -19,7 +19,7 @@ def impact_text(impact: ValidatedImpact) -> str:
     )
     side = "ABOVE" if impact.exceeds_limit else "below"
     region = f"{impact.region_force:.1f} N on {impact.body_region}, {side} its limit of {impact.limit_force:.1f} N"
-    return f"{simulated}: {force}; {region}; {impact.count} in the series"
+    return f"{simulated}: {force}; {region}; {impact.series.count} in the series"
 
 
 def series_status(
@@ -27,14 +27,14 @@ def series_status(
     undecodable: Counter[str],
     incompatible_qos: Collection[str],
     *,
-    contact_states: Mapping[str, int],
+    contact_points: Collection[str],
     robot: str,
     unheard: str = "",
 ) -> DiagnosticStatus:
     """Return the status of the series.
 
-    `contact_states` counts those since the last report by contact point, without those of the watchdog. `undecodable`
-    counts messages by error; `incompatible_qos` has a line per endpoint that cannot be connected. `unheard` says that
+    `contact_points` are those assessed since the last report, not by the watchdog. `undecodable` counts messages by
+    error; `incompatible_qos` has a line per endpoint that cannot be connected. `unheard` says that
     an input has no publisher.
     """
     result = validator.result()
@@ -43,8 +43,8 @@ def series_status(
     unpaired = sum(result.unpaired.values())
     if not problem and unpaired:
         problem = f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}"
-    if not problem and not contact_states.get(result.contact_point):
-        others = ", ".join(sorted(contact_states))
+    if not problem and result.contact_point not in contact_points:
+        others = ", ".join(sorted(contact_points))
         problem = f"no contact states of {result.contact_point}, only of {others}" if others else "no contact states"
     if not problem and result.waiting:
         problem = f"{result.waiting} impacts wait for contact states"

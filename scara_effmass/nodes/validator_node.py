@@ -8,11 +8,9 @@ from functools import partial
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
-from std_msgs.msg import String
+from scara_effmass_msgs.msg import ContactStates, ForceBlock, Impact, ImpactValidation, RunInfo
 
-from scara_effmass import values
-from scara_effmass.errors import DecodeError, EffmassError, SettingsError
+from scara_effmass.errors import DecodeError, SettingsError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.nodes import parameters
@@ -23,22 +21,14 @@ from scara_effmass.settings import DetectionSettings, ValidatorSettings
 from scara_effmass.settings.loading import fixed
 from scara_effmass.values import ValidatedImpact
 from scara_effmass.wire import topics
-from scara_effmass.wire.contact_state import contact_from
+from scara_effmass.wire.contact_states import decode_contact_states
 from scara_effmass.wire.force import decode_force_block, decode_impact
-from scara_effmass.wire.run_info import decode_run_info, run_info_from_json
+from scara_effmass.wire.impact_validation import impact_validation_message
+from scara_effmass.wire.run_info import decode_run_info
 
 WriteReport = Callable[[Result, "NodeSettings", Path], Path]
 
 _NS = 1_000_000_000
-_COMMON_FIELDS = (
-    *("predicted_force", "measured_force", "relative_error", "effective_mass", "reduced_mass", "speed", "stiffness"),
-    *("conservative", "compression_impulse", "measured_reduced_mass", "measured_effective_mass", "measured_stiffness"),
-    *("clock_offset", "body_region", "region_force", "limit_force", "exceeds_limit"),
-    *("count", "correlation", "fitted_stiffness", "bias", "rmse", "non_conservative", "gain", "gain_interval"),
-    *("mass_scale", "mass_scale_interval", "detectable_mass_error", "exponent", "exponent_interval"),
-    *("series_clock_offset", "exceedances", "accepted", "decidable", "reason"),
-)
-"""Fields that `ImpactValidation` and `ValidatedImpact` share."""
 
 
 class NodeSettings(parameters.NodeParameters, ValidatorSettings):
@@ -56,7 +46,7 @@ class NodeSettings(parameters.NodeParameters, ValidatorSettings):
 
 
 class ValidatorNode(LifecycleBase):
-    """Match `impact` (or impacts detected in `force`) with `contact_state`; publish `impact_validation`."""
+    """Match `impact` (or impacts detected in `force`) with `contact_states`; publish `impact_validation`."""
 
     def __init__(self, write_report: WriteReport | None = None) -> None:
         """Declare the parameters; `write_report` writes the report. Raises SettingsError."""
@@ -71,29 +61,34 @@ class ValidatorNode(LifecycleBase):
         """Create the endpoints."""
         settings = self._settings
         self._undecodable: Counter[str] = Counter()
-        self._contact_states: Counter[str] = Counter()
+        self._contact_points: set[str] = set()
         self._validator = Validator(settings)
         self._detector = Detector(settings.detection)
         self._publisher = self.create_owned_publisher(ImpactValidation, topics.IMPACT_VALIDATION, topics.STREAM_QOS)
         self._log = Diagnostics(self, self._statuses, settings.status_period).log
         inputs: list[tuple[type, str, Callable[..., None], topics.Qos]] = [
-            (ContactState, topics.CONTACT_STATE, self._on_contact_state, topics.VALIDATOR_INPUT_QOS),
+            (ContactStates, topics.CONTACT_STATES, self._on_contact_states, topics.VALIDATOR_INPUT_QOS),
             (ForceBlock, topics.FORCE, self._on_force, topics.VALIDATOR_INPUT_QOS),
             (RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS),
-            (String, topics.RECORDING_INFO, self._on_recording_info, topics.INFO_QOS),
         ]
         if not settings.find_impacts:
             inputs.append((Impact, topics.IMPACT, self._on_impact, topics.VALIDATOR_INPUT_QOS))
         for kind, topic, callback, qos in inputs:
-            self.create_owned_subscription(kind, topic, callback, qos, raw=kind not in {ContactState, String})
+            self.create_owned_subscription(kind, topic, callback, qos, raw=True)
         self.create_owned_trigger("~/reset", self._reset)
         self.create_owned_trigger("~/write_report", self._on_write_report)
 
-    def _on_contact_state(self, message: ContactState) -> None:
-        if self.active:
-            if not message.watchdog:
-                self._contact_states[message.contact_point] += 1
-            self._publish(self._validator.add_state(contact_from(message), self.now_ns()))
+    def _on_contact_states(self, data: bytes) -> None:
+        if not self.active:
+            return
+        try:
+            decision = decode_contact_states(data)
+        except DecodeError as error:
+            self._undecodable[str(error)] += 1
+            return
+        if not decision.watchdog:
+            self._contact_points.update(contact.contact_point for contact in decision.contacts)
+        self._publish(self._validator.add_decision(decision, self.now_ns()))
 
     def _on_impact(self, data: bytes) -> None:
         if not self.active:
@@ -118,44 +113,26 @@ class ValidatorNode(LifecycleBase):
 
     def _on_run_info(self, data: bytes) -> None:
         try:
-            self._begin_run(decode_run_info(data))
-        except DecodeError as error:
-            self._refuse_run(error)
-
-    def _on_recording_info(self, message: String) -> None:
-        """Read run information in the JSON format of older recordings; ignore other text."""
-        if info := run_info_from_json(message.data):
-            self._begin_run(info)
-
-    def _begin_run(self, info: values.RunInfo) -> None:
-        try:
-            late = self._validator.begin_run(info, self.now_ns())
-            if late:
-                self.get_logger().error(
-                    f"{topics.RUN_INFO}: arrived after {late} impacts of its run: they do not count"
-                )
-        except SettingsError as error:
-            self._refuse_run(error)
-
-    def _refuse_run(self, error: EffmassError) -> None:
-        """Set the obstacle mass to unknown, so that no prediction uses the mass of another run."""
-        self.get_logger().error(f"{topics.RUN_INFO}: {error}; the obstacle mass is not known until the next RunInfo")
-        self._validator.runs.forget_obstacle(self.now_ns())
+            late = self._validator.begin_run(decode_run_info(data), self.now_ns())
+        except (DecodeError, SettingsError) as error:
+            unknown = "the obstacle mass is not known until the next RunInfo"
+            self.get_logger().error(f"{topics.RUN_INFO}: {error}; {unknown}")
+            self._validator.runs.forget_obstacle(self.now_ns())  # else predictions would use the mass of another run
+            return
+        if late:
+            self.get_logger().error(f"{topics.RUN_INFO}: arrived after {late} impacts of its run: they do not count")
 
     def _publish(self, impacts: Iterable[ValidatedImpact]) -> None:
         for impact in impacts:
-            message = ImpactValidation(**{name: getattr(impact, name) for name in _COMMON_FIELDS})
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(impact.stamp_ns, _NS)
-            message.header.frame_id = impact.frame_id
-            self._publisher.publish(message)
+            self._publisher.publish(impact_validation_message(impact))
             self._log.event(
                 impact_text(impact), DiagnosticStatus.ERROR if impact.exceeds_limit else DiagnosticStatus.OK
             )
 
     def _statuses(self) -> list[DiagnosticStatus]:
-        contact_states, self._contact_states = self._contact_states, Counter()
+        contact_points, self._contact_points = self._contact_points, set()
         force = (topics.FORCE, "ForceBlock") if self._settings.find_impacts else (topics.IMPACT, "Impact")
-        inputs = ((topics.CONTACT_STATE, "ContactState"), force)
+        inputs = ((topics.CONTACT_STATES, "ContactStates"), force)
         unheard = (no_publisher(self, topic, f"scara_effmass_msgs/msg/{kind}") for topic, kind in inputs)
         return [
             series_status(
@@ -163,7 +140,7 @@ class ValidatorNode(LifecycleBase):
                 self._undecodable,
                 self.incompatible_qos,
                 unheard=next(filter(None, unheard), ""),
-                contact_states=contact_states,
+                contact_points=contact_points,
                 robot=Path(self._settings.robot or "omron_i4_550l").stem,
             )
         ]

@@ -7,35 +7,35 @@ from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from functools import partial
-from typing import Any
 
-from scara_effmass_msgs.msg import ContactState, RunInfo
+from scara_effmass_msgs.msg import ContactStates, RunInfo
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
 from scara_effmass import values
+from scara_effmass.cell.status import CellStatus
+from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.pose_geometry import pose_geometry
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.cell_client import ContactStateReader
-from scara_effmass.nodes.lifecycle import LifecycleBase, run, with_info
+from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.markers import contact_markers, robot_markers, stamped
 from scara_effmass.nodes.robot_input import use_robot
-from scara_effmass.safety import unknown_contact
-from scara_effmass.safety.cell_status import CellStatus
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety import unknown_assessments, unknown_contact
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed, tunable
-from scara_effmass.values import ContactAssessment, Vector3, Verdict
+from scara_effmass.values import Decision, Vector3
 from scara_effmass.wire import topics
 from scara_effmass.wire.cdr import NS
+from scara_effmass.wire.contact_states import decode_contact_states
 from scara_effmass.wire.joint_state import JointStateDecoder
 from scara_effmass.wire.run_info import decode_run_info
 
-Received = deque[tuple[bytes, int, int]]
-"""Serialized messages, each with the number that its publisher gave it and the monotonic time of its arrival [ns]."""
+Received = deque[tuple[bytes, int]]
+"""Serialized messages, each with the monotonic time of its arrival [ns]."""
 
 _NO_ROBOT_FRAME = "base_link"
 _LIFETIME_PERIODS = 5
@@ -57,7 +57,7 @@ class NodeSettings(parameters.NodeParameters, MonitorSettings):
 
 
 class VisualizationNode(LifecycleBase):
-    """Subscribes to `joint_states` and `contact_state`, best effort; publishes `effective_mass_markers`."""
+    """Subscribes to `joint_states` and `contact_states`, best effort; publishes `effective_mass_markers`."""
 
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for an invalid one."""
@@ -74,7 +74,6 @@ class VisualizationNode(LifecycleBase):
         self._contact_states: Received = deque(maxlen=_CONTACT_STATES)
         self._decoder = JointStateDecoder()
         self._status = CellStatus(time.monotonic_ns())
-        self._reader = ContactStateReader(self._status)
         self._shown: set[tuple[str, int]] = set()
         self._refuse_robot("")
         use_robot(self, lambda: self._settings, self._use_robot, self._refuse_robot)
@@ -82,9 +81,9 @@ class VisualizationNode(LifecycleBase):
         best_effort = topics.STREAM_QOS._replace(reliable=False)  # the monitor waits for no acknowledgement
         for kind, topic, received in (
             (JointState, topics.JOINT_STATES, self._joint_states),
-            (ContactState, topics.CONTACT_STATE, self._contact_states),
+            (ContactStates, topics.CONTACT_STATES, self._contact_states),
         ):
-            self.create_owned_subscription(kind, topic, with_info(partial(_keep, received)), best_effort, raw=True)
+            self.create_owned_subscription(kind, topic, partial(_keep, received), best_effort, raw=True)
         self.create_owned_subscription(RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS, raw=True)
         self.create_steady_timer(1.0 / self._settings.rate, self._publish)
         self.create_status_timer(self._settings.status_period, self._log_status)
@@ -128,25 +127,27 @@ class VisualizationNode(LifecycleBase):
             frame=dynamics.robot.base_frame if dynamics is not None else _NO_ROBOT_FRAME,
             lifetime_ns=round(_LIFETIME_PERIODS / settings.rate * NS),
         )
-        contacts = self._contacts()
+        decision = self._decision()
+        contacts = list(decision.contacts)
         pose = self._pose() if dynamics is not None else self._no_robot_reason
         places: dict[str, Vector3] = {}
         if dynamics is None or isinstance(pose, str):
-            contacts.append(unknown_contact("", str(pose), 0, 0.0))
+            contacts.append(unknown_contact("", str(pose)))
         else:
-            geometry = pose_geometry(dynamics, pose.position)
+            geometry = pose_geometry(dynamics.robot, dynamics.lumped, pose.position)
             places = geometry.contact_points
             for marker in robot_markers(geometry):
                 yield stamp(marker, stamp_ns=pose.stamp_ns)
         scales = {"ellipsoid_scale": settings.ellipsoid_scale, "arrow_scale": settings.arrow_scale}
-        for marker in contact_markers(contacts, places, simulated=self._simulated, **scales):
-            yield stamp(marker, stamp_ns=contacts[marker.id].stamp_ns)
+        normal, simulated = decision.contact_normal, self._simulated
+        for marker in contact_markers(contacts, places, normal, simulated=simulated, **scales):
+            yield stamp(marker, stamp_ns=decision.stamp_ns)
 
     def _pose(self) -> values.JointState | str:
         """Return the latest joint state with the positions in the robot's order, or why there is none."""
         reason = "no joint state"
         oldest_ns = time.monotonic_ns() - self._status.timeout_ns
-        for data, _, at_ns in reversed(self._joint_states):
+        for data, at_ns in reversed(self._joint_states):
             try:
                 state = self._decoder.decode(data)
             except DecodeError as error:
@@ -158,25 +159,25 @@ class VisualizationNode(LifecycleBase):
             reason = q
         return reason
 
-    def _contacts(self) -> list[ContactAssessment]:
-        """Return the latest state of each contact point, all UNKNOWN without messages of the monitor."""
+    def _decision(self) -> Decision:
+        """Return the latest decision, or UNKNOWN at its contact points without messages of the monitor."""
         status = self._status
-        for data, sequence_number, at_ns in self._contact_states:
+        for data, at_ns in self._contact_states:
             with suppress(DecodeError):  # no news, as silence
-                self._reader.take(data, sequence_number, at_ns)
+                status.take_decision(decode_contact_states(data), at_ns)
         self._contact_states.clear()
-        self._reader.finish()
         deadline_s = topics.verdict_qos(self._settings.timeout).deadline_s
-        status.take_publisher(round(deadline_s * NS), exists=bool(self.count_publishers(topics.CONTACT_STATE)))
+        status.take_publisher(round(deadline_s * NS), exists=bool(self.count_publishers(topics.CONTACT_STATES)))
         status.update(time.monotonic_ns())
-        cause = status.contacts.get(status.contact_point)
-        if status.verdict is Verdict.UNKNOWN and (cause is None or cause.reason != status.reason):
-            return [unknown_contact(name, status.reason, 0, 0.0) for name in status.contacts or ("",)]
-        return list(status.contacts.values())
+        decision = status.decision
+        if decision is not None and (status.verdict, status.reason) == (decision.verdict, decision.reason):
+            return decision
+        names = tuple(contact.contact_point for contact in status.contacts) or ("",)
+        return unknown_assessments(Reason.STATED, status.reason, points=names).decision(0)
 
 
-def _keep(received: Received, data: bytes, info: dict[str, Any]) -> None:
-    received.append((data, info["publication_sequence_number"] or 0, time.monotonic_ns()))
+def _keep(received: Received, data: bytes) -> None:
+    received.append((data, time.monotonic_ns()))
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -1,30 +1,59 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Assess joint states: the verdict and the allowable speed of each contact point."""
+"""Assess joint states: the verdict and the allowable speed of each contact point.
+
+One path for one joint state and for many: admission, numbers, debouncing and latch, in order.
+"""
 
 from __future__ import annotations
 
 import math
+from struct import Struct
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from scara_effmass.errors import EffmassError, RobotError
-from scara_effmass.iso15066 import SpeedLimits, limits_for
-from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.safety.contact_assessor import ContactAssessor
-from scara_effmass.safety.debounce import UNKNOWN, VIOLATION, VerdictDebouncer, severity
-from scara_effmass.safety.joint_state_adapter import JointStateAdapter, suggested_map
-from scara_effmass.safety.joint_state_validator import NANOSECONDS, JointStateValidator, Motion, OtherDevice
-from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import (
-    NAN,
-    ZERO_VECTOR,
-    ContactAssessment,
-    Decision,
-    JointState,
-    Payload,
-    Verdict,
+from scara_effmass.codes import Reason
+from scara_effmass.errors import EffmassError, KernelError, RobotError
+from scara_effmass.iso15066 import Limit, limits_for
+from scara_effmass.kernel import jit
+from scara_effmass.kernel.admission import METRES_PER_RADIAN, NANOSECONDS, WINDOW_S, admit, forget_all
+from scara_effmass.kernel.contact_kernel import ContactKernel, too_large
+from scara_effmass.kernel.records import CONTACT, IntArray
+from scara_effmass.kernel.settle import settle
+from scara_effmass.kernel.state import (
+    CODE,
+    DEBOUNCE,
+    DETAIL,
+    JOINT_MEMORY,
+    MEMORY,
+    NO_SEQUENCE,
+    RULES,
+    STATE,
+    VALUES,
 )
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety.assessments import Assessments, Records, unknown_numbers
+from scara_effmass.safety.joint_state_adapter import JointStateAdapter, Layout, suggested_map
+from scara_effmass.safety.reasons import NO_TEXTS, ReasonTexts
+from scara_effmass.safety.second_channel import ReferenceChannel
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import Decision, FloatArray, JointState, Payload, Verdict
+
+CHECK_INTERVAL = 2000
+"""Number of joint states of which one is compared with the reference."""
+TRIALS = 24
+"""Number of joint states at which kernel and reference are compared when the kernel is compiled."""
+CLOCK_STEPS = 10
+"""Number of steps of a simulated clock that are remembered."""
+DEFAULT_MAX_SPEED = (60.0, 10.0)
+"""Maximum speed of a revolute [rad/s] and of a prismatic joint [m/s] whose description states none."""
+MAX_DETAILS = 10_000
+"""Number of different texts of reasons that are kept."""
+OTHER_DETAIL = "one of too many different reasons"
+HEAD, REASON_HEAD = Struct("3q"), Struct("3d")
+"""Layout of the first three fields of a State, and of a reason."""
+REASON_AT = STATE.fields["reason"][1]
 
 
 class Cause(NamedTuple):
@@ -36,96 +65,181 @@ class Cause(NamedTuple):
     reason: str
 
 
-class Admitted(NamedTuple):
-    """The motion in a joint state, None if it is refused for `reason`.
+class Pending(NamedTuple):
+    """N joint states between two steps of the assessment.
 
-    With a motion, `reason` names the gap before it, from which on UNKNOWN is held; it is empty without a gap. `age` and
-    the `delay` of the velocity are in [s].
+    `records` (N,) are `State`s and `states` their bytes; `motions` (N, 4, n) are q, qd, tolerances of qd, and the
+    change of a filtered qd within its delay; `numbers` (N, P, fields) are those of the contacts, and `unknown` (fields,)
+    those of a contact without numbers.
     """
 
-    motion: Motion | None
-    reason: str
-    stamp_ns: int
-    age: float
-    delay: float = 0.0
+    records: Records
+    states: NDArray[np.uint8]
+    motions: FloatArray
+    numbers: FloatArray
+    kernel: ContactKernel | ReferenceChannel
+    unknown: FloatArray
+    texts: ReasonTexts
 
 
 class Monitor:
-    """Assesses joint states one by one. The same joint states give the same decisions, live and offline.
+    """Assesses joint states. The same joint states give the same assessments, live and offline, one by one or not.
 
-    `rejected` counts invalid joint states, `ignored` those of other devices. `first_cause` is what `latch` holds.
+    `ignored` counts joint states of other devices.
     """
 
-    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
-        """Watch the robot of `dynamics`.
+    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings, *, use_reference: bool = False) -> None:
+        """Watch the robot of `dynamics`; `use_reference`: compute with the reference in place of the kernel, slowly.
 
-        Raises LimitError or RobotError for `settings` that `check` refuses, and for a robot that is not in SI units.
+        Raises KernelError if the kernel cannot be compiled, LimitError or RobotError for `settings` that `check` refuses, and for a robot that is not in SI units.
         """
-        if reason := dynamics.robot.units_reason:
-            raise RobotError(f"{dynamics.robot.origin}: {reason}")
-        self.dynamics = dynamics
-        self.settings = settings
-        self._adapter = JointStateAdapter(dynamics.robot.joint_names, settings)
-        self.validator = JointStateValidator(dynamics.robot)
-        self._debouncers = {name: VerdictDebouncer() for name in dynamics.contact_points}
-        self.first_cause: Cause | None = None
-        self._had_valid_input = False
-        self._counts = [0] * len(Verdict)
-        self.rejected = 0
-        self.ignored = 0
+        robot = dynamics.robot
+        if reason := robot.units_reason:
+            raise RobotError(f"{robot.origin}: {reason}")
+        if jit.WHY_NOT and not use_reference:
+            raise KernelError(f"{jit.WHY_NOT}: repair it, or set use_reference to compute without it, slowly")
+        self.dynamics, self.settings = dynamics, settings
+        self._why_reference = "use_reference" if use_reference else too_large(robot)
         self.kernel_fault = ""
         """Where the kernel disagreed with the reference, which works alone since then; empty if nowhere."""
-        topic = settings.payload_topic
+        self._adapter = JointStateAdapter(robot.joint_names, settings)
+        self._rules, self._memory = np.zeros(1, RULES), np.zeros(1, MEMORY)
+        self._joints = np.zeros(robot.model.nv, JOINT_MEMORY)
+        self._debounces = np.zeros(len(dynamics.contact_points), DEBOUNCE)
+        self._details: list[str] = ["", *dynamics.contact_points, OTHER_DETAIL]
+        self._detail_index = {text: index for index, text in reversed([*enumerate(self._details)])}
+        self._clock_steps = [0] * CLOCK_STEPS
+        self._memory_bytes = tuple(
+            array.view(np.uint8) for array in (self._rules, self._memory, self._joints, self._debounces)
+        )
+        self.ignored = 0
         self._payload: Payload | None = None
-        self.payload_reason = f"no payload on {topic} yet" if topic else ""
-        """Why the payload is unknown, which makes every verdict UNKNOWN; empty if it is known."""
         self._other_names: tuple[str, ...] = ()
+        self._state_payload(f"no payload on {settings.payload_topic} yet" if settings.payload_topic else "")
+        forget_all(*self._memory_bytes[1:3])
         self.apply(settings)
 
-    def check(self, settings: MonitorSettings) -> SpeedLimits:
-        """Return the speed limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
+    def compile(self) -> None:
+        """Compile or load the kernel, by assessing one joint state without a trace. Raises KernelError.
+
+        Compare it with the reference, too, which reveals a faulty compiler or cache.
+        """
+        robot, trial = self.dynamics.robot, self._new_pending(TRIALS)
+        trial.records["stamp_ns"] = trial.records["now_ns"] = np.arange(1, TRIALS + 1)
+        trial.motions[:, 0] = q = robot.sample_configurations(TRIALS)
+        # Some at rest, fast ones, and each joint in both directions.
+        qd = np.cos(np.outer(np.arange(TRIALS) % 7, np.arange(1.0, q.shape[1] + 1.0)))
+        trial.motions[:, 1] = qd * (np.arange(TRIALS) % 3)[:, None]
+        rules, memory, joints, debounces = (array.copy() for array in self._memory_bytes)
+        try:
+            admit(trial.states, trial.motions, rules, memory, joints)
+            trial.records["is_admitted"] = 1
+            self.compute(trial)
+            fields = map(self._reference.difference, trial.motions, trial.numbers)
+            field = next(filter(None, fields), "")
+            settle(trial.states, trial.numbers, trial.unknown, rules, memory, debounces)
+        except Exception as error:
+            raise KernelError(
+                f"the kernel cannot be compiled: {error!r}: set use_reference to do without it"
+            ) from error
+        if field and not self._why_reference:
+            self._doubt(field)
+
+    def check(self, settings: MonitorSettings) -> tuple[Limit, ...]:
+        """Return the limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
         if settings.payload != self.settings.payload:
             self.dynamics.robot.rebuild(settings)
-        q = np.zeros(self.dynamics.robot.model.nv)
-        self.dynamics.in_base(q, settings.fixed_normal or ZERO_VECTOR, settings.contact_normal_frame)
-        self.dynamics.in_base(q, ZERO_VECTOR, settings.test_direction_frame, "test_direction_frame")
-        return SpeedLimits(limits_for(settings), settings)
+        self.dynamics.frame_index(settings.contact_normal_frame, "contact_normal_frame")
+        self.dynamics.frame_index(settings.test_direction_frame, "test_direction_frame")
+        return limits_for(settings)
 
     def apply(self, settings: MonitorSettings) -> None:
         """Apply changed settings; of the robot, only the payload. Raises as `check`, and then changes nothing."""
         limits = self.check(settings)
         if settings.payload != self.settings.payload:
             self.dynamics = self.dynamics.with_payload(settings)
-        self.settings = settings
-        self._limits = limits
-        self._reference_speed = settings.reference_speed
-        self.assessor = ContactAssessor(self.dynamics, settings, limits)
-        """Assesses one joint state by itself, for the present settings and payload."""
+        self.settings, self._limits = settings, limits
         self._adapter.apply(settings)
-        self.validator.apply(settings)
-        for debouncer in self._debouncers.values():
-            debouncer.release_ns = round(settings.release_time * NANOSECONDS)
+        self._use_dynamics()
+        robot, rules, joints = self.dynamics.robot, self._rules, self._joints
+        rules["timeout_ns"] = round(settings.timeout * NANOSECONDS)
+        rules["velocity_tolerance"], rules["max_lag"] = settings.velocity_tolerance, settings.max_velocity_lag
+        rules["release_ns"] = round(settings.release_time * NANOSECONDS)
+        rules["latches"], rules["reference_speed"] = settings.latch, settings.reference_speed
+        self._allow_future()
+        speeds = robot.model.velocityLimit
+        defaults = np.where(robot.revolute, *DEFAULT_MAX_SPEED)
+        max_speeds = np.where((speeds > 0.0) & (speeds < math.inf), speeds, defaults)
+        joints["lower"] = robot.model.lowerPositionLimit - settings.joint_limit_tolerance
+        joints["upper"] = robot.model.upperPositionLimit + settings.joint_limit_tolerance
+        joints["max_speed"] = max_speeds * (1.0 + settings.joint_speed_tolerance)
+        joints["position_tolerance"] = settings.position_tolerance * self._per_joint
+
+    def _use_dynamics(self) -> None:
+        """Compute with the present settings and payload from the next joint state on."""
+        settings, robot = self.settings, self.dynamics.robot
+        self._texts = ReasonTexts.of(self.dynamics, settings, self._limits)
+        self._reference = ReferenceChannel(self.dynamics, settings, self._limits)
+        if self._why_reference:
+            self._kernel: ContactKernel | ReferenceChannel = self._reference
+        else:
+            self._kernel = ContactKernel(self.dynamics, settings, self._limits)
+        self._until_check = CHECK_INTERVAL
+        self._unknown = unknown_numbers(0.0 if robot.masses_reason else robot.iso_mass)
+        self._normal = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
+        self._points = self.dynamics.contact_points
+        self._single = self._new_pending(1)
+        self._single_q, self._single_qd = self._single.motions[0, :2]
+
+    @property
+    def core(self) -> str:
+        """What computes the numbers: the kernel, or the reference and why."""
+        return f"reference: {self._why_reference}" if self._why_reference else "compiled kernel"
+
+    @property
+    def _per_joint(self) -> FloatArray:
+        """Factor (n,) of tolerances that are stated for revolute joints."""
+        return np.where(self.dynamics.robot.revolute, 1.0, METRES_PER_RADIAN)
+
+    @property
+    def rest_tolerance(self) -> FloatArray:
+        """Tolerance (n,) of the velocities of the first joint state, the smallest one [rad/s, m/s]."""
+        return np.asarray(self._joints["position_tolerance"] / WINDOW_S)
+
+    @property
+    def rejected(self) -> int:
+        """Number of invalid joint states."""
+        return int(self._memory["rejected"][0])
 
     @property
     def verdicts(self) -> dict[Verdict, int]:
         """Number of contact assessments per verdict, those of the watchdog included."""
-        return {verdict: self._counts[verdict] for verdict in Verdict}
+        return {verdict: int(self._memory["counts"][0, verdict]) for verdict in Verdict}
+
+    @property
+    def first_cause(self) -> Cause | None:
+        """What `latch` holds."""
+        memory = self._memory[0]
+        if not memory["has_cause"]:
+            return None
+        reason = self._texts.text(memory["cause_reason"], self._details)
+        point = self._details[memory["cause_point"]]
+        return Cause(int(memory["cause_stamp_ns"]), point, Verdict(int(memory["cause_verdict"])), reason)
+
+    @first_cause.setter
+    def first_cause(self, cause: Cause | None) -> None:
+        memory = self._memory[0]
+        memory["has_cause"] = cause is not None
+        if cause is not None:
+            memory["cause_stamp_ns"], memory["cause_verdict"] = cause.stamp_ns, cause.verdict
+            memory["cause_point"] = self._detail(cause.contact_point)
+            memory["cause_reason"] = 0.0
+            memory["cause_reason"][[CODE, DETAIL]] = Reason.STATED, self._detail(cause.reason)
 
     @property
     def payload_text(self) -> str:
         """The payload with its sources, or why it is unknown."""
         return self.payload_reason or self.dynamics.robot.payload_text
-
-    @property
-    def lacks_kernel(self) -> bool:
-        """Whether the kernel of `assessor` has yet to be loaded, and none has failed before."""
-        return self.assessor.why_not is None and not self.kernel_fault
-
-    @property
-    def core(self) -> str:
-        """What computes the numbers: the kernel, or Pinocchio and why."""
-        why_not = self.kernel_fault or self.assessor.why_not
-        return "compiled kernel" if why_not == "" else f"Pinocchio: {why_not or 'the kernel is not loaded'}"
 
     @property
     def joint_map_hint(self) -> str:
@@ -135,51 +249,70 @@ class Monitor:
 
     def names_of(self, reported: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names that `joint_map` and `joint_names` give to the joints of a joint state."""
-        names = self._adapter.names_of(reported)
-        return reported if isinstance(names, str) else names
+        return self._adapter.layout(reported).names or reported
 
     def reset(self) -> None:
         """Clear the first cause, and with it a latched verdict."""
         self.first_cause = None
-        for debouncer in self._debouncers.values():
-            debouncer.clear()
+        self._forget_verdicts()
 
     def clear_history(self) -> None:
         """Discard earlier joint states: the node's clock jumped back, and the stamps follow."""
-        self.validator.reset()
-        for debouncer in self._debouncers.values():
-            debouncer.clear()
+        forget_all(*self._memory_bytes[1:3])
+        self._adapter.forget()
+        self._forget_verdicts()
+
+    def _forget_verdicts(self) -> None:
+        self._debounces["has_seen"] = self._debounces["is_stale"] = 0
 
     def take_clock_step(self, step_ns: int) -> None:
-        """Take the step [ns] by which a simulated clock advanced, for the tolerance of stamps that lead it."""
-        self.validator.take_clock_step(step_ns)
+        """Take the step [ns] of a simulated clock. Stamps may lead it by a step, because it stands still in between.
+
+        The second largest of the last CLOCK_STEPS counts, because a single large one may be a jump.
+        """
+        self._clock_steps = [*self._clock_steps[1:], step_ns]
+        self._allow_future()
+
+    def _allow_future(self) -> None:
+        rules, step_ns = self._rules, sorted(self._clock_steps)[-2]
+        tolerance_ns = round(self.settings.future_tolerance * NANOSECONDS)
+        rules["clock_step_ns"] = step_ns
+        rules["future_tolerance_ns"] = tolerance_ns + min(step_ns, int(rules["timeout_ns"][0]) // 2)
 
     def expect_commands(self, tolerance: float) -> None:
         """Give UNKNOWN unless each position is within `tolerance` [rad] of the latest command, [m / 4] if prismatic."""
-        self.validator.expect_commands(tolerance)
+        self._rules["expects_commands"] = tolerance > 0.0
+        self._joints["command_tolerance"] = tolerance * self._per_joint
 
     def take_command(self, command: JointState, now_ns: int) -> None:
-        """Take the positions that the controller commanded, received at `now_ns` on the node's clock."""
-        names = self._adapter.names_of(command.names)
-        if not isinstance(names, str):
-            self.validator.take_command(command._replace(names=names), now_ns)
+        """Take the positions that the controller commanded, received at `now_ns` on the node's clock.
+
+        A command without all joints is ignored.
+        """
+        layout = self._adapter.layout(command.names)
+        if layout.order.size and len(command.position) == len(layout.names):
+            self._joints["command"] = command.position[layout.order]
+            self._memory["command_ns"], self._memory["has_command"] = now_ns, 1
 
     def take_payload(self, payload: Payload | str) -> None:
         """Use the `payload` of `payload_topic` from the next joint state on.
 
         An impossible payload gives UNKNOWN, and so does a text that says why the payload is unknown.
         """
-        if isinstance(payload, str):
-            self.payload_reason = payload
+        self._state_payload(payload if isinstance(payload, str) else "")
+        if isinstance(payload, str) or payload == self._payload:
             return
-        self.payload_reason = ""
-        if payload != self._payload:
-            try:
-                self.dynamics = self.dynamics.with_payload(self.settings.with_payload(payload))
-                self.assessor = ContactAssessor(self.dynamics, self.settings, self._limits)
-                self._payload = payload
-            except EffmassError as error:
-                self.payload_reason = f"the payload is unknown: {error}"
+        try:
+            self.dynamics = self.dynamics.with_payload(self.settings.with_payload(payload))
+            self._use_dynamics()
+            self._payload = payload
+        except EffmassError as error:
+            self._state_payload(f"the payload is unknown: {error}")
+
+    def _state_payload(self, reason: str) -> None:
+        self.payload_reason = reason
+        """Why the payload is unknown, which makes every verdict UNKNOWN; empty if it is known."""
+        self._rules["payload_detail"] = self._detail(reason)
 
     def assess(self, state: JointState, now_ns: int, sequence_number: int | None = None) -> Decision | None:
         """Return the decision on `state`, received at `now_ns` on the node's clock.
@@ -189,162 +322,158 @@ class Monitor:
 
         None for a joint state that names none of the robot's joints: it belongs to another device.
         """
-        admitted = self.admit(state, now_ns, sequence_number)
-        if admitted is None:
+        assessments = self.assess_one(state, now_ns, sequence_number)
+        return None if assessments is None else assessments.decision(0)
+
+    def assess_one(self, state: JointState, now_ns: int, sequence_number: int | None = None) -> Assessments | None:
+        """Return the same as an array of one."""
+        layout = self._layout(state.names, 1)
+        if layout is None:
             return None
-        motion, reason, stamp_ns, age, delay = admitted
-        if motion is None:
-            return self._without_numbers(reason, stamp_ns, age)
-        if reason:
-            for debouncer in self._debouncers.values():
-                debouncer.mark_stale(reason)
-        contacts = self.assessor.assess_live(motion.q, motion.qd, motion.velocity_tolerance, stamp_ns, age, delay)
-        if isinstance(contacts, str):
-            self.kernel_fault = contacts
-            return self._without_numbers(contacts, stamp_ns, age)
-        # mypyc has no fast loop for zip with keywords; both have one entry per contact point.
-        pairs = zip(contacts, self._debouncers.values())  # noqa: B905
-        return self._decision(tuple([_debounced(contact, debouncer) for contact, debouncer in pairs]))
+        pending = self._single
+        number = NO_SEQUENCE if sequence_number is None else sequence_number
+        HEAD.pack_into(pending.states, 0, state.stamp_ns, now_ns, number)
+        REASON_HEAD.pack_into(pending.states, REASON_AT, layout.reason, layout.joint, self._detail(layout.detail))
+        self._read(pending, layout, state.position[None], state.velocity[None])
+        self.compute(pending)
+        self._until_check -= 1
+        if self._until_check <= 0:
+            self._compare(pending)
+        return self.settle(pending)
 
-    def admit(self, state: JointState, now_ns: int, sequence_number: int | None = None) -> Admitted | None:
-        """Return the motion in `state`, or why it is refused, as `assess` does before it computes numbers.
+    def _compare(self, pending: Pending) -> None:
+        """Compare the kernel with the reference; where they disagree, the reference works alone from then on."""
+        self._until_check = CHECK_INTERVAL
+        if self._why_reference or not pending.records["is_admitted"][0]:
+            return
+        field = self._reference.difference(pending.motions[0], pending.numbers[0])
+        if field:
+            self._doubt(field)
+            pending.records["is_admitted"] = 0
+            pending.records["reason"][0, [CODE, DETAIL]] = Reason.KERNEL_DISAGREES, self._detail(field)
 
-        None for a joint state of another device.
+    def _doubt(self, field: str) -> None:
+        """Compute with the reference from now on."""
+        self.kernel_fault = self._why_reference = f"the compiled kernel disagrees with the reference in {field}"
+        self._use_dynamics()
+
+    def admit(
+        self, names: tuple[str, ...], stamps: IntArray, clocks: IntArray, position: FloatArray, velocity: FloatArray
+    ) -> Pending | None:
+        """Return N joint states with the same `names`, admitted or refused; None if they are of another device.
+
+        `stamps` and `clocks` (N,) are header stamps and times of arrival [ns], `position` and `velocity` (N, k).
         """
-        validator = self.validator
-        if self.went_back(now_ns):
-            self.clear_history()
-        previous_ns = validator.last_stamp_ns
-        adapted = self._adapter.adapt(state) if self._adapter.is_needed else state
-        motion = adapted if isinstance(adapted, str) else validator.validate(adapted, now_ns, sequence_number)
-        if isinstance(motion, OtherDevice):
-            self.ignored += 1
-            self._other_names = motion.names
+        layout = self._layout(names, len(stamps))
+        if layout is None:
             return None
-        age = (now_ns - state.stamp_ns) / 1e9 if state.stamp_ns > 0 else 0.0
-        if isinstance(motion, str):
-            self.rejected += 1
-            return Admitted(None, motion, max(state.stamp_ns, 0) or now_ns, age)
-        if self.payload_reason:
-            return Admitted(None, self.payload_reason, state.stamp_ns, age)
-        reason = ""
-        if previous_ns and state.stamp_ns - previous_ns > validator.timeout_ns:
-            reason = f"no joint state for {(state.stamp_ns - previous_ns) / 1e9:.3f} s"
-        if self._adapter.is_needed:
-            pairs = zip(motion.velocity_tolerance, self._adapter.velocity_change, strict=True)
-            motion = motion._replace(velocity_tolerance=[tolerated + change for tolerated, change in pairs])
-        return Admitted(motion, reason, state.stamp_ns, age, self._adapter.delay_s)
+        pending = self._new_pending(len(stamps))
+        records = pending.records
+        records["stamp_ns"], records["now_ns"], records["sequence"] = stamps, clocks, NO_SEQUENCE
+        records["reason"][:, : DETAIL + 1] = layout.reason, layout.joint, self._detail(layout.detail)
+        self._read(pending, layout, position, velocity)
+        return pending
 
-    def went_back(self, now_ns: int) -> bool:
-        """Return whether system time was set back, which raises no jump callback."""
-        return self.validator.last_stamp_ns > now_ns + self.validator.future_tolerance_ns
+    def compute(self, pending: Pending) -> None:
+        """Compute the contacts of the admitted joint states; several threads may do so at once."""
+        pending.kernel.compute(pending.states, pending.motions, pending.numbers)
 
-    def reject(self, reason: str, stamp_ns: int = 0, age: float = 0.0) -> Decision:
-        """Return the decision on a joint state that is invalid for `reason`, such as undecodable bytes."""
-        self.rejected += 1
-        return self._without_numbers(reason, stamp_ns, age)
+    def settle(self, pending: Pending) -> Assessments:
+        """Return the assessments of joint states that are computed, in the order of admission."""
+        rules, memory, _, debounces = self._memory_bytes
+        settle(pending.states, pending.numbers, pending.unknown, rules, memory, debounces)
+        states, numbers = pending.states, pending.numbers
+        if pending is self._single:
+            states, numbers = states.copy(), numbers.copy()
+        return Assessments(states, numbers, self._points, self._normal, self._details, pending.texts)
 
-    def _without_numbers(self, reason: str, stamp_ns: int, age: float) -> Decision:
-        """Return UNKNOWN for every contact point, and hold it."""
-        for debouncer in self._debouncers.values():
-            debouncer.mark_stale(reason)
-        return self._decision(tuple(self._unknown(name, reason, stamp_ns, age) for name in self._debouncers))
+    def refuse(self, reason: Reason, detail: str, stamp_ns: int, age: float = 0.0, seconds: float = 0.0) -> Pending:
+        """Return one joint state that is invalid for `reason`, such as undecodable bytes, to be settled."""
+        self._memory["rejected"] += 1
+        return self._unknown_state(reason, detail, stamp_ns, age, seconds)
 
-    def watchdog_decision(self, elapsed_ns: int, now_ns: int = 0) -> Decision:
-        """Return the decision when no joint state has come for `elapsed_ns` of steady time.
+    def watchdog_decision(self, elapsed_ns: int, now_ns: int = 0) -> Assessments:
+        """Return UNKNOWN because no joint state has come for `elapsed_ns` of steady time.
 
         Its stamp is that of the last valid joint state, or `now_ns` on the node's clock if there was none.
         It does not affect later verdicts: those depend on the gap between header stamps alone.
         """
-        last_ns, seconds = self.validator.last_stamp_ns, elapsed_ns / 1e9
-        reason = f"no joint state for {seconds:.2f} s" if last_ns else "no joint state yet"
-        if self.ignored:
-            reason += f" ({self.ignored} named none of the robot's joints){self.joint_map_hint}"
-        contacts = [self._unknown(name, reason, last_ns or now_ns, seconds) for name in self._debouncers]
-        return self._decision(tuple(contact._replace(watchdog=True) for contact in contacts))
+        last_ns, seconds = int(self._memory["last_stamp_ns"][0]), elapsed_ns / 1e9
+        hint = f" ({self.ignored} named none of the robot's joints){self.joint_map_hint}" if self.ignored else ""
+        reason = Reason.SILENCE if last_ns else Reason.NO_JOINT_STATE
+        pending = self._unknown_state(reason, hint, last_ns or now_ns, seconds, seconds)
+        pending.records["is_watchdog"] = 1
+        return self.settle(pending)
 
-    def _decision(self, contacts: tuple[ContactAssessment, ...]) -> Decision:
-        """Return the decision on all contact points, latched if so set; note the first cause."""
-        min_allowable_speed, min_scaling = math.inf, 1.0
-        for contact in contacts:
-            verdict, allowable_speed = contact.verdict, contact.allowable_speed
-            min_allowable_speed = min(min_allowable_speed, allowable_speed)
-            reference_speed = self._reference_speed or contact.speed
-            if verdict is UNKNOWN or allowable_speed <= 0.0:
-                min_scaling = 0.0
-            elif reference_speed > allowable_speed:
-                min_scaling = min(min_scaling, allowable_speed / reference_speed)
-            self._counts[verdict] += 1
-            if verdict is not UNKNOWN:
-                self._had_valid_input = True
-                if verdict is not VIOLATION:
-                    continue
-            if self._had_valid_input and self.first_cause is None:
-                self.first_cause = Cause(contact.stamp_ns, contact.contact_point, verdict, contact.reason)
-        cause = self.first_cause
-        if cause is not None and self.settings.latch:
-            return Decision(tuple(_latched(contact, cause) for contact in contacts), 0.0, 0.0)
-        return Decision(contacts, min_allowable_speed, min_scaling)
+    def assess_configurations(self, q: FloatArray, qd: FloatArray) -> Assessments:
+        """Return the assessments of configurations `q` (N, n) with velocities `qd` (N, n), each by itself.
 
-    def _unknown(self, name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:
-        return unknown_contact(name, reason, stamp_ns, age)._replace(iso_mass=self.assessor.iso_mass)
+        The velocities count as accurate as those of a first joint state.
+        """
+        pending = self._new_pending(len(q))
+        pending.records["is_admitted"] = 1
+        pending.motions[:, 0], pending.motions[:, 1], pending.motions[:, 2] = q, qd, self.rest_tolerance
+        self.compute(pending)
+        return Assessments(pending.states, pending.numbers, self._points, self._normal, self._details, self._texts)
+
+    def _new_pending(self, count: int) -> Pending:
+        records = np.zeros(count, STATE)
+        points, joints = len(self.dynamics.contact_points), len(self._joints)
+        numbers = np.empty((count, points, CONTACT.itemsize // 8))
+        motions = np.zeros((count, 4, joints))
+        return Pending(records, records.view(np.uint8), motions, numbers, self._kernel, self._unknown, self._texts)
+
+    def _layout(self, names: tuple[str, ...], count: int) -> Layout | None:
+        """Return the layout of joint states with these names; None, counted, for those of another device."""
+        layout = self._adapter.layout(names)
+        if layout.is_foreign:
+            self.ignored += count
+            self._other_names = layout.names
+            return None
+        return layout
+
+    def _read(self, pending: Pending, layout: Layout, position: FloatArray, velocity: FloatArray) -> None:
+        """Put the joint states in order, and admit or refuse them."""
+        if layout.reason is not Reason.NONE:
+            pending.records["reason"][:, VALUES] = layout.value
+        else:
+            reason, values = self._adapter.read(layout, position, velocity, pending.motions)
+            if reason is not Reason.NONE:
+                pending.records["reason"][:, [CODE, VALUES, VALUES + 1]] = reason, *values
+            elif (filtered := self._adapter.filter(layout, pending.records["stamp_ns"], pending.motions)) is not None:
+                pending.records["delay"], known = filtered
+                pending.records["reason"][~known, CODE] = Reason.LONE_POSITION
+        rules, memory, joints, _ = self._memory_bytes
+        admit(pending.states, pending.motions, rules, memory, joints)
+
+    def _unknown_state(self, reason: Reason, detail: str, stamp_ns: int, age: float, seconds: float) -> Pending:
+        pending = self._new_pending(1)
+        record = pending.records[0]
+        record["stamp_ns"], record["age"] = max(stamp_ns, 0), age
+        record["reason"][[CODE, DETAIL, VALUES]] = reason, self._detail(detail), seconds
+        return pending
+
+    def _detail(self, text: str) -> int:
+        """Return the number of a text of reasons; of too many different ones, that of a general one."""
+        index = self._detail_index.get(text)
+        if index is None:
+            if len(self._details) >= MAX_DETAILS:
+                return self._detail_index[OTHER_DETAIL]
+            index = self._detail_index[text] = len(self._details)
+            self._details.append(text)
+        return index
 
 
-def unknown_decision(
-    reason: str, stamp_ns: int = 0, contact_points: tuple[str, ...] = ("",), *, watchdog: bool = False
-) -> Decision:
-    """Return a decision without a monitor: UNKNOWN for each contact point; `watchdog`: it answers no joint state.
+def unknown_assessments(
+    reason: Reason, detail: str = "", stamp_ns: int = 0, points: tuple[str, ...] = ("",), *, watchdog: bool = False
+) -> Assessments:
+    """Return UNKNOWN for each contact point without a monitor; `watchdog`: it answers no joint state.
 
     Without a robot there is one contact point, without a name.
     """
-    contacts = (unknown_contact(name, reason, stamp_ns, 0.0) for name in contact_points)
-    return Decision(tuple(contact._replace(watchdog=watchdog) for contact in contacts), 0.0, 0.0)
-
-
-def unknown_contact(name: str, reason: str, stamp_ns: int, age: float) -> ContactAssessment:
-    """Return an UNKNOWN without numbers: all are 0, the masses of the models NaN."""
-    return ContactAssessment(
-        stamp_ns=max(stamp_ns, 0),
-        contact_point=name,
-        direction=ZERO_VECTOR,
-        speed=0.0,
-        effective_mass=0.0,
-        lumped_mass=NAN,
-        full_mass=NAN,
-        iso_mass=0.0,
-        worst_direction_mass=0.0,
-        obstacle_mass=0.0,
-        reduced_mass=0.0,
-        stiffness=0.0,
-        predicted_force=0.0,
-        allowable_speed=0.0,
-        margin=0.0,
-        body_region="",
-        criterion="",
-        verdict=Verdict.UNKNOWN,
-        reason=reason,
-        input_age=age,
-        worst_direction_used=False,
-        mass_capped=False,
-        smallest_singular_value=0.0,
-    )
-
-
-def _debounced(contact: ContactAssessment, debouncer: VerdictDebouncer) -> ContactAssessment:
-    """Return `contact` with its debounced verdict and reason, and nothing allowed under UNKNOWN."""
-    own = contact.verdict
-    verdict, reason = debouncer.update(own, contact.reason, contact.stamp_ns)
-    if verdict is own:
-        return contact
-    if verdict is UNKNOWN:
-        return contact._replace(verdict=verdict, reason=reason, allowable_speed=0.0, margin=-contact.speed)
-    return contact._replace(verdict=verdict, reason=reason)
-
-
-def _latched(contact: ContactAssessment, cause: Cause) -> ContactAssessment:
-    """Return `contact` with the worse of its own and the latched verdict, and nothing allowed."""
-    if severity(contact.verdict) > severity(cause.verdict):
-        return contact
-    point = f"{cause.contact_point}: " if cause.contact_point else ""
-    reason = f"latched until reset: {point}{cause.reason}"
-    return contact._replace(verdict=cause.verdict, reason=reason, allowable_speed=0.0, margin=-contact.speed)
+    record = np.zeros(1, STATE)
+    record["stamp_ns"], record["is_watchdog"] = max(stamp_ns, 0), watchdog
+    numbers = np.tile(unknown_numbers(), (1, len(points), 1))
+    numbers.view(CONTACT)["reason"][..., [CODE, DETAIL]] = reason, 1.0
+    record["verdict"] = Verdict.UNKNOWN
+    return Assessments(record.view(np.uint8), numbers, points, "", ("", detail), NO_TEXTS)

@@ -1,115 +1,166 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Texts of verdicts: which model decides and why, and the reason if the verdict is not OK."""
+"""Texts of verdicts: which model decides and why, and the reason if the verdict is not OK. Codes are in `codes`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
-from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, SpeedLimits
-from scara_effmass.kernel import records as codes
-from scara_effmass.kernel.records import OFFSETS
-from scara_effmass.model.dynamics import LUMPED_NOT_DEFINITE, RobotDynamics, massless_text
+from scara_effmass.codes import Reason
+from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, Limit
+from scara_effmass.kernel.state import CODE, DETAIL, HELD, JOINT, LATCHED, VALUES
 from scara_effmass.model.lumping import lumped_suffices
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import FloatArray
 
-NO_CLAMPING_FORCE = (
-    "the clamping force is unknown: state effort limits in the robot file that carry the arm, or external_force_limit"
-)
+NOT_DEFINITE = "the lumped mass matrix is singular or not positive definite at this pose"
 MASSLESS = "a joint moves the contact point, but no lumped mass"
 MODELS = ("", "lumped", "full", "iso")
 CRITERIA = ("", "force", "pressure")
+HELD_AFTER = "held after: "
+"""Prefix of the reason of a verdict that is held from an earlier joint state."""
+LATCHED_UNTIL_RESET = "latched until reset: "
+
+TEXTS = {
+    Reason.NONE: "",
+    Reason.UNDECODABLE: "{detail}",
+    Reason.NO_NAMES: "the joint state has no names",
+    Reason.EMPTY_NAME: "name {v[0]:.0f} of the joint state is empty",
+    Reason.NAMED_TWICE: "joint {detail} is named twice",
+    Reason.MISSING_JOINT: "joint {joint} is missing{detail}",
+    Reason.SEVERAL_NAMES: "joint_map gives joint {detail}",
+    Reason.POSITION_COUNT: "{v[0]:.0f} positions for {v[1]:.0f} names",
+    Reason.VELOCITY_COUNT: "{v[0]:.0f} velocities for {v[1]:.0f} names",
+    Reason.NO_VELOCITY: "the velocity is empty: set velocity_source to from_positions",
+    Reason.LONE_POSITION: "the velocity is empty, and one joint state alone cannot be differentiated",
+    Reason.SECOND_PUBLISHER: (
+        "a second publisher, or a restarted one: joint state number {v[0]:.0f} follows number {v[1]:.0f}"
+    ),
+    Reason.ZERO_STAMP: "the header stamp is zero",
+    Reason.FUTURE_STAMP: "the header stamp is {v[0]:.3f} s in the future",
+    Reason.COARSE_CLOCK: (
+        "the header stamp is {v[0]:.3f} s in the future: /clock moves in steps of {v[1]:.3f} s, above half of timeout"
+    ),
+    Reason.OLD_STAMP: "the joint state is {v[0]:.3f} s old",
+    Reason.REPEATED_STAMP: "the header stamp is repeated",
+    Reason.BACKWARD_STAMP: "the header stamp goes back by {v[0]:.6f} s",
+    Reason.POSITION_NOT_FINITE: "the position of {joint} is {v[0]}",
+    Reason.VELOCITY_NOT_FINITE: "the velocity of {joint} is {v[0]}",
+    Reason.POSITION_LIMIT: "{joint} at {v[0]:.4f} {unit} lies outside its limits {v[1]:.4f} to {v[2]:.4f}",
+    Reason.SPEED_LIMIT: "{joint} at {v[0]:.4f} {unit}/s exceeds its maximum speed of {v[1]:.4f} {unit}/s",
+    Reason.VELOCITY_MISMATCH: "the position of {joint} is {v[0]:+.4f} {unit} off the integral of its velocity",
+    Reason.UNCONFIRMED_ZERO: "the velocity of {joint} reads zero, not yet confirmed by its position",
+    Reason.NO_COMMAND: "no joint command yet",
+    Reason.OLD_COMMAND: "no joint command for {v[0]:.3f} s",
+    Reason.COMMAND_MISMATCH: "{joint} is {v[0]:+.4f} {unit} off its command",
+    Reason.PAYLOAD_UNKNOWN: "{detail}",
+    Reason.GAP: "no joint state for {v[0]:.3f} s",
+    Reason.SILENCE: "no joint state for {v[0]:.2f} s{detail}",
+    Reason.NO_JOINT_STATE: "no joint state yet{detail}",
+    Reason.NO_MASSES: "{masses}",
+    Reason.NO_LUMPED_MASS: "no lumped mass ({lumped}): choose effective_mass_model auto, full or iso",
+    Reason.NO_FULL_MASS: "no full mass ({full}): choose effective_mass_model auto, lumped or iso",
+    Reason.NO_CLAMPING_FORCE: (
+        "the clamping force is unknown: state effort limits in the robot file that carry the arm, or "
+        "external_force_limit"
+    ),
+    Reason.TOO_LIGHT: "{model} mass = {v[1]:.3g} kg: must be at least {min_mass:g} kg: check the robot",
+    Reason.NO_WORST_MASS: (
+        "no {model} mass for every contact normal, because a joint moves no lumped mass: choose "
+        "effective_mass_model auto or full, or contact_normal velocity"
+    ),
+    Reason.TOO_FAST: "{v[0]:.3f} m/s is above the {v[1]:.3f} m/s that the {criterion} limit of {region} allows",
+    Reason.NEAR_LIMIT: "{v[0]:.3f} m/s is close to the {v[1]:.3f} m/s that the {criterion} limit of {region} allows",
+    Reason.LIGHT_MODEL: "the {choice} mass of {v[4]:.3g} kg is below the {best} model's {v[5]:.3g} kg",
+    Reason.CLAMPED: "the drives can clamp with {v[0]:.0f} N, above the {weakest}, at any speed",
+    Reason.KERNEL_DISAGREES: "the compiled kernel disagrees with the reference in {detail}",
+    Reason.TOO_SLOW: "the assessment took {v[0]:.3f} s",
+    Reason.STUCK: "the assessment of a joint state takes too long",
+    Reason.NO_ROBOT: "{detail}",
+    Reason.CONTACTS_CHANGED: "the contact points change with the robot_description",
+    Reason.DEACTIVATED: "the monitor was deactivated",
+    Reason.SHUTDOWN: "the node shuts down",
+    Reason.NODE_ERROR: "the node ends: {detail}",
+    Reason.STATED: "{detail}",
+}
+"""English text of each code: `v` are its numbers, `joint` and `unit` those of its joint, `detail` its own text."""
 
 
-class Reasons:
-    """Texts for one robot and its settings; `whys` are those of the kernel's codes, `regions` those of its limits."""
+@dataclass(frozen=True)
+class ReasonTexts:
+    """Makes the texts for one robot and its settings.
 
-    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings, limits: SpeedLimits) -> None:
-        self.masses_reason = dynamics.robot.masses_reason
-        self._full_reason = dynamics.full_reason
-        self._model = settings.effective_mass_model.value
-        self._margin = settings.model_margin
-        self._weakest = limits.weakest
+    `joints` and their `units` are those of the robot, `regions` and `whys` the texts of the codes of body regions and
+    of why a model decides, `lumped` those of why there is no lumped mass; `fixed` are texts by name in TEXTS.
+    """
+
+    joints: tuple[str, ...] = ("",)
+    units: tuple[str, ...] = ("",)
+    regions: tuple[str, ...] = ("",)
+    whys: tuple[str, ...] = ("",)
+    lumped: tuple[str, ...] = ("",)
+    fixed: Mapping[str, object] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, dynamics: RobotDynamics, settings: MonitorSettings, limits: Sequence[Limit]) -> ReasonTexts:
+        """Return the texts of a robot under `limits`, those of `settings`."""
+        robot, full_reason, choice = dynamics.robot, dynamics.full_reason, settings.effective_mass_model.value
+        weakest = min(limits, key=lambda limit: limit.permissible_force_n)
         margin = f"more than {100.0 * settings.model_margin:.3g} % lighter than the full model"
-        self.heavy_enough, self.lighter = f"nowhere {margin}", f"the lumped model is {margin} along some direction"
-        self.setting = f"effective_mass_model {self._model}"
-        largest = "lumped" if lumped_suffices(dynamics.robot) else "lumped and iso"
-        self.largest = f"largest of {largest}, no full mass: {dynamics.full_reason}"
-        massless = [massless_text(joint) for joint in dynamics.robot.joint_names]
-        self._lumped_reasons = (dynamics.lumped_reason, LUMPED_NOT_DEFINITE, MASSLESS, *massless)
-        self.whys = (
-            *("", self.setting, self.heavy_enough, self.lighter, self.largest),
-            *map(self.full_alone, self._lumped_reasons),
-            *map(self.iso_alone, self._lumped_reasons),
-        )
-        self.regions = ("", *(limit.region for limit in limits.limits))
-
-    def full_alone(self, lumped_reason: str) -> str:
-        """Return why the full model decides alone."""
-        return f"no lumped mass: {lumped_reason}"
-
-    def iso_alone(self, lumped_reason: str) -> str:
-        """Return why ISO's mass decides alone."""
-        return f"no full mass: {self._full_reason}; no lumped mass: {lumped_reason}"
-
-    def no_lumped(self, lumped_reason: str) -> str:
-        """Return the reason without the lumped mass that the settings ask for."""
-        return f"no lumped mass ({lumped_reason}): choose effective_mass_model auto, full or iso"
-
-    @property
-    def no_full(self) -> str:
-        """The reason without the full mass that the settings ask for."""
-        return f"no full mass ({self._full_reason}): choose effective_mass_model auto, lumped or iso"
-
-    def too_light(self, model: str, mass: float) -> str:
-        """Return the reason for a mass [kg] that no robot has."""
-        return f"{model} mass = {mass:.3g} kg: must be at least {MIN_EFFECTIVE_MASS:g} kg: check the robot"
-
-    def no_worst(self, model: str) -> str:
-        """Return the reason for a model without a mass along some contact normal."""
-        return (
-            f"no {model} mass for every contact normal, because a joint moves no lumped mass: choose "
-            "effective_mass_model auto or full, or contact_normal velocity"
+        largest = "lumped" if lumped_suffices(robot) else "lumped and iso"
+        massless = (f"{joint} moves the contact point along n, but no lumped mass" for joint in robot.joint_names)
+        lumped = (dynamics.lumped_reason, NOT_DEFINITE, MASSLESS, *massless)
+        return cls(
+            joints=robot.joint_names,
+            units=tuple("rad" if revolute else "m" for revolute in robot.revolute),
+            regions=("", *(limit.region for limit in limits)),
+            whys=(
+                "",
+                f"effective_mass_model {choice}",
+                f"nowhere {margin}",
+                f"the lumped model is {margin} along some direction",
+                f"largest of {largest}, no full mass: {full_reason}",
+                *(f"no lumped mass: {reason}" for reason in lumped),
+                *(f"no full mass: {full_reason}; no lumped mass: {reason}" for reason in lumped),
+            ),
+            lumped=lumped,
+            fixed={
+                "masses": robot.masses_reason,
+                "full": full_reason,
+                "choice": choice,
+                "best": "lumped" if full_reason else "full",
+                "min_mass": MIN_EFFECTIVE_MASS,
+                "weakest": f"{weakest.permissible_force_n:.0f} N of {weakest.region}",
+            },
         )
 
-    def speed(self, speed: float, allowable_speed: float, criterion: str, region: str, *, is_above: bool) -> str:
-        """Return the reason for a speed [m/s] above or close to the allowable one."""
-        text = f"{max(allowable_speed, 0.0):.3f} m/s that the {criterion} limit of {region} allows"
-        return f"{speed:.3f} m/s is above the {text}" if is_above else f"{speed:.3f} m/s is close to the {text}"
+    def text(self, reason: FloatArray, details: Sequence[str]) -> str:
+        """Return the text of a `reason` (11,), whose texts are in `details`."""
+        code = Reason(int(reason[CODE]))
+        if code is Reason.NONE:
+            return ""
+        numbers, joint = reason[VALUES:].tolist(), int(reason[JOINT])
+        fields = dict(self.fixed)
+        fields |= {"v": numbers, "detail": details[int(reason[DETAIL])]}
+        fields |= {"joint": self.joints[joint], "unit": self.units[joint]}
+        is_speed = code in {Reason.TOO_FAST, Reason.NEAR_LIMIT}
+        if is_speed:
+            fields |= {"criterion": CRITERIA[int(numbers[2])], "region": self.regions[int(numbers[3])]}
+        elif code is Reason.NO_LUMPED_MASS:
+            fields["lumped"] = self.lumped[int(numbers[0])]
+        elif code in {Reason.TOO_LIGHT, Reason.NO_WORST_MASS}:
+            fields["model"] = MODELS[int(numbers[0])]
+        text = TEXTS[code].format(**fields)
+        if is_speed and numbers[4] > 0.0:
+            text += f"; {TEXTS[Reason.LIGHT_MODEL].format(**fields)}"
+        if reason[HELD]:
+            text = f"{HELD_AFTER}{text}"
+        if reason[LATCHED]:
+            point = details[int(reason[LATCHED]) - 1]
+            text = f"{LATCHED_UNTIL_RESET}{f'{point}: ' if point else ''}{text}"
+        return text
 
-    def light(self, reason: str, mass: float, best_mass: float, best_model: str) -> str:
-        """Return `reason` and a warning of a mass [kg] below that of the best model."""
-        warning = f"the {self._model} mass of {mass:.3g} kg is below the {best_model} model's {best_mass:.3g} kg"
-        return f"{reason}; {warning}" if reason else warning
 
-    def clamping(self, force: float) -> str:
-        """Return the reason for a clamping force [N] above the limit."""
-        permissible = f"the {self._weakest.permissible_force_n:.0f} N of {self._weakest.region}"
-        return f"the drives can clamp with {force:.0f} N, above {permissible}, at any speed"
-
-    def of_row(self, row: Sequence[float]) -> str:
-        """Return the reason of a row of the kernel."""
-        remark, error = int(row[OFFSETS["remark"]]), int(row[OFFSETS["error"]])
-        if error:
-            return self._of_error(error, row)
-        if remark == codes.CLAMPED:
-            return self.clamping(row[OFFSETS["clamping_force"]])
-        reason = ""
-        if remark & (codes.FAST | codes.CLOSE):
-            criterion, region = CRITERIA[int(row[OFFSETS["criterion"]])], self.regions[int(row[OFFSETS["body_region"]])]
-            speed, allowable_speed = row[OFFSETS["speed"]], row[OFFSETS["allowable_speed"]]
-            reason = self.speed(speed, allowable_speed, criterion, region, is_above=bool(remark & codes.FAST))
-        if remark & codes.LIGHT:
-            best_model = "lumped" if self._full_reason else "full"
-            best_mass = row[OFFSETS[f"{best_model}_mass"]]
-            reason = self.light(reason, row[OFFSETS["effective_mass"]], best_mass, best_model)
-        return reason
-
-    def _of_error(self, error: int, row: Sequence[float]) -> str:
-        if error >= codes.NO_LUMPED:
-            return self.no_lumped(self._lumped_reasons[error - codes.NO_LUMPED])
-        if error >= codes.NO_WORST:
-            return self.no_worst(MODELS[1 + error - codes.NO_WORST])
-        if error >= codes.TOO_LIGHT:
-            model = MODELS[1 + error - codes.TOO_LIGHT]
-            return self.too_light(model, row[OFFSETS[f"{model}_mass"]])
-        return {codes.NO_MASSES: self.masses_reason, codes.NO_FULL: self.no_full}.get(error, NO_CLAMPING_FORCE)
+NO_TEXTS = ReasonTexts()
+"""Without a robot."""

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import re
 from enum import Enum
-from typing import Any
 
-from pydantic import field_validator, model_validator
+from pydantic import field_validator
 from pydantic_core import PydanticCustomError
 
 from scara_effmass.settings.loading import FrozenSettings, fixed, tunable
@@ -22,11 +21,6 @@ class ForceSourceKind(str, Enum):
     NI9230 = "ni9230"
     BAG = "bag"
     SIM = "sim"
-
-    @classmethod
-    def _missing_(cls, value: object) -> ForceSourceKind | None:
-        """Accept the former name of `sim`."""
-        return cls.SIM if value == "bench" else None
 
 
 class FilterKind(str, Enum):
@@ -178,14 +172,6 @@ class DaqSettings(FrozenSettings):
     ni9230: Ni9230Settings = Ni9230Settings()
     bag: BagSettings = BagSettings()
     sim: SimSettings = SimSettings()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _rename_bench(cls, values: Any) -> Any:  # noqa: ANN401 - anything, before it is checked
-        """Accept the group `sim` under its former name."""
-        if isinstance(values, dict) and "bench" in values and "sim" not in values:
-            return {"sim" if name == "bench" else name: value for name, value in values.items()}
-        return values
 
 
 class ImportSettings(FrozenSettings):

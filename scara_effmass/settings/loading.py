@@ -27,13 +27,6 @@ NODE_ONLY = frozenset(
 )
 """Parameters of nodes only: a shared file may contain them, and offline commands ignore them."""
 
-FORMER_UNITS = {
-    "contact_area": ("contact_area_m2", 1e-4),
-    "max_pressure": ("max_pressure_pa", 1e4),
-    "stiffness": ("stiffness_n_m", 1e3),
-}
-"""SI name and SI value of 1 unit of the former parameters in cm2, N/cm2 and N/mm, which are refused, not converted."""
-
 _GROUP = "must hold keys with their values"
 _RULES = {
     "missing": "must be present",
@@ -73,7 +66,7 @@ def checked(kind: type[Settings], values: Mapping[str, Any], origin: str) -> Set
         key = ".".join(str(part) for part in first["loc"]) or "settings"
         if first["type"] == "extra_forbidden":
             text = f"{key}: unknown: {nearest(key, flat_fields(kind))}"
-            raise SettingsError(f"{origin}: {former_unit(key, first['input'], kind) or text}") from None
+            raise SettingsError(f"{origin}: {text}") from None
         raise SettingsError(f"{origin}: {key}{broken_rule(first)}") from None
 
 
@@ -148,15 +141,6 @@ def rescaled(value: float, factor: float) -> float:
     return float(f"{value * factor:.12g}")
 
 
-def former_unit(name: str, value: object, kind: type[BaseModel]) -> str:
-    """Return the rule, with the converted `value`, for a former `name` of a field of `kind`; empty for other names."""
-    new_name, factor = FORMER_UNITS.get(name, ("", 1.0))
-    if new_name not in kind.model_fields:
-        return ""
-    converted = f" = {rescaled(value, factor)!r}" if isinstance(value, (int, float)) else ""
-    return f"{name} = {value!r}: must be {new_name}{converted}"
-
-
 def load_settings(kind: type[Settings], path: Path, node: str, other_nodes: Collection[str] = ()) -> Settings:
     """Return the settings of `node` ("monitor") in the ROS parameter file at `path`.
 
@@ -193,9 +177,9 @@ def parameter_sections(
 
 
 def is_foreign(name: str, kind: type[BaseModel]) -> bool:
-    """Return whether `name` is no field of `kind`: neither a present, former or misspelt one, nor one in a group."""
+    """Return whether `name` is no field of `kind`: neither a present or misspelt one, nor one in a group."""
     fields = flat_fields(kind)
-    own = name in fields or name.partition(".")[0] in kind.model_fields or former_unit(name, 0.0, kind)
+    own = name in fields or name.partition(".")[0] in kind.model_fields
     return not (own or get_close_matches(name, fields, n=1, cutoff=0.8))
 
 

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from scara_effmass.iso15066 import TRANSIENT_S, Limit
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.sim.collision_sim import sim_mjcf
 from scara_effmass.values import FloatArray
 

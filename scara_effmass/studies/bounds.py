@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The force bounds of the verdict against an independent simulation; prints the tables of docs/bounds.md.
+"""The force bounds of the verdict against an independent simulation; docs/validity.md joins its tables.
 
     python -m scara_effmass.studies.bounds [--poses 200] [--seed 1]
 

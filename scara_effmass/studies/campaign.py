@@ -10,8 +10,8 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
+from scara_effmass.bags.bag import run_infos
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.run_info import run_infos
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.sim.cart import POLYETHYLENE, SpringContact
 from scara_effmass.sim.experiment import (

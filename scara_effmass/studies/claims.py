@@ -11,7 +11,7 @@ from enum import Enum
 import numpy as np
 
 from scara_effmass.iso15066 import reduced_mass
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import DaqSettings
 from scara_effmass.sim.motion import ElbowConfig
 from scara_effmass.studies.runs import (

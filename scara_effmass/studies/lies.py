@@ -21,15 +21,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
+from scara_effmass.analysis.assessment import assessed_rows, joint_state_topic
 from scara_effmass.bags.files import find_bags, open_bag
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety.debounce import severity
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
-from scara_effmass.values import Decision, FloatArray, JointState, Verdict
+from scara_effmass.values import Decision, FloatArray, JointState, Verdict, severity
 
 ROOT = share("bags").parent
 ROBOTS = {
@@ -231,7 +230,7 @@ def main() -> None:
         late: list[bool] = []
         for path in find_bags(ROOT / name):
             with closing(open_bag(path)) as bag:
-                states = list(assess_joint_states(bag, joint_state_topic(bag, None), Monitor(dynamics, settings)))
+                states = list(assessed_rows(bag, joint_state_topic(bag, None), Monitor(dynamics, settings)))
             unknown += [worst(state.decision) == severity(Verdict.UNKNOWN) for state in states]
             late += [state.log_time_ns - states[0].log_time_ns > SETTLE_NS for state in states]
         counts = len(unknown), sum(unknown), sum(np.logical_and(unknown, late))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Power of the validation: how often it accepts true and wrong simulated campaigns; prints the table of docs/power.md.
+"""Power of the validation: how often it accepts true and wrong simulated campaigns; the table of docs/validity.md.
 
     python -m scara_effmass.studies.power [--campaigns 100] [--seed 1] [--workers 2]
 
@@ -29,8 +29,8 @@ from rich.table import Table
 
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.share import share

@@ -19,9 +19,9 @@ from scara_effmass.errors import OutputError
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.iso15066.drives import servo_reduced_masses
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.lumping import is_scara
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.share import share

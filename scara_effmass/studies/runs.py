@@ -15,7 +15,7 @@ from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError
 from scara_effmass.iso15066 import reduced_mass
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
 from scara_effmass.studies.scara import ALONG_X, SHOWN_OBSTACLE_KG, Scara, scara_of
 from scara_effmass.values import FloatArray, Impact

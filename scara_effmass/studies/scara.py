@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from scara_effmass.codes import ModelCode
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.sim.motion import ElbowConfig
 from scara_effmass.values import FloatArray
 
@@ -24,8 +25,6 @@ OBLIQUE = math.atan2(0.8, 0.6)
 OBSTACLES_KG = (0.50, 2.39, 3.72, 7.35)
 SHOWN_OBSTACLE_KG = 2.39
 """Obstacle mass of Figs. 12, 14, 15 and 18; the text states it for 12 and 18 only."""
-MIN_SPEED = 1e-6
-"""Speed above which a velocity has a direction [m/s]; the effective mass does not depend on the speed."""
 GRID = 50
 """Values of each angle, as in the paper. The number is even, so that no pose is exactly singular."""
 FINE_GRID = 1500
@@ -161,14 +160,12 @@ def matrix_masses(
 
     The tool points along the normal (Eq. 24). No pose may be singular.
     """
-    frame = next(iter(dynamics.robot.contact_frames.values()))
     normal = np.array([np.cos(phi), np.sin(phi), 0.0])
     masses = np.empty((2, len(q1)))
     for i, (angle1, angle2) in enumerate(zip(q1.tolist(), q2.tolist(), strict=True)):
         q = np.array([angle1, angle2, q3, angle1 + angle2 - phi])
-        qd = np.linalg.pinv(dynamics.jacobian(q, frame)) @ normal
-        effective_masses = dynamics.effective_masses(q, qd, MIN_SPEED)[0]
-        masses[:, i] = effective_masses.lumped, effective_masses.full
+        contact = dynamics.at(q).contacts[0]
+        masses[:, i] = [contact.effective_mass(model, normal) for model in (ModelCode.LUMPED, ModelCode.FULL)]
     return masses[0], masses[1]
 
 

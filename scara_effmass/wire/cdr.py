@@ -40,6 +40,15 @@ def sec_and_nanosec(stamp_ns: int) -> tuple[int, int]:
     return min(sec, MAX_SEC), nanosec
 
 
+def header_stamp_ns(data: bytes) -> int:
+    """Return the stamp of a message that begins with a std_msgs/Header, 0 if it is truncated."""
+    try:
+        sec, nanosec = struct.unpack_from(f"{BYTE_ORDERS[data[:2]]}iI", data, STAMP_AT)
+    except (KeyError, struct.error):
+        return 0
+    return int(sec) * NS + int(nanosec)
+
+
 def with_text(before: bytes, text: str) -> bytes:
     """Append a CDR string to `before`: its aligned length and its zero-terminated bytes."""
     data = text.encode() + b"\x00"

@@ -8,7 +8,9 @@ from pathlib import Path
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 OWN_PACKAGE = "scara_effmass_msgs"
-CONTACT_STATE = f"{OWN_PACKAGE}/msg/ContactState"
+CONTACT_STATES = f"{OWN_PACKAGE}/msg/ContactStates"
+FORMER_CONTACT_STATE = f"{OWN_PACKAGE}/msg/ContactState"
+"""Type of a topic in recordings made before ContactStates, which now holds it; see `wire.former_contact_state`."""
 FORCE_BLOCK = f"{OWN_PACKAGE}/msg/ForceBlock"
 IMPACT = f"{OWN_PACKAGE}/msg/Impact"
 RUN_INFO = f"{OWN_PACKAGE}/msg/RunInfo"

@@ -16,8 +16,8 @@ ROBOT_DESCRIPTION = "robot_description"
 """URDF of the robot."""
 PAYLOAD = "payload"
 """Load that the robot carries; `payload_topic` states the name of the topic."""
-CONTACT_STATE = "contact_state"
-"""Verdict, masses, force and allowable speed of each contact point at each joint state."""
+CONTACT_STATES = "contact_states"
+"""Verdict, masses, force and allowable speed of all contact points at each joint state."""
 ALLOWABLE_SPEED = "allowable_speed"
 """Smallest allowable speed of the contact points [m/s], 0 under UNKNOWN."""
 SPEED_SCALING = "speed_scaling"
@@ -36,12 +36,10 @@ RUN_INFO = "run_info"
 """What the robot hits: mass and plate of the obstacle, name of the configuration."""
 MARKERS = "effective_mass_markers"
 """Robot, masses and verdicts for RViz and Foxglove."""
-RECORDING_INFO = "scara_effmass/recording_info"
-"""Topic of the JSON text (std_msgs/String) in recordings made before `RunInfo.msg`."""
 READINESS = "/scara_effmass/readiness"
 """Topic on which every node reports to a replay whether it is ready."""
 
-MONITOR_OUTPUTS = (CONTACT_STATE, ALLOWABLE_SPEED, SPEED_SCALING)
+MONITOR_OUTPUTS = (CONTACT_STATES, ALLOWABLE_SPEED, SPEED_SCALING)
 FORCE_OUTPUTS = (FORCE, IMPACT, WRENCH)
 """Outputs of `daq_node`; channels after the first publish one level below, as force/ai1."""
 RECORDED = (
@@ -55,7 +53,6 @@ RECORDED = (
     "/tf",
     "/tf_static",
     RUN_INFO,
-    RECORDING_INFO,
     MARKERS,
 )
 """Topics that `record` records by default."""
@@ -95,6 +92,6 @@ CLIENT_QOS = Qos(2000)
 
 
 def verdict_qos(timeout_s: float) -> Qos:
-    """Return the quality of service of `contact_state`, for a monitor that publishes after `timeout_s` of silence."""
+    """Return the quality of service of `contact_states`, for a monitor that publishes after `timeout_s` of silence."""
     deadline_s = _DEADLINE_PER_TIMEOUT * timeout_s
     return STREAM_QOS._replace(deadline_s=deadline_s, lease_s=max(deadline_s, _MIN_LEASE_S))

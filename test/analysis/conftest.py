@@ -12,8 +12,8 @@ from scara_effmass.analysis.validation import Validation, ValidationSettings, va
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.iso15066 import TABLE_HASH
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.studies.campaign import Campaign, run_campaign

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.values import FloatArray, JointState
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import JOINT_STATE

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from scara_effmass.analysis.advice import Advice, Motion, advise
 from scara_effmass.errors import BagError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share

@@ -15,17 +15,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
-
-from scara_effmass.analysis import assessed_states
 from scara_effmass.analysis.archive import many_at_once, slow_reason
 from scara_effmass.analysis.assessed_states import AssessedStates, batch_size
+
+from scara_effmass.analysis import assessed_states
 from scara_effmass.analysis.assessment import ClockSkew, Time, assess_joint_states, joint_state_topic, one_by_one
 from scara_effmass.analysis.cross_check import cross_checked, first_difference
 from scara_effmass.analysis.tables import open_writer
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError, CrossCheckError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Verdict

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.analysis.coverage import AZIMUTHS, ELEVATIONS, POSITIONS, SPEEDS, Coverage
 from scara_effmass.errors import SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import ContactAssessment, JointState, Vector3, Verdict
 

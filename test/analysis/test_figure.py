@@ -7,8 +7,8 @@ from io import BytesIO
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.image import imread
-
 from scara_effmass.analysis.assessed_states import states_of
+
 from scara_effmass.analysis.figure import draw_run
 from scara_effmass.analysis.recorded_run import RecordedForce
 from scara_effmass.analysis.report import report_figure

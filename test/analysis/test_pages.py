@@ -33,7 +33,7 @@ from scara_effmass.analysis.validation import Validation, ValidationSettings
 from scara_effmass.analysis.validation_report import write_report
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import EDITION
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from test.analysis.conftest import RAW, changed, content
 
 REPORTS = ("report", "glossary", "macros", "validation", "run", "protocol")

@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scara_effmass.safety.debounce import VerdictDebouncer
+from scara_effmass.wire.contact_state import ContactStateEncoder
 
 from scara_effmass.analysis.properties import PROPERTIES, check_recording
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.safety.debounce import VerdictDebouncer
 from scara_effmass.safety.monitor import unknown_contact
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import NAN, ContactAssessment, Verdict
-from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.message_types import CONTACT_STATE
 
 MS = 1_000_000

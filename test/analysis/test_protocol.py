@@ -21,11 +21,10 @@ from scara_effmass.analysis.protocol_fill import evaluated, repetitions
 from scara_effmass.analysis.protocol_plan import Plan
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety.debounce import severity
 from scara_effmass.settings import ImportSettings, MonitorSettings, ValidatorSettings
-from scara_effmass.values import ContactAssessment, ForceBlock, JointState, Verdict
+from scara_effmass.values import ContactAssessment, ForceBlock, JointState, Verdict, severity
 from test.analysis.conftest import RAW, Altered, changed, content
 
 HAND_LIMIT_N = 280.0

@@ -6,8 +6,8 @@ import json
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from scara_effmass.analysis.assessed_states import states_of
+
 from scara_effmass.analysis.summary import MAX_REASONS, OTHER_REASONS, Summary
 from scara_effmass.analysis.time_series import NO_JOINT_STATE
 from scara_effmass.safety import unknown_contact

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from scara_effmass.analysis.assessed_states import states_of
+
 from scara_effmass.analysis.time_series import (
     NO_JOINT_STATE,
     TimeSeries,

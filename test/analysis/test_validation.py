@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Validation of recordings: same result as the core classes, run information per recording, refusals."""
 
-import json
 import math
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -13,15 +12,15 @@ import yaml
 
 from scara_effmass.analysis.assessment import Time
 from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
+from scara_effmass.bags.bag import run_infos
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.run_info import run_infos
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.kernel import jit
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import ImportSettings, MassModel, MonitorSettings, SensorSettings, ValidatorSettings
 from scara_effmass.share import share
@@ -31,9 +30,8 @@ from scara_effmass.studies.campaign import Campaign
 from scara_effmass.values import ForceBlock, JointState, RunInfo
 from scara_effmass.wire.force import impact_message
 from scara_effmass.wire.joint_state import joint_state_message
-from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE, RUN_INFO, STRING, WRENCH, WRENCH_STAMPED
+from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE, RUN_INFO, WRENCH, WRENCH_STAMPED
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
-from scara_effmass.wire.topics import RECORDING_INFO
 from test.bags.messages import header, message, serialized
 
 NUMBERS = ("predicted_force", "measured_force", "effective_mass", "reduced_mass", "speed", "region_force", "gain")
@@ -532,55 +530,6 @@ def test_undecodable_run_information_is_refused(campaign: list[Path], dynamics: 
             writer.write(*(message._replace(data=message.data[:20]) if message.type == RUN_INFO else message))
     with pytest.raises(BagError, match=f"{path}: /run_info: RunInfo: "):
         validate([path], dynamics, SETTINGS)
-
-
-# Recordings made before RunInfo state the run in JSON.
-
-
-def older(source: Path, path: Path, text: str) -> Path:
-    """Copy `source` to `path` with `text` as its run information."""
-    with open_bag(source) as bag, BagWriter(path) as writer:
-        for message in bag.messages():
-            if message.type == RUN_INFO:
-                data = serialized(STRING, {"data": text})
-                writer.write(f"/{RECORDING_INFO}", STRING, message.log_time_ns, data)
-            else:
-                writer.write(*message)
-    return path
-
-
-def test_older_recording_gives_the_same_result(
-    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path, validation: Validation
-) -> None:
-    info = stated(campaign[0])
-    truth = {"speed": info.true_speed, "effective_mass": info.true_effective_mass, "peak_force": info.true_peak_force}
-    fields = {"simulated": True, "configuration": "300_200", "obstacle_mass": 0.5, "truth": truth}
-    fields |= {"point": [0.3, 0.2], "direction": [1.0, 0.0]}
-    path = older(campaign[0], tmp_path / "older", json.dumps(fields | {"stiffness": 2e6, "exponent": 1.0}))
-    (recording,) = validate([path], dynamics, SETTINGS).recordings
-    (impact,), (expected,) = recording.impacts, validation.recordings[0].impacts
-    for name in ("stamp_ns", "measured_force", "speed", "effective_mass", "obstacle_mass", "configuration"):
-        assert getattr(impact, name) == getattr(expected, name)
-    assert recording.infos[0].true_peak_force == info.true_peak_force
-    assert recording.infos[0].contact_stiffness == info.contact_stiffness
-
-
-@pytest.mark.parametrize("text", ["no JSON", "[1]", "[" * 100_000])
-def test_older_recording_without_json_states_nothing(
-    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path, text: str
-) -> None:
-    result = validate([older(campaign[0], tmp_path / "older", text)], dynamics, SETTINGS).result
-    assert result.unpaired == {"obstacle_mass is not given": 1}
-
-
-@pytest.mark.parametrize(
-    "text", ['{"obstacle_mass": "2.39"}', '{"since_ns": 1e300}', '{"configuration": "\\ud800"}'], ids=str
-)
-def test_older_recording_with_unusable_values_is_refused(
-    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path, text: str
-) -> None:
-    with pytest.raises(BagError, match=r"run information: .* must be"):
-        validate([older(campaign[0], tmp_path / "older", text)], dynamics, SETTINGS)
 
 
 def test_several_force_topics_require_a_choice(campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
 from scara_effmass.analysis.validation_report import FILES, check_report_folder, record, write_report
 from scara_effmass.errors import OutputError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import ValidatorSettings
 
 

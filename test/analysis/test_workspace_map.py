@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scara_effmass.kernel.contact_columns import NUMBERS, columns_of, joined
 
 from scara_effmass.analysis.workspace_map import Cells, Plane, WorkspaceSample, map_table, sample_workspace, summarize
 from scara_effmass.errors import RobotError
-from scara_effmass.kernel.contact_columns import NUMBERS, columns_of, joined
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor, unknown_contact
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share

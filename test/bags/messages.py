@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType, IndexType, Writer
 
+from scara_effmass.bags.bag import run_infos
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.run_info import run_infos
 from scara_effmass.values import RunInfo
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import HEADER

@@ -27,10 +27,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.bag import Bag, run_infos
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.files import find_bags, open_bag
-from scara_effmass.bags.run_info import run_infos
 from scara_effmass.errors import BagError
 from scara_effmass.values import JointState, RunInfo
 from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message

@@ -24,11 +24,9 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.files import open_bag, qos_yaml
 from scara_effmass.bags.recorder import BagRecorder
-from scara_effmass.bags.recording_report import LOSSES_RECORD, LossCounts
-from scara_effmass.bags.rosbag2 import qos_yaml
-from scara_effmass.bags.split_writer import DiskSpace, RecorderOptions
+from scara_effmass.bags.split_writer import LOSSES_RECORD, DiskSpace, LossCounts, RecorderOptions
 from scara_effmass.bags.writer import CHUNK_BYTES
 from scara_effmass.errors import BagError, OutputError
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from scara_effmass.cell.scaled_trajectory import ScaledTrajectory
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.cell.speed_scaling import SpeedScaler
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety.speed_scaling import SpeedScaler
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.motion import sample_moves

@@ -22,8 +22,8 @@ def test_dashboard_starts_where_somebody_sees_it(monkeypatch: pytest.MonkeyPatch
         ["dashboard", "--open", "--port"],
         f"http://127.0.0.1:{command[3]}/ until the demo ends",
     )
-    monkeypatch.setattr("scara_effmass.cli.dashboard.find_spec", lambda _: None)
-    assert dashboard_command(args) == ([], "install NiceGUI: pip install 'scara_effmass[dashboard]'")
+    monkeypatch.setattr("scara_effmass.cli.processes.find_spec", lambda _: None)
+    assert dashboard_command(args) == ([], "needs NiceGUI: pip install 'scara_effmass[dashboard]'")
 
 
 def test_every_live_impact_is_in_the_recording(cli_process: Cli, tmp_path: Path, domain: dict[str, str]) -> None:

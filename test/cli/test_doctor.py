@@ -15,8 +15,8 @@ from scara_effmass.cli import main
 from scara_effmass.daq import ni_driver
 from scara_effmass.daq.ni9230 import Ni9230Source
 from scara_effmass.errors import DriverMissingError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import DaqSettings
 from scara_effmass.share import share
 
@@ -71,9 +71,8 @@ def test_reach_moving_mass_and_masses_at_the_home_pose_are_printed(capsys: pytes
     assert ok["reach"] == "0.931 m from shoulder_pan_joint over the joint ranges"
     assert ok["moving mass"] == "16.99 kg without the payload"
     robot = load_robot(share("config", "robots", "ur5_robot.urdf"))
-    frame = robot.contact_frames["ee_link"]
     q = np.zeros(6)
-    jacobian = RobotDynamics(robot).jacobian(q, frame)
+    jacobian = RobotDynamics(robot).at(q).contacts[0].jacobian
     matrix = robot.mass_matrix(robot.model, robot.model.createData(), q)
     masses = 1.0 / np.diag(jacobian @ np.linalg.inv(np.triu(matrix) + np.triu(matrix, 1).T) @ jacobian.T)
     stated = re.search(r"full mass (\S+) / (\S+) / (\S+) kg along x / y / z of world", ok["home pose, ee_link"])
@@ -268,7 +267,7 @@ def test_channel_of_the_parameter_file_is_checked(tmp_path: Path, capsys: pytest
     file.write_text(monitor + daq.format("ni9230.channels: [cDAQ1Mod1/ai2]"), encoding="utf-8")
     _, result = run_doctor(capsys, "--params", str(file))
     assert texts(result, "note")["ni9230.channels"].startswith("cDAQ1Mod1/ai2 not found")
-    file.write_text(monitor + daq.format("source: bench"), encoding="utf-8")
+    file.write_text(monitor + daq.format("source: sim"), encoding="utf-8")
     _, result = run_doctor(capsys, "--params", str(file))
     assert "ni9230.channels" not in texts(result, "note") | texts(result, "ok")
     file.write_text(monitor, encoding="utf-8")

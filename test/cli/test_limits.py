@@ -9,7 +9,15 @@ from typing import Any
 import pytest
 
 from scara_effmass.cli import main
-from scara_effmass.iso15066 import BODY_POINTS, BODY_REGIONS, CLAUSE_2025, EDITION, TABLE_HASH, SpeedLimits, limits_for
+from scara_effmass.iso15066 import (
+    BODY_POINTS,
+    BODY_REGIONS,
+    CLAUSE_2025,
+    EDITION,
+    TABLE_HASH,
+    limits_for,
+    speed_limit_of_mass,
+)
 from scara_effmass.settings import ContactType, MonitorSettings
 from test.cli.conftest import Cli, Refused
 
@@ -38,9 +46,9 @@ def test_speeds_match_the_limits(contact: ContactType, capsys: pytest.CaptureFix
     assert len(speeds) == 2 * len(limits)
     for row in speeds:
         (limit,) = (limit for limit in limits if limit.region == row["region"])
-        speed_limit = SpeedLimits([limit]).speed_limit(row["effective_mass_kg"])
-        assert row["allowable_speed_m_s"] == speed_limit.allowable_speed
-        assert row["criterion"] == speed_limit.criterion
+        found = speed_limit_of_mass([limit], row["effective_mass_kg"])
+        assert row["allowable_speed_m_s"] == found.allowable_speed
+        assert row["criterion"] == found.criterion
         assert row["clause"] == limit.clause
 
 

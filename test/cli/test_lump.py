@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from scara_effmass.analysis.lumped_model import REGIONS, compare_models, draw_masses
+from scara_effmass.analysis.lumped_figure import draw_masses
+from scara_effmass.analysis.lumped_model import REGIONS, compare_models
 from scara_effmass.cli import main
 from scara_effmass.iso15066 import BODY_REGIONS
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from test.cli.conftest import Cli, Refused
@@ -79,9 +80,8 @@ def test_comparison_is_that_of_the_masses() -> None:
     )
     masses = []
     for q, n in zip(poses, rng.normal(size=(400, 3)), strict=True):
-        jacobian = dynamics.jacobian(q, dynamics.robot.contact_frames["tool"])
-        qd = np.linalg.pinv(jacobian) @ n
-        (at,) = dynamics.effective_masses(q, qd, 1e-9)
+        qd = np.linalg.pinv(dynamics.at(q).contacts[0].jacobian) @ n
+        (at,) = dynamics.at(q, qd).contacts
         masses.append((at.lumped, at.full))
     lumped, full = np.array(masses).T
     assert missing == [0.0]

@@ -115,7 +115,7 @@ def test_every_section_of_the_file_counts(cli: Cli, campaign: Path, tmp_path: Pa
     (tmp_path / "cell.yaml").write_text(
         "monitor: {ros__parameters: {timeout: 0.3}}\n"
         "validator: {ros__parameters: {criterion: {least_count: 7}}}\n"
-        "/cell/daq: {ros__parameters: {source: bench, detection.threshold: 20.0}}\n"
+        "/cell/daq: {ros__parameters: {source: sim, detection.threshold: 20.0}}\n"
     )
     done = cli("validate", campaign, "-o", "report", "--params", "cell.yaml", "--json")
     report = json.loads(done.stdout)

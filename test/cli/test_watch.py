@@ -17,9 +17,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from scara_effmass.cell.status import CellStatus
 from scara_effmass.cli.watch import screen
 from scara_effmass.safety import unknown_contact
-from scara_effmass.safety.cell_status import CellStatus
 from scara_effmass.values import Impact, Verdict
 from test.nodes.conftest import NodeHarness, joint_state
 

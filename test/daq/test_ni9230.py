@@ -428,5 +428,5 @@ def test_missing_client_is_stated_when_the_source_is_chosen(module: str, monkeyp
     monkeypatch.setitem(sys.modules, module, None)
     for ours in ("ni9230", "ni_driver"):
         monkeypatch.delitem(sys.modules, f"scara_effmass.daq.{ours}")
-    with pytest.raises(DriverMissingError, match="pip install nidaqmx"):
+    with pytest.raises(DriverMissingError, match=r"pip install 'scara_effmass\[daq\]'"):
         make_source(DaqSettings(), lambda: 0)

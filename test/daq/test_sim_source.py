@@ -5,7 +5,7 @@ import pytest
 from scara_effmass.daq import make_source
 from scara_effmass.daq.sim_source import HalfSineSource
 from scara_effmass.daq.source import Reading
-from scara_effmass.settings import DaqSettings, ForceSourceKind, SensorSettings, SimSettings, checked
+from scara_effmass.settings import DaqSettings, ForceSourceKind, SensorSettings, SimSettings
 from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
 from test.daq.force_bag import Clock
 
@@ -28,11 +28,6 @@ def block(source: HalfSineSource, timeout_s: float = 0.0) -> Reading:
     reading = source.read(timeout_s)
     assert reading is not None
     return reading
-
-
-def test_former_name_of_source_and_group_is_accepted() -> None:
-    former = checked(DaqSettings, {"source": "bench", "bench.seed": 3}, "test")
-    assert former == DaqSettings(source=ForceSourceKind.SIM, sim=SimSettings(seed=3))
 
 
 def test_sim_source_declares_that_it_is_simulated() -> None:

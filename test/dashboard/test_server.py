@@ -12,11 +12,11 @@ from starlette.applications import Starlette
 from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 
+from scara_effmass.cell.status import CellStatus
 from scara_effmass.dashboard.page import csv_of
 from scara_effmass.dashboard.server import Guard, bound_socket, is_local
 from scara_effmass.errors import SettingsError
 from scara_effmass.safety import unknown_contact
-from scara_effmass.safety.cell_status import CellStatus
 from scara_effmass.values import Verdict
 
 APP = Starlette(routes=[Route("/", lambda _: PlainTextResponse("page"))])

@@ -3,7 +3,7 @@
 
 Each entry of a table is one fault: what is injected, and what must happen. A node gets valid input, then the fault,
 then valid input again. Counted are permissive outputs that follow from bad input, the time until the node and until a
-subscriber know, the recovery without a restart, and messages that the recorder lost. docs/faults.md gets the table.
+subscriber know, the recovery without a restart, and messages that the recorder lost. docs/measured.md gets the table.
 """
 
 import math
@@ -30,10 +30,12 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
+from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from benchmarks.measured_page import write_section
 from scara_effmass.analysis.properties import check_recording
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.repair import repair
@@ -45,7 +47,6 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Impact as ImpactValue
 from scara_effmass.values import Verdict
 from scara_effmass.wire import topics
-from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass.wire.force import impact_message
 from test.nodes.conftest import JOINTS, NodeHarness, Q, joint_state, ros_node, stamp_ns
 from test.nodes.test_flood import FLOODER
@@ -71,7 +72,7 @@ PERMISSIVE = {ContactState.OK, ContactState.WARN}
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 DEEP = QoSProfile(depth=20_000)
 BIN = Path(sys.executable).parent
-DOCS = Path(__file__).parents[2] / "docs" / "faults.md"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "verdict_consumer.py"
 DEADLINE_PROPERTY = "a verdict comes at least every deadline while active"
 
 Messages = list[JointState | bytes]
@@ -838,7 +839,6 @@ VALIDATOR_FAULTS = (
             ("force", ForceBlock, "NaN samples", lambda: ForceBlock(sample_rate=12800.0, force=[NAN] * 1280)),
             ("force", ForceBlock, "8 MB of samples", lambda: ForceBlock(sample_rate=12800.0, force=[0.0] * 1_000_000)),
             ("run_info", RunInfo, "random bytes, then valid again", lambda: noise(bytearray())),
-            ("scara_effmass/recording_info", String, "random bytes", lambda: noise(bytearray())),
         )
     ),
     Fault("validator", "SIGSTOP, SIGCONT", "silent", signalled("SIGSTOP"), bad_input=False),
@@ -1165,8 +1165,7 @@ def test_network(name: str, tmp_path: Path) -> None:  # noqa: PLR0915
         enter = [("nsenter", "-t", each.pid, "-n") for each in hosts]
         start(*enter[1], *MONITOR, stderr=subprocess.DEVNULL)
         start(*enter[0], sys.executable, "-c", SENDER)
-        example = DOCS.parents[1] / "examples" / "verdict_consumer.py"
-        consumer = start(*enter[0], sys.executable, example, "--timeout", TIMEOUT_S, stdout=subprocess.PIPE)
+        consumer = start(*enter[0], sys.executable, EXAMPLE, "--timeout", TIMEOUT_S, stdout=subprocess.PIPE)
         assert consumer.stdout is not None
         consumer_fd = consumer.stdout.fileno()
         os.set_blocking(consumer_fd, False)
@@ -1207,14 +1206,12 @@ def write_table() -> Iterator[None]:
     """Write the table of the whole campaign."""
     start_s = time.monotonic()
     yield
-    DOCS.write_text(page(time.monotonic() - start_s), encoding="utf-8")
+    write_section("make faults", page(time.monotonic() - start_s))
 
 
-PAGE = """# Faults
-
-`make faults` wrote this page on {date} at commit {commit}, in {minutes:.0f} min, with {cores} cores and a load average
-of {load:.0f}. It injects each fault into live nodes over DDS, beside or in place of valid input at 100 Hz, and ends it.
-Monitors load the compiled kernel in the second after each start, and compute with it from then on.
+PAGE = """`make faults` wrote this section on {date} at commit {commit}, in {minutes:.0f} min,
+with {cores} cores and a load average of {load:.0f}. It injects each fault into live nodes over DDS, beside or in place
+of valid input at 100 Hz, and ends it. Monitors compute with the compiled core.
 
 The `timeout` of the monitor is {timeout} s. A subscriber must know within {bound:.3f} s (the time-out, a quarter of it
 for the watchdog, a period of {period} s, and {machine} s for the machine), and within {lost:.3f} s of a monitor that is
@@ -1234,7 +1231,7 @@ Times with an additional publisher begin when the node has discovered it, which 
 |---|---|---|---|---|---|---|---|---|
 {rows}
 
-## Properties of the recordings
+### Properties of the recordings
 
 `assess --properties` on the verdicts that the recorder beside the monitor took. A monitor that is stopped or killed
 breaks its deadline: that must be found in the set-up `processes`, and in no other.
@@ -1246,7 +1243,7 @@ breaks its deadline: that must be found in the set-up `processes`, and in no oth
 
 
 def page(duration_s: float) -> str:
-    """Return docs/faults.md."""
+    """Return the section of docs/measured.md."""
 
     def seconds(value: float) -> str:
         return "" if math.isnan(value) else f"{value:.3f}"

@@ -44,8 +44,8 @@ from scara_effmass.bags.repair import repair
 from scara_effmass.errors import DecodeError, EffmassError
 from scara_effmass.importers.force import import_force
 from scara_effmass.importers.joint_states import write_joint_state_bag
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DaqSettings, ImportSettings, MonitorSettings, load_settings
 from scara_effmass.settings.loading import checked

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make soak`: run all nodes, the recorder and the dashboard at 1 kHz for a while.
 
-Prints a table of memory, CPU, latency and losses, and writes it to docs/soak.md with --write. Exit status 1 for a lost
-joint state, contact state or sample, a process that ended, memory that grows, or a violated property of the recording.
-Latency is not judged: it depends on what else the machine does.
+Prints a table of memory, CPU, latency and losses, and writes it into docs/measured.md with --write. Exit status 1 for a
+lost joint state, contact state or sample, a process that ended, memory that grows, or a violated property of the
+recording. Latency is not judged: it depends on what else the machine does.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import numpy as np
 import rclpy
 from live import DISCOVERY_S, Sender
+from measured_page import write_section
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
 from usage import cpu_s, resident_mb
@@ -33,7 +34,6 @@ from scara_effmass.analysis.properties import check_recording
 from scara_effmass.bags.files import open_bag
 from scara_effmass.settings import MonitorSettings
 
-ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent
 WARM_UP_S = 10.0
 SETTLE_S = 2.0
@@ -59,20 +59,20 @@ def main() -> int:
     """Run and report."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--duration", type=float, default=3600.0, help="[s]")
-    parser.add_argument("--write", action="store_true", help="write docs/soak.md")
+    parser.add_argument("--write", action="store_true", help="write the tables into docs/measured.md")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         page, failures = soak(args.duration, Path(folder) / "bag")
     print(page)  # noqa: T201
     if args.write:
-        (ROOT / "docs" / "soak.md").write_text(page, encoding="utf-8")
+        write_section("make soak", page)
     for failure in failures:
         print(f"soak: {failure}", file=sys.stderr)  # noqa: T201
     return 1 if failures else 0
 
 
 def soak(duration_s: float, bag: Path) -> tuple[str, list[str]]:  # noqa: PLR0915
-    """Return the page and what failed."""
+    """Return the text of the section and what failed."""
     failures: list[str] = []
     rclpy.init()
     sender, executor = Sender(), EventsExecutor()
@@ -150,10 +150,8 @@ def soak(duration_s: float, bag: Path) -> tuple[str, list[str]]:  # noqa: PLR091
     holding = sum(not check.violations for check in checks)
     git = ["git", "rev-parse", "--short", "HEAD"]
     commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
-    page = f"""# Soak
-
-`make soak DURATION={duration_s:.0f}` on {datetime.now(timezone.utc):%Y-%m-%d} at commit {commit}: all nodes, the
-recorder (a new file every {FILE_S / 60:.0f} minutes) and the dashboard (without a browser) at 1 kHz,
+    page = f"""`make soak DURATION={duration_s:.0f}` on {datetime.now(timezone.utc):%Y-%m-%d} at commit {commit}:
+all nodes, the recorder (a new file every {FILE_S / 60:.0f} minutes) and the dashboard (without a browser) at 1 kHz,
 {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}.
 {"Failed: " + "; ".join(failures) if failures else "Passed."}
 

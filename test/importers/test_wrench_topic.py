@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Import of force from topics of wrenches and numbers in a bag."""
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,11 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.importers.force import import_force
 from scara_effmass.settings import ImportSettings
+from scara_effmass.values import RunInfo
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, STRING, WRENCH, WRENCH_STAMPED
-from scara_effmass.wire.topics import RECORDING_INFO
+from scara_effmass.wire.message_types import RUN_INFO as RUN_INFO_TYPE
+from scara_effmass.wire.run_info import run_info_message
+from scara_effmass.wire.topics import RUN_INFO
 from test.bags.messages import header, message, serialized
 from test.importers.conftest import force_of, imported, lost_in
 
@@ -178,11 +180,11 @@ def test_bag_with_force_blocks_needs_no_import(tmp_path: Path) -> None:
     assert len(force_of(imported(path, topic="/load"))) == 100
 
 
-@pytest.mark.parametrize("info", [{"generated": True}, {"generated": False}, []])
-def test_generated_recording_is_simulated(tmp_path: Path, info: object) -> None:
-    text = (f"/{RECORDING_INFO}", STRING, T0, serialized(STRING, {"data": json.dumps(info)}))
-    blocks = imported(write(tmp_path / "run", [text, *wrenches(TIMES_NS, TIMES_NS)]))
-    assert {block.simulated for block in blocks} == {info == {"generated": True}}
+@pytest.mark.parametrize("simulated", [True, False])
+def test_simulated_recording_gives_simulated_force(tmp_path: Path, *, simulated: bool) -> None:
+    info = (f"/{RUN_INFO}", RUN_INFO_TYPE, T0, run_info_message(RunInfo(simulated=simulated)))
+    blocks = imported(write(tmp_path / "run", [info, *wrenches(TIMES_NS, TIMES_NS)]))
+    assert {block.simulated for block in blocks} == {simulated}
 
 
 def test_ros1_bag_is_imported(tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scara_effmass.iso15066 import (
+    TRANSIENT_S,
+    contact_time,
     force_per_root_stiffness,
     peak_force,
     reduced_mass,
@@ -77,3 +79,10 @@ def test_arrays_agree_with_scalars() -> None:
         assert mu[i] == scalar
         assert force[i] == pytest.approx(peak_force(0.25, scalar, 75e3), rel=1e-15)
         assert energy[i] == transferred_energy(0.25, scalar)
+
+
+def test_contact_time() -> None:
+    """1.5 times a quarter period, at most the longest transient contact."""
+    period = 2.0 * math.pi * math.sqrt(2.0 / 25_000.0)
+    assert contact_time(2.0, 25_000.0) == pytest.approx(1.5 * period / 4.0)
+    assert contact_time(2.0, 20.0) == contact_time(math.inf, 25_000.0) == TRANSIENT_S == 0.5

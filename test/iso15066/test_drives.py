@@ -5,18 +5,22 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from scara_effmass.iso15066 import TRANSIENT_S, Mobility, SpeedLimits, limits_for
+from scara_effmass.iso15066 import TRANSIENT_S, SpeedLimit, limits_for, speed_limit_of_mass
 from scara_effmass.iso15066.drives import MAX_MOBILITY, servo_reduced_masses
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import Drives, MonitorSettings
 
 
-def speed_limits(**changes: object) -> SpeedLimits:
-    checked = MonitorSettings.model_validate(changes)
-    return SpeedLimits(limits_for(checked), checked)
+def speed_limit_of(mass: float, settings: MonitorSettings) -> SpeedLimit:
+    return speed_limit_of_mass(limits_for(settings), mass, settings)
+
+
+def settings_of(**changes: object) -> MonitorSettings:
+    return MonitorSettings.model_validate(changes)
 
 
 @pytest.fixture(
@@ -26,10 +30,10 @@ def speed_limits(**changes: object) -> SpeedLimits:
     ],
     ids=str,
 )
-def servo(request: pytest.FixtureRequest) -> tuple[SpeedLimits, str, float]:
-    """Limits of one region against a servo, the region and the bandwidth: soft and heavy, stiff and light, heaviest."""
+def servo(request: pytest.FixtureRequest) -> MonitorSettings:
+    """A servo against one region: soft and heavy, stiff and light, heaviest."""
     region, bandwidth = request.param
-    return speed_limits(body_regions=[region], drives="servo", servo={"bandwidth": bandwidth}), region, bandwidth
+    return settings_of(body_regions=[region], drives="servo", servo={"bandwidth": bandwidth})
 
 
 def peak_force(mass: float, stiffness: float, obstacle: float, bandwidth: float, damping: float) -> float:
@@ -50,46 +54,25 @@ def peak_force(mass: float, stiffness: float, obstacle: float, bandwidth: float,
 @pytest.mark.parametrize(("bandwidth", "damping"), [(0.5, 0.3), (3.0, 1.5), (9.0, 0.5), (30.0, 0.3), (30.0, 1.5)])
 @pytest.mark.parametrize("region", ["abdomen", "hand_fingers"])
 def test_bound_of_a_servo_is_never_exceeded(region: str, bandwidth: float, damping: float) -> None:
-    limits = speed_limits(body_regions=[region], drives="servo", servo={"bandwidth": bandwidth, "damping": damping})
+    settings = settings_of(body_regions=[region], drives="servo", servo={"bandwidth": bandwidth, "damping": damping})
     for mass in np.geomspace(1.0 / MAX_MOBILITY, 100.0, 6).tolist():
-        speed_limit = limits.speed_limit(mass)
-        limit = speed_limit.limit
+        found = speed_limit_of(mass, settings)
+        limit = found.limit
         force = peak_force(mass, limit.stiffness_n_m, limit.obstacle_mass_kg, bandwidth, damping)
-        assert force <= speed_limit.force(1.0)
-        assert speed_limit.force(1.0) <= 1.35 * force
+        assert force <= found.force(1.0)
+        assert found.force(1.0) <= 1.35 * force
 
 
 @given(st.floats(0.05, 100.0))
-@settings(max_examples=20)
-def test_servo_lies_between_free_and_immovable(servo: tuple[SpeedLimits, str, float], mass: float) -> None:
-    limits, region, _ = servo
-    found = limits.speed_limit(mass)
+@hypothesis_settings(max_examples=20)
+def test_servo_lies_between_free_and_immovable(servo: MonitorSettings, mass: float) -> None:
+    found = speed_limit_of(mass, servo)
     free, immovable = (
-        speed_limits(body_regions=[region], drives=drives).speed_limit(mass) for drives in ("free", "immovable")
+        speed_limit_of(mass, servo.model_copy(update={"drives": drives})) for drives in (Drives.FREE, Drives.IMMOVABLE)
     )
     assert immovable.allowable_speed * (1 - 1e-9) <= found.allowable_speed <= free.allowable_speed * (1 + 1e-9)
     limit = immovable.limit
     assert immovable.force(1.0) == pytest.approx(math.sqrt(limit.obstacle_mass_kg * limit.stiffness_n_m))
-
-
-def test_no_normal_exceeds_the_bound_of_a_servo(servo: tuple[SpeedLimits, str, float]) -> None:
-    limits, _, bandwidth = servo
-    rng = np.random.default_rng(0)
-    bounds, shares, along = [], [], []
-    for _ in range(20):
-        basis = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        matrix = basis @ np.diag(10.0 ** rng.uniform(-2.0, 0.7, 3)) @ basis.T
-        x, y, z = basis @ rng.dirichlet([0.3, 0.3, 0.3]) ** 0.5
-        bounds.append(limits.worst_normal([Mobility.of_matrix(matrix.tolist(), (x, y, z), 3)]).force(1.0))
-        normals = np.linalg.solve(matrix + np.geomspace(1e-3, 10.0, 50)[:, None, None] * np.eye(3), np.array([x, y, z]))
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
-        shares.append(normals @ [x, y, z])
-        along.append(np.einsum("ni,ij,nj->n", normals, matrix, normals))
-    (limit,) = limits.limits
-    stiffness, obstacle = np.array([limit.stiffness_n_m]), np.array([limit.obstacle_mass_kg])
-    (masses,) = servo_reduced_masses(np.concatenate(along), stiffness, obstacle, bandwidth, 0.7)
-    forces = np.array(shares) * np.sqrt(masses.reshape(20, 50) * stiffness)
-    assert (forces.max(axis=1) <= bounds).all()
 
 
 def test_limits_of_the_bandwidth() -> None:
@@ -111,53 +94,10 @@ def test_simulated_peak_is_never_too_low() -> None:
 
 
 def test_robot_lighter_than_the_simulated_ones_counts_as_immovable() -> None:
-    servo, immovable = (speed_limits(drives=drives).speed_limit(0.04) for drives in ("servo", "immovable"))
+    servo, immovable = (speed_limit_of(0.04, settings_of(drives=drives)) for drives in ("servo", "immovable"))
     assert servo.allowable_speed == pytest.approx(immovable.allowable_speed)
-
-
-@given(st.floats(0.2, 20.0), st.floats(0.1, 200.0))
-@settings(max_examples=40)
-def test_effort_limits_bound_the_push_of_a_servo(
-    servo: tuple[SpeedLimits, str, float], mass: float, push: float
-) -> None:
-    """A constant push P at the robot's mass: peak P' + sqrt(P'^2 + k mu v^2), P' = P m_H / (m + m_H)."""
-    limits, _, _ = servo
-    mobility = Mobility.of_mass(mass)
-    bounded = limits.worst_normal([mobility], push=(push / mass, mobility.trace))
-    limit = bounded.limit
-    assert bounded.allowable_speed >= limits.speed_limit(mass).allowable_speed * (1 - 1e-12)
-    assert bounded.force(bounded.allowable_speed) == pytest.approx(limit.permissible_force_n, rel=1e-9)
-    if bounded.push > 0.0:
-        assert bounded.push == pytest.approx(push * limit.obstacle_mass_kg / (mass + limit.obstacle_mass_kg))
-
-
-@pytest.mark.parametrize("masses", [(1.0, 4.0), (4.0, 1.0)])
-def test_push_counts_the_uncertainty_and_the_heaviest_mass(masses: tuple[float, float]) -> None:
-    limits = speed_limits(body_regions=["chest"], drives="servo", servo={"bandwidth": 1000.0})
-    found = limits.worst_normal([Mobility.of_mass(mass) for mass in masses], 1.5, (2.0, 0.25))
-    inverse = 1.0 / found.limit.obstacle_mass_kg
-    assert found.push == pytest.approx(2.0 / (0.25 / 1.5 + inverse))
-    assert found.reduced_mass == pytest.approx(1.0 / (0.25 / 1.5 + inverse))
 
 
 def test_clamped_body_part_allows_no_speed_against_an_unbounded_push() -> None:
     for drives in ("servo", "immovable"):
-        assert speed_limits(drives=drives, contact="quasi_static").speed_limit(2.0).allowable_speed == 0.0
-
-
-@given(st.floats(0.2, 20.0), st.floats(0.0, 1.5))
-@settings(max_examples=40)
-def test_servo_bound_counts_up_to_the_force_that_its_drives_hold(
-    servo: tuple[SpeedLimits, str, float], mass: float, share: float
-) -> None:
-    """The force is proportional to the speed, so that the allowable speed is, too; the push bound stays."""
-    limits, _, _ = servo
-    mobility, whole = Mobility.of_mass(mass), limits.speed_limit(mass)
-    force = share * whole.limit.permissible_force_n
-    limited = limits.worst_normal([mobility], max_force=force)
-    assert limited.allowable_speed == pytest.approx(min(share, 1.0) * whole.allowable_speed)
-    assert limited.force(limited.allowable_speed) <= force * (1.0 + 1e-9) or share > 1.0
-    push = 5.0 / mass, mobility.trace
-    both = limits.worst_normal([mobility], push=push, max_force=force).allowable_speed
-    pushed = limits.worst_normal([mobility], push=push, max_force=0.0).allowable_speed
-    assert both == pytest.approx(max(limited.allowable_speed, pushed))
+        assert speed_limit_of(2.0, settings_of(drives=drives, contact="quasi_static")).allowable_speed == 0.0

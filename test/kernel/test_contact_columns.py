@@ -3,11 +3,11 @@
 
 import numpy as np
 import pytest
-
 from scara_effmass.kernel.contact_columns import LABELS, NUMBERS
-from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.model.load import load_robot
 from scara_effmass.safety.contact_assessor import ContactAssessor
+
+from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray, Verdict
 

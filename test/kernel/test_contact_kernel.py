@@ -12,15 +12,16 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from scara_effmass.iso15066 import SpeedLimits, limits_for
-from scara_effmass.kernel import jit
+from scara_effmass.iso15066.speed_limit import SpeedLimits
 from scara_effmass.kernel.contact_columns import NUMBERS, ContactColumns
+from scara_effmass.safety.contact_assessor import ContactAssessor
+
+from scara_effmass.iso15066 import limits_for
+from scara_effmass.kernel import jit
 from scara_effmass.kernel.contact_kernel import ContactKernel
 from scara_effmass.kernel.records import MAX_JOINTS, OFFSETS
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
-from scara_effmass.safety.contact_assessor import ContactAssessor
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import FloatArray
 
@@ -110,11 +111,11 @@ def test_mobilities_are_those_of_the_mass_matrix_in_local_frames(robot: Path) ->
     models = {} if dynamics.lumped is None else {"lumped_mobility": dynamics.lumped.model}
     models |= {} if dynamics.full_reason else {"full_mobility": dynamics.robot.model}
     kernel = ContactKernel(dynamics, chosen, SpeedLimits(limits_for(chosen), chosen))
-    for rows, (_, frame, _) in zip(kernel.columns(q, qd, tolerance).T, dynamics.contacts, strict=True):
+    for contact, rows in enumerate(kernel.columns(q, qd, tolerance).T):
         for name, model in models.items():
             entries = rows[:, OFFSETS[name] : OFFSETS[name] + 6]
             for i in np.flatnonzero(entries.any(axis=1)):
-                jacobian = dynamics.jacobian(q[i], frame)
+                jacobian = dynamics.at(q[i]).contacts[contact].jacobian
                 matrix = pin.crba(model, model.createData(), q[i], pin.Convention.LOCAL)
                 mobility = jacobian @ np.linalg.solve(matrix + dynamics.robot.rotors.coupling, jacobian.T)
                 xx, xy, xz, yy, yz, zz = entries[i]

@@ -11,9 +11,9 @@ import yaml
 from numpy.typing import ArrayLike
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
+from scara_effmass.reference import ContactState, RobotDynamics
 from scara_effmass.settings import MonitorSettings
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -58,18 +58,18 @@ def load_rows(tmp_path: Path) -> Callable[[object], Robot]:
 
 
 @pytest.fixture(scope="session")
-def along() -> Callable[..., EffectiveMasses]:
-    """Return the function that gives the effective masses along `n`, with the first contact point moving that way."""
+def along() -> Callable[..., ContactState]:
+    """Return the function that gives the first contact point, moving along `n`."""
 
-    def masses_along(dynamics: RobotDynamics, q: ArrayLike, n: ArrayLike) -> EffectiveMasses:
+    def contact_along(dynamics: RobotDynamics, q: ArrayLike, n: ArrayLike) -> ContactState:
         q = np.asarray(q, dtype=float)
-        frame = next(iter(dynamics.robot.contact_frames.values()))
-        qd = np.linalg.pinv(dynamics.jacobian(q, frame)) @ np.asarray(n, dtype=float)
-        (masses,) = dynamics.effective_masses(q, qd, 1e-6)
-        assert np.allclose(masses.direction, np.asarray(n) / np.linalg.norm(n), atol=1e-6)
-        return masses
+        qd = np.linalg.pinv(dynamics.at(q).contacts[0].jacobian) @ np.asarray(n, dtype=float)
+        (contact,) = dynamics.at(q, qd).contacts
+        assert contact.direction is not None
+        assert np.allclose(contact.direction, np.asarray(n) / np.linalg.norm(n), atol=1e-6)
+        return contact
 
-    return masses_along
+    return contact_along
 
 
 @pytest.fixture(scope="session")
@@ -94,11 +94,9 @@ def assert_raises_or_finite() -> Callable[[Callable[[], Robot]], None]:
             message = str(error)
             assert "\n" not in message
             return
-        for masses in dynamics.effective_masses(
-            dynamics.robot.sample_configurations()[0], np.ones(dynamics.robot.model.nv), 0.005
-        ):
+        for masses in dynamics.at(dynamics.robot.sample_configurations()[0], np.ones(dynamics.robot.model.nv)).contacts:
             assert np.isfinite(masses.speed)
             assert masses.full > 0.0 or dynamics.full_reason
-            assert masses.lumped > 0.0 or masses.lumped_reason
+            assert masses.lumped > 0.0 or masses.no_lumped_mass(masses.direction) is not None
 
     return require

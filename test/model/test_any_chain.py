@@ -10,8 +10,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
+from scara_effmass.codes import ModelCode
 from scara_effmass.model.robot import Robot
+from scara_effmass.reference import ContactState, RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import LumpingSettings, MonitorSettings
 from scara_effmass.values import FloatArray, JointState, Verdict
@@ -66,9 +67,9 @@ def poses(robot: Robot, count: int) -> FloatArray:
     return np.asarray(np.random.default_rng(RNG_SEED).uniform(lower, upper, (count, robot.model.nv)))
 
 
-def masses_at(dynamics: RobotDynamics, q: FloatArray) -> EffectiveMasses:
-    (masses,) = dynamics.effective_masses(q, np.zeros(q.size), 0.005)
-    return masses
+def contact_at(dynamics: RobotDynamics, q: FloatArray) -> ContactState:
+    (contact,) = dynamics.at(q).contacts
+    return contact
 
 
 def agree(left: object, right: object, tolerance: float = 1e-9) -> bool:
@@ -88,7 +89,7 @@ def test_full_mobility_is_the_inverse_of_pinocchios_operational_space_inertia(dy
     for q in poses(dynamics.robot, POSES):
         delassus = pin.computeDelassusMatrix(model, data, q, contacts, contact_data, 0.0)
         rotation = data.oMi[frame.parentJoint].rotation @ frame.placement.rotation
-        assert agree(masses_at(dynamics, q).full_mobility, rotation @ delassus @ rotation.T)
+        assert agree(contact_at(dynamics, q).mobilities[ModelCode.FULL], rotation @ delassus @ rotation.T)
 
 
 def eq_14(robot: Robot, points: list[tuple[int, float, FloatArray]], q: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -127,14 +128,16 @@ def test_lumped_mobility_is_that_of_eq_14(dynamics: RobotDynamics) -> None:
     assert sum(mass for _, mass, _ in added) == pytest.approx(sum(mass for _, mass, _ in pairs))
     assert sum(lumped.aggregated) == pytest.approx(sum(link.mass for link in lumped.links))
     for q in poses(dynamics.robot, 50):
-        masses = masses_at(dynamics, q)
+        contact = contact_at(dynamics, q)
         matrix, jacobian = eq_14(dynamics.robot, pairs, q)
         assert agree(eq_14(dynamics.robot, added, q)[0], matrix)
         armature = np.zeros(len(q))
         armature[list(lumped.massless_joints)] = 1.0
-        if masses.lumped_mobility:
+        if ModelCode.LUMPED in contact.mobilities:
             assert agree(
-                masses.lumped_mobility, jacobian @ np.linalg.solve(matrix + np.diag(armature), jacobian.T), 1e-6
+                contact.mobilities[ModelCode.LUMPED],
+                jacobian @ np.linalg.solve(matrix + np.diag(armature), jacobian.T),
+                1e-6,
             )
 
 
@@ -157,8 +160,9 @@ def test_turning_the_base_turns_the_mobilities(dynamics: RobotDynamics) -> None:
     turn = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.9), np.array([1.0, 2.0, 3.0]))
     other = RobotDynamics(moved(dynamics.robot, lambda pose: turn * pose, base=True))
     for q in poses(dynamics.robot, 20):
-        for here, there in zip(masses_at(dynamics, q)[6:8], masses_at(other, q)[6:8], strict=True):
-            assert agree(turn.rotation @ np.array(here) @ turn.rotation.T, there) if here else not there
+        here, there = contact_at(dynamics, q).mobilities, contact_at(other, q).mobilities
+        assert here.keys() == there.keys()
+        assert all(agree(turn.rotation @ here[model] @ turn.rotation.T, there[model]) for model in here)
 
 
 def test_mirrored_arm_has_mirrored_mobilities(dynamics: RobotDynamics) -> None:
@@ -171,8 +175,9 @@ def test_mirrored_arm_has_mirrored_mobilities(dynamics: RobotDynamics) -> None:
     axes = [robot.axis_in_joint_frame(joint) for joint in range(1, robot.model.njoints)]
     signs = np.array([-float(axis @ MIRROR @ axis) for axis in axes])
     for q in poses(robot, 20):
-        for here, there in zip(masses_at(dynamics, q)[6:8], masses_at(other, signs * q)[6:8], strict=True):
-            assert agree(MIRROR @ np.array(here) @ MIRROR, there, 1e-8) if here else not there
+        here, there = contact_at(dynamics, q).mobilities, contact_at(other, signs * q).mobilities
+        assert here.keys() == there.keys()
+        assert all(agree(MIRROR @ here[model] @ MIRROR, there[model], 1e-8) for model in here)
 
 
 @pytest.mark.parametrize("arm", [arm for arm in ARMS if arm.axes == 7], ids=["panda", "xarm7"])

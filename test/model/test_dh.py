@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.dh import load_dh
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 
 OMRON = Path(__file__).resolve().parents[2] / "config" / "omron_i4_550l.yaml"

@@ -11,12 +11,13 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from scara_effmass.codes import ModelCode
 from scara_effmass.errors import RobotError
 from scara_effmass.model.dh import load_dh
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import parse_urdf
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 
 
@@ -125,7 +126,7 @@ def test_dh_file_and_urdf_give_the_same_robot(
         qd = rng.normal(size=joints)
         mine, theirs = (robot.mass_matrix(robot.model, robot.model.createData(), q) for robot in (dh, urdf))
         np.testing.assert_allclose(mine, theirs, rtol=1e-12, atol=1e-12 * np.abs(mine).max())
-        for one, other in zip(first.effective_masses(q, qd, 1e-9), second.effective_masses(q, qd, 1e-9), strict=True):
+        for one, other in zip(first.at(q, qd).contacts, second.at(q, qd).contacts, strict=True):
             assert one.speed == pytest.approx(other.speed, rel=1e-12)
             assert one.full == pytest.approx(other.full, rel=1e-10)
 
@@ -212,11 +213,11 @@ class TestElbow:
         dynamics = RobotDynamics(robot)
         assert dynamics.lumped is not None
         m2, m3 = dynamics.lumped.planar_masses(robot)
-        _, elbow = dynamics.effective_masses(np.array([q1, q2, 0.1, 0.0]), np.array([rate, -0.7, 0.1, 0.2]), 1e-6)
+        _, elbow = dynamics.at(np.array([q1, q2, 0.1, 0.0]), np.array([rate, -0.7, 0.1, 0.2])).contacts
         assert elbow.speed == pytest.approx(0.275 * rate, rel=1e-12)
         assert elbow.lumped == pytest.approx(m2 + m3 * np.sin(q2) ** 2, rel=1e-9)
-        assert elbow.worst_lumped == pytest.approx(elbow.lumped, rel=1e-6)
-        assert elbow.lumped_reason == ""
+        assert elbow.effective_mass(ModelCode.LUMPED, None) == pytest.approx(elbow.lumped, rel=1e-6)
+        assert elbow.no_lumped_mass(elbow.direction) is None
 
     @pytest.mark.parametrize("entry", ["elbow", "elbow=link1: 0.275 0 0"])
     def test_entry_of_the_setting_gives_the_same_point(self, omron_file: Path, entry: str) -> None:
@@ -246,7 +247,7 @@ class TestElbow:
         frame = robot.model.frames[robot.contact_frames["elbow"]]
         assert robot.model.names[frame.parentJoint] == "shoulder_lift_joint"
         np.testing.assert_allclose(frame.placement.translation, [0.0, 0.0, 0.425], atol=1e-12)
-        assert len(RobotDynamics(robot).effective_masses(np.zeros(6), np.ones(6), 0.005)) == 2
+        assert len(RobotDynamics(robot).at(np.zeros(6), np.ones(6)).contacts) == 2
 
     @pytest.mark.parametrize(
         "entry",

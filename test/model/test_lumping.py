@@ -12,10 +12,11 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from scara_effmass.codes import ModelCode, NoLumpedMass
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.model.lumping import LumpedModel, is_scara, lump, lumped_links
 from scara_effmass.model.robot import Robot
+from scara_effmass.reference import ContactState, RobotDynamics
 from scara_effmass.settings import FreeParameters, LumpingPolicy, LumpingSettings
 from scara_effmass.studies.scara import scara_lumped_mass
 from scara_effmass.values import FloatArray
@@ -95,12 +96,12 @@ class TestCentreOfMassOutsideTheSlab:
         assert dynamics.lumped is None
         assert "axis 2 is -0.0001 kg: must not be negative: the centre of mass lies outside" in dynamics.lumped_reason
         assert "joint1" in dynamics.lumped_reason
-        (masses,) = dynamics.effective_masses(np.array([0.2, 0.0, 0.1, 0.0]), np.ones(4), 0.005)
+        (masses,) = dynamics.at(np.array([0.2, 0.0, 0.1, 0.0]), np.ones(4)).contacts
         assert math.isnan(masses.lumped)
         assert masses.full > 0.0
 
     def test_negative_mass_on_the_forearm_adds_to_the_coaxial_tool(
-        self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], along: Callable[..., EffectiveMasses]
+        self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], along: Callable[..., ContactState]
     ) -> None:
         omron_rows["links"][1]["com"][0] = -0.03
         robot = load_rows(omron_rows)
@@ -123,7 +124,7 @@ class TestCentreOfMassBesideThePlaneOfTheAxes:
             lump(load_rows(omron_rows))
 
     def test_of_a_coaxial_tool_shifts_its_far_axis(
-        self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], along: Callable[..., EffectiveMasses]
+        self, omron_rows: dict[str, Any], load_rows: Callable[[object], Robot], along: Callable[..., ContactState]
     ) -> None:
         omron_rows["payload"]["com"] = [0.05, 0.0, 0.0]
         omron_rows["contact_points"] = {"edge": [0.08, 0.0, 0.0]}
@@ -139,7 +140,7 @@ class TestCentreOfMassBesideThePlaneOfTheAxes:
         q, phi = [0.3, 1.1, 0.1, 0.2], 0.3 + 1.1 - 0.2
         for angle in (phi, phi + 0.7):
             masses = along(dynamics, q, [math.cos(angle), math.sin(angle), 0.0])
-            assert 0.0 < masses.lumped < masses.worst_lumped < math.inf
+            assert 0.0 < masses.lumped < masses.effective_mass(ModelCode.LUMPED, None) < math.inf
         with pytest.raises(RobotError, match=r"robot\.yaml: .*off the plane"):
             lumped.planar_masses(dynamics.robot)
 
@@ -185,7 +186,7 @@ def test_pi_written_as_3_14_is_parallel(
     sloppy = RobotDynamics(load_rows(omron_rows))
     for q in sloppy.robot.sample_configurations():
         (exact,), (rough,) = (
-            dynamics.effective_masses(q, np.array([1.0, 0.3, 0.0, 0.0]), 0.0) for dynamics in (omron_dynamics, sloppy)
+            dynamics.at(q, np.array([1.0, 0.3, 0.0, 0.0])).contacts for dynamics in (omron_dynamics, sloppy)
         )
         assert rough.lumped == pytest.approx(exact.lumped, rel=0.01)
 
@@ -195,7 +196,7 @@ def test_urdf_with_pi_written_as_3_14_has_a_lumped_model(load_urdf_file: Callabl
     assert lump(robot).aggregated == pytest.approx((0.75, 1.0, 0.75, 0.2), abs=1e-3)
 
 
-def test_base_pose_has_no_effect(omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses]) -> None:
+def test_base_pose_has_no_effect(omron_dynamics: RobotDynamics, along: Callable[..., ContactState]) -> None:
     q, n = np.array([0.4, 1.2, 0.1, 0.3]), np.array([0.6, 0.8, 0.0])
     model = omron_dynamics.robot.model.copy()
     base = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.9), np.array([1.0, 2.0, 3.0]))
@@ -204,7 +205,9 @@ def test_base_pose_has_no_effect(omron_dynamics: RobotDynamics, along: Callable[
     here, there = along(omron_dynamics, q, n), along(moved, q, base.rotation @ n)
     assert there.lumped == pytest.approx(here.lumped, rel=1e-9)
     assert there.full == pytest.approx(here.full, rel=1e-9)
-    assert there.worst_lumped == pytest.approx(here.worst_lumped, rel=1e-9)
+    assert there.effective_mass(ModelCode.LUMPED, None) == pytest.approx(
+        here.effective_mass(ModelCode.LUMPED, None), rel=1e-9
+    )
 
 
 @shared_fixture_settings
@@ -214,7 +217,7 @@ def test_base_pose_has_no_effect(omron_dynamics: RobotDynamics, along: Callable[
 def test_lumped_mass_of_any_scara_is_eq_28(
     omron_rows: dict[str, Any],
     load_rows: Callable[[object], Robot],
-    along: Callable[..., EffectiveMasses],
+    along: Callable[..., ContactState],
     first: float,
     second: float,
     share1: float,
@@ -256,9 +259,9 @@ def test_lumped_model_needs_no_inertias(
     assert omron_dynamics.lumped is not None
     assert dynamics.lumped is not None
     assert dynamics.lumped.aggregated == omron_dynamics.lumped.aggregated
-    (masses,) = dynamics.effective_masses(np.array([0.4, 1.2, 0.1, 0.3]), np.ones(4), 0.005)
+    (masses,) = dynamics.at(np.array([0.4, 1.2, 0.1, 0.3]), np.ones(4)).contacts
     assert math.isnan(masses.full)
-    assert math.isnan(masses.worst_full)
+    assert math.isnan(masses.effective_mass(ModelCode.FULL, None))
     assert math.isfinite(masses.lumped)
 
 
@@ -531,9 +534,9 @@ def test_wrist_without_mass_beside_its_axes_has_no_lumped_mass(load_urdf_file: C
     dynamics = RobotDynamics(load_urdf_file("ur5_robot.urdf"))
     assert dynamics.lumped is not None
     assert dynamics.lumped.massless_joints == (4, 5)
-    (masses,) = dynamics.effective_masses(np.array([0.3, -1.0, 1.2, 0.4, 0.8, 0.1]), np.full(6, 0.1), 0.005)
+    (masses,) = dynamics.at(np.array([0.3, -1.0, 1.2, 0.4, 0.8, 0.1]), np.full(6, 0.1)).contacts
     assert math.isnan(masses.lumped)
-    assert "wrist_2_joint moves the contact point along n, but no lumped mass" in masses.lumped_reason
+    assert masses.no_lumped_mass(masses.direction) == NoLumpedMass.MASSLESS_JOINT + 4
 
 
 def test_slide_with_an_offset_or_a_tilt_is_no_scara(

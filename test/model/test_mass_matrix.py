@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.robot import Robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.values import FloatArray
 
 STEP = 1e-6
@@ -138,7 +138,7 @@ def test_jacobian_agrees_with_finite_differences(
             (joint_poses(spatial_rows, q + e) @ tool - joint_poses(spatial_rows, q - e) @ tool)[-1][:3] / (2.0 * STEP)
             for e in STEP * np.eye(4)
         ]
-        np.testing.assert_allclose(dynamics.jacobian(q, robot.contact_frames["tool"]), np.transpose(columns), atol=1e-8)
+        np.testing.assert_allclose(dynamics.at(q).contacts[0].jacobian, np.transpose(columns), atol=1e-8)
 
 
 def test_lumped_mass_matrix_is_eq_14(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
@@ -197,8 +197,7 @@ def test_armature_makes_the_robot_heavier(
     geared = RobotDynamics(load_rows(omron_rows))
     for q in geared.robot.sample_configurations():
         heavy, light = (
-            dynamics.effective_masses(q, np.array([1.0, 0.0, 0.0, 0.0]), 0.0)[0]
-            for dynamics in (geared, omron_dynamics)
+            dynamics.at(q, np.array([1.0, 0.0, 0.0, 0.0])).contacts[0] for dynamics in (geared, omron_dynamics)
         )
         assert heavy.lumped >= light.lumped * (1.0 - 1e-12)
         assert heavy.full >= light.full * (1.0 - 1e-12)

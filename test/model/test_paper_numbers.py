@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.model.robot import Robot
+from scara_effmass.reference import ContactState, RobotDynamics
 from scara_effmass.studies.scara import (
     ScaraInertia,
     scara_full_mass,
@@ -82,7 +82,7 @@ def test_reduced_mass_of_the_iso_mass(omron: Robot, obstacle: float, mu: float) 
 
 @given(q1=q1_values, q2=q2_values, phi=directions)
 def test_masses_agree_with_eqs_27_and_28(
-    omron: Robot, omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses], q1: float, q2: float, phi: float
+    omron: Robot, omron_dynamics: RobotDynamics, along: Callable[..., ContactState], q1: float, q2: float, phi: float
 ) -> None:
     assume(abs(np.sin(q2)) > 1e-3)
     assert omron_dynamics.lumped is not None
@@ -93,7 +93,7 @@ def test_masses_agree_with_eqs_27_and_28(
 
 
 def test_masses_agree_with_eqs_27_and_28_in_thousands_of_cases(
-    omron: Robot, omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses]
+    omron: Robot, omron_dynamics: RobotDynamics, along: Callable[..., ContactState]
 ) -> None:
     assert omron_dynamics.lumped is not None
     rng = np.random.default_rng(15066)
@@ -181,7 +181,7 @@ def test_errors_of_the_simplified_model_on_the_grid_of_50_by_50() -> None:
         assert (np.abs(mu - reduced(simplified, obstacle)) / mu).max() == pytest.approx(worst, abs=1e-4)
 
 
-def test_impact_point_of_figure_17(omron_dynamics: RobotDynamics, along: Callable[..., EffectiveMasses]) -> None:
+def test_impact_point_of_figure_17(omron_dynamics: RobotDynamics, along: Callable[..., ContactState]) -> None:
     q1, q2 = joint_angles(0.3, 0.2, elbow=1.0)
     assert np.degrees([q1, q2]) == pytest.approx([-15.35, 98.08], abs=0.005)
     right = along(omron_dynamics, [q1, q2, 0.0, 0.0], [1.0, 0.0, 0.0])

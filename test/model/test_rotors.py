@@ -12,10 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import parse_urdf
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import FloatArray
@@ -74,9 +74,8 @@ def coupled(joints: int, seed: int = 0) -> FloatArray:
 
 def mass_along(robot: Robot, q: FloatArray, direction: float) -> float:
     dynamics = RobotDynamics(robot)
-    (frame,) = robot.contact_frames.values()
-    qd = np.linalg.pinv(dynamics.jacobian(q, frame)) @ [np.cos(direction), np.sin(direction), 0.0]
-    return dynamics.effective_masses(q, qd, 1e-9)[0].full
+    qd = np.linalg.pinv(dynamics.at(q).contacts[0].jacobian) @ [np.cos(direction), np.sin(direction), 0.0]
+    return dynamics.at(q, qd).contacts[0].full
 
 
 @pytest.mark.parametrize("joints", [2, 3])
@@ -129,14 +128,13 @@ def test_coupled_rotors_are_in_the_lumped_model(
     assert bare.lumped is not None
     assert geared.lumped.massless_joints == (3,)
     q, qd = np.array([0.2, 1.1, 0.1, 0.3]), np.array([0.4, 0.3, 0.0, 0.0])
-    frame = geared.robot.contact_frames["tool"]
-    jacobian = geared.jacobian(q, frame)
+    jacobian = geared.at(q).contacts[0].jacobian
     data = bare.lumped.model.createData()
     mobility = jacobian @ np.linalg.inv(bare.robot.mass_matrix(bare.lumped.model, data, q) + matrix) @ jacobian.T
-    masses = geared.effective_masses(q, qd, 1e-6)[0]
+    masses = geared.at(q, qd).contacts[0]
     n = np.array(masses.direction)
     assert masses.lumped == pytest.approx(1.0 / (n @ mobility @ n), rel=1e-12)
-    assert masses.lumped > bare.effective_masses(q, qd, 1e-6)[0].lumped
+    assert masses.lumped > bare.at(q, qd).contacts[0].lumped
 
 
 def test_entries_state_the_same_matrix_as_the_file(tmp_path: Path) -> None:
@@ -331,8 +329,7 @@ class TestPublishedArms:
             dynamics = RobotDynamics(load_urdf_file("ur10_robot.urdf", armature=entries))
             rng = np.random.default_rng(7)
             masses = [
-                dynamics.effective_masses(q, rng.normal(size=6), 1e-9)[0].full
-                for q in dynamics.robot.sample_configurations()
+                dynamics.at(q, rng.normal(size=6)).contacts[0].full for q in dynamics.robot.sample_configurations()
             ]
             medians.append(float(np.median(masses)))
         assert medians[1] > 2.5 * medians[0]

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import load_urdf, parse_urdf
+from scara_effmass.reference import ContactState, RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.studies.scara import ScaraInertia, scara_full_mass
 
@@ -86,7 +86,7 @@ class TestRobotFiles:
         assert ("placeholders" in robot.inertias_reason) == bool(doubt)
         assert doubt in robot.inertias_reason
         dynamics = RobotDynamics(robot)
-        (masses,) = dynamics.effective_masses(robot.sample_configurations()[5], np.ones(joints), 0.005)
+        (masses,) = dynamics.at(robot.sample_configurations()[5], np.ones(joints)).contacts
         assert np.isnan(masses.full) == bool(doubt)
 
     def test_wx200_gripper_is_fixed_and_placeholders_are_noted(self, load_urdf_file: Callable[..., Robot]) -> None:
@@ -105,7 +105,7 @@ class TestRobotFiles:
             load_urdf_file("panda.urdf", locked_joints=(), contact_points=("panda_rightfinger",))
 
 
-def test_urdf_agrees_with_eq_27(along: Callable[..., EffectiveMasses]) -> None:
+def test_urdf_agrees_with_eq_27(along: Callable[..., ContactState]) -> None:
     robot = parse(payload_mass=0.25)
     assert is_scara(robot)
     dynamics = RobotDynamics(robot)
@@ -214,7 +214,7 @@ class TestFixedJoints:
         by_place = parse(contact_points=("cover=upper: 0.2 0 0",))
         assert by_link.joint_names == by_place.joint_names == ("j1", "j2", "j3", "j4")
         q, qd = np.array([0.3, 1.2, 0.1, 0.0]), np.ones(4)
-        masses = [RobotDynamics(robot).effective_masses(q, qd, 0.005)[0].full for robot in (by_link, by_place)]
+        masses = [RobotDynamics(robot).at(q, qd).contacts[0].full for robot in (by_link, by_place)]
         assert masses[0] == pytest.approx(masses[1])
 
     @pytest.mark.parametrize(("jaw", "joints"), [(0.3, 4), (0.7, 5)])
@@ -255,8 +255,7 @@ class TestFixedJoints:
         assert robot.joint_names == ("j1", "j2", "j3", "j4")
         dynamics = RobotDynamics(robot)
         stretched, folded = (
-            dynamics.effective_masses(np.array([0.3, q2, 0.1, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]), 0.0)[0]
-            for q2 in (0.0, 1.5)
+            dynamics.at(np.array([0.3, q2, 0.1, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])).contacts[0] for q2 in (0.0, 1.5)
         )
         assert stretched.full != pytest.approx(folded.full, rel=0.05)
         assert dynamics.lumped is not None
@@ -401,8 +400,8 @@ def test_axis_need_not_be_a_unit_vector() -> None:
     robot, plain = parse(text), parse()
     np.testing.assert_allclose(robot.axis_in_joint_frame(1), [0.0, 0.0, -1.0], atol=1e-12)
     q = np.array([0.3, 0.4, 0.1, 0.2])
-    (turned,) = RobotDynamics(robot).effective_masses(q * [-1.0, 1.0, 1.0, 1.0], np.array([-1.0, 0.5, 0.0, 0.0]), 0.005)
-    (straight,) = RobotDynamics(plain).effective_masses(q, np.array([1.0, 0.5, 0.0, 0.0]), 0.005)
+    (turned,) = RobotDynamics(robot).at(q * [-1.0, 1.0, 1.0, 1.0], np.array([-1.0, 0.5, 0.0, 0.0])).contacts
+    (straight,) = RobotDynamics(plain).at(q, np.array([1.0, 0.5, 0.0, 0.0])).contacts
     assert turned.full == pytest.approx(straight.full)
     assert turned.lumped == pytest.approx(straight.lumped)
 

@@ -23,7 +23,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactState, ContactStates
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
@@ -71,10 +71,20 @@ def ros_node(name: str, namespace: str = "/", domain: int | None = None) -> Iter
         context.try_shutdown()
 
 
-def node_environment(domain: int, directory: Path, *, kernel: bool = False) -> dict[str, str]:
-    """Return the environment of a node; without `kernel` it loads none, which takes a second."""
-    own = {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(directory), "NUMBA_DISABLE_JIT": str(int(not kernel))}
+def node_environment(domain: int, directory: Path) -> dict[str, str]:
+    """Return the environment of a node."""
+    own = {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(directory)}
     return {**os.environ, **own}
+
+
+class Answer:
+    """One contact of a ContactStates message: its fields, and those of the message."""
+
+    def __init__(self, message: ContactStates, index: int = 0) -> None:
+        self.message, self.contact = message, message.contacts[index]
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        return getattr(self.contact if hasattr(self.contact, name) else self.message, name)
 
 
 @final
@@ -84,8 +94,8 @@ class NodeHarness:
     def __init__(self, domain: int, directory: Path, name: str = "monitor", namespace: str = "") -> None:
         self.domain = domain
         self.directory = directory
-        self.contact_states: list[ContactState] = []
-        self.elbow_states: list[ContactState] = []
+        self.contact_states: list[Answer] = []
+        """An answer for each message: its first contact."""
         self.scalars: dict[str, list[float]] = {"allowable_speed": [], "speed_scaling": []}
         self.diagnostics: list[DiagnosticArray] = []
         self.process: subprocess.Popen[str] | None = None
@@ -109,11 +119,9 @@ class NodeHarness:
             self._executor.shutdown()
             self._stack.close()
 
-    def start(
-        self, *arguments: str, command: Sequence[str] = (str(MONITOR_NODE),), kernel: bool = False
-    ) -> subprocess.Popen[str]:
-        """Start the node with `arguments`, its output piped; `kernel` as in `node_environment`."""
-        environment = node_environment(self.domain, self.directory, kernel=kernel)
+    def start(self, *arguments: str, command: Sequence[str] = (str(MONITOR_NODE),)) -> subprocess.Popen[str]:
+        """Start the node with `arguments`, its output piped."""
+        environment = node_environment(self.domain, self.directory)
         self.process = subprocess.Popen(
             [*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
         )
@@ -121,7 +129,7 @@ class NodeHarness:
 
     def subscribe(self) -> None:
         """Subscribe to the topics of the monitor and to /diagnostics."""
-        self.node.create_subscription(ContactState, "contact_state", self.on_contact_state, DEEP_QOS)
+        self.node.create_subscription(ContactStates, "contact_states", self.on_contact_states, DEEP_QOS)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, DEEP_QOS)
         for topic, received in self.scalars.items():
             self.node.create_subscription(Float64, topic, partial(self._on_scalar, received), DEEP_QOS)
@@ -134,9 +142,9 @@ class NodeHarness:
         )
         self.synchronize()
 
-    def on_contact_state(self, message: ContactState) -> None:
-        """Keep the states of the shipped robot's elbow apart, so that `contact_states` has one for each joint state."""
-        (self.elbow_states if message.contact_point == "elbow" else self.contact_states).append(message)
+    def on_contact_states(self, message: ContactStates) -> None:
+        """Keep the answer."""
+        self.contact_states.append(Answer(message))
 
     @staticmethod
     def _on_scalar(received: list[float], message: Float64) -> None:
@@ -196,18 +204,18 @@ class NodeHarness:
             self._input = self.node.create_publisher(JointState, "joint_states", DEEP_QOS)
         self._input.publish(message)
 
-    def response_to(self, message: JointState | bytes) -> ContactState:
+    def response_to(self, message: JointState | bytes) -> Answer:
         """Publish `message` and return the contact state that follows."""
         self._clear_when_complete()
         self.send(message)
         return self.spin_until(lambda: self._complete() and [c for c in self.contact_states if not c.watchdog])[0]
 
-    def watchdog_response(self) -> ContactState:
+    def watchdog_response(self) -> Answer:
         """Return the contact state that the watchdog publishes while no joint state is sent."""
         self._clear_when_complete()
         return self.spin_until(lambda: self._complete() and [c for c in self.contact_states if c.watchdog])[-1]
 
-    def send_until_ok(self) -> ContactState:
+    def send_until_ok(self) -> Answer:
         """Send joint states stamped now until the newest one gets OK; return that contact state."""
         sent: list[JointState] = []
 
@@ -215,12 +223,12 @@ class NodeHarness:
             sent.append(joint_state())
             self.send(sent[-1])
 
-        def newest() -> ContactState | None:
+        def newest() -> Answer | None:
             """Return the OK for the newest joint state; all earlier ones are answered by then."""
             responses = (c for c in self.contact_states if sent and c.header.stamp == sent[-1].header.stamp)
             return next((c for c in responses if c.verdict == ContactState.OK), None)
 
-        response: ContactState = self.spin_until(newest, repeat=send)
+        response: Answer = self.spin_until(newest, repeat=send)
         return response
 
     def synchronize(self) -> None:
@@ -270,7 +278,6 @@ class NodeHarness:
 
     def _clear(self) -> None:
         self.contact_states.clear()
-        self.elbow_states.clear()
         for values in self.scalars.values():
             values.clear()
 

@@ -12,16 +12,17 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.node import Node
+from scara_effmass.safety.cell_status import CellStatus
+from scara_effmass.safety.debounce import severity
+from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
 
+from scara_effmass.cell.status import CellStatus
 from scara_effmass.nodes.cell_client import CellClient, ContactStateReader
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.safety import unknown_contact
-from scara_effmass.safety.cell_status import CellStatus
-from scara_effmass.safety.debounce import severity
 from scara_effmass.values import Verdict
 from scara_effmass.wire import topics
-from scara_effmass.wire.contact_state import ContactStateEncoder
 from test.nodes.conftest import TIMEOUT_S, NodeHarness, joint_state, ros_node
 
 NAMESPACE = ("--ros-args", "-r", "__ns:=/cell")

@@ -145,7 +145,7 @@ def test_live_impacts_equal_offline_impacts_of_the_published_blocks(new_harness:
 
 
 def test_each_channel_has_its_own_topics(new_harness: Callable[..., NodeHarness]) -> None:
-    harness = start_node(new_harness, *SIM, "-p", "bench.channels:=3")  # the former name of the group
+    harness = start_node(new_harness, *SIM, "-p", "sim.channels:=3")
     channels = [ForceTopics(harness, channel) for channel in ("", "sim1", "sim2")]
     harness.spin_until(lambda: all(len(channel.blocks) >= 3 for channel in channels))
     frames = [decode_force_block(channel.blocks[-1]).frame_id for channel in channels]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import pytest
 from rclpy.qos import QoSProfile
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactState, ContactStates
 
 from test.nodes.conftest import NodeHarness, stamp_ns
 
@@ -64,11 +64,11 @@ def test_flood_leaves_no_old_permission(
     harness = new_harness("--ros-args", "-p", f"timeout:={TIMEOUT_NS / 1e9}", "-p", "release_time:=0.0")
     published: list[Published] = []
 
-    def receive(state: ContactState, info: dict[str, Any]) -> None:
+    def receive(state: ContactStates, info: dict[str, Any]) -> None:
         time_ns = info["source_timestamp"]
         published.append(Published(time_ns, time_ns - stamp_ns(state), state.verdict, state.reason))
 
-    harness.node.create_subscription(ContactState, "contact_state", receive, QoSProfile(depth=100))  # type: ignore[arg-type]
+    harness.node.create_subscription(ContactStates, "contact_states", receive, QoSProfile(depth=100))  # type: ignore[arg-type]
     harness.subscribe()
     harness.send_until_ok()
     published.clear()

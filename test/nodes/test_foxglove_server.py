@@ -7,22 +7,23 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from rclpy.serialization import deserialize_message
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactStates
 from websockets.sync.client import ClientConnection, connect
 
 from scara_effmass.bags.definitions import definition_of, known_types
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
-from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from
+from scara_effmass.wire.contact_states import ContactStatesEncoder, decode_contact_states
+from test.decisions import decision_on
 from test.nodes.conftest import DEEP_QOS, TIMEOUT_S, NodeHarness
 
 COMMAND = (sys.executable, "-m", "scara_effmass", "foxglove")
 MESSAGE_DATA = 1
-TYPE = "scara_effmass_msgs/msg/ContactState"
-SENT = unknown_contact("tool", "close to the limit", 1_800_000_000_000_000_000, 0.0)._replace(
+TYPE = "scara_effmass_msgs/msg/ContactStates"
+CONTACT = unknown_contact("tool", "close to the limit")._replace(
     verdict=Verdict.WARN, speed=0.4, allowable_speed=0.5, lumped_mass=1.0, full_mass=2.0
 )
+SENT = decision_on(CONTACT, stamp_ns=1_800_000_000_000_000_000)
 
 
 def received(server: ClientConnection) -> Iterator[dict[str, Any]]:
@@ -39,8 +40,8 @@ def test_client_reads_a_contact_state_unchanged(new_harness: Callable[..., NodeH
     assert process.stdout is not None
     address = process.stdout.readline().split()[2].rstrip(";")
     assert address.startswith("ws://127.0.0.1:")
-    states = harness.node.create_publisher(ContactState, "contact_state", DEEP_QOS)
-    data = ContactStateEncoder("tool", "base_link").encode(SENT)
+    states = harness.node.create_publisher(ContactStates, "contact_states", DEEP_QOS)
+    data = ContactStatesEncoder("base_link").encode(SENT)
     harness.spin_until(states.get_subscription_count)
     with connect(address, subprotocols=["foxglove.sdk.v1"], open_timeout=TIMEOUT_S) as server:  # type: ignore[list-item]
         messages = received(server)
@@ -48,7 +49,7 @@ def test_client_reads_a_contact_state_unchanged(new_harness: Callable[..., NodeH
         assert info["name"] == "scara_effmass"
         assert not {"clientPublish", "services", "parameters"} & set(info["capabilities"])  # clients only read
         offered = (c for m in messages if m["op"] == "advertise" for c in m["channels"])
-        channel = next(c for c in offered if c["topic"] == "/contact_state")
+        channel = next(c for c in offered if c["topic"] == "/contact_states")
         assert (channel["encoding"], channel["schemaName"], channel["schemaEncoding"]) == ("cdr", TYPE, "ros2msg")
         assert channel["schema"] == definition_of(known_types(), TYPE, "test")[0]
         server.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": channel["id"]}]}))
@@ -63,7 +64,7 @@ def test_client_reads_a_contact_state_unchanged(new_harness: Callable[..., NodeH
         binary = harness.spin_until(frame, repeat=lambda: states.publish(data))
     opcode, subscription, _ = struct.unpack_from("<BIQ", binary)
     assert (opcode, subscription) == (MESSAGE_DATA, 7)
-    assert contact_from(deserialize_message(binary[13:], ContactState)) == SENT
+    assert decode_contact_states(binary[13:]) == SENT._replace(sequence_number=1)
 
 
 def test_port_in_use_is_one_line(new_harness: Callable[..., NodeHarness]) -> None:

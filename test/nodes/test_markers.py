@@ -10,14 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from visualization_msgs.msg import Marker
 
-from scara_effmass.iso15066.mobility_matrix import matrix_of, mobility_along
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
-from scara_effmass.model.pose_geometry import pose_geometry, worst_normal
+from scara_effmass.model.pose_geometry import pose_geometry
 from scara_effmass.nodes.markers import contact_markers, robot_markers
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor, unknown_contact
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import VERDICT_COLORS, ContactAssessment, JointState, Vector3, Verdict
+from scara_effmass.values import VERDICT_COLORS, ContactAssessment, JointState, Vector3, Verdict, mobility_matrix
 
 DYNAMICS = RobotDynamics(load_robot())
 Q = np.array([0.3, 1.2, 0.1, -0.4])
@@ -34,9 +33,12 @@ def assessed(q: np.ndarray = Q, qd: tuple[float, ...] = (0.5, 0.3, 0.01, 0.2), *
     return monitor.assess(state, state.stamp_ns).contacts[0]  # type: ignore[union-attr]
 
 
-def drawn(contact: ContactAssessment, *, simulated: bool = False) -> dict[str, Marker]:
+def drawn(contact: ContactAssessment, contact_normal: str = "worst", *, simulated: bool = False) -> dict[str, Marker]:
     places = {contact.contact_point: PLACE}
-    return {marker.ns: marker for marker in contact_markers([contact], places, simulated=simulated, **SCALES)}
+    return {
+        marker.ns: marker
+        for marker in contact_markers([contact], places, contact_normal, simulated=simulated, **SCALES)
+    }
 
 
 def vector(marker: Marker) -> np.ndarray:
@@ -54,7 +56,7 @@ def rotation(marker: Marker) -> np.ndarray:
 
 
 def test_spheres_have_the_volume_of_their_mass_in_steel_and_the_places_of_the_forward_kinematics() -> None:
-    geometry = pose_geometry(DYNAMICS, Q)
+    geometry = pose_geometry(DYNAMICS.robot, DYNAMICS.lumped, Q)
     links, *spheres = robot_markers(geometry)
     volumes = [math.pi / 6.0 * sphere.scale.x**3 for sphere in spheres]
     assert [STEEL * volume for volume in volumes] == pytest.approx([mass for mass, _ in geometry.lumped_masses])
@@ -68,7 +70,7 @@ def test_spheres_have_the_volume_of_their_mass_in_steel_and_the_places_of_the_fo
 def test_axes_of_the_ellipsoid_are_eigenvectors_of_the_mobility(q1: float, q2: float, v1: float, v2: float) -> None:
     contact = assessed(np.array([q1, q2, 0.1, 0.0]), (v1, v2, 0.01, 0.01))
     marker = drawn(contact)["mass_ellipsoid"]
-    mobility = np.array(matrix_of(contact.lumped_mobility))
+    mobility = mobility_matrix(contact.lumped_mobility)
     sizes = np.array([marker.scale.x, marker.scale.y, marker.scale.z])
     masses = (sizes / (2.0 * SCALES["ellipsoid_scale"])) ** 2
     for mass, axis in zip(masses, rotation(marker).T, strict=True):
@@ -93,17 +95,16 @@ def test_arrows_have_the_length_of_the_speeds_and_the_directions_of_the_state() 
         0.25 * contact.allowable_speed * np.array(contact.direction)
     )
     normal = vector(markers["worst_normal"]) / np.linalg.norm(vector(markers["worst_normal"]))
-    matrix = matrix_of(contact.lumped_mobility)
-    assert normal == pytest.approx(worst_normal(matrix, contact.direction, contact.obstacle_mass))
-    reduced = np.dot(normal, contact.direction) ** 2 / (
-        1.0 / contact.obstacle_mass + mobility_along(matrix, tuple(normal.tolist()))
-    )
+    inverse_masses = mobility_matrix(contact.lumped_mobility) + np.eye(3) / contact.obstacle_mass
+    worst = np.linalg.solve(inverse_masses, contact.direction)
+    assert normal == pytest.approx(worst / np.linalg.norm(worst))
+    reduced = np.dot(normal, contact.direction) ** 2 / (normal @ inverse_masses @ normal)
     assert reduced == pytest.approx(contact.worst_normal_reduced_mass, rel=1e-3)
 
 
 @pytest.mark.parametrize("normal", ["velocity", "0 0 1"])
 def test_worst_normal_is_drawn_only_where_the_verdict_assumes_it(normal: str) -> None:
-    assert "worst_normal" not in drawn(assessed(contact_normal=normal))
+    assert "worst_normal" not in drawn(assessed(contact_normal=normal), normal)
 
 
 def test_contact_point_at_rest_has_no_arrows() -> None:
@@ -132,7 +133,7 @@ def test_verdict_is_a_word_and_a_colour_of_its_own(verdict: Verdict) -> None:
 
 
 def test_contact_point_without_a_place_has_its_word_above_the_base() -> None:
-    markers = list(contact_markers([assessed(), unknown_contact("", "why", 0, 0.0)], {}, simulated=False, **SCALES))
+    markers = list(contact_markers([assessed(), unknown_contact("", "why")], {}, "worst", simulated=False, **SCALES))
     assert [marker.ns for marker in markers] == ["verdict", "verdict"]
     assert markers[0].pose.position.z < markers[1].pose.position.z
     assert markers[1].text == "robot: UNKNOWN\nwhy"
@@ -144,7 +145,7 @@ def test_words_of_contact_points_at_one_place_do_not_cover_each_other(z: float) 
     names = ("elbow", "tool", "flange", "rim")
     places = dict.fromkeys(names, (0.4, 0.0, z)) | {"elbow": (0.2, 0.0, z)}
     contacts = [assessed()._replace(contact_point=name) for name in names]
-    markers = contact_markers(contacts, places, simulated=False, **SCALES)
+    markers = contact_markers(contacts, places, "worst", simulated=False, **SCALES)
     at = {marker.text.partition(":")[0]: marker.pose.position.z for marker in markers if marker.ns == "verdict"}
     away = math.copysign(0.2, z)
     assert [at[name] - z for name in names] == pytest.approx([away, away, 2.0 * away, 3.0 * away])

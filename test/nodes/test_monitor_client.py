@@ -9,13 +9,13 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
+from scara_effmass.nodes.monitor_client import MonitorClient
+from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from
 from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import Float64
 
-from scara_effmass.nodes.monitor_client import MonitorClient
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import ContactAssessment, Verdict
-from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from
 from test.nodes.conftest import TIMEOUT_S, ros_node
 
 NS = 1_000_000_000

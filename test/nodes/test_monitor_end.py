@@ -16,7 +16,7 @@ from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from test.nodes.conftest import JOINTS, TIMEOUT_S, NodeHarness, Q, joint_state, stamp_ns
+from test.nodes.conftest import JOINTS, TIMEOUT_S, Answer, NodeHarness, Q, joint_state, stamp_ns
 
 S = 1_000_000_000
 STILL = (0.0,) * 4
@@ -35,17 +35,17 @@ def _first(received: list[DiagnosticArray]) -> DiagnosticArray | None:
     return received[0] if received else None
 
 
-def answer(harness: NodeHarness, verdict: int, **fields: object) -> ContactState:
+def answer(harness: NodeHarness, verdict: int, **fields: object) -> Answer:
     """Send joint states until one gets `verdict`; return its contact state."""
     harness.contact_states.clear()
 
     def send() -> None:
         harness.send(joint_state(**{"velocity": STILL, **fields}))  # type: ignore[arg-type]
 
-    def answered() -> ContactState | None:
+    def answered() -> Answer | None:
         return next((c for c in harness.contact_states if c.verdict == verdict and not c.watchdog), None)
 
-    contact: ContactState = harness.spin_until(answered, repeat=send)
+    contact: Answer = harness.spin_until(answered, repeat=send)
     harness.spin_until(lambda: harness.scalars["speed_scaling"])
     return contact
 
@@ -119,10 +119,10 @@ def test_nothing_follows_the_last_message_and_a_second_signal_changes_nothing(
     harness.spin_until(lambda: harness.contact_states[-1].verdict == ContactState.UNKNOWN, repeat=send)
     process.send_signal(signal.SIGTERM)
     harness.spin_until(lambda: process.poll() is not None, repeat=send)
-    harness.spin_until(lambda: not harness.node.count_publishers("contact_state"))
+    harness.spin_until(lambda: not harness.node.count_publishers("contact_states"))
     assert process.returncode == 0
     assert process.stdout is not None
-    assert process.stdout.read().split() == ["/contact_state", "/allowable_speed", "/speed_scaling"]
+    assert process.stdout.read().split() == ["/contact_states", "/allowable_speed", "/speed_scaling"]
     assert harness.contact_states[-1].reason == "the node shuts down"
     verdicts = [c.verdict for c in harness.contact_states]
     from_ok = verdicts[verdicts.index(ContactState.OK) :]
@@ -168,9 +168,8 @@ raise SystemExit(monitor_node.main())
 
 
 def test_watchdog_speaks_while_a_callback_takes_long(
-    new_harness: Callable[..., NodeHarness], monkeypatch: pytest.MonkeyPatch
+    new_harness: Callable[..., NodeHarness],
 ) -> None:
-    monkeypatch.setenv("SCARA_EFFMASS_SOURCES", "1")  # a compiled Monitor has no subclass
     harness = new_harness()
     harness.start("--ros-args", "-p", "timeout:=1.0", "-p", "release_time:=0.0", command=(sys.executable, "-c", BUSY))
     harness.subscribe()
@@ -221,14 +220,14 @@ def test_deadline_lifespan_and_lease_are_offered_and_can_be_overridden(new_harne
     override = "qos_overrides./allowable_speed.publisher.deadline:=700000000"
     harness = new_harness("--ros-args", "-p", "timeout:=0.3", "-p", override)
     offered = {}
-    for topic in ("contact_state", "allowable_speed", "speed_scaling"):
+    for topic in ("contact_states", "allowable_speed", "speed_scaling"):
         (info,) = harness.spin_until(partial(harness.node.get_publishers_info_by_topic, topic))
         qos = info.qos_profile
         assert qos.liveliness == LivelinessPolicy.AUTOMATIC
         assert qos.liveliness_lease_duration.nanoseconds == 600_000_000
         offered[topic] = (qos.deadline.nanoseconds, min(qos.lifespan.nanoseconds, 10 * S))
     assert offered == {
-        "contact_state": (600_000_000, 10 * S),
+        "contact_states": (600_000_000, 10 * S),
         "allowable_speed": (700_000_000, 2 * S),
         "speed_scaling": (600_000_000, 2 * S),
     }

@@ -5,18 +5,19 @@ from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.nodes.monitor_health import monitor_statuses, worst_contacts
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor, unknown_contact, unknown_decision
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import Decision, Verdict
+from test.decisions import decision_on
 
 
 def model_status(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[str, str]]:
     monitor = Monitor(RobotDynamics(load_robot(settings=settings)), settings)
-    _, status = monitor_statuses(monitor, (), {}, DiagnosticStatus())
+    _, status = monitor_statuses(monitor, (), {}, 0.0, DiagnosticStatus())
     return status, {pair.key: pair.value for pair in status.values}
 
 
@@ -47,7 +48,7 @@ def test_kernel_that_disagreed_is_a_warning_and_counted() -> None:
         ("the compiled kernel disagrees with Pinocchio in speed", "Pinocchio: the compiled kernel disagrees", "1"),
     ):
         monitor.kernel_fault = fault
-        _, status = monitor_statuses(monitor, (), {}, DiagnosticStatus())
+        _, status = monitor_statuses(monitor, (), {}, 0.0, DiagnosticStatus())
         values = {pair.key: pair.value for pair in status.values}
         assert values["core"].startswith(core)
         assert values["kernel disagreements"] == count
@@ -56,14 +57,13 @@ def test_kernel_that_disagreed_is_a_warning_and_counted() -> None:
 
 
 def decision(*verdicts: tuple[str, Verdict]) -> Decision:
-    contacts = (unknown_contact(name, f"of {name}", 1, 0.0)._replace(verdict=verdict) for name, verdict in verdicts)
-    return Decision(tuple(contacts), 0.0, 0.0)
+    return decision_on(*(unknown_contact(name, f"of {name}")._replace(verdict=verdict) for name, verdict in verdicts))
 
 
 def test_first_cause_names_its_contact_point() -> None:
     monitor = Monitor(RobotDynamics(load_robot()), MonitorSettings())
     monitor.first_cause = Cause(1_500_000_000, "elbow", Verdict.VIOLATION, "too fast")
-    _, status = monitor_statuses(monitor, (), {}, DiagnosticStatus())
+    _, status = monitor_statuses(monitor, (), {}, 0.0, DiagnosticStatus())
     values = {pair.key: pair.value for pair in status.values}
     assert values["first cause"] == "VIOLATION at 1.500000 s: elbow: too fast"
 
@@ -81,7 +81,7 @@ def test_each_contact_point_reports_its_own_worst_since_the_last_report() -> Non
         "tool": "UNKNOWN",
         "rim": "VIOLATION",
     }
-    statuses = monitor_statuses(None, worst, {}, DiagnosticStatus())
+    statuses = monitor_statuses(None, worst, {}, 0.0, DiagnosticStatus())
     assert [status.name for status in statuses[1:]] == ["contact elbow", "contact tool", "contact rim"]
     assert {status.level for status in statuses[1:]} == {DiagnosticStatus.ERROR}
 

@@ -11,7 +11,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from scara_effmass_msgs.msg import ContactState
 
-from test.nodes.conftest import NodeHarness, joint_state
+from test.nodes.conftest import Answer, NodeHarness, joint_state
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -30,9 +30,9 @@ def test_payload_comes_from_exactly_one_publisher(new_harness: Callable[..., Nod
     harness.start("--ros-args", *settings, "-r", "payload:=gripper/payload", "-p", "payload_topic:=payload")
     harness.subscribe()
 
-    def until(condition: Callable[[ContactState], bool]) -> ContactState:
+    def until(condition: Callable[[Answer], bool]) -> Answer:
         harness.contact_states.clear()
-        found: list[ContactState] = []
+        found: list[Answer] = []
 
         def matching() -> bool:
             found[:] = [contact for contact in harness.contact_states if condition(contact)]

@@ -25,12 +25,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.recorder import BagRecorder
-from scara_effmass.bags.recording_report import LossCounts, RecordingReport
+from scara_effmass.bags.recorder import BagRecorder, RecordingReport
+from scara_effmass.bags.split_writer import LossCounts
 from scara_effmass.errors import OutputError, SettingsError
-from scara_effmass.nodes import topic_recorder
-from scara_effmass.nodes.record import RecordReport, record
-from scara_effmass.nodes.topic_recorder import TopicRecorder
+from scara_effmass.nodes.record import QUEUE_DEPTH, RecordReport, TopicRecorder, record
 from scara_effmass.wire.message_types import message_class, message_definition
 from test.nodes.conftest import TIMEOUT_S, ros_node
 
@@ -261,7 +259,7 @@ def test_topic_without_installed_type_is_refused_and_others_are_recorded(
     def installed(message_type: str) -> type | None:
         return None if message_type == "std_msgs/msg/Float64" else message_class(message_type)
 
-    monkeypatch.setattr(topic_recorder, "message_class", installed)
+    monkeypatch.setattr("scara_effmass.nodes.record.message_class", installed)
 
     def script() -> Iterator[None]:
         number = rig.node.create_publisher(Float64, "number", DEEP)
@@ -313,7 +311,7 @@ def test_later_type_of_a_topic_is_refused_and_the_first_is_recorded(make_rig: Ca
 
 def test_messages_that_wait_longer_than_a_second_are_recorded(rig: Rig) -> None:
     """The middleware drops what exceeds the queue without a word."""
-    backlog = topic_recorder.QUEUE_DEPTH
+    backlog = QUEUE_DEPTH
 
     def script() -> Iterator[None]:
         publisher = rig.node.create_publisher(String, "notes", QoSProfile(depth=backlog))

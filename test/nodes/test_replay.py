@@ -8,8 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
@@ -22,23 +21,20 @@ import pytest
 from builtin_interfaces.msg import Time
 from hypothesis import given
 from hypothesis import strategies as st
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.task import Future
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
-from scara_effmass_msgs.msg import ContactState, NodeReadiness
+from scara_effmass_msgs.msg import NodeReadiness
 from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import Float64, Header, String
 
 from scara_effmass.bags.bag import RawMessage
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, EffmassError, SettingsError
-from scara_effmass.nodes import lockstep
-from scara_effmass.nodes.lockstep import MAX_UNANSWERED
 from scara_effmass.nodes.replay import CLOCK_STEP_NS, OnProgress, ReplayOptions, ReplayReport, replay, timeline
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
@@ -50,7 +46,6 @@ START_NS = 1_767_225_600_000_000_000
 MS = 1_000_000
 TEXT = "std_msgs/msg/String"
 DEEP = QoSProfile(depth=100_000)
-SHALLOW = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LATCHED_TOPICS = ("/robot_description",)
 
@@ -60,21 +55,6 @@ def state(number: int, names: tuple[str, ...] = JOINTS) -> JointState:
 
 
 pytestmark = pytest.mark.usefixtures("own_domain")
-
-
-AdvanceTime = Callable[[Callable[[], int]], None]
-
-
-@pytest.fixture
-def advance_time(monkeypatch: pytest.MonkeyPatch) -> AdvanceTime:
-    """Return a function that shifts steady time by `hours()`, so that waits end at once."""
-    now_ns = time.monotonic_ns
-    monkeypatch.setattr(lockstep, "WAIT_SLICE_NS", 1 << 62)  # one slice: a wait ends at the first shift
-
-    def advance(hours: Callable[[], int]) -> None:
-        monkeypatch.setattr("time.monotonic_ns", lambda: now_ns() + hours() * 3600 * 10**9)
-
-    return advance
 
 
 @pytest.fixture
@@ -91,7 +71,7 @@ def bag(tmp_path: Path) -> Path:
 
 @final
 class Receiver:
-    """Node in its own thread that records messages and may answer joint states as the monitor does."""
+    """Node in its own thread that records messages."""
 
     TYPES: Mapping[str, Any] = {
         "/clock": Clock,
@@ -100,29 +80,14 @@ class Receiver:
         "/remark": String,
     }
 
-    def __init__(
-        self,
-        *topics: str,
-        qos: QoSProfile = DEEP,
-        answers: bool = False,
-        answer_delay_s: float = 0.0,
-        other_device: tuple[str, ...] = (),
-        leaves_after: int | None = None,
-        readiness: NodeReadiness | None = None,
-    ) -> None:
+    def __init__(self, *topics: str, readiness: NodeReadiness | None = None) -> None:
         self.received: dict[str, list[bytes]] = {topic: [] for topic in topics}
-        self.declined = 0
-        self._answer_delay_s = answer_delay_s
-        self._other_device = other_device
-        self._leaves_after = leaves_after
         self._decoder = JointStateDecoder()
         self._changed = threading.Condition()
         self._matched = threading.Event()
         self._stop = Future()
         self._stack = ExitStack()
         self._node = self._stack.enter_context(ros_node("receiver"))
-        self._answering = answers
-        self._answers: Publisher | None = None
         # Subscribe to the joint states last: a replay that has matched them has matched the other topics.
         for topic in sorted(topics, key="/joint_states".__eq__):
             kind = self.TYPES.get(topic, String)
@@ -130,9 +95,9 @@ class Receiver:
                 kind,
                 topic,
                 partial(self._on_message, topic),
-                LATCHED if topic in LATCHED_TOPICS else qos,
+                LATCHED if topic in LATCHED_TOPICS else DEEP,
                 raw=True,
-                event_callbacks=SubscriptionEventCallbacks(matched=self._on_matched),
+                event_callbacks=SubscriptionEventCallbacks(matched=lambda _: self._matched.set()),
             )
         if readiness is not None:
             reports = self._node.create_publisher(NodeReadiness, READINESS, DEEP)
@@ -179,48 +144,15 @@ class Receiver:
     def _spin(self) -> None:
         self._executor.spin_until_future_complete(self._stop, timeout_sec=1e6)
 
-    def _on_matched(self, _: object) -> None:
-        # A replay at rate 0 waits for this publisher: create it once the subscriptions have matched.
-        if self._answering and self._answers is None:
-            events = PublisherEventCallbacks(matched=self._publish_watchdog_state)
-            self._answers = self._node.create_publisher(ContactState, "contact_state", DEEP, event_callbacks=events)
-        self._matched.set()
-
-    def _publish_watchdog_state(self, _: object) -> None:
-        if self._answers is not None:
-            self._answers.publish(ContactState(reason="no joint state yet", watchdog=True))
-
     def _on_message(self, topic: str, data: bytes) -> None:
         with self._changed:
             self.received[topic].append(data)
             self._changed.notify_all()
-        if topic == "/joint_states" and self._answers is not None:
-            self._answer(self._answers, data)
-
-    def _answer(self, answers: Publisher, data: bytes) -> None:
-        if len(self.received["/joint_states"]) == self._leaves_after:
-            self._answering = False
-            self._node.destroy_publisher(answers)
-            self._answers = None
-            return
-        joint_state = self._decoder.decode(data)
-        message = ContactState(watchdog=True)
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(joint_state.stamp_ns, 1_000_000_000)
-        while not answers.get_subscription_count() and not self._stop.done():
-            threading.Event().wait(0.001)  # the replay has matched this publisher, but not vice versa
-        answers.publish(message)  # the watchdog speaks at the same time: no answer
-        time.sleep(self._answer_delay_s)  # a slow monitor
-        if joint_state.names == self._other_device:
-            self.declined += 1
-            return
-        message.watchdog = False
-        answers.publish(message)
 
 
 def play(bag: Path, on_progress: OnProgress = lambda *_: None, **options: Any) -> ReplayReport:  # noqa: ANN401
     """Replay with long timeouts."""
-    timeouts = {"ready_timeout_s": TIMEOUT_S, "answer_timeout_s": TIMEOUT_S}
-    return replay(ReplayOptions(bag, **{**timeouts, **options}), on_progress)
+    return replay(ReplayOptions(bag, **{"ready_timeout_s": TIMEOUT_S, **options}), on_progress)
 
 
 def same_states(received: list[JointState], sent: list[JointState]) -> bool:
@@ -291,59 +223,9 @@ def test_clock_jumps_back_between_passes(bag: Path) -> None:
     assert report.replayed_s == pytest.approx(2 * 0.099)
 
 
-def test_rate_0_loses_nothing_for_a_slow_node_with_a_queue_of_one(bag: Path) -> None:
-    with Receiver("/joint_states", qos=SHALLOW, answers=True, answer_delay_s=0.003) as receiver:
-        report = play(bag, rate=0.0)
-        assert same_states(receiver.states(100), [state(number) for number in range(100)])
-    assert (report.answered, report.unanswered, report.not_awaited) == (100, 0, 0)
-    assert report.wall_s >= 0.3
-    assert (report.late, report.worst_lateness_s) == (0, 0.0)
-
-
-def test_rate_0_continues_after_joint_states_of_another_device(tmp_path: Path, advance_time: AdvanceTime) -> None:
-    gripper = ("finger1", "finger2", "finger3", "finger4")
-    states = [state(number, JOINTS if number % 2 else gripper) for number in range(60)]
-    path = tmp_path / "bag"
-    with BagWriter(path) as writer:
-        writer.write_joint_states("/joint_states", states)
-    with Receiver("/joint_states", answers=True, other_device=gripper) as receiver:
-        advance_time(lambda: min(receiver.declined, MAX_UNANSWERED))  # ends the wait for each missing answer
-        report = play(path, rate=0.0)
-        assert same_states(receiver.states(60), states)
-    assert report.answered == 30
-    assert report.unanswered == MAX_UNANSWERED
-    assert report.not_awaited == 30 - MAX_UNANSWERED
-
-
-def test_rate_0_fails_when_the_monitor_leaves(bag: Path) -> None:
-    with (
-        Receiver("/joint_states", answers=True, leaves_after=7),
-        pytest.raises(EffmassError, match="/contact_state: its publisher left after 6 answers"),
-    ):
-        play(bag, rate=0.0)
-
-
-def test_rate_0_gets_an_answer_to_every_joint_state_from_the_live_monitor(bag: Path) -> None:
-    monitor = subprocess.Popen(
-        [sys.executable, "-c", "import sys; from scara_effmass.nodes.monitor_node import main; sys.exit(main())"]
-    )
-    try:
-        report = play(bag, rate=0.0)
-    finally:
-        monitor.send_signal(signal.SIGTERM)
-        assert monitor.wait(TIMEOUT_S) == 0
-    assert (report.sent["/joint_states"], report.answered, report.unanswered) == (100, 100, 0)
-
-
 def test_replay_without_subscribers_fails(bag: Path) -> None:
     with pytest.raises(EffmassError, match=r"within 0\.2 s: /joint_states: expected 1 subscribers, found 0"):
         play(bag, ready_timeout_s=0.2)
-
-
-def test_rate_0_without_a_monitor_fails(bag: Path) -> None:
-    message = "/contact_state: no publisher; rate 0 needs a monitor"
-    with Receiver("/joint_states"), pytest.raises(EffmassError, match=message):
-        play(bag, rate=0.0, ready_timeout_s=5.0)
 
 
 ACTIVE = {"node": "/receiver", "active": True, "use_sim_time": True, "peers": ["/receiver"]}
@@ -466,11 +348,6 @@ def test_replay_in_a_namespace_publishes_there(tmp_path: Path) -> None:
     assert report.sent == {"/left/joint_states": 5, "/left/remark": 1, "/left/note": 1, "/tf": 1}
 
 
-def test_rate_0_without_joint_states_is_refused(bag: Path) -> None:
-    with pytest.raises(SettingsError, match="rate = 0: nothing is published as /joint_states"):
-        play(bag, rate=0.0, topics=("/remark",))
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -486,8 +363,8 @@ def test_missing_topics_are_refused(bag: Path, options: dict[str, Any], message:
 
 def test_progress_increases_from_the_start(bag: Path) -> None:
     reports: list[tuple[int, float, float]] = []
-    with Receiver("/joint_states", answers=True, answer_delay_s=0.003):  # at least 0.3 s in total
-        play(bag, lambda *progress: reports.append(progress), rate=0.0)
+    with Receiver("/joint_states"):
+        play(bag, lambda *progress: reports.append(progress), rate=0.3)  # at least 0.3 s in total
     assert reports[0] == (1, 0.0, 0.099)
     assert len(reports) > 1
     assert all(before <= after for before, after in pairwise(reports))

@@ -15,7 +15,7 @@ import pytest
 from control_msgs.msg import SpeedScalingFactor
 from lifecycle_msgs.msg import Transition
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactState, ContactStates
 from std_msgs.msg import Float64
 
 from scara_effmass.cell.scaled_trajectory import ScaledTrajectory
@@ -24,7 +24,7 @@ from scara_effmass.sim.motion import sample_moves
 from scara_effmass.sim.recordings import tour_moves
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.topics import SPEED_SCALING_INPUT, verdict_qos
-from test.nodes.conftest import DEEP_QOS, JOINTS, TIMEOUT_S, NodeHarness, joint_state, stamp_ns
+from test.nodes.conftest import DEEP_QOS, JOINTS, TIMEOUT_S, Answer, NodeHarness, joint_state, stamp_ns
 
 NODE = Path(sys.executable).with_name("speed_scaling_node")
 CONTROLLER_QOS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -67,13 +67,17 @@ def test_two_monitors_hold_the_factor_at_0_until_one_is_left(new_harness: Callab
 
     node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, on_factor, CONTROLLER_QOS)
     first, second = (
-        node.node.create_publisher(ContactState, "contact_state", qos_profile(verdict_qos(0.5))) for _ in range(2)
+        node.node.create_publisher(ContactStates, "contact_states", qos_profile(verdict_qos(0.5))) for _ in range(2)
     )
 
+    numbers = {first: 0, second: 100}
+
     def send(*publishers: Any) -> None:  # noqa: ANN401
-        message = ContactState(contact_point="tool", verdict=ContactState.OK, allowable_speed=1.0)
-        message.header.stamp = node.node.get_clock().now().to_msg()
+        contact = ContactState(contact_point="tool", verdict=ContactState.OK, allowable_speed=1.0)
         for publisher in publishers:
+            numbers[publisher] += 1
+            message = ContactStates(contacts=[contact], sequence_number=numbers[publisher])
+            message.header.stamp = node.node.get_clock().now().to_msg()
             publisher.publish(message)
 
     node.spin_until(lambda: factors and factors[-1] == 1.0, repeat=lambda: send(first))
@@ -139,7 +143,7 @@ def test_percent_is_a_float64(cell: Start) -> None:
     rises_to_1(monitor, node, percents, 100.0)
 
 
-def follow(cell: Start) -> tuple[float, list[ContactState], dict[int, float]]:
+def follow(cell: Start) -> tuple[float, list[Answer], dict[int, float]]:
     """Follow the fastest part of the tour in real time; motion and controller are simulated.
 
     Return how old the newest contact state was at most in motion [s], all of them, and the factors by stamp [ns].
@@ -147,8 +151,12 @@ def follow(cell: Start) -> tuple[float, list[ContactState], dict[int, float]]:
     monitor, node, factors = cell("-p", "rise_rate:=2.0", "-p", f"latency:={LATENCY_S}", "-p", "rate:=100.0")
     q, qd = sample_moves(tour_moves(), 100)
     trajectory = ScaledTrajectory(JOINTS, np.arange(300) / 100, q[1950:2250], qd[1950:2250])
-    states: list[ContactState] = []
-    node.node.create_subscription(ContactState, "contact_state", states.append, DEEP_QOS)
+    states: list[Answer] = []
+
+    def on_states(message: ContactStates) -> None:
+        states.append(Answer(message))
+
+    node.node.create_subscription(ContactStates, "contact_states", on_states, DEEP_QOS)
     in_force: dict[int, float] = {}
 
     def stand() -> None:

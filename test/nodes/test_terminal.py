@@ -143,7 +143,7 @@ def test_validator_quiet_logs_warnings_only(new_harness: Callable[..., NodeHarne
     harness = new_harness(name="validator")
     rosout = Rosout(harness)
     harness.start("validator", "--quiet", command=COMMAND)
-    rosout.line(Log.WARN, "series: no publisher of /contact_state")
+    rosout.line(Log.WARN, "series: no publisher of /contact_states")
     assert all(log.level >= Log.WARN for log in rosout.logs)
 
 

@@ -31,25 +31,25 @@ IMPACT = Impact(
 )
 
 
-def series(validator: Validator, **contact_states: int) -> DiagnosticStatus:
-    return series_status(validator, Counter(), (), contact_states=contact_states, robot="arm")
+def series(validator: Validator, *contact_points: str) -> DiagnosticStatus:
+    return series_status(validator, Counter(), (), contact_points=contact_points, robot="arm")
 
 
 def test_series_without_contact_states_is_not_ok() -> None:
     validator = Validator(ValidatorSettings(contact_point="tool"))
-    assert series(validator, elbow=1000, tool=1000).level == DiagnosticStatus.OK
+    assert series(validator, "elbow", "tool").level == DiagnosticStatus.OK
     silent = series(validator)
     assert (silent.level, silent.message) == (DiagnosticStatus.WARN, "no contact states")
     assert silent.hardware_id == "arm"
 
 
 def test_series_whose_contact_point_the_monitor_does_not_have_is_not_ok() -> None:
-    other = series(Validator(ValidatorSettings(contact_point="tol")), tool=1000, elbow=1000)
+    other = series(Validator(ValidatorSettings(contact_point="tol")), "tool", "elbow")
     assert (other.level, other.message) == (DiagnosticStatus.WARN, "no contact states of tol, only of elbow, tool")
 
 
 def test_series_with_waiting_impacts_is_not_ok() -> None:
     validator = Validator(ValidatorSettings(contact_point="tool"))
     validator.add_impact(IMPACT, NOW)
-    waiting = series(validator, tool=1000)
+    waiting = series(validator, "tool")
     assert (waiting.level, waiting.message) == (DiagnosticStatus.WARN, "1 impacts wait for contact states")

@@ -13,21 +13,20 @@ import numpy as np
 import pytest
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from scara_effmass_msgs.msg import ContactState, Impact, ImpactValidation, RunInfo
-from std_msgs.msg import String
+from scara_effmass_msgs.msg import ContactStates, Impact, ImpactValidation, RunInfo
 from std_srvs.srv import Trigger
 
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.validator_node import ValidatorNode
 from scara_effmass.safety import unknown_contact
 from scara_effmass.settings import ValidatorSettings
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.values import Decision, Verdict
 from scara_effmass.values import Impact as ImpactValue
 from scara_effmass.values import RunInfo as RunInfoValue
-from scara_effmass.wire.contact_state import ContactStateEncoder
+from scara_effmass.wire.contact_states import ContactStatesEncoder
 from scara_effmass.wire.force import impact_message
 from scara_effmass.wire.run_info import run_info_message
-from scara_effmass.wire.topics import RECORDING_INFO
+from test.decisions import decision_on
 from test.nodes.conftest import NodeHarness
 
 EXECUTABLE = Path(sys.executable).with_name("validator_node")
@@ -38,10 +37,10 @@ START_NS = 1_800_000_000 * S
 PEAKS = (200.0, 290.0, 331.0, 302.0)
 
 
-def contact(number: int) -> ContactAssessment:
-    """Return a contact state each millisecond, its mass and speed slowly changing."""
+def decision(number: int) -> Decision:
+    """Return a decision each millisecond, its mass and speed slowly changing."""
     mass = 1.0 + number * 1e-4
-    return unknown_contact("tool", "", START_NS + number * MS, 0.0)._replace(
+    contact = unknown_contact("tool", "")._replace(
         verdict=Verdict.OK,
         direction=(1.0, 0.0, 0.0),
         speed=0.25 + number * 1e-6,
@@ -51,6 +50,7 @@ def contact(number: int) -> ContactAssessment:
         iso_mass=2.77,
         allowable_speed=1.0,
     )
+    return decision_on(contact, stamp_ns=START_NS + number * MS)
 
 
 def impact(number: int, peak: float) -> ImpactValue:
@@ -70,22 +70,18 @@ class ValidatorHarness:
         # Before the diagnostics, of which a test waits for one: the validator has found this one too by then.
         node.create_subscription(ImpactValidation, "impact_validation", self.received.append, DEEP)
         harness.subscribe()
-        self.states = node.create_publisher(ContactState, "contact_state", DEEP)
+        self.states = node.create_publisher(ContactStates, "contact_states", DEEP)
         self.impacts = node.create_publisher(Impact, "impact", DEEP)
         self.run_info = node.create_publisher(RunInfo, "run_info", LATCHED)
-        self.recording_info = node.create_publisher(String, RECORDING_INFO, LATCHED)
-        ends = (self.states, self.impacts, self.run_info, self.recording_info)
+        ends = (self.states, self.impacts, self.run_info)
         harness.spin_until(
             lambda: all(end.get_subscription_count() for end in ends) and node.count_publishers("impact_validation")
         )
 
-    def state_run(self, mass: float, *infos: bytes | str | RunInfoValue) -> None:
-        """Publish run information, as JSON where it is text, and wait until the obstacle mass is `mass` [kg]."""
+    def state_run(self, mass: float, *infos: bytes | RunInfoValue) -> None:
+        """Publish run information, and wait until the obstacle mass is `mass` [kg]."""
         for info in infos:
-            if isinstance(info, str):
-                self.recording_info.publish(String(data=info))
-            else:
-                self.run_info.publish(info if isinstance(info, bytes) else run_info_message(info))
+            self.run_info.publish(info if isinstance(info, bytes) else run_info_message(info))
         self.harness.diagnostic("validator: series", "obstacle mass [kg]", f"{mass:g}".__eq__)
 
     def run(self, *masses: float, first: int = 0) -> None:
@@ -95,10 +91,10 @@ class ValidatorHarness:
         ]
         if infos:
             self.state_run(masses[-1], *infos)
-        encoder = ContactStateEncoder("tool", "base_link")
+        encoder = ContactStatesEncoder("base_link")
         for number in range(first, first + len(masses)):
             for millisecond in range(number * 1000 + 400, number * 1000 + 600):
-                self.states.publish(encoder.encode(contact(millisecond)))
+                self.states.publish(encoder.encode(decision(millisecond)))
             self.impacts.publish(impact_message(impact(number, PEAKS[number % len(PEAKS)])))
 
 
@@ -131,15 +127,17 @@ def test_what_it_publishes_is_what_the_core_gives_offline(node: ValidatorHarness
     for number, (mass, peak) in enumerate(zip(masses, PEAKS, strict=True)):
         validator.runs.set(START_NS + number * S, obstacle_mass=mass)
         for millisecond in range(number * 1000 + 400, number * 1000 + 600):
-            expected += validator.add_state(contact(millisecond), 0)
+            expected += validator.add_decision(decision(millisecond), 0)
         expected += validator.add_impact(impact(number, peak), 0)
     assert len(expected) == 4
-    names = set(ImpactValidation.get_fields_and_field_types()) - {"header"}
+    names = set(ImpactValidation.get_fields_and_field_types()) - {"header", "series"}
     for message, validated in zip(node.received, expected, strict=True):
         assert message.header.stamp.sec * S + message.header.stamp.nanosec == validated.stamp_ns
         assert {name: plain(getattr(message, name)) for name in names} == {
             name: plain(getattr(validated, name)) for name in names
         }
+        for name in message.series.get_fields_and_field_types():
+            assert plain(getattr(message.series, name)) == plain(getattr(validated.series, name))
         line = f"simulated impact: peak {validated.measured_force:.1f} N, predicted {validated.predicted_force:.1f} N"
         limit = f" N on {validated.body_region}, {'ABOVE' if validated.exceeds_limit else 'below'} its limit of "
         node.harness.spin_until(lambda: any(line in log.msg and limit in log.msg for log in logs))  # noqa: B023
@@ -156,18 +154,12 @@ def test_without_a_mass_an_impact_is_counted_and_not_predicted(node: ValidatorHa
 
 
 def test_malformed_run_information_makes_the_obstacle_mass_unknown(node: ValidatorHarness) -> None:
-    malformed: list[bytes | str | RunInfoValue] = [
-        '{"obstacle_mass": 2.39, "since_ns": 1e999}',
-        '{"obstacle_mass": true}',
-        '{"obstacle_mass": "2.39"}',
-        '{"obstacle_mass": NaN}',
-        '{"configuration": "\\ud800"}',
+    malformed: list[bytes | RunInfoValue] = [
         b"\x00\x01\x00\x00 too short",
         RunInfoValue(obstacle_mass=math.nan),
         RunInfoValue(obstacle_mass=2.39, configuration="a\nb"),
     ]
     assert node.harness.set_parameters(obstacle_mass=2.39) == ""
-    node.state_run(2.39, "[" * 100_000)  # no JSON object: ignored
     node.run(0.0)
     node.harness.spin_until(lambda: len(node.received) == 1)
     for number, info in enumerate(malformed, start=1):
@@ -175,7 +167,7 @@ def test_malformed_run_information_makes_the_obstacle_mass_unknown(node: Validat
         node.run(0.0, first=2 * number - 1)
         not_paired = "not paired: obstacle_mass is not given"
         assert node.harness.diagnostic("validator: series", not_paired, f"{number}".__eq__).endswith(f"| {number}")
-        node.state_run(0.5, '{"obstacle_mass": 0.5, "configuration": [1]}')
+        node.state_run(0.5, RunInfoValue(obstacle_mass=0.5))
         node.run(0.0, first=2 * number)
         node.harness.spin_until(lambda: len(node.received) == number + 1)  # noqa: B023
 

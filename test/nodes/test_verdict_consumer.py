@@ -17,7 +17,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactState, ContactStates
 
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.wire import topics
@@ -42,14 +42,14 @@ raise SystemExit(monitor_node.main())
 @pytest.mark.parametrize(
     ("fault", "reasons"),
     [
-        ("deactivate", {"tool: the monitor was deactivated"}),
-        ("no input", {"tool: no joint state for"}),
-        ("old stamp", {"tool: the state is", "elbow: the state is"}),
-        ("SIGTERM", {"tool: the node shuts down"}),
+        ("deactivate", {"the monitor was deactivated"}),
+        ("no input", {"no joint state for"}),
+        ("old stamp", {"the joint state is"}),
+        ("SIGTERM", {"the node shuts down"}),
         ("SIGKILL", {"liveliness lost", "deadline missed"}),
         ("SIGABRT", {"liveliness lost", "deadline missed"}),
         ("SIGSTOP", {"liveliness lost", "deadline missed"}),
-        ("exception", {"tool: the node ends: ValueError('surprise')"}),
+        ("exception", {"the node ends: ValueError('surprise')"}),
     ],
 )
 def test_consumer_stops(new_harness: Callable[..., NodeHarness], fault: str, reasons: set[str]) -> None:
@@ -74,7 +74,7 @@ def test_consumer_stops(new_harness: Callable[..., NodeHarness], fault: str, rea
                     harness.send(joint_state(time.time_ns() - delay_ns, position=position, velocity=(0.0,) * 4))
                 executor.spin_once(timeout_sec=0.05)
 
-        assert changes == [(0.0, "no contact state yet")]
+        assert changes == [(0.0, "no contact states yet")]
         spin_until(lambda: changes[-1][0] > 0.0)
         changes.clear()
         sending = fault != "no input"
@@ -117,7 +117,7 @@ def example(own_domain: int) -> Iterator[Example]:
     rclpy.init(domain_id=own_domain, signal_handler_options=SignalHandlerOptions.NO)
     try:
         consumer: Any = runpy.run_path(str(EXAMPLE))["VerdictConsumer"](TIMEOUT, lambda *change: changes.append(change))
-        publisher = consumer.create_publisher(ContactState, "contact_state", qos_profile(topics.verdict_qos(TIMEOUT)))
+        publisher = consumer.create_publisher(ContactStates, "contact_states", qos_profile(topics.verdict_qos(TIMEOUT)))
         executor = SingleThreadedExecutor()
         executor.add_node(consumer)
         yield Example(consumer, changes, publisher, executor)
@@ -127,65 +127,35 @@ def example(own_domain: int) -> Iterator[Example]:
         rclpy.try_shutdown()
 
 
-def test_consumer_stops_while_any_contact_point_allows_nothing(example: Example) -> None:
-    """The message of the next contact point does not end it, nor does one of an older stamp."""
+def test_consumer_moves_only_while_the_last_message_allows_it(example: Example) -> None:
     consumer, changes, publisher, executor = example
 
-    def speeds_after(verdict: int, allowable_speed: float) -> list[float]:
-        stamp = consumer.get_clock().now().to_msg()
-        for name, state in (("tool", verdict), ("elbow", ContactState.OK), ("rim", ContactState.WARN)):
-            message = ContactState(contact_point=name, verdict=state, allowable_speed=allowable_speed, reason=name)
-            message.header.stamp = stamp
-            publisher.publish(message)
-        changes.clear()
-        end = time.monotonic() + TIMEOUT_S
-        reason = "tool: tool" if verdict in {ContactState.UNKNOWN, ContactState.VIOLATION} else ""
-        while changes[-1:] != [(0.0 if reason else allowable_speed, reason)]:
-            assert time.monotonic() < end, changes
-            executor.spin_once(timeout_sec=0.05)
-        for _ in range(3):
-            executor.spin_once(timeout_sec=0.05)
-        return [speed for speed, _ in changes]
-
-    assert set(speeds_after(ContactState.UNKNOWN, 0.1)) == {0.0}
-    assert 0.2 in speeds_after(ContactState.OK, 0.2)
-    assert set(speeds_after(ContactState.VIOLATION, 0.3)) == {0.0}
-    assert 0.4 in speeds_after(ContactState.WARN, 0.4)
-
-
-def test_consumer_moves_again_only_after_a_permissive_state_of_every_contact_point(example: Example) -> None:
-    consumer, changes, publisher, executor = example
-
-    def spin_until(change: tuple[float, str], *states: tuple[str, int, float]) -> None:
+    def spin_until(change: tuple[float, str], verdict: int | None = None, speed: float = 0.0) -> set[float]:
+        """Publish until the consumer announces `change`; return all announced speeds."""
         changes.clear()
         end = time.monotonic() + TIMEOUT_S
         while changes[-1:] != [change]:
             assert time.monotonic() < end, changes
-            for name, verdict, speed in states:
-                message = ContactState(contact_point=name, verdict=verdict, allowable_speed=speed, reason="why")
+            if verdict is not None:
+                message = ContactStates(verdict=verdict, allowable_speed=speed, reason="why")
                 message.header.stamp = consumer.get_clock().now().to_msg()
                 publisher.publish(message)
-            for _ in range(len(states) + 1):
-                executor.spin_once(timeout_sec=0.05)
+            executor.spin_once(timeout_sec=0.05)
+        return {speed for speed, _ in changes}
 
-    tool, elbow = ("tool", ContactState.OK, 0.3), ("elbow", ContactState.OK, 0.2)
-    spin_until((0.2, ""), tool, elbow)
+    spin_until((0.2, ""), ContactState.OK, 0.2)
+    assert spin_until((0.0, "why"), ContactState.UNKNOWN, 0.1) == {0.0}
+    spin_until((0.4, ""), ContactState.WARN, 0.4)
+    assert spin_until((0.0, "why"), ContactState.VIOLATION, 0.3) == {0.0}
+    spin_until((0.3, ""), ContactState.OK, 0.3)
     spin_until((0.0, "deadline missed"))
-    spin_until((0.2, ""), tool, elbow)
-    assert (0.3, "") not in changes
-    spin_until((0.0, "tool: why"), ("tool", ContactState.OK, math.nan))
-    spin_until((0.2, ""), tool, elbow)
-    spin_until((0.0, "tool: why"), ("tool", 9, 0.3))
-    spin_until((0.2, ""), tool, elbow)
-    # The other contact point keeps the deadline of the topic.
-    spin_until((0.0, "tool: no contact state"), elbow)
-    spin_until((0.2, ""), tool, elbow)
-    # The monitor loses its robot and gets one with another contact point.
-    spin_until((0.0, ": why"), ("", ContactState.UNKNOWN, 0.0))
-    flange = ("flange", ContactState.OK, 0.4)
-    spin_until((0.4, ""), flange)
+    spin_until((0.3, ""), ContactState.OK, 0.3)
+    spin_until((0.0, "why"), ContactState.OK, math.nan)
+    spin_until((0.3, ""), ContactState.OK, 0.3)
+    spin_until((0.0, "why"), 9, 0.3)
+    spin_until((0.3, ""), ContactState.OK, 0.3)
     # A second monitor may have another verdict.
-    second = consumer.create_publisher(ContactState, "contact_state", qos_profile(topics.verdict_qos(TIMEOUT)))
-    spin_until((0.0, "two monitors"), flange)
+    second = consumer.create_publisher(ContactStates, "contact_states", qos_profile(topics.verdict_qos(TIMEOUT)))
+    spin_until((0.0, "two monitors"), ContactState.OK, 0.3)
     consumer.destroy_publisher(second)
-    spin_until((0.4, ""), flange)
+    spin_until((0.3, ""), ContactState.OK, 0.3)

@@ -9,20 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from scara_effmass_msgs.msg import ContactState, RunInfo
+from scara_effmass_msgs.msg import ContactStates, RunInfo
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.pose_geometry import pose_geometry
 from scara_effmass.nodes.visualization_node import VisualizationNode
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import unknown_contact
 from scara_effmass.share import share
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.values import Decision, Verdict
 from scara_effmass.values import RunInfo as RunInfoValue
-from scara_effmass.wire.contact_state import ContactStateEncoder
+from scara_effmass.wire.contact_states import ContactStatesEncoder
 from scara_effmass.wire.run_info import run_info_message
+from test.decisions import decision_on
 from test.nodes.conftest import DEEP_QOS, NodeHarness, Q, joint_state, stamp_ns
 
 EXECUTABLE = str(Path(sys.executable).with_name("visualization_node"))
@@ -30,8 +31,8 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 S = 1_000_000_000
 
 
-def ok(stamp: int) -> ContactAssessment:
-    return unknown_contact("tool", "", stamp, 0.0)._replace(
+def ok(stamp: int) -> Decision:
+    contact = unknown_contact("tool", "")._replace(
         verdict=Verdict.OK,
         direction=(0.0, 1.0, 0.0),
         speed=0.2,
@@ -39,8 +40,8 @@ def ok(stamp: int) -> ContactAssessment:
         effective_mass=1.0,
         mass_model="lumped",
         lumped_mobility=(1.0, 0.0, 0.0, 0.5, 0.0, 2.0),
-        contact_normal="worst",
     )
+    return decision_on(contact, stamp_ns=stamp)
 
 
 class Viewer:
@@ -51,8 +52,8 @@ class Viewer:
         self.arrays: list[MarkerArray] = []
         harness.start(*arguments, command=(EXECUTABLE,))
         harness.node.create_subscription(MarkerArray, "effective_mass_markers", self.arrays.append, DEEP_QOS)
-        self.states = harness.node.create_publisher(ContactState, "contact_state", DEEP_QOS)
-        self.encoder = ContactStateEncoder("tool", "base_link")
+        self.states = harness.node.create_publisher(ContactStates, "contact_states", DEEP_QOS)
+        self.encoder = ContactStatesEncoder("base_link")
 
     def send(self) -> None:
         self.sent = joint_state()
@@ -84,7 +85,8 @@ def test_markers_follow_the_states_and_become_unknown_without_them(new_harness: 
         assert marker.header.frame_id == "base_link"
         assert 0 < stamp_ns(marker) <= stamp_ns(viewer.sent)
         assert (marker.lifetime.sec, marker.lifetime.nanosec) == (0, S // 10)
-    geometry = pose_geometry(RobotDynamics(load_robot()), np.array(Q))
+    dynamics = RobotDynamics(load_robot())
+    geometry = pose_geometry(dynamics.robot, dynamics.lumped, np.array(Q))
     for index, (_, place) in enumerate(geometry.lumped_masses):
         at = markers[f"lumped_masses {index}"].pose.position
         assert (at.x, at.y, at.z) == pytest.approx(place)
@@ -103,13 +105,15 @@ def test_markers_follow_the_states_and_become_unknown_without_them(new_harness: 
     viewer.until(lambda shown: shown["verdict 0"].text.startswith("tool: OK (simulated)\n"), viewer.send)
 
     # A second monitor begins to count where the first one did not.
-    second = viewer.harness.node.create_publisher(ContactState, "contact_state", DEEP_QOS)
+    second = viewer.harness.node.create_publisher(ContactStates, "contact_states", DEEP_QOS)
+
+    second_encoder = ContactStatesEncoder("base_link")
 
     def send_both() -> None:
         viewer.send()
-        second.publish(viewer.encoder.encode(ok(stamp_ns(viewer.sent))))
+        second.publish(second_encoder.encode(ok(stamp_ns(viewer.sent))))
 
-    viewer.until(lambda shown: "two monitors publish contact_state" in shown["verdict 0"].text, send_both)
+    viewer.until(lambda shown: "two monitors publish contact_states" in shown["verdict 0"].text, send_both)
     viewer.harness.node.destroy_publisher(second)
     viewer.harness.node.destroy_publisher(viewer.states)
     viewer.until(lambda shown: "no publisher" in shown["verdict 0"].text)

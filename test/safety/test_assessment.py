@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
+from scara_effmass.safety.contact_assessor import ContactAssessor
+from scara_effmass.safety.joint_state_validator import METRES_PER_RADIAN, WINDOW_S
 
 from scara_effmass.errors import LimitError, RobotError
 from scara_effmass.iso15066 import BODY_REGIONS, Limit, Mobility, SpeedLimits, limits_for
-from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety.contact_assessor import ContactAssessor
-from scara_effmass.safety.joint_state_validator import METRES_PER_RADIAN, WINDOW_S
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
 from scara_effmass.values import ContactAssessment, JointState, Vector3, Verdict
 

@@ -5,8 +5,8 @@ from itertools import accumulate
 
 from hypothesis import given
 from hypothesis import strategies as st
-
 from scara_effmass.safety.debounce import VerdictDebouncer, severity
+
 from scara_effmass.values import Verdict
 
 RELEASE_NS = 100

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter, suggested_map
 from scara_effmass.settings import MonitorSettings, checked

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-
-from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.safety import Monitor
 from scara_effmass.safety.joint_state_validator import WINDOW_S, JointStateValidator, Motion
+
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray, JointState, Verdict
 

@@ -12,8 +12,8 @@ import pytest
 from scara_effmass.kernel import jit
 from scara_effmass.kernel.contact_kernel import ContactKernel, SingleState
 from scara_effmass.kernel.records import OFFSETS
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor, contact_assessor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Decision, FloatArray, JointState, Payload, Verdict

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor, unknown_contact, unknown_decision
 from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.values import Decision, JointState, Verdict

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings, checked
 from scara_effmass.values import ContactAssessment, JointState, Payload, Verdict

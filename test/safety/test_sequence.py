@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-
-from scara_effmass.model.dynamics import RobotDynamics
-from scara_effmass.safety import Monitor
 from scara_effmass.safety.debounce import HELD, VerdictDebouncer
 from scara_effmass.safety.joint_state_validator import ComparedMotion, JointStateValidator, Motion
 from scara_effmass.safety.sequence import NO_REASON, IntArray, agreeing_states, debounce
+
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray, JointState, Verdict
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.measured_page import PAGE, write_section
 from scara_effmass.cli import main, make_parser
 from scara_effmass.cli.commands import COMMANDS
 
@@ -79,6 +80,26 @@ def test_every_command_fits_the_parser_and_runs_or_says_why_not(page: Path) -> N
             if line.startswith(SUITE):
                 parse(line)
     assert re.findall(rf"^ +{SUITE}.*", FENCE.sub("", text), re.MULTILINE) == [], "must be in a block of sh"
+
+
+@pytest.mark.parametrize("command", ["make faults", "make soak", "make scale"])
+def test_a_command_replaces_its_section_of_the_measured_figures_alone(command: str, tmp_path: Path) -> None:
+    copy = tmp_path / PAGE.name
+    begin, end = f"<!-- written by {command} -->", f"<!-- end of {command} -->"
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(begin)
+    text, _, after = rest.partition(end)
+    copy.write_text(PAGE.read_text(encoding="utf-8"), encoding="utf-8")
+    write_section(command, "new", copy)
+    assert copy.read_text(encoding="utf-8") == f"{before}{begin}\n\nnew\n\n{end}{after}"
+    write_section(command, text, copy)
+    assert copy.read_text(encoding="utf-8") == PAGE.read_text(encoding="utf-8")
+
+
+def test_a_page_without_the_markers_is_refused(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("<!-- written by make soak -->\n", encoding="utf-8")
+    with pytest.raises(ValueError, match="must contain"):
+        write_section("make soak", "new", page)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

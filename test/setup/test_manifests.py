@@ -3,26 +3,56 @@
 
 import ast
 import re
+import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 
+from scara_effmass.extras import EXTRAS
+
 ROOT = Path(__file__).parents[2]
 MESSAGES = sorted((ROOT / "msg_schemas/msg").glob("*.msg"))
 
 ROSDEP_KEYS = {
+    "argcomplete": "python3-argcomplete",
+    "jinja2": "python3-jinja2",
     "matplotlib": "python3-matplotlib",
+    "mujoco": "python3-mujoco-pip",
     "numpy": "python3-numpy",
     "pinocchio": "pinocchio",
     "rich": "python3-rich",
+    "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "yaml": "python3-yaml",
 }
 """rosdep keys that resolve, on Jazzy, to a version that this code supports."""
 
-PIP_ONLY = {"mcap", "mujoco", "nidaqmx", "nptdms", "pyarrow", "pydantic", "rosbags"}
-"""Libraries that Ubuntu 24.04 lacks or has in too old a version; a comment in package.xml names them."""
+PIP_ONLY = {
+    "distributed": "dask",
+    "foxglove": "foxglove-sdk",
+    "fsspec": "s3fs",
+    "lz4": "lz4",
+    "mcap": "mcap",
+    "nicegui": "nicegui",
+    "nidaqmx": "nidaqmx",
+    "nptdms": "nptdms",
+    "numba": "numba",
+    "pyarrow": "pyarrow",
+    "pydantic": "pydantic",
+    "zstandard": "zstandard",
+}
+"""Names on PyPI of libraries that rosdep has no key for, or one for too old a version; a comment in package.xml has
+them.
+"""
+
+BROUGHT = {
+    *("scara_effmass", "scara_effmass_msgs", "rtamt", "tomli", "typing_extensions"),
+    *("annotated_types", "pydantic_core"),  # pydantic
+    "markupsafe",  # jinja2
+    *("fastapi", "starlette", "uvicorn"),  # nicegui
+}
+"""Imported names that others bring, or that no installation of ROS needs."""
 
 
 def dependencies(path: Path) -> set[str]:
@@ -55,11 +85,15 @@ def test_manifest_names_exactly_the_imported_ros_packages() -> None:
 def test_manifest_names_every_imported_library() -> None:
     imported = imported_packages(ROOT / "scara_effmass")
     named = dependencies(ROOT / "package.xml")
-    assert {ROSDEP_KEYS[name] for name in imported & ROSDEP_KEYS.keys()} <= named
+    keys = set(ROSDEP_KEYS.values())
+    assert keys == {name for name in named if name.startswith("python3-") or name in keys} - {"python3-pytest"}
     manifest = (ROOT / "package.xml").read_text(encoding="utf-8")
-    for name in imported & PIP_ONLY:
+    for library, name in PIP_ONLY.items():
+        assert library in imported | {"numba"} | EXTRAS.keys()  # numba by import_module
         assert name in manifest
         assert not any(name in key for key in named), f"{name} must have no rosdep key on Jazzy"
+    others = {name for name in imported if not is_ros(name)} - sys.stdlib_module_names
+    assert others <= ROSDEP_KEYS.keys() | PIP_ONLY.keys() | BROUGHT
 
 
 def test_message_manifest_names_the_packages_of_the_fields() -> None:

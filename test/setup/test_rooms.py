@@ -13,9 +13,10 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "scara_effmass"
 
 FLOORS = (
-    {"errors", "input_files", "parent", "share", "streams", "url", "values", "settings"},
+    {"codes", "errors", "extras", "input_files", "parent", "share", "streams", "url", "values", "settings"},
     {"iso15066"},
     {"model"},
+    {"reference"},
     {"kernel"},
     {"safety", "impacts"},
     {"wire"},
@@ -32,7 +33,7 @@ FLOORS = (
 )
 """The rooms from the bottom up. Rooms on one floor do not import each other, except on the bottom floor."""
 
-PURE = {"values", "settings", "model", "iso15066", "kernel", "safety", "impacts", "cell"}
+PURE = {"values", "codes", "settings", "model", "reference", "iso15066", "kernel", "safety", "impacts", "cell"}
 IMPURE = {"rclpy", "logging", "threading", "time", "datetime", "asyncio"}
 """Libraries that pure rooms do not import: ROS, loggers, threads, clocks. Time is an argument."""
 
@@ -41,7 +42,7 @@ IMPORTERS = {
     "dask": {"cli"},
     "distributed": {"cli"},
     "fsspec": {"url"},
-    "pinocchio": {"model"},
+    "pinocchio": {"model", "reference"},
     "mcap": {"bags"},
     "rosbags": {"bags"},
     "foxglove": {"nodes"},

@@ -4,6 +4,7 @@
 import re
 import sys
 from importlib.metadata import metadata, version
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -30,14 +31,22 @@ def project() -> dict[str, Any]:
     return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
+def requirements_of(extra: str) -> list[str]:
+    texts: list[str] = []
+    for text in project()["project"]["optional-dependencies"][extra]:
+        requirement = Requirement(text)
+        is_ours = requirement.name == "scara_effmass"
+        texts += chain(*map(requirements_of, sorted(requirement.extras))) if is_ours else [text]
+    return texts
+
+
 def direct_requirements(*extras: str) -> list[str]:
-    table = project()["project"]
-    return [*table["dependencies"], *(text for extra in extras for text in table["optional-dependencies"][extra])]
+    return [*project()["project"]["dependencies"], *chain(*map(requirements_of, extras))]
 
 
 def locked(python: str, name: str) -> dict[str, str]:
     """Return the versions that lock file `name` installs on a Python, by package."""
-    lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
+    lines = (ROOT / "requirements" / name).read_text(encoding="utf-8").splitlines()
     requirements = [Requirement(line.removesuffix(" \\")) for line in lines if line and not line.startswith(("#", " "))]
     environment = {"python_version": python, "python_full_version": f"{python}.0", "sys_platform": "linux"}
     versions: dict[str, str] = {}
@@ -65,7 +74,11 @@ def test_changelog_and_citation_have_the_version() -> None:
 @pytest.mark.parametrize("python", PYTHONS)
 @pytest.mark.parametrize(
     ("lock", "extras", "groups"),
-    [("requirements.lock", ["dev"], ["build"]), ("requirements-colcon.lock", [], ["build", "colcon"])],
+    [
+        ("setup.lock", ["dashboard", "reports", "sim"], ["build"]),
+        ("test.lock", ["dev"], ["build"]),
+        ("colcon.lock", [], ["build", "colcon"]),
+    ],
 )
 def test_lock_satisfies_requirements(python: str, lock: str, extras: list[str], groups: list[str]) -> None:
     versions = locked(python, lock)
@@ -79,32 +92,40 @@ def test_lock_satisfies_requirements(python: str, lock: str, extras: list[str], 
 
 @pytest.mark.parametrize("python", PYTHONS)
 def test_locks_agree(python: str) -> None:
-    tests, colcon = locked(python, "requirements.lock"), locked(python, "requirements-colcon.lock")
+    tests, colcon = locked(python, "test.lock"), locked(python, "colcon.lock")
     assert {name: colcon[name] for name in tests.keys() & colcon} == {
         name: tests[name] for name in tests.keys() & colcon
     }
+    assert locked(python, "setup.lock").items() <= tests.items()  # so the tests only add to `make setup`
 
 
-@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-colcon.lock"])
-def test_every_locked_requirement_has_its_hashes(lock: str) -> None:
-    text = (ROOT / lock).read_text(encoding="utf-8")
+def test_set_up_installs_nothing_of_the_tests() -> None:
+    assert not {"pytest", "mypy", "ruff", "playwright", "moto", "duckdb"} & locked("3.11", "setup.lock").keys()
+
+
+@pytest.mark.parametrize(("lock", "least"), [("setup", 150), ("test", 200), ("colcon", 150), ("tools", 50), ("uv", 1)])
+def test_every_locked_requirement_has_its_hashes(lock: str, least: int) -> None:
+    text = (ROOT / f"requirements/{lock}.lock").read_text(encoding="utf-8")
     requirements = re.findall(r"^[a-z0-9].*(?:\n {4}.*)*", text, re.MULTILINE)
     without = [item.split()[0] for item in requirements if not re.search(r" --hash=sha256:[0-9a-f]{64}$", item)]
-    assert len(requirements) > 200
+    assert len(requirements) >= least
     assert not without
 
 
 def test_set_up_checks_the_hashes() -> None:
-    assert "--require-hashes" in (ROOT / "Makefile").read_text(encoding="utf-8")
+    text = (ROOT / "scripts/install_locked.sh").read_text(encoding="utf-8")
+    assert text.count("--require-hashes") == len(re.findall(r"\bpip install\b", text)) == 2  # pip, uv
 
 
 def test_locks_contain_no_host_and_no_path() -> None:
-    for path in ROOT.glob("requirements*.lock"):
+    paths = sorted((ROOT / "requirements").iterdir())
+    assert len(paths) == 5
+    for path in paths:
         text = path.read_text(encoding="utf-8")
         assert not re.search(r"://|@ |^-|^/", text, re.MULTILINE), path.name
 
 
-@pytest.mark.parametrize("requirement", direct_requirements())
+@pytest.mark.parametrize("requirement", direct_requirements("all"))
 def test_decisions_explain_every_direct_dependency(requirement: str) -> None:
     name = Requirement(requirement).name
     assert re.search(rf"\b{re.escape(name)}\b", (ROOT / "docs/decisions.md").read_text(encoding="utf-8"), re.IGNORECASE)

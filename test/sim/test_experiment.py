@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.cart import SpringContact
@@ -49,8 +49,8 @@ def test_masses_agree_with_the_model(run: ImpactRun) -> None:
     at_onset = before.position + before.velocity * rest_ns / 1e9
     rates = joint_rates(at_onset[:2], np.array([0.25, 0.0]))
     along_x = np.array([*rates, 0.0, rates.sum()])
-    (masses,) = RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), settings)).effective_masses(
-        at_onset, along_x, 0.01
+    (masses,) = (
+        RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), settings)).at(at_onset, along_x).contacts
     )
     assert run.effective_mass == pytest.approx(masses.full, rel=2e-5)
     assert run.reduced_mass == pytest.approx(1.0 / (1.0 / masses.full + 1.0 / 2.39), rel=2e-5)

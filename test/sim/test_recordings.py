@@ -12,11 +12,11 @@ import pytest
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
+from scara_effmass.bags.bag import run_infos
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.run_info import run_infos
 from scara_effmass.errors import OutputError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.sim.measurement import FORCE_SENSOR, POSITION_STEP, VELOCITY_STEP

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The force bounds of the verdict against MuJoCo, a free plate and an explicit spring; see docs/bounds.md."""
+"""The force bounds of the verdict against MuJoCo, a free plate and an explicit spring; see docs/validity.md."""
 
 from typing import Any
 
@@ -122,7 +122,7 @@ def test_clamping_force_is_that_of_a_linear_programme(ur5: MonitoredArm) -> None
         q, qd = bounds.draw(ur5, rng, bounds.settings_for())
         velocity = ur5.sim.kinematics(q)[0] @ qd
         direction = velocity / np.linalg.norm(velocity)
-        force = ur5.dynamics.clamping_force(q, 0, tuple(direction))
+        force = ur5.dynamics.at(q).contacts[0].clamping_force([direction])
         assert force == pytest.approx(bounds.clamping_force(ur5, q, direction), rel=1e-9, abs=1e-9)
         forces.append(force)
     assert 200.0 < np.median(forces) < 500.0

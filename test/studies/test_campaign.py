@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scara_effmass.bags.bag import run_infos
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.run_info import run_infos
 from scara_effmass.errors import OutputError
 from scara_effmass.sim.experiment import CONFIGURATIONS, OBSTACLE_MASSES, ImpactRun, run_impact
 from scara_effmass.sim.recordings import FORCE_TOPIC

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dynamics import RobotDynamics
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics

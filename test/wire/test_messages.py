@@ -11,15 +11,28 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
+from scara_effmass.wire.contact_state import float64_message
 from scara_effmass_msgs import msg
 from std_msgs.msg import Float64
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.errors import DecodeError
-from scara_effmass.values import ContactAssessment, ForceBlock, Impact, Mobility6, RunInfo, Vector3, Verdict
-from scara_effmass.wire.contact_state import ContactStateEncoder, contact_from, float64_message, glance
+from scara_effmass.values import (
+    ContactAssessment,
+    Decision,
+    ForceBlock,
+    Impact,
+    Mobility6,
+    RunInfo,
+    SeriesStatistics,
+    ValidatedImpact,
+    Vector3,
+    Verdict,
+)
+from scara_effmass.wire.contact_states import ContactStatesEncoder, decode_contact_states, float64_message
 from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message, impact_message
-from scara_effmass.wire.message_types import CONTACT_STATE, FORCE_BLOCK, IMPACT, RUN_INFO
+from scara_effmass.wire.impact_validation import impact_validation_message, series_from
+from scara_effmass.wire.message_types import CONTACT_STATES, FORCE_BLOCK, IMPACT, RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
 
 NS = 10**9
@@ -237,35 +250,132 @@ def test_saturated_block_without_samples_is_saturated_everywhere() -> None:
     assert decode_force_block(bytes(serialize_message(message))).saturated_samples.tolist() == [0, 1]
 
 
-CONTACTS = values_of(ContactAssessment, stamp_ns=st.integers(0, 2**31 * NS - 1))
+FINITE_NUMBER = st.floats(-1e300, 1e300)
+FINITE_VECTORS = {
+    Vector3: st.tuples(*[FINITE_NUMBER] * 3),
+    Mobility6: st.tuples(*[FINITE_NUMBER] * 6),
+    float: FINITE_NUMBER,
+}
+CONTACTS = values_of(
+    ContactAssessment,
+    **{
+        name: FINITE_VECTORS[of]
+        for name, of in get_type_hints(ContactAssessment).items()
+        if of in FINITE_VECTORS and name not in {"lumped_mass", "full_mass"}
+    },
+)
+DECISIONS = st.builds(
+    Decision,
+    stamp_ns=st.integers(0, 2**31 * NS - 1),
+    input_age=NUMBER,
+    velocity_delay=NUMBER,
+    contact_normal=TEXT,
+    watchdog=st.booleans(),
+    contacts=st.lists(CONTACTS, min_size=1, max_size=4).map(tuple),
+    allowable_speed=st.floats(0.0, 1e300),
+    speed_scaling=st.floats(0.0, 1.0),
+)
 
 
-@given(st.lists(CONTACTS, min_size=1, max_size=3), TEXT)
-def test_contact_states_are_read_by_rclpy_and_rosbags(contacts: list[ContactAssessment], frame_id: str) -> None:
-    """One encoder writes all messages of a contact point, each of the size of rclpy's."""
-    point = contacts[0].contact_point
-    encoder = ContactStateEncoder(point, frame_id)
-    for contact in (contact._replace(contact_point=point) for contact in contacts):
-        data = encoder.encode(contact)
-        of_ros = deserialize_message(data, msg.ContactState)
-        for copy in (data, bytes(serialize_message(of_ros))):
-            assert repr(glance(copy)) == repr((point, contact.speed, contact.allowable_speed, int(contact.verdict)))
-        for end in (3, 20, 150):
-            with pytest.raises(DecodeError, match="must be complete"):
-                glance(data[:end])
-        of_rosbags: Any = known_types().deserialize_cdr(data, CONTACT_STATE)
+@given(st.lists(DECISIONS, min_size=1, max_size=3), TEXT)
+def test_contact_states_are_read_by_rclpy_rosbags_and_this_package(decisions: list[Decision], frame_id: str) -> None:
+    """One encoder writes all messages of a monitor, each of the size of rclpy's, and numbers them."""
+    encoder = ContactStatesEncoder(frame_id)
+    for index, decision in enumerate(decisions):
+        data = encoder.encode(decision)
+        of_ros = deserialize_message(data, msg.ContactStates)
+        of_rosbags: Any = known_types().deserialize_cdr(data, CONTACT_STATES)
         for message in (of_ros, of_rosbags):
-            assert text(value_in(message, contact)) == text(contact)
             assert message.header.frame_id == frame_id
+            assert message.header.stamp.sec * NS + message.header.stamp.nanosec == decision.stamp_ns
+            assert message.sequence_number == index + 1
+            assert (message.verdict, message.reason) == (decision.verdict, decision.reason)
+            for name in ("input_age", "velocity_delay", "contact_normal", "watchdog", "allowable_speed"):
+                assert repr(getattr(message, name)) == repr(getattr(decision, name))
+            assert message.speed_scaling == decision.speed_scaling
+            for state, contact in zip(message.contacts, decision.contacts, strict=True):
+                assert text(value_in(state, contact)) == text(contact)
         assert len(data) == len(serialize_message(of_ros))
+        is_unknown = any(contact.verdict is Verdict.UNKNOWN for contact in decision.contacts)
+        expected = decision._replace(allowable_speed=0.0, speed_scaling=0.0) if is_unknown else decision
+        by_rosbags = (
+            known_types().serialize_cdr(of_rosbags, CONTACT_STATES, little_endian=end) for end in (True, False)
+        )
+        for copy in (data, serialize_message(of_ros), *by_rosbags):
+            decoded = decode_contact_states(bytes(copy))
+            assert text(decoded) == text(expected._replace(sequence_number=index + 1))
+
+
+def states_message(**fields: Any) -> bytes:  # noqa: ANN401
+    state = msg.ContactState(contact_point="tool", verdict=Verdict.OK, allowable_speed=5.0, speed=1.0)
+    for name, value in fields.items():
+        setattr(state, name, value)
+    return bytes(serialize_message(msg.ContactStates(contacts=[state], allowable_speed=5.0, speed_scaling=1.0)))
+
+
+def test_every_truncation_of_contact_states_is_refused() -> None:
+    data = ContactStatesEncoder("base_link").encode(decode_contact_states(states_message(reason="why")))
+    for end in range(len(data)):
+        with pytest.raises(DecodeError, match="^ContactStates: "):
+            decode_contact_states(data[:end])
+
+
+@settings(max_examples=300)
+@given(st.data())
+def test_damaged_contact_states_are_refused_or_decoded(data: st.DataObject) -> None:
+    damaged = bytearray(states_message(reason="why"))
+    for _ in range(data.draw(st.integers(1, 4))):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        decision = decode_contact_states(bytes(damaged))
+    except DecodeError as error:
+        assert str(error).startswith("ContactStates: ")
+    else:
+        assert decision.contacts
+        assert 0.0 <= decision.allowable_speed < math.inf
+        assert 0.0 <= decision.speed_scaling <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason"),
+    [
+        ({"verdict": 99}, "verdict = 99: must be 0 to 3"),
+        ({"speed": math.nan}, "the contact state has a value that is not a number"),
+        ({"allowable_speed": math.inf}, "the contact state has a value that is not a number"),
+        ({"full_mobility": [math.nan] * 6}, "the contact state has a value that is not a number"),
+    ],
+)
+def test_contact_state_with_an_invalid_value_is_unknown_without_numbers(fields: dict[str, Any], reason: str) -> None:
+    decision = decode_contact_states(states_message(**fields))
+    (contact,) = decision.contacts
+    assert (contact.verdict, contact.reason, contact.contact_point) == (Verdict.UNKNOWN, reason, "tool")
+    assert (contact.speed, contact.allowable_speed) == (0.0, 0.0)
+    assert (decision.verdict, decision.allowable_speed, decision.speed_scaling) == (Verdict.UNKNOWN, 0.0, 0.0)
+
+
+def test_message_without_contacts_is_unknown() -> None:
+    decision = decode_contact_states(bytes(serialize_message(msg.ContactStates(reason="no robot"))))
+    assert (decision.verdict, decision.reason, decision.worst.contact_point) == (Verdict.UNKNOWN, "no robot", "")
+
+
+def test_validation_of_an_impact_has_the_fields_of_its_value() -> None:
+    pair = (0.9, 1.1)
+    series = SeriesStatistics(
+        *(3, 0.99, 1e5, -1.0, 2.0, 1, 1.01, pair, 0.98, pair, 0.07, 0.5, pair, math.nan, 2),
+        True,
+        False,
+        "why",
+    )
+    numbers = {name: float(index) for index, name in enumerate(ValidatedImpact.__slots__)}
+    values: dict[str, Any] = numbers | {"stamp_ns": 5 * NS + 7, "frame_id": "sensor", "body_region": "hand"}
+    impact = ValidatedImpact(**values | {"conservative": True, "exceeds_limit": False, "series": series})
+    message = impact_validation_message(impact)
+    assert (message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id) == (5, 7, "sensor")
+    for name in set(message.get_fields_and_field_types()) - {"header", "series"}:
+        assert getattr(message, name) == getattr(impact, name)
+    assert repr(series_from(message.series)) == repr(series)
 
 
 @given(NUMBER)
 def test_number_is_decoded(value: float) -> None:
     assert repr(deserialize_message(float64_message(value), Float64).data) == repr(value)
-
-
-def test_contact_state_with_a_verdict_that_is_none_is_unknown_without_numbers() -> None:
-    contact = contact_from(msg.ContactState(contact_point="tool", verdict=99, allowable_speed=5.0, speed=1.0))
-    assert (contact.verdict, contact.reason) == (Verdict.UNKNOWN, "verdict = 99: must be 0 to 3")
-    assert (contact.contact_point, contact.allowable_speed, contact.speed) == ("tool", 0.0, 0.0)

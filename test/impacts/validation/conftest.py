@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
-from scara_effmass.values import NAN, NO_MOBILITY, ContactAssessment, Impact, Verdict
+from scara_effmass.safety import unknown_contact
+from scara_effmass.values import Decision, Impact, Verdict
+from test.decisions import decision_on
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,12 +32,12 @@ STIFFNESS = 2e5
 class Cell(NamedTuple):
     """Inputs of a cell with their arrival times; `runs` are (since, m_H, configuration)."""
 
-    states: list[tuple[ContactAssessment, int]]
+    states: list[tuple[Decision, int]]
     impacts: list[tuple[Impact, int]]
     runs: list[tuple[int, float, str]]
 
 
-MakeState = Callable[..., ContactAssessment]
+MakeState = Callable[..., Decision]
 MakeImpact = Callable[..., Impact]
 MakeCell = Callable[..., Cell]
 
@@ -51,10 +53,8 @@ def _state(
     verdict: Verdict = Verdict.OK,
     reason: str = "",
     contact_point: str = "tool",
-) -> ContactAssessment:
-    return ContactAssessment(
-        stamp_ns=stamp_ns,
-        contact_point=contact_point,
+) -> Decision:
+    contact = unknown_contact(contact_point, reason)._replace(
         direction=direction,
         speed=speed,
         effective_mass=lumped,
@@ -62,7 +62,7 @@ def _state(
         full_mass=full,
         iso_mass=iso,
         worst_direction_mass=lumped,
-        obstacle_mass=0.6,
+        body_mass=0.6,
         reduced_mass=0.4,
         stiffness=75_000.0,
         predicted_force=50.0,
@@ -71,20 +71,17 @@ def _state(
         body_region="hand",
         criterion="force",
         verdict=verdict,
-        reason=reason,
-        input_age=0.001,
         worst_direction_used=direction == (0.0, 0.0, 0.0),
         mass_capped=False,
         smallest_singular_value=0.1,
         lumped_mobility=(1.0 / lumped, 0.0, 0.0, 0.5 / lumped, 0.0, 0.0),
         full_mobility=(1.0 / full, 0.0, 0.0, 0.5 / full, 0.0, 0.0),
     )
+    return decision_on(contact, stamp_ns=stamp_ns, input_age=0.001)
 
 
-def _blank(stamp_ns: int, reason: str) -> ContactAssessment:
-    zero = (0.0, 0.0, 0.0)
-    state = _state(stamp_ns, 0.0, zero, NAN, NAN, verdict=Verdict.UNKNOWN, reason=reason)
-    return state._replace(lumped_mobility=NO_MOBILITY, full_mobility=NO_MOBILITY)
+def _blank(stamp_ns: int, reason: str) -> Decision:
+    return decision_on(unknown_contact("tool", reason)._replace(iso_mass=ISO), stamp_ns=stamp_ns)
 
 
 def _impact(
@@ -156,7 +153,7 @@ def make_state() -> MakeState:
 
 
 @pytest.fixture(scope="session")
-def make_blank() -> Callable[[int, str], ContactAssessment]:
+def make_blank() -> Callable[[int, str], Decision]:
     """Return the function that makes an UNKNOWN state without numbers, as the monitor does."""
     return _blank
 

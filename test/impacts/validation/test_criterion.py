@@ -13,7 +13,7 @@ import pytest
 from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.agreement import Agreement, agreement, compare
 from scara_effmass.impacts.clock_offset import ClockOffset
-from scara_effmass.impacts.criterion import Decision, Series, criterion_hash, decide
+from scara_effmass.impacts.criterion import Acceptance, Series, criterion_hash, decide
 from scara_effmass.impacts.mass_fit import NO_FIT, Interval, fit_masses
 from scara_effmass.settings import CriterionSettings, ValidatorSettings, checked
 
@@ -40,7 +40,7 @@ FEW, NOTHING = replace(GOOD, count=5), agreement(X[:0], X[:0])
 
 
 def test_true_series_is_accepted_without_a_reason() -> None:
-    assert decide(CriterionSettings(), SERIES) == Decision(accepted=True, decidable=True, reason="")
+    assert decide(CriterionSettings(), SERIES) == Acceptance(accepted=True, decidable=True, reason="")
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_weak_series_is_not_decidable_and_says_what_to_measure(changes: dict[str
 
 
 def test_a_problem_rejects_at_once() -> None:
-    assert decide(CriterionSettings(), SERIES, "negative") == Decision(
+    assert decide(CriterionSettings(), SERIES, "negative") == Acceptance(
         accepted=False, decidable=True, reason="negative"
     )
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.impacts.state_history import OnsetState, Rejection, StateHistory
 from scara_effmass.settings import ValidatorSettings
-from scara_effmass.values import NAN, ContactAssessment, Vector3, Verdict
+from scara_effmass.values import NAN, Decision, Vector3, Verdict
 from test.impacts.validation.conftest import MakeState
 
 START = 1_700_000_000_000_000_000
@@ -19,10 +19,10 @@ MS = 1_000_000
 STILL = (0.0, 0.0, 0.0)
 
 
-def history_of(states: Iterable[ContactAssessment], **settings: float) -> StateHistory:
+def history_of(states: Iterable[Decision], **settings: float) -> StateHistory:
     history = StateHistory(ValidatorSettings(**settings))
     for state in states:
-        history.add(state, state.stamp_ns + MS)
+        history.add(state.stamp_ns, *state.contacts, state.stamp_ns + MS)
     return history
 
 
@@ -207,7 +207,7 @@ def test_no_state_within_tolerance_is_rejected(
 
 @pytest.mark.parametrize("side", [-5, 5])
 def test_unknown_state_without_motion_is_rejected(
-    make_state: MakeState, make_blank: Callable[[int, str], ContactAssessment], side: int
+    make_state: MakeState, make_blank: Callable[[int, str], Decision], side: int
 ) -> None:
     states = [make_state(START + ms * MS) for ms in (-15, -10, -5, 5, 10)]
     states = [make_blank(s.stamp_ns, "joint3 is missing") if s.stamp_ns == START + side * MS else s for s in states]
@@ -270,7 +270,7 @@ def test_states_out_of_order_are_left_out(make_state: MakeState) -> None:
 def test_history_is_bounded_and_long_enough(make_state: MakeState) -> None:
     history = StateHistory(ValidatorSettings(history=1.0))
     for i in range(10_000):
-        history.add(make_state(START + i * MS, 0.1 + i * 1e-5), 0)
+        history.add(START + i * MS, *make_state(START + i * MS, 0.1 + i * 1e-5).contacts, 0)
         assert min(i + 1, 1000) <= len(history) <= 2001
     assert usable(history.at(START + 9001 * MS, MS)).speed == pytest.approx(0.1 + 9001e-5)
     assert history.is_clock_reset(START + 8000 * MS)
@@ -293,7 +293,8 @@ def test_old_states_are_not_part_of_the_trend(make_state: MakeState) -> None:
 
 def test_arrivals_that_go_back_are_taken_as_at_once(make_state: MakeState) -> None:
     history = StateHistory(ValidatorSettings())
-    history.add(make_state(START - 5 * MS), START + 10 * MS)
-    history.add(make_state(START + 5 * MS), START + 6 * MS)
+    (contact,) = make_state(START).contacts
+    history.add(START - 5 * MS, contact, START + 10 * MS)
+    history.add(START + 5 * MS, contact, START + 6 * MS)
     assert isinstance(history.at(START, 0, START + 8 * MS), Rejection)
     assert isinstance(history.at(START, 0, START + 10 * MS), OnsetState)

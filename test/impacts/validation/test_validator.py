@@ -33,6 +33,10 @@ STIFFNESS = 2e5
 ISO = 2.77
 
 
+def with_full_mass(decision: Decision, mass: float) -> Decision:
+    return decision._replace(contacts=tuple(contact._replace(full_mass=mass) for contact in decision.contacts))
+
+
 def run(
     cell: Cell, settings: ValidatorSettings, order: Callable[[int], int] | None = None
 ) -> tuple[list[ValidatedImpact], Result]:
@@ -51,7 +55,7 @@ def run(
         else:
             first = impacts[0][1] < states[0][1]
         turn += 1
-        validated += validator.add_impact(*impacts.pop(0)) if first else validator.add_state(*states.pop(0))
+        validated += validator.add_impact(*impacts.pop(0)) if first else validator.add_decision(*states.pop(0))
     validated += validator.finish()
     return validated, validator.result()
 
@@ -107,13 +111,13 @@ def test_statistics_of_each_impact(campaign: Cell) -> None:
         assert impact.predicted_force == pytest.approx(0.25 * math.sqrt(impact.reduced_mass * 180_000.0))
         assert impact.relative_error == pytest.approx(math.sqrt(0.9) - 1.0)
         assert not impact.conservative
-        assert (impact.count, impact.non_conservative) == (n, n)
+        assert (impact.series.count, impact.series.non_conservative) == (n, n)
         so_far = np.array([(i.predicted_force - i.measured_force) for i in validated[:n]])
-        assert impact.bias == pytest.approx(so_far.mean())
-        assert impact.rmse == pytest.approx(np.sqrt(np.mean(so_far**2)))
-        assert impact.fitted_stiffness == (pytest.approx(STIFFNESS) if n > 1 else 0.0)
-        assert impact.accepted == (n >= 6)  # two carts in three poses
-        assert impact.decidable == (n >= 6)
+        assert impact.series.bias == pytest.approx(so_far.mean())
+        assert impact.series.rmse == pytest.approx(np.sqrt(np.mean(so_far**2)))
+        assert impact.series.fitted_stiffness == (pytest.approx(STIFFNESS) if n > 1 else 0.0)
+        assert impact.series.accepted == (n >= 6)  # two carts in three poses
+        assert impact.series.decidable == (n >= 6)
         assert impact.measured_reduced_mass == pytest.approx(impact.reduced_mass)
         assert impact.measured_effective_mass == pytest.approx(impact.effective_mass)
         assert impact.measured_stiffness == pytest.approx(STIFFNESS)
@@ -181,13 +185,13 @@ def test_no_impact_is_lost(make_cell: MakeCell, make_impact: MakeImpact, drawn: 
 def test_impact_waits_for_the_states_of_50_ms_after_it(make_state: MakeState, make_impact: MakeImpact) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     for ms in (0, 10, 20):
-        assert not validator.add_state(make_state(START + ms * MS), START + ms * MS)
+        assert not validator.add_decision(make_state(START + ms * MS), START + ms * MS)
     assert not validator.add_impact(make_impact(START + 25 * MS), START + 25 * MS)
     assert validator.result().waiting == 1
     assert balanced(validator.result())
     for ms in (30, 74):
-        assert not validator.add_state(make_state(START + ms * MS, 0.1), START + ms * MS)
-    (validated,) = validator.add_state(make_state(START + 75 * MS, 0.1), START + 75 * MS)
+        assert not validator.add_decision(make_state(START + ms * MS, 0.1), START + ms * MS)
+    (validated,) = validator.add_decision(make_state(START + 75 * MS, 0.1), START + 75 * MS)
     assert validated.stamp_ns == START + 25 * MS
     assert validated.speed == pytest.approx(0.25)
     assert validator.result().waiting == 0
@@ -198,11 +202,11 @@ def test_without_an_end_an_impact_waits_no_longer_than_the_clock_tolerance(
 ) -> None:
     """When joint states stop, the monitor repeats its last stamp, which must not be ignored."""
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
-    validator.add_state(make_state(START), START)
+    validator.add_decision(make_state(START), START)
     validator.add_impact(make_impact(START + 25 * MS), START + 100 * MS)
-    validator.add_state(make_state(START), START + 600 * MS)
+    validator.add_decision(make_state(START), START + 600 * MS)
     assert validator.result().waiting == 1
-    validator.add_state(make_state(START), START + 601 * MS)
+    validator.add_decision(make_state(START), START + 601 * MS)
     assert validator.result().unpaired == {"no contact state within 50 ms after the onset": 1}
 
 
@@ -249,7 +253,12 @@ def test_no_impacts(campaign: Cell) -> None:
 
 def test_one_impact(campaign: Cell) -> None:
     (only,), result = run(campaign._replace(impacts=campaign.impacts[:1]), ValidatorSettings(history=60.0))
-    assert (only.count, only.correlation, only.fitted_stiffness, only.accepted) == (1, 0.0, 0.0, False)
+    assert (only.series.count, only.series.correlation, only.series.fitted_stiffness, only.series.accepted) == (
+        1,
+        0.0,
+        0.0,
+        False,
+    )
     assert only.stiffness == pytest.approx(STIFFNESS)
     assert only.conservative
     assert result.reason == "1 impact, at least 6 are required"
@@ -296,7 +305,7 @@ def test_force_blocks_detect_smaller_clock_offsets(campaign: Cell) -> None:
     """They show offsets from 0.5 s on; the late arrival of an impact alone could be a late report."""
     validator = Validator(ValidatorSettings(history=60.0))
     for state in campaign.states:
-        validator.add_state(*state)
+        validator.add_decision(*state)
     for i in range(10):
         validator.add_force(block([0.0] * 128, START + i * 100 * MS), START + (i * 100 + 15) * MS)
     assert validator.result().clock == ""
@@ -339,7 +348,7 @@ def test_impact_arrives_between_the_clock_tolerance_before_and_the_delay_after_i
     """The contact states arrive at the times of their stamps."""
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     for ms in range(-1000, 20, 10):
-        validator.add_state(make_state(START + ms * MS), START + ms * MS)
+        validator.add_decision(make_state(START + ms * MS), START + ms * MS)
     validator.add_impact(make_impact(START - 500 * MS), START - 500 * MS + delay_ns)
     validator.finish()
     result = validator.result()
@@ -351,11 +360,11 @@ def test_impact_without_arrival_time_waits_for_the_states_around_its_onset(
     make_state: MakeState, make_impact: MakeImpact
 ) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
-    validator.add_state(make_state(START - 5 * MS), START)
+    validator.add_decision(make_state(START - 5 * MS), START)
     assert not validator.add_impact(make_impact(START), 0)
-    assert not validator.add_state(make_state(START + 49 * MS), START + 50 * MS)
+    assert not validator.add_decision(make_state(START + 49 * MS), START + 50 * MS)
     assert validator.result().waiting == 1
-    assert len(validator.add_state(make_state(START + 50 * MS), START + 51 * MS)) == 1
+    assert len(validator.add_decision(make_state(START + 50 * MS), START + 51 * MS)) == 1
 
 
 @pytest.mark.parametrize(("excluded", "accepted"), [(True, True), (False, False)])
@@ -366,7 +375,7 @@ def test_excluded_impacts_do_not_lower_the_share_of_paired_ones(
     extra = [(make_impact(START + (i + 1) * MS // 4, clipped=excluded), START + 180 * MS) for i in range(13)]
     validated, result = run(campaign._replace(impacts=[*extra, *campaign.impacts]), ValidatorSettings(history=60.0))
     assert (len(validated), result.seen) == (12, 25)
-    assert result.accepted == validated[-1].accepted == accepted
+    assert result.accepted == validated[-1].series.accepted == accepted
     if not accepted:
         assert (
             result.reason
@@ -413,7 +422,7 @@ def block(force: Sequence[float], stamp_ns: int = START) -> ForceBlock:
 def test_inverted_force_is_reported(campaign: Cell, force: list[float], text: str) -> None:
     validator = Validator(ValidatorSettings())
     for state in campaign.states:
-        validator.add_state(*state)
+        validator.add_decision(*state)
     validator.add_force(block(np.repeat(force, 2).tolist()), 0)
     result = validator.result()
     assert result.force_sign == text
@@ -430,7 +439,7 @@ def test_every_impact_states_a_problem_of_the_series(campaign: Cell) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     validator.add_force(block([-100.0, -100.0]), 0)
     for state in campaign.states:
-        validator.add_state(*state)
+        validator.add_decision(*state)
     impacts = [impact for each in campaign.impacts for impact in validator.add_impact(*each)]
     assert len(impacts) > 6
     assert {impact.reason[:22] for impact in impacts} == {"force goes to -100 N a"}
@@ -439,54 +448,30 @@ def test_every_impact_states_a_problem_of_the_series(campaign: Cell) -> None:
 def test_other_contact_points_are_named(make_state: MakeState, make_impact: MakeImpact) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0, contact_point="tool"))
     for ms in range(0, 70, 10):
-        validator.add_state(make_state(START + ms * MS, 0.9, contact_point="elbow"), 0)
-        validator.add_state(make_state(START + ms * MS, 0.25), 0)
+        validator.add_decision(make_state(START + ms * MS, 0.9, contact_point="elbow"), 0)
+        validator.add_decision(make_state(START + ms * MS, 0.25), 0)
     (validated,) = validator.add_impact(make_impact(START + 5 * MS), 0)
     assert (validated.contact_point, validated.speed) == ("tool", 0.25)
     assert validator.result().other_contact_points == ("elbow",)
 
 
-JOINED_LATE = {
-    "after the tool": [(0, "elbow", False)],
-    "in a decision of the watchdog before the clock": [(-START // MS, "elbow", True)],
-    "in a decision of the watchdog": [(0, "elbow", True)],
-    "and the tool is lost once more": [(0, "elbow", False), (4, "elbow", False)],
-    "and the tool is lost then": [(0, "tool", False), (0, "elbow", False), (4, "elbow", False)],
-    "without a robot": [(0, "", True), (0, "elbow", True)],
-}
-
-
-@pytest.mark.parametrize("heard", JOINED_LATE.values(), ids=JOINED_LATE)
-def test_subscriber_that_joins_late_takes_the_first_contact_point_of_a_joint_state(
-    make_state: MakeState, make_impact: MakeImpact, heard: list[tuple[int, str, bool]]
+def test_the_first_contact_point_is_selected_and_the_others_are_named(
+    make_state: MakeState, make_impact: MakeImpact
 ) -> None:
-    """It missed the tool in its first joint state; neither the elbow nor its state must remain."""
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
-    for ms, name, watchdog in heard:
-        state = make_state(START + ms * MS, 0.9 if name == "elbow" else 0.25, contact_point=name)
-        validator.add_state(state._replace(watchdog=watchdog), 0)
-    for ms in range(8, 200, 8):
-        validator.add_state(make_state(START + ms * MS, 0.25, contact_point="tool"), 0)
-        validator.add_state(make_state(START + ms * MS, 0.9, contact_point="elbow"), 0)
+    for ms in range(0, 200, 8):
+        elbow = make_state(START + ms * MS, 0.9, contact_point="elbow").contacts
+        tool = make_state(START + ms * MS, 0.25)
+        validator.add_decision(tool._replace(contacts=tool.contacts + elbow), 0)
     (validated,) = validator.add_impact(make_impact(START + 100 * MS), 0)
     assert (validated.contact_point, validated.speed) == ("tool", 0.25)
     assert validator.result().other_contact_points == ("elbow",)
 
 
-def test_a_lost_contact_state_does_not_change_the_contact_point(make_state: MakeState, make_impact: MakeImpact) -> None:
-    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
-    for ms in range(0, 200, 8):
-        if ms != 96:
-            validator.add_state(make_state(START + ms * MS, 0.25, contact_point="tool"), 0)
-        validator.add_state(make_state(START + ms * MS, 0.9, contact_point="elbow"), 0)
-    (validated,) = validator.add_impact(make_impact(START + 100 * MS), 0)
-    assert (validated.contact_point, validated.speed) == ("tool", 0.25)
-
-
 def test_the_first_contact_point_where_none_is_chosen(make_state: MakeState) -> None:
     validator = Validator(ValidatorSettings())
     for name in ("", "elbow", "tool"):  # the first one: there is no robot yet
-        validator.add_state(make_state(START, contact_point=name), 0)
+        validator.add_decision(make_state(START, contact_point=name), 0)
     result = validator.result()
     assert (result.contact_point, result.other_contact_points) == ("elbow", ("tool",))
 
@@ -517,7 +502,7 @@ def test_selected_model(
 ) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0, effective_mass_model=model))
     for ms in range(0, 70, 10):
-        validator.add_state(make_state(START + ms * MS, 0.25, (1.0, 0.0, 0.0), *masses), 0)
+        validator.add_decision(make_state(START + ms * MS, 0.25, (1.0, 0.0, 0.0), *masses), 0)
     (validated,) = validator.add_impact(make_impact(START + 5 * MS), 0)
     assert validated.effective_mass == effective
     assert all(math.isfinite(p.effective_mass) for p in validated.predictions)
@@ -533,7 +518,7 @@ def test_selected_model_without_a_mass_is_rejected(
 ) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0, effective_mass_model=model))
     for ms in range(0, 70, 10):
-        validator.add_state(make_state(START + ms * MS, lumped=1.0)._replace(full_mass=mass), 0)
+        validator.add_decision(with_full_mass(make_state(START + ms * MS, lumped=1.0), mass), 0)
     assert not validator.add_impact(make_impact(START + 5 * MS), 0)
     assert validator.result().unpaired == {f"no {model.value} mass": 1}
 
@@ -543,7 +528,7 @@ def test_obstacle_mass_at_the_onset_applies(make_state: MakeState, make_impact: 
     validator = Validator(ValidatorSettings(obstacle_mass=1.0, configuration="near"))
     validated = []
     for ms in range(0, 200, 10):
-        validated += validator.add_state(make_state(START + ms * MS), 0)
+        validated += validator.add_decision(make_state(START + ms * MS), 0)
         if ms in {20, 60}:
             validator.add_impact(make_impact(START + (ms + 5) * MS), 0)
             validator.runs.set(START + (ms + 6) * MS, obstacle_mass=2.0 + ms)
@@ -591,7 +576,7 @@ def test_impact_before_its_run_information_leaves_the_series(make_state: MakeSta
         validator.begin_recording()
         validator.begin_run(RunInfo(obstacle_mass=2.0, stamp_ns=START + offset * MS), 0)
         for ms in range(0, 400, 8):
-            validator.add_state(make_state(START + (offset + ms) * MS, 0.25), 0)
+            validator.add_decision(make_state(START + (offset + ms) * MS, 0.25), 0)
         for ms in (100, 300):
             assert validator.add_impact(make_impact(START + (offset + ms) * MS), 0)
     assert validator.begin_run(RunInfo(obstacle_mass=7.0, stamp_ns=START + 200 * MS), START + 350 * MS) == 1
@@ -649,7 +634,7 @@ def test_speed_and_masses_are_those_along_the_normal_of_the_plate(
     validator = Validator(ValidatorSettings(stiffness_n_m=200e3))
     validator.runs.begin(RunInfo(obstacle_mass=2.0, plate_normal=normal, guide_direction=(1.0, 0.0, 0.0)), 0)
     for ms in range(0, 70, 10):
-        validator.add_state(make_state(START + ms * MS, 0.25, lumped=1.5), 0)
+        validator.add_decision(make_state(START + ms * MS, 0.25, lumped=1.5), 0)
     (impact,) = validator.add_impact(make_impact(START + 5 * MS, 50.0, compression_impulse=0.1), 0)
     mass = 1.5 / (share**2 + 0.5 * (1.0 - share**2))
     mu = 1.0 / (1.0 / mass + share**2 / 2.0)
@@ -666,7 +651,7 @@ def test_guide_in_the_plate_is_rejected(make_state: MakeState, make_impact: Make
     validator = Validator(ValidatorSettings(plate_normal="1 0 0"))
     validator.begin_run(RunInfo(obstacle_mass=2.0, guide_direction=(0.0, 1.0, 0.0)), 0)
     for ms in range(0, 70, 10):
-        validator.add_state(make_state(START + ms * MS, 0.25, lumped=1.5), 0)
+        validator.add_decision(make_state(START + ms * MS, 0.25, lumped=1.5), 0)
     assert not validator.add_impact(make_impact(START + 5 * MS, 50.0), 0)
     assert validator.result().unpaired == {"the guide lies in the plate": 1}
 
@@ -674,17 +659,17 @@ def test_guide_in_the_plate_is_rejected(make_state: MakeState, make_impact: Make
 def test_reset_begins_a_new_series(campaign: Cell) -> None:
     validator = Validator(ValidatorSettings(history=60.0, obstacle_mass=2.39))
     for state in campaign.states:
-        validator.add_state(*state)
+        validator.add_decision(*state)
     for impact in campaign.impacts:
         validator.add_impact(*impact)
     assert validator.result().seen == 12
-    validator.add_state(campaign.states[0][0], 0)
+    validator.add_decision(campaign.states[0][0], 0)
     assert validator.result().late_states == 1
     validator.reset()
     result = validator.result()
     assert (result.seen, result.impacts, result.late_states, result.accepted) == (0, (), 0, False)
     (validated,) = validator.add_impact(*campaign.impacts[0])
-    assert (validated.count, validated.obstacle_mass) == (1, 2.39)
+    assert (validated.series.count, validated.obstacle_mass) == (1, 2.39)
 
 
 @pytest.mark.parametrize("is_reset", [False, True])
@@ -697,7 +682,7 @@ def test_reset_forgets_the_stated_uncertainty(campaign: Cell, *, is_reset: bool)
     for since_ns, obstacle_mass, configuration in campaign.runs:
         validator.runs.set(since_ns, obstacle_mass=obstacle_mass, configuration=configuration)
     for state in campaign.states:
-        validator.add_state(*state)
+        validator.add_decision(*state)
     for impact, at_ns in campaign.impacts:
         validator.add_impact(impact._replace(compression_impulse=1.1 * impact.compression_impulse), at_ns)
     validator.finish()
@@ -720,7 +705,7 @@ def test_recordings_one_after_the_other(make_cell: MakeCell) -> None:
         validator.runs.set(0, obstacle_mass=obstacle_mass, configuration=configuration)
         shift = START - since_ns
         for state, received_ns in cell.states[200 * number : 200 * number + 200]:
-            validated += validator.add_state(state._replace(stamp_ns=state.stamp_ns + shift), received_ns + shift)
+            validated += validator.add_decision(state._replace(stamp_ns=state.stamp_ns + shift), received_ns + shift)
         impact, received_ns = cell.impacts[number]
         validated += validator.add_impact(impact._replace(stamp_ns=impact.stamp_ns + shift), received_ns + shift)
         validated += validator.begin_recording()
@@ -732,11 +717,11 @@ def test_recordings_one_after_the_other(make_cell: MakeCell) -> None:
 def test_a_clock_that_goes_back_begins_a_new_recording(make_state: MakeState, make_impact: MakeImpact) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     validator.runs.set(START, obstacle_mass=3.0)
-    validator.add_state(make_state(START), 0)
+    validator.add_decision(make_state(START), 0)
     validator.add_impact(make_impact(START + 5 * MS), 0)
     early = START - 60_000 * MS
     for ms in range(0, 70, 10):
-        validator.add_state(make_state(early + ms * MS), 0)
+        validator.add_decision(make_state(early + ms * MS), 0)
     assert validator.result().unpaired == {"no contact state within 50 ms after the onset": 1}
     (validated,) = validator.add_impact(make_impact(early + 5 * MS), 0)
     assert validated.obstacle_mass == 3.0
@@ -766,7 +751,7 @@ def test_clocks_that_differed_in_an_earlier_recording(make_cell: MakeCell) -> No
     cell = make_cell(force_clock_ns=-5000 * MS)
     validator = Validator(ValidatorSettings(history=60.0))
     for state in cell.states:
-        validator.add_state(*state)
+        validator.add_decision(*state)
     for impact in cell.impacts:
         validator.add_impact(*impact)
     text = validator.result().clock
@@ -784,10 +769,10 @@ def test_impact_waits_until_the_states_cover_its_clock_uncertainty(
     for residual, covered_ms in ((0.0, 50), (-0.004, 50), (-0.089, 90)):
         validator = Validator(ValidatorSettings(obstacle_mass=2.0, state_tolerance=0.2))
         for ms in (-100, -99):
-            validator.add_state(make_state(START + ms * MS), 0)
+            validator.add_decision(make_state(START + ms * MS), 0)
         assert not validator.add_impact(make_impact(START, clock_residual=residual), 0)
-        assert not validator.add_state(make_state(START + covered_ms * MS - 1), 0)
-        assert len(validator.add_state(make_state(START + covered_ms * MS), 0)) == 1
+        assert not validator.add_decision(make_state(START + covered_ms * MS - 1), 0)
+        assert len(validator.add_decision(make_state(START + covered_ms * MS), 0)) == 1
 
 
 @pytest.mark.parametrize("residual", [NAN, math.inf, 1e300, -61.0])
@@ -795,7 +780,7 @@ def test_impact_without_a_usable_stamp_is_excluded(
     make_state: MakeState, make_impact: MakeImpact, residual: float
 ) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
-    validator.add_state(make_state(START), START)
+    validator.add_decision(make_state(START), START)
     assert not validator.add_impact(make_impact(START, clock_residual=residual), START + MS)
     assert [(impact.excluded, impact.reason) for impact in validator.result().refused] == [(True, "no usable stamp")]
 
@@ -807,7 +792,7 @@ def test_models_are_compared_on_the_same_impacts(make_state: MakeState, make_imp
         start_ns = START + number * 1000 * MS
         full = mass if number % 2 else NAN
         for ms in range(0, 70, 10):
-            validator.add_state(make_state(start_ns + ms * MS, lumped=mass)._replace(full_mass=full), 0)
+            validator.add_decision(with_full_mass(make_state(start_ns + ms * MS, lumped=mass), full), 0)
         validator.add_impact(make_impact(start_ns + 5 * MS, 100.0 + 20.0 * number), 0)
     result = validator.result()
     assert [model.overall.count for model in result.models] == [6, 3, 6]
@@ -823,7 +808,7 @@ def test_one_reduced_mass_at_several_speeds_tells_no_models_apart(
     for number, speed in enumerate((0.1, 0.2, 0.3, 0.4)):
         start_ns = START + number * 1000 * MS
         for ms in range(0, 70, 10):
-            validator.add_state(make_state(start_ns + ms * MS, speed, lumped=1.0 + 0.002 * number), 0)
+            validator.add_decision(make_state(start_ns + ms * MS, speed, lumped=1.0 + 0.002 * number), 0)
         validator.add_impact(make_impact(start_ns + 5 * MS, 400.0 * speed), 0)
     result = validator.result()
     assert result.models[0].overall.correlation > 0.99

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Allowable speed: the highest relative speed at which a contact stays within every limit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from scara_effmass.errors import LimitError
+from scara_effmass.iso15066.contact import contact_time
+from scara_effmass.iso15066.drives import MAX_MOBILITY, Line, contact_lines
+from scara_effmass.iso15066.limits import Criterion, Limit
+from scara_effmass.settings import Drives, MonitorSettings
+
+MIN_EFFECTIVE_MASS = 1e-6
+"""Smallest effective mass [kg] for which a speed is computed: a lower one means that the robot model is wrong."""
+TYPICAL_MASS = 2.0
+"""Effective mass [kg] of the order of the contact cases."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLimit:
+    """Allowable relative speed [m/s], the limit that governs, and the contact force over the relative speed.
+
+    `reduced_mass` [kg] is that of the bound, drives included. `push` [N] is the force of the drives, 0 unless their
+    effort limits give the tighter bound. `stiffness` [N/m] includes its uncertainty. `growth` [s/m] covers the change
+    of pose during the contact: the speed v counts as v (1 + growth v).
+    """
+
+    allowable_speed: float
+    limit: Limit
+    reduced_mass: float
+    stiffness: float
+    push: float = 0.0
+    growth: float = 0.0
+
+    @property
+    def criterion(self) -> Criterion:
+        """The limit that sets the speed."""
+        return self.limit.criterion
+
+    def force(self, speed: float, max_mass: float = math.inf) -> float:
+        """Return the bound P + sqrt(P^2 + k mu u^2), u = v (1 + growth v), of the peak force [N] at `speed` v [m/s].
+
+        P is `push`, a constant force of the drives against the contact; without one this is u sqrt(mu k).
+        mu is at most `max_mass` [kg].
+        """
+        speed *= 1.0 + self.growth * speed
+        energy = self.stiffness * min(self.reduced_mass, max_mass) * speed * speed
+        return self.push + math.sqrt(self.push * self.push + energy)
+
+
+@dataclass(frozen=True, slots=True)
+class ContactCase:
+    """Contact with one limit: `stiffness` [N/m] includes its uncertainty, `lines` bound 1/mu from below.
+
+    `drive_time` is the time [s] for which the pose changes while drives push on; None: that of free joints.
+    """
+
+    limit: Limit
+    stiffness: float
+    lines: tuple[Line, ...]
+    drive_time: float | None
+
+    @property
+    def force(self) -> float:
+        """Permissible force [N]."""
+        return self.limit.permissible_force_n
+
+    @property
+    def obstacle_mobility(self) -> float:
+        """1/m_H [1/kg], 0 for a clamped body part."""
+        return 1.0 / self.limit.obstacle_mass_kg
+
+    def lines_for(self, mobility: float) -> tuple[Line, ...]:
+        """Return the lines for a robot of this mobility [1/kg]; one too light to be simulated counts as immovable."""
+        simulated = len(self.lines) == 1 or mobility <= MAX_MOBILITY
+        return self.lines if simulated else ((self.obstacle_mobility, 0.0),)
+
+    def speed_limit(self, reduced_mass: float, growth: float = 0.0, max_force: float = math.inf) -> SpeedLimit:
+        """Return the speed at which F = u sqrt(mu k), u = v (1 + growth v), reaches the limit, at most `max_force`."""
+        force = max(0.0, min(self.force, max_force))
+        speed = max_speed(force / math.sqrt(reduced_mass * self.stiffness), growth)
+        return SpeedLimit(speed, self.limit, reduced_mass, self.stiffness, growth=growth)
+
+    def speed_limit_of_mass(self, effective_mass: float) -> SpeedLimit:
+        """Return the speed limit of one `effective_mass` [kg] in a pose that does not change."""
+        mobility = 1.0 / effective_mass
+        inverse = max(alpha + beta * mobility for alpha, beta in self.lines_for(mobility))
+        return self.speed_limit(1.0 / inverse if inverse > 0.0 else math.inf)
+
+
+def max_speed(speed: float, growth: float) -> float:
+    """Return v [m/s] with v (1 + growth v) = `speed`; 0 for a speed of 0, whatever the growth [s/m]."""
+    return 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed)) if 0.0 < speed < math.inf else speed
+
+
+def contact_cases(limits: Iterable[Limit], settings: MonitorSettings | None = None) -> tuple[ContactCase, ...]:
+    """Return the contact of each limit with the drives and stiffness uncertainty of `settings`, strictest first.
+
+    By default joints are free, and there is no uncertainty. Raises LimitError without any limit.
+    """
+    settings = settings or MonitorSettings(stiffness_uncertainty=0.0, drives=Drives.FREE)
+    limits = tuple(limits)
+    if not limits:
+        raise LimitError("body_regions: must hold at least one region with a limit")
+    stiffness = tuple(limit.stiffness_n_m * (1.0 + settings.stiffness_uncertainty) for limit in limits)
+    masses = tuple(limit.obstacle_mass_kg for limit in limits)
+    is_free = settings.drives is Drives.FREE
+    cases = [
+        ContactCase(limit, k, lines, None if is_free else contact_time(limit.obstacle_mass_kg, k))
+        for limit, k, lines in zip(
+            limits, stiffness, contact_lines(settings.drives, settings.servo, stiffness, masses), strict=True
+        )
+    ]
+    return tuple(sorted(cases, key=lambda case: case.speed_limit_of_mass(TYPICAL_MASS).allowable_speed))
+
+
+def speed_limit_of_mass(
+    limits: Iterable[Limit], effective_mass: float, settings: MonitorSettings | None = None
+) -> SpeedLimit:
+    """Return the smallest v_max = min(F, p A) / sqrt(mu k) of all `limits` for one `effective_mass` [kg].
+
+    It may be infinite. Raises LimitError for one that is NaN or too small.
+    """
+    if not effective_mass >= MIN_EFFECTIVE_MASS:
+        raise LimitError(f"effective_mass = {effective_mass!r} kg: must be at least {MIN_EFFECTIVE_MASS:g} kg")
+    cases = contact_cases(limits, settings)
+    return min((case.speed_limit_of_mass(effective_mass) for case in cases), key=lambda found: found.allowable_speed)

@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled assessments: N joint states, P contact points each. A second way to the numbers of the reference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from scara_effmass.codes import Reason
+from scara_effmass.kernel.codes import Model, Normal
+from scara_effmass.kernel.contact_point import (
+    Approach,
+    approach_of,
+    drive_acceleration,
+    fill_change,
+    fill_held_change,
+    fill_jacobian_rate,
+    held_mobility,
+    in_base,
+    squared_jacobian,
+)
+from scara_effmass.kernel.dynamics import fill_dynamics
+from scara_effmass.kernel.jit import compiled, inlined
+from scara_effmass.kernel.mobility import (
+    along,
+    set_scalar,
+    set_scalars,
+    smallest_eigenvalue,
+    trace,
+    worst_reduced_mass,
+)
+from scara_effmass.kernel.model_choice import Choice, choose_models, largest_along, mass_along, worst_mass
+from scara_effmass.kernel.pose_change import assign, assign_symmetric, turn_change
+from scara_effmass.kernel.records import (
+    CASE,
+    CONTACT,
+    POINT,
+    SETUP,
+    WORK,
+    ByteArray,
+    Case,
+    Contact,
+    Mobility,
+    Point,
+    Setup,
+    Work,
+)
+from scara_effmass.kernel.speed_limit import Bound, Drives, governing_case
+from scara_effmass.kernel.state import STATE, VALUES, set_reason
+from scara_effmass.kernel.static_force import clamping_force, holding_force
+from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3, Verdict
+
+EIGENVALUE_ROUNDING = 1e-12
+"""Ratio of an eigenvalue of J_v J_v^T to its trace, up to which it counts as 0: its root would be rounding."""
+_OK, _WARN, _VIOLATION = float(Verdict.OK), float(Verdict.WARN), float(Verdict.VIOLATION)
+
+
+@inlined
+def set_normal(out: Mobility, m: Mobility6, mass: float, worst: float, approach: Approach, setup: Setup) -> None:
+    """Write the mobility of one model for the contact normal of the settings, after its change of pose."""
+    if setup.normal == Normal.FIXED:
+        if out.change_rank > 0:
+            turn_change(out, approach.normal, approach.share * out.speed)
+        set_scalar(out, along(m, approach.normal))
+    elif setup.normal == Normal.WORST and approach.is_moving:
+        set_scalars(out, m, approach.direction, approach.rank)
+    else:
+        set_scalar(out, 1.0 / (mass if setup.normal == Normal.VELOCITY else worst))
+
+
+@inlined
+def fill_mobilities(choice: Choice, approach: Approach, setup: Setup, work: Work) -> tuple[int, int]:
+    """Write the mobilities of the models that decide; return their number, and that with joints that are held."""
+    models, held = 0, ZERO_VECTOR
+    changes = approach.is_moving and setup.normal != Normal.VELOCITY
+    if changes and (choice.takes.lumped or choice.takes.full):
+        held = fill_jacobian_rate(approach, setup, work)
+    for k in range(3):
+        if not choice.takes[k]:
+            continue
+        any_normal, out = work.any_normal[models], work.mobilities[models]
+        any_normal.change_rank, out.change_rank, out.rank = 0, 0, approach.rank
+        models += 1
+        if k == Model.ISO:
+            set_scalar(any_normal, 1.0 / setup.iso_mass)
+            set_scalar(out, 1.0 / setup.iso_mass)
+            continue
+        m = choice.full if k == Model.FULL else choice.lumped
+        if approach.is_moving:
+            set_scalars(any_normal, m, approach.direction, approach.rank)
+        else:
+            set_scalar(any_normal, 1.0 / work.worst[k])
+        if changes:
+            fill_change(k, m, approach, held, setup, work, out)
+        set_normal(out, m, work.masses[k], work.worst[k], approach, setup)
+    count = models
+    if setup.joints_are_held:
+        for k in range(2):
+            if choice.takes[k]:
+                add_held(k, approach, held, changes, setup, work, work.mobilities[count])
+                count += 1
+    return models, count
+
+
+@inlined
+def add_held(k: int, approach: Approach, held: Vector3, changes: bool, setup: Setup, work: Work, out: Mobility) -> None:
+    """Write the mobility of model `k` if a controller of its own holds each joint."""
+    m = held_mobility(k, approach.count, work)
+    out.change_rank, out.rank = 0, approach.rank
+    if changes:
+        fill_held_change(k, m, approach, held, work, out)
+    set_normal(out, m, mass_along(m, approach), worst_mass(m, approach.rank), approach, setup)
+
+
+@inlined
+def deciding_mass(choice: Choice, setup: Setup, work: Work) -> tuple[int, float, float]:
+    """Return the model with the largest mass, that mass, and the largest of every contact normal [kg]."""
+    model, mass, worst = -1, 0.0, 0.0
+    for k in range(3):
+        if not choice.takes[k]:
+            continue
+        if model < 0:
+            model, mass, worst = k, work.masses[k], work.worst[k]
+            continue
+        worst = max(worst, work.worst[k])
+        if min(work.masses[k], setup.mass_cap) > mass and not choice.is_heavy:
+            model, mass = k, work.masses[k]
+    return model, mass, worst
+
+
+@inlined
+def fill_limits(
+    setup: Setup, cases: Sequence[Case], work: Work, contact: Contact, choice: Choice, approach: Approach
+) -> None:
+    """Write what follows from the models that decide: masses, speeds, forces and the verdict."""
+    cap = setup.mass_cap
+    model, mass, worst = deciding_mass(choice, setup, work)
+    models, count = fill_mobilities(choice, approach, setup, work)
+    acceleration, min_mobility, max_force = math.inf, 0.0, math.inf
+    if setup.is_servo:
+        acceleration, min_mobility = drive_acceleration(approach.count, setup, work), 1.0 / worst
+    if setup.joints_are_coupled:
+        max_force = holding_force(approach, cases, work.mobilities[:models], setup, work)
+    drives = Drives(acceleration, min_mobility, max_force)
+    governing, bound = governing_case(cases, work.mobilities[:count], drives, setup, work)
+    case = cases[governing]
+    mu = mass if case.body_mass == math.inf else 1.0 / (1.0 / mass + 1.0 / case.body_mass)
+    worst_mu = 0.0
+    for k in range(models):
+        worst_mu = max(worst_mu, worst_reduced_mass(work.any_normal[k], 1.0 / case.body_mass, 1.0))
+    contact.effective_mass, contact.mass_capped = min(mass, cap), 1.0 if mass > cap else 0.0
+    contact.worst_direction_mass = min(cap, worst)
+    contact.body_mass = 0.0 if case.body_mass == math.inf else case.body_mass
+    contact.reduced_mass, contact.stiffness = min(mu, cap), case.nominal_stiffness
+    contact.predicted_force = (approach.speed + setup.person_speed) * math.sqrt(
+        contact.reduced_mass * contact.stiffness
+    )
+    contact.worst_normal_reduced_mass = min(worst_mu, cap)
+    contact.body_region, contact.criterion, contact.mass_model = (
+        case.region + 1,
+        2.0 if case.is_pressure else 1.0,
+        model + 1,
+    )
+    set_verdict(contact, case, bound, mass, approach, setup)
+
+
+@inlined
+def set_verdict(contact: Contact, case: Case, bound: Bound, mass: float, approach: Approach, setup: Setup) -> None:
+    """Write the bound of the force, the allowable speed and the verdict."""
+    closing_speed = setup.closing_speed + approach.tolerance
+    hit = approach.speed * approach.share + closing_speed
+    hit *= 1.0 + bound.growth * hit
+    push, bound_mass = bound.push, min(bound.reduced_mass, setup.mass_cap)
+    contact.force_bound = push + math.sqrt(push * push + case.stiffness * bound_mass * hit * hit)
+    nominal_speed = (bound.speed - closing_speed) / approach.share
+    contact.allowable_speed = max(0.0, nominal_speed)
+    verdict, code = _OK, Reason.NONE
+    if approach.speed > nominal_speed:
+        verdict, code = _VIOLATION, Reason.TOO_FAST
+    elif approach.speed > setup.warn_ratio * nominal_speed:
+        verdict, code = _WARN, Reason.NEAR_LIMIT
+    best_mass = contact.lumped_mass if math.isnan(contact.full_mass) else contact.full_mass
+    is_light = mass < best_mass * (1.0 - setup.model_margin)
+    if is_light:
+        verdict, code = max(verdict, _WARN), code if code != Reason.NONE else Reason.LIGHT_MODEL
+    if contact.clamping_force > setup.weakest_force:
+        verdict, code, contact.allowable_speed = _VIOLATION, Reason.CLAMPED, 0.0
+    contact.verdict = verdict
+    if code == Reason.CLAMPED:
+        set_reason(contact.reason, code, 0, contact.clamping_force, 0.0, 0.0)
+    elif code != Reason.NONE:
+        set_reason(contact.reason, code, 0, contact.speed, contact.allowable_speed, contact.criterion)
+        contact.reason[VALUES + 3] = contact.body_region
+        if is_light:
+            contact.reason[VALUES + 4], contact.reason[VALUES + 5] = contact.effective_mass, best_mass
+
+
+@inlined
+def set_motion(contact: Contact, approach: Approach, choice: Choice, setup: Setup, work: Work) -> None:
+    """Write what is known of every contact point: motion, mobilities and masses of the models."""
+    cap = setup.mass_cap
+    assign(contact.direction, approach.direction)
+    assign_symmetric(contact.lumped_mobility, NO_MOBILITY if choice.is_massless else choice.lumped)
+    assign_symmetric(contact.full_mobility, choice.full)
+    contact.speed, contact.iso_mass = approach.speed, setup.iso_mass
+    contact.lumped_mass = min(work.masses[Model.LUMPED], cap)
+    contact.full_mass = min(work.masses[Model.FULL], cap)
+    squares = squared_jacobian(approach.count, work)
+    square = smallest_eigenvalue(squares, approach.rank)
+    is_regular = square > EIGENVALUE_ROUNDING * trace(squares)
+    contact.smallest_singular_value = math.sqrt(square) if is_regular else 0.0
+    contact.worst_direction_used = 0.0 if approach.is_moving else 1.0
+    test_direction = in_base(setup.test_joint, setup.test_vector, work.rotations)
+    assign(contact.test_direction, test_direction)
+    contact.test_effective_mass = 0.0
+    is_unknown = choice.is_massless and choice.takes.lumped
+    if setup.has_test and choice.error == Reason.NONE and not is_unknown:
+        contact.test_effective_mass = min(largest_along(choice, test_direction, setup), cap)
+
+
+@inlined
+def assess_point(
+    setup: Setup, cases: Sequence[Case], work: Work, point: Point, tolerances: FloatArray, contact: Contact
+) -> None:
+    """Write the assessment of one contact point."""
+    approach = approach_of(point, tolerances, setup, work)
+    choice = choose_models(approach, setup, work)
+    set_motion(contact, approach, choice, setup, work)
+    error = choice.error
+    contact.clamping_force = clamping_force(approach, setup, work) if setup.clamps else 0.0
+    if contact.clamping_force == math.inf:
+        contact.clamping_force = 0.0
+        error = Reason.NO_CLAMPING_FORCE if error == Reason.NONE else error
+    contact.effective_mass = contact.worst_direction_mass = contact.body_mass = contact.reduced_mass = (
+        contact.stiffness
+    ) = 0.0
+    contact.predicted_force = contact.allowable_speed = contact.worst_normal_reduced_mass = contact.force_bound = 0.0
+    contact.mass_capped = contact.verdict = contact.body_region = contact.criterion = contact.mass_model = 0.0
+    contact.mass_model_reason = choice.why if error == Reason.NONE else 0.0
+    set_reason(contact.reason, Reason.NONE, 0, 0.0, 0.0, 0.0)
+    if error == Reason.NONE:
+        fill_limits(setup, cases, work, contact, choice, approach)
+    else:
+        explain(error, choice.error_value, contact)
+    contact.margin = contact.allowable_speed - approach.speed
+
+
+@inlined
+def explain(error: Reason, value: float, contact: Contact) -> None:
+    """Write the reason why the verdict is UNKNOWN; `value` is its first number."""
+    mass = 0.0
+    if error == Reason.TOO_LIGHT:
+        masses = contact.lumped_mass, contact.full_mass, contact.iso_mass
+        mass = masses[int(value) - 1]
+    set_reason(contact.reason, error, 0, value, mass, 0.0)
+
+
+@compiled
+def assess_states(
+    rows: ByteArray,
+    motions: FloatArray,
+    robot: ByteArray,
+    at: ByteArray,
+    limits: ByteArray,
+    numbers: FloatArray,
+    scratch: ByteArray,
+) -> None:
+    """Write in `numbers` (N, P, fields) the contacts of P points at the admitted ones of N joint states.
+
+    `rows` are the bytes of their States, `motions` (N, 4, n) q, qd, tolerances of qd, and one row that does not count;
+    `robot`, `at` and `limits` are the bytes of Setup, Points and Cases: numba recognizes records slowly at a call.
+    `scratch` holds one Work: numba frees an array made here while its record is in use.
+    """
+    cases: Any
+    setup, points, cases, contacts = robot.view(SETUP)[0], at.view(POINT), limits.view(CASE), numbers.view(CONTACT)
+    work, states = scratch.view(WORK)[0], rows.view(STATE)
+    for i in range(len(states)):
+        if states[i].is_admitted == 0:
+            continue
+        for j in range(setup.joints):
+            work.qd[j] = motions[i, 1, j]
+        fill_dynamics(motions[i, 0], setup, work)
+        for p in range(len(points)):
+            assess_point(setup, cases, work, points[p], motions[i, 2], contacts[i, p, 0])

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Speed limits of one contact point: which case governs, as `iso15066.speed_limit` defines them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from scara_effmass.iso15066.drives import MAX_MOBILITY
+from scara_effmass.kernel.jit import inlined
+from scara_effmass.kernel.mobility import worst_reduced_mass
+from scara_effmass.kernel.pose_change import contact_time, growth, max_growth
+from scara_effmass.kernel.records import Case, Mobility, Setup, Work
+
+
+class Bound(NamedTuple):
+    """Speed [m/s] that a case allows, with reduced mass [kg], its growth [s/m] and the push of the drives [N]."""
+
+    speed: float
+    reduced_mass: float
+    growth: float
+    push: float
+
+
+class Drives(NamedTuple):
+    """Largest acceleration [m/s2] and least mobility [1/kg] of a push, and the force [N] that saturates no joint."""
+
+    acceleration: float
+    min_mobility: float
+    max_force: float
+
+
+NO_BOUND = Bound(math.inf, 0.0, 0.0, 0.0)
+
+
+@inlined
+def is_less(a: Bound, b: Bound) -> bool:
+    """Return whether bound `a` is less than `b`, entry by entry as tuples are compared."""
+    for i in range(4):
+        if a[i] != b[i]:
+            return a[i] < b[i]
+    return False
+
+
+@inlined
+def bound_of(case: Case, m: Mobility, mass_factor: float, mu: float, alpha: float, beta: float, rate: float) -> Bound:
+    """Return the bound of a reduced mass `mu`, of v^T (alpha 1 + beta A)^-1 v."""
+    growing = 0.0
+    if m.change_rank > 0 and mu < math.inf:
+        time = case.drive_time if case.drive_time > 0.0 else contact_time(mu, case.stiffness)
+        growing = 0.5 * time * growth(m, mass_factor * alpha, beta) / m.speed
+    inverse_square = mu * rate
+    if inverse_square <= 0.0:
+        return Bound(math.inf, mu, growing, 0.0)
+    speed = 1.0 / math.sqrt(inverse_square)
+    speed = 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growing * speed))
+    return Bound(max(0.0, speed), mu, growing, 0.0)  # NaN, of an infinite growth at no speed, is no missing limit
+
+
+@inlined
+def immovable_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Bound:
+    """Return the bound if the drives do not give way."""
+    mu = mass_factor * worst_reduced_mass(m, mass_factor * case.obstacle_mobility, 0.0)
+    return bound_of(case, m, mass_factor, mu, case.obstacle_mobility, 0.0, rate)
+
+
+@inlined
+def free_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Bound:
+    """Return the bound of free joints."""
+    mu = mass_factor * worst_reduced_mass(m, mass_factor * case.obstacle_mobility, 1.0)
+    return bound_of(case, m, mass_factor, mu, case.obstacle_mobility, 1.0, rate)
+
+
+@inlined
+def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Bound:
+    """Return the bound of the drives of the settings, of simulated contacts within the range of their simulation."""
+    if case.line_count > 1 and not m.total <= MAX_MOBILITY * mass_factor:
+        return immovable_bound(case, m, mass_factor, rate)
+    mu, alpha, beta = math.inf, 0.0, 0.0
+    for i in range(case.line_count):
+        line_alpha, line_beta = case.lines[i, 0], case.lines[i, 1]
+        line_mu = mass_factor * worst_reduced_mass(m, mass_factor * line_alpha, line_beta)
+        if line_mu < mu:
+            mu, alpha, beta = line_mu, line_alpha, line_beta
+    return bound_of(case, m, mass_factor, mu, alpha, beta, rate)
+
+
+@inlined
+def push_bound(case: Case, mobilities: Sequence[Mobility], mass_factor: float, drives: Drives) -> Bound:
+    """Return the bound of free joints and the push of the drives."""
+    mobility = drives.min_mobility / mass_factor + case.obstacle_mobility
+    force = drives.acceleration / mobility if mobility > 0.0 else math.inf
+    rest = case.force * (case.force - 2.0 * force)
+    if rest <= 0.0:
+        return Bound(0.0, 0.0, 0.0, force)
+    least = Bound(math.inf, math.inf, math.inf, math.inf)
+    for k in range(len(mobilities)):
+        bound = free_bound(case, mobilities[k], mass_factor, case.stiffness / rest)
+        if is_less(bound, least):
+            least = bound
+    return Bound(least.speed, least.reduced_mass, least.growth, force)
+
+
+@inlined
+def fill_greatest(mobilities: Sequence[Mobility], setup: Setup, work: Work) -> None:
+    """Write the largest reduced mass and growth of each mobility in any case: most cases cannot set the speed."""
+    factor = setup.mass_factor
+    alpha = factor * setup.min_alpha
+    for k in range(len(mobilities)):
+        m = mobilities[k]
+        work.max_masses[k] = factor * worst_reduced_mass(m, alpha, 1.0) if setup.is_free else math.inf
+        work.growths[k] = 0.0
+        if m.change_rank > 0:
+            time = setup.max_drive_time
+            time = time if time > 0.0 else contact_time(work.max_masses[k], setup.min_stiffness)
+            work.growths[k] = 0.5 * time * max_growth(m, alpha) / m.speed
+
+
+@inlined
+def governing_case(
+    cases: Sequence[Case], mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work
+) -> tuple[int, Bound]:
+    """Return the case that allows the least speed, and its bound. An infinite acceleration has no push."""
+    factor, governing, slowest = setup.mass_factor, 0, NO_BOUND
+    fill_greatest(mobilities, setup, work)
+    for i in range(len(cases)):
+        case, bound = cases[i], NO_BOUND
+        rate = case.rate
+        if drives.max_force < case.force:
+            excess = case.force / drives.max_force if drives.max_force > 0.0 else math.inf
+            rate *= excess * excess
+        for k in range(len(mobilities)):
+            speed = slowest.speed * (1.0 + work.growths[k] * slowest.speed)
+            if not min(work.max_masses[k], case.max_mu) * rate * speed * speed <= 1.0:
+                other = case_bound(case, mobilities[k], factor, rate)
+                if is_less(other, bound):
+                    bound = other
+        if drives.acceleration < math.inf:
+            other = push_bound(case, mobilities, factor, drives)
+            if is_less(bound, other):
+                bound = other
+        if bound.speed < slowest.speed:
+            governing, slowest = i, bound
+    return governing, slowest if slowest.speed < math.inf else NO_BOUND

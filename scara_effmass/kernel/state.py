@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records of joint states on their way through the monitor, and of what it remembers between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from scara_effmass.codes import Reason
+from scara_effmass.kernel.jit import inlined
+from scara_effmass.kernel.records import REASON_SIZE, IntArray, dtype_of
+from scara_effmass.values import FloatArray
+
+CODE, JOINT, DETAIL, HELD, LATCHED, VALUES = range(6)
+"""Places in a reason: its code, a joint, a text beside it; 1 if held from an earlier joint state; the text that names
+the contact that latched it, plus 1; from VALUES on up to six numbers."""
+ReasonArray = Annotated[FloatArray, (REASON_SIZE,)]
+NO_SEQUENCE = -1
+
+
+@dataclass
+class State:
+    """One joint state: stamp and receive time on the node's clock [ns], number at its publisher, and what became of it.
+
+    `reason` says why it is refused; that of an admitted one, which gap lies before it. `is_cleared`: the clock jumped
+    back, so all that came before is forgotten. `is_watchdog`: it stands for none that came. `verdict`, `contact` (the
+    worst one), `allowable_speed` [m/s] and `speed_scaling` are those of all contacts.
+    """
+
+    stamp_ns: int
+    now_ns: int
+    sequence: int
+    is_admitted: int
+    is_cleared: int
+    is_watchdog: int
+    age: float
+    delay: float
+    reason: ReasonArray
+    verdict: int
+    contact: int
+    allowable_speed: float
+    speed_scaling: float
+
+
+@dataclass
+class Rules:
+    """Settings of admission, debouncing and latch; `payload_detail`: the text why the payload is unknown, 0 if not."""
+
+    timeout_ns: int
+    future_tolerance_ns: int
+    clock_step_ns: int
+    velocity_tolerance: float
+    max_lag: float
+    expects_commands: bool
+    payload_detail: int
+    release_ns: int
+    latches: bool
+    reference_speed: float
+
+
+@dataclass
+class Memory:
+    """What admission and the latch remember.
+
+    The cause is the first VIOLATION or UNKNOWN after the first valid joint state; `cause_point` is the text that
+    names its contact.
+    """
+
+    last_stamp_ns: int
+    sequence: int
+    observed_ns: int
+    is_comparing: int
+    command_ns: int
+    has_command: int
+    lag_correlation: float
+    lag_excitation: float
+    had_valid_input: int
+    has_cause: int
+    cause_stamp_ns: int
+    cause_point: int
+    cause_verdict: int
+    cause_reason: ReasonArray
+    rejected: int
+    counts: Annotated[IntArray, (4,)]
+
+
+@dataclass
+class JointMemory:
+    """Limits and comparison of one joint [rad, m]; `since_ns` is when its position last agreed with its velocity.
+
+    From `error` on, all fades with WINDOW_S: displacement minus integral of the velocity; mean velocity; largest
+    difference between the velocity and its mean; error that its scale and its sampling explain.
+    """
+
+    lower: float
+    upper: float
+    max_speed: float
+    position_tolerance: float
+    command_tolerance: float
+    command: float
+    position: float
+    velocity: float
+    error: float
+    mean_velocity: float
+    peak: float
+    allowance: float
+    is_unconfirmed: int
+    since_ns: int
+    since_position: float
+
+
+@dataclass
+class Debounce:
+    """Last time and reason of each verdict of one contact, by its number; `is_stale`: UNKNOWN holds from the next."""
+
+    seen_ns: Annotated[IntArray, (4,)]
+    has_seen: Annotated[IntArray, (4,)]
+    reasons: Annotated[FloatArray, (4, REASON_SIZE)]
+    is_stale: int
+    stale_reason: ReasonArray
+
+
+STATE, RULES, MEMORY = dtype_of(State), dtype_of(Rules), dtype_of(Memory)
+JOINT_MEMORY, DEBOUNCE = dtype_of(JointMemory), dtype_of(Debounce)
+
+
+@inlined
+def set_reason(reason: FloatArray, code: Reason, joint: int, a: float, b: float, c: float) -> None:
+    """Write a reason with its joint and up to three numbers."""
+    for i in range(REASON_SIZE):
+        reason[i] = 0.0
+    reason[CODE], reason[JOINT] = code.value, joint
+    reason[VALUES], reason[VALUES + 1], reason[VALUES + 2] = a, b, c
+
+
+@inlined
+def copy_reason(source: FloatArray, target: FloatArray) -> None:
+    """Copy a reason."""
+    for i in range(REASON_SIZE):
+        target[i] = source[i]
+
+
+def records(dtype: np.dtype[np.void], count: int = 1) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+    """Return `count` records of zeros."""
+    return np.zeros(count, dtype)

@@ -1,0 +1,361 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Assessment of the contact points at one joint state: which model decides, numbers, allowable speed and verdict.
+
+No history: debouncing and latch are in `safety`. The kernel computes the same; this is what is meant.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from scara_effmass.codes import CriterionCode, ModelCode, ModelReason, NoLumpedMass, Reason
+from scara_effmass.iso15066.allowable_speed import MIN_EFFECTIVE_MASS, ContactCase, SpeedLimit, contact_cases
+from scara_effmass.iso15066.contact import peak_force, reduced_mass
+from scara_effmass.iso15066.limits import Limit
+from scara_effmass.model.lumping import is_scara, lumped_suffices
+from scara_effmass.reference.dynamics import RobotDynamics
+from scara_effmass.reference.mobility import Mobility, is_bounded
+from scara_effmass.reference.pose_state import X_AXIS, ContactState
+from scara_effmass.reference.speed_limit import DrivePush, speed_limit
+from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
+from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3, Verdict
+
+MIN_NORMAL_COMPONENT = 0.1
+"""Smallest share of the speed that counts along a fixed normal: its direction is known to about 6 degrees."""
+_CHOICES = {
+    MassModel.LUMPED: (ModelCode.LUMPED,),
+    MassModel.FULL: (ModelCode.FULL,),
+    MassModel.ISO: (ModelCode.ISO,),
+    MassModel.LARGEST: (ModelCode.LUMPED, ModelCode.FULL, ModelCode.ISO),
+}
+
+
+@dataclass
+class ContactResult:
+    """Assessment of one contact point: numbers of `ContactState.msg`, and codes of `scara_effmass.codes`.
+
+    `body_region` is 1 + the index of the governing limit, 0 for none. `reason_values` are the numbers of `reason`.
+    """
+
+    direction: Vector3
+    speed: float
+    lumped_mass: float
+    full_mass: float
+    iso_mass: float
+    smallest_singular_value: float
+    lumped_mobility: Mobility6
+    full_mobility: Mobility6
+    worst_direction_used: bool
+    effective_mass: float = 0.0
+    worst_direction_mass: float = 0.0
+    body_mass: float = 0.0
+    reduced_mass: float = 0.0
+    stiffness: float = 0.0
+    predicted_force: float = 0.0
+    allowable_speed: float = 0.0
+    worst_normal_reduced_mass: float = 0.0
+    force_bound: float = 0.0
+    clamping_force: float = 0.0
+    test_direction: Vector3 = ZERO_VECTOR
+    test_effective_mass: float = 0.0
+    mass_capped: bool = False
+    verdict: Verdict = Verdict.UNKNOWN
+    body_region: int = 0
+    criterion: CriterionCode = CriterionCode.NONE
+    mass_model: ModelCode = ModelCode.NONE
+    mass_model_reason: int = 0
+    reason: Reason = Reason.NONE
+    reason_values: tuple[float, ...] = ()
+
+    @property
+    def margin(self) -> float:
+        """Allowable speed minus speed [m/s]."""
+        return self.allowable_speed - self.speed
+
+
+def assess(
+    dynamics: RobotDynamics,
+    settings: MonitorSettings,
+    limits: Sequence[Limit],
+    q: FloatArray,
+    qd: FloatArray,
+    velocity_tolerance: Sequence[float] = (),
+) -> list[ContactResult]:
+    """Return the assessment of each contact point at `q` (n,) [rad, m] and `qd` (n,), finite numbers.
+
+    `limits` are those of `settings`, see `iso15066.limits_for`. `velocity_tolerance` (n,) bounds the errors of `qd`;
+    empty: no errors.
+    """
+    cases = contact_cases(limits, settings)
+    return [
+        ContactAssessor(contact, settings, tuple(limits), cases, contact.speed_tolerance(velocity_tolerance)).result()
+        for contact in dynamics.at(q, qd).contacts
+    ]
+
+
+@dataclass(frozen=True)
+class DecidingModel:
+    """A model behind the verdict: its mass along the velocity and along the worst direction [kg].
+
+    ISO's mass is the same in every direction; its mobility is that of the mass alone.
+    """
+
+    code: ModelCode
+    mass: float
+    worst_mass: float
+    mobility: Mobility
+
+    def along(self, n: FloatArray) -> float:
+        """Return the mass [kg] along the unit vector n."""
+        return self.mass if self.code is ModelCode.ISO else self.mobility.effective_mass(n)
+
+
+@dataclass
+class ContactAssessor:
+    """Assesses one contact point at one joint state."""
+
+    contact: ContactState
+    settings: MonitorSettings
+    limits: tuple[Limit, ...]
+    cases: tuple[ContactCase, ...]
+    speed_tolerance: float
+    models: list[DecidingModel] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Take the direction of the velocity; None below the speed threshold, where the worst direction counts."""
+        contact = self.contact
+        self.state, self.dynamics = contact.state, contact.state.dynamics
+        self.direction = contact.direction if contact.speed >= self.settings.speed_threshold else None
+        self.iso_mass = 0.0 if self.dynamics.robot.masses_reason else self.dynamics.robot.iso_mass
+        codes = (ModelCode.LUMPED, ModelCode.FULL)
+        self.masses = {code: contact.effective_mass(code, self.direction) for code in codes}
+        self.masses[ModelCode.ISO] = self.iso_mass
+
+    def result(self) -> ContactResult:
+        """Return the numbers, and the verdict on this joint state alone."""
+        contact, cap = self.contact, self.settings.mass_cap
+        lumped = None if contact.massless_joints else contact.mobilities.get(ModelCode.LUMPED)
+        result = ContactResult(
+            direction=ZERO_VECTOR if self.direction is None else _vector(self.direction),
+            speed=contact.speed,
+            lumped_mass=min(self.masses[ModelCode.LUMPED], cap),  # a NaN stays
+            full_mass=min(self.masses[ModelCode.FULL], cap),
+            iso_mass=self.iso_mass,
+            smallest_singular_value=contact.smallest_singular_value,
+            lumped_mobility=_entries(lumped),
+            full_mobility=_entries(contact.mobilities.get(ModelCode.FULL)),
+            worst_direction_used=self.direction is None,
+        )
+        codes, why = self._choice()
+        result.reason, result.reason_values = self._take(codes)
+        if self.settings.fixed_test_direction is not None:
+            result.test_direction, result.test_effective_mass = self._along_test_direction()
+        if self.settings.contact is ContactType.QUASI_STATIC:
+            force = contact.clamping_force(self._directions())
+            result.clamping_force = min(force, self.settings.external_force_limit or math.inf)
+            if result.clamping_force == math.inf:
+                result.clamping_force = 0.0
+                result.reason = result.reason or Reason.NO_CLAMPING_FORCE
+        if not result.reason:
+            result.mass_model_reason = why
+            self._limit_speed(result)
+        return result
+
+    # -- which model decides ---------------------------------------------------------------------------------------
+
+    def _choice(self) -> tuple[tuple[ModelCode, ...], int]:
+        """Return the models that decide by the settings, without those that are missing, and why these."""
+        choice, missing = self.settings.effective_mass_model, self.contact.no_lumped_mass(self.direction)
+        if choice is not MassModel.AUTO:
+            chosen = _CHOICES[choice]
+            return tuple(code for code in chosen if not math.isnan(self.masses[code])), ModelReason.SETTING
+        if self._lumped_is_heavy_enough:
+            # The change of pose can differ more than the mass: but for a SCARA, the full model bounds the speed, too.
+            both = (ModelCode.LUMPED, ModelCode.FULL)
+            return both[:1] if is_scara(self.dynamics.robot) else both, ModelReason.HEAVY_ENOUGH
+        if missing is None and self.contact.massless_joints:
+            missing = NoLumpedMass.MASSLESS  # there is one along this direction, but not along every normal
+        if not self.dynamics.full_reason:
+            return (ModelCode.FULL,), ModelReason.LIGHTER if missing is None else ModelReason.NO_LUMPED + missing
+        if missing is not None:
+            return (ModelCode.ISO,), ModelReason.only_iso(missing, len(self.state.q))
+        suffices = lumped_suffices(self.dynamics.robot)
+        return (ModelCode.LUMPED,) if suffices else (ModelCode.LUMPED, ModelCode.ISO), ModelReason.LARGEST
+
+    @cached_property
+    def _lumped_is_heavy_enough(self) -> bool:
+        """Whether both models exist and, along every normal, lumped mass >= (1 - margin) full mass.
+
+        Then it holds for the worst direction, and for the reduced mass with any body part along the worst normal.
+        """
+        mobilities = self.contact.mobilities
+        if len(mobilities) < 2 or self.contact.massless_joints:
+            return False
+        margin = self.settings.model_margin
+        return is_bounded(mobilities[ModelCode.LUMPED], mobilities[ModelCode.FULL], 1.0 - margin)
+
+    def _take(self, codes: Sequence[ModelCode]) -> tuple[Reason, tuple[float, ...]]:
+        """Let the models `codes` decide. Return why they cannot, with its numbers; NONE if they can."""
+        if self.dynamics.robot.masses_reason:
+            return Reason.NO_MASSES, ()
+        if not codes:
+            missing = self.contact.no_lumped_mass(self.direction)
+            is_full = self.settings.effective_mass_model is MassModel.FULL
+            return (Reason.NO_FULL_MASS, ()) if is_full else (Reason.NO_LUMPED_MASS, (missing or 0,))
+        models = []
+        for code in codes:
+            mass = self.masses[code]
+            worst = mass if code is ModelCode.ISO else self.contact.effective_mass(code, None)
+            if mass < MIN_EFFECTIVE_MASS:
+                return Reason.TOO_LIGHT, (code, mass)
+            if math.isnan(worst) and self.settings.contact_normal != "velocity":
+                return Reason.NO_WORST_MASS, (code,)
+            is_iso = code is ModelCode.ISO
+            direction = X_AXIS if self.direction is None else self.direction
+            mobility = Mobility.of_mass(mass, direction) if is_iso else self.contact.mobility(code, self.direction)
+            models.append(DecidingModel(code, mass, worst, mobility))
+        self.models = models
+        return Reason.NONE, ()
+
+    # -- directions ------------------------------------------------------------------------------------------------
+
+    def _along_test_direction(self) -> tuple[Vector3, float]:
+        """Return the test direction in base axes, and the largest mass along it [kg]; 0 if a model has none."""
+        settings = self.settings
+        vector = settings.fixed_test_direction or ZERO_VECTOR
+        n = self.state.in_base(vector, settings.test_direction_frame, "test_direction_frame")
+        if self.contact.massless_joints and any(model.code is ModelCode.LUMPED for model in self.models):
+            return _vector(n), 0.0
+        return _vector(n), min(max((model.along(n) for model in self.models), default=0.0), settings.mass_cap)
+
+    @cached_property
+    def _fixed_normal(self) -> FloatArray | None:
+        """The contact normal of the settings in base axes; None for the worst one and for that of the velocity."""
+        normal = self.settings.fixed_normal
+        return None if normal is None else self.state.in_base(normal, self.settings.contact_normal_frame)
+
+    @cached_property
+    def _share(self) -> float:
+        """Share of the speed along a fixed normal."""
+        if self._fixed_normal is None or self.direction is None:
+            return 1.0
+        return max(abs(float(self._fixed_normal @ self.direction)), MIN_NORMAL_COMPONENT)
+
+    def _directions(self) -> list[FloatArray]:
+        """Return a fixed normal and its opposite, else the direction of the velocity, at rest those of all axes."""
+        if self._fixed_normal is not None:
+            return [self._fixed_normal, -self._fixed_normal]
+        return [*np.eye(3), *-np.eye(3)] if self.direction is None else [self.direction]
+
+    # -- speed -----------------------------------------------------------------------------------------------------
+
+    def _any_normal(self, model: DecidingModel) -> Mobility:
+        """Return the mobility of `model` for any contact normal: at rest that of the worst direction."""
+        return Mobility.of_mass(model.worst_mass, X_AXIS) if self.direction is None else model.mobility
+
+    def _at_normal(self, mobility: Mobility) -> Mobility:
+        """Return `mobility` for the contact normal of the settings."""
+        if self._fixed_normal is not None:
+            return mobility.along(self._fixed_normal, self._share * self.contact.speed)
+        if self.direction is None:
+            return Mobility.of_mass(mobility.worst_mass, X_AXIS)
+        if self.settings.contact_normal == "velocity":  # of the first touch, as in the paper and the standard
+            return Mobility.of_mass(mobility.effective_mass(self.direction), self.direction)
+        return mobility
+
+    def _mobilities(self) -> list[Mobility]:
+        """Return the mobilities for the contact normal of the settings, also those of joints that are held."""
+        free = [m.mobility if m.code is ModelCode.ISO else self._at_normal(m.mobility) for m in self.models]
+        if self.settings.drives is not Drives.SERVO or self.settings.servo.computed_torque:
+            return free
+        codes = (model.code for model in self.models if model.code is not ModelCode.ISO)
+        return free + [self._at_normal(self.contact.held_mobility(code, self.direction)) for code in codes]
+
+    def _holding_force(self) -> float:
+        """Return the contact force [N] up to which no joint reaches its effort limit.
+
+        Above it, computed torque no longer holds: saturated joints yield, the others push on, and the arm can hit
+        again, faster. The force acts along `_directions`, and with any normal also along the worst one.
+        """
+        normals = self._directions()
+        if self.settings.contact_normal == "worst" and self.direction is not None:
+            alpha = min(case.obstacle_mobility for case in self.cases)
+            normals += [m.mobility.worst_normal(alpha) for m in self.models if m.code is not ModelCode.ISO]
+        return self.contact.holding_force(normals)
+
+    def _max_speed(self, worst_mass: float) -> SpeedLimit:
+        """Return the speed limit with drives; the uncertainty of the mass makes every mass larger."""
+        settings, factor = self.settings, 1.0 + self.settings.mass_uncertainty
+        push, max_force = None, math.inf
+        if settings.drives is Drives.SERVO:
+            push = DrivePush(self.contact.drive_acceleration(), 1.0 / worst_mass / factor)
+            if settings.servo.computed_torque:
+                max_force = self._holding_force()
+        mobilities = [mobility.with_masses(factor) for mobility in self._mobilities()]
+        return speed_limit(self.cases, mobilities, push, max_force)
+
+    def _limit_speed(self, result: ContactResult) -> None:
+        """Add masses, forces, allowable speed and verdict to `result`."""
+        settings, cap, speed = self.settings, self.settings.mass_cap, self.contact.speed
+        worst_mass = max(model.worst_mass for model in self.models)
+        decides = self.models[0]
+        if not self._lumped_is_heavy_enough or settings.effective_mass_model is not MassModel.AUTO:
+            for model in self.models[1:]:
+                decides = model if min(model.mass, cap) > decides.mass else decides
+        mass = decides.mass
+        found = self._max_speed(worst_mass)
+        limit, m_h = found.limit, found.limit.obstacle_mass_kg
+        mu = min(reduced_mass(mass, m_h), cap)  # Eq. 16
+        closing_speed = settings.person_speed + settings.speed_uncertainty + self.speed_tolerance
+        nominal_speed = (found.allowable_speed - closing_speed) / self._share  # below 0 if the person is too fast
+        result.effective_mass, result.mass_capped, result.mass_model = min(mass, cap), mass > cap, decides.code
+        result.worst_direction_mass = min(cap, worst_mass)  # the cap for NaN: the safe side
+        result.body_region = 1 + self.limits.index(limit)
+        result.criterion = CriterionCode[limit.criterion.upper()]
+        result.stiffness, result.body_mass = limit.stiffness_n_m, 0.0 if math.isinf(m_h) else m_h
+        result.reduced_mass = mu
+        worst_mus = (self._any_normal(model).reduced_mass(1.0 / m_h) for model in self.models)
+        result.worst_normal_reduced_mass = min(max(worst_mus), cap)
+        result.predicted_force = peak_force(speed + settings.person_speed, mu, limit.stiffness_n_m)
+        result.force_bound = found.force(speed * self._share + closing_speed, cap)
+        result.allowable_speed = max(0.0, nominal_speed)
+        self._judge(result, mass, nominal_speed)
+        if result.clamping_force > min(case.force for case in self.cases):
+            result.allowable_speed, result.verdict = 0.0, Verdict.VIOLATION
+            result.reason, result.reason_values = Reason.CLAMPED, (result.clamping_force,)
+
+    def _judge(self, result: ContactResult, mass: float, nominal_speed: float) -> None:
+        """Add the verdict on this joint state alone, and why it is not OK."""
+        settings, speed = self.settings, self.contact.speed
+        result.verdict = Verdict.OK
+        if speed > nominal_speed:
+            result.verdict, result.reason = Verdict.VIOLATION, Reason.TOO_FAST
+        elif speed > settings.warn_ratio * nominal_speed:
+            result.verdict, result.reason = Verdict.WARN, Reason.NEAR_LIMIT
+        best = ModelCode.LUMPED if math.isnan(self.masses[ModelCode.FULL]) else ModelCode.FULL
+        best_mass = min(self.masses[best], settings.mass_cap)  # near a singular pose both masses exceed the cap
+        is_light = mass < best_mass * (1.0 - settings.model_margin)
+        if is_light:
+            result.verdict = max(result.verdict, Verdict.WARN)
+            result.reason = result.reason or Reason.LIGHT_MODEL
+        if result.reason:
+            masses = (result.effective_mass, best_mass) if is_light else ()
+            result.reason_values = (speed, result.allowable_speed, result.criterion, result.body_region, *masses)
+
+
+def _vector(vector: FloatArray) -> Vector3:
+    x, y, z = vector.tolist()
+    return x, y, z
+
+
+def _entries(mobility: FloatArray | None) -> Mobility6:
+    """Return the entries xx, xy, xz, yy, yz, zz of a mobility, zeros for None."""
+    if mobility is None:
+        return NO_MOBILITY
+    a, b, c, d, e, f = mobility[np.triu_indices(3)].tolist()
+    return a, b, c, d, e, f

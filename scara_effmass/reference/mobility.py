@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mobility A = J_v M^-1 J_v^T [1/kg] of a contact point (the inverse of Eqs. 3-4): masses and impulses of a contact.
+
+All vectors are (3,), all matrices (3, 3), in base axes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from scara_effmass.values import FloatArray
+
+CLAMPED_TOLERANCE = 1e-11
+"""Ratio to the trace of a mobility, below which a direction counts as that much mobile against a clamped body part."""
+BOUND_TOLERANCE = 1e-9
+"""Ratio to the trace of a mobility, below which a difference of two mobilities is rounding."""
+DIRECTION_ROUNDING = 1e-9
+"""Length of the component of a unit vector up to which it is rounding."""
+MAX_NEGATIVE = 1e-6
+"""Ratio of a negative eigenvalue of a mobility to its trace, up to which it is rounding."""
+
+
+def effective_mass(mobility: FloatArray, n: FloatArray) -> float:
+    """Return m_n = 1 / (n^T A n) [kg] along the unit vector n (Eq. 8); infinite if no joint moves the point along n."""
+    inverse = float(n @ mobility @ n)
+    return 1.0 / inverse if inverse > 0.0 else math.inf
+
+
+def worst_mass(mobility: FloatArray, rank: int) -> float:
+    """Return the largest m_n [kg] over all n in the `rank` dimensions in which the point moves: 1 / min eigenvalue."""
+    inverse = float(np.linalg.eigvalsh(mobility)[3 - rank])
+    return 1.0 / inverse if inverse > 0.0 else math.inf
+
+
+def is_definite(mobility: FloatArray, rank: int) -> bool:
+    """Return whether no mass is negative; False for a mobility that is not finite."""
+    trace = float(np.trace(mobility))
+    return 0.0 < trace < math.inf and bool(np.linalg.eigvalsh(mobility)[3 - rank] > -MAX_NEGATIVE * trace)
+
+
+def is_bounded(mobility: FloatArray, bound: FloatArray, factor: float) -> bool:
+    """Return whether factor n^T A n <= n^T B n for every n, A the `mobility` and B the `bound`; False for NaN."""
+    difference = bound - factor * mobility + BOUND_TOLERANCE * np.trace(bound) * np.eye(3)
+    return bool(np.isfinite(difference).all() and np.linalg.eigvalsh(difference)[0] > 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseChange:
+    """Motion of a contact point after the first touch, while the joints move on.
+
+    `speed` [m/s] is that along the direction of the contact, `mobility_rate` dA/dt [1/(kg s)]. `accelerations` [m/s2]
+    are those of the point with free joints, and with joints that keep their velocities.
+    """
+
+    speed: float
+    mobility_rate: FloatArray
+    accelerations: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Mobility:
+    """Mobility A = U diag(a) U^T of a contact point that hits along the unit vector `direction` n.
+
+    `values` are the eigenvalues a [1/kg] and `axes` U their directions, of the dimensions in which the point moves.
+    `change` is that of the pose during the contact; None if it does not count.
+    """
+
+    values: FloatArray
+    axes: FloatArray
+    direction: FloatArray
+    change: PoseChange | None = None
+
+    @classmethod
+    def of_matrix(
+        cls, matrix: FloatArray, direction: FloatArray, rank: int, change: PoseChange | None = None
+    ) -> Mobility:
+        """Return the mobility A = `matrix` of a point that moves in `rank` dimensions."""
+        values, axes = np.linalg.eigh(matrix)
+        return cls(values[3 - rank :], axes[:, 3 - rank :], direction, change)
+
+    @classmethod
+    def of_mass(cls, mass: float, direction: FloatArray, change: PoseChange | None = None) -> Mobility:
+        """Return the mobility of one effective `mass` [kg], which may be infinite, along `direction`."""
+        return cls(np.array([1.0 / mass]), direction[:, None], direction, change)
+
+    @property
+    def trace(self) -> float:
+        """Trace of A [1/kg]."""
+        return float(self.values.sum())
+
+    @property
+    def worst_mass(self) -> float:
+        """Largest effective mass [kg] over all directions."""
+        inverse = float(self.values[0])
+        return 1.0 / inverse if inverse > 0.0 else math.inf
+
+    def effective_mass(self, n: FloatArray) -> float:
+        """Return m_n [kg] along the unit vector n (Eq. 8)."""
+        return effective_mass(self.axes * self.values @ self.axes.T, n)
+
+    def with_masses(self, factor: float) -> Mobility:
+        """Return the mobility of a robot whose masses are `factor` times as large: A / factor."""
+        change = self.change and replace(self.change, mobility_rate=self.change.mobility_rate / factor)
+        return replace(self, values=self.values / factor, change=change)
+
+    def along(self, normal: FloatArray, min_speed: float) -> Mobility:
+        """Return the mobility of a contact with the unit `normal`: n^T A n, at least `min_speed` [m/s] along it."""
+        mass = self.effective_mass(normal)
+        if self.change is None:
+            return Mobility.of_mass(mass, normal)
+        speed = self.change.speed * float(self.direction @ normal)
+        normal = -normal if speed < 0.0 else normal
+        return Mobility.of_mass(mass, normal, replace(self.change, speed=max(abs(speed), min_speed)))
+
+    def impulse(self, alpha: float, beta: float = 1.0) -> FloatArray:
+        """Return w = (alpha I + beta A)^-1 n [kg], the impulse of a sticking contact at unit speed; may be infinite.
+
+        With alpha = 1/m_H and beta = 1 the body part m_H and the robot move on together. Against a clamped body part
+        (alpha = 0) a direction that the point cannot reach counts as nearly rigid.
+        """
+        if len(self.values) > 1:
+            alpha = max(alpha, CLAMPED_TOLERANCE * beta * self.trace)
+        shares = alpha + beta * self.values
+        if not (shares > 0.0).all():
+            return np.full(3, math.inf)
+        along = self.axes.T @ self.direction
+        out_of_reach = self.direction - self.axes @ along
+        w = self.axes @ (along / shares)
+        return w + out_of_reach / alpha if np.linalg.norm(out_of_reach) > DIRECTION_ROUNDING else w
+
+    def reduced_mass(self, alpha: float, beta: float = 1.0) -> float:
+        """Return mu = n^T (alpha I + beta A)^-1 n [kg], that of the worst contact normal.
+
+        That is the largest (n.m)^2 / (alpha + beta m^T A m) over all unit normals m (the generalised Rayleigh
+        quotient), so never less than that of m = n. The peak force of the worst normal is |v| sqrt(mu k), the energy
+        of a sticking contact mu |v|^2 / 2. For one effective mass it is the mu of ISO/TS 15066 (Eq. 16).
+        """
+        w = self.impulse(alpha, beta)
+        if not np.isfinite(w).all():
+            return math.inf
+        along = alpha + beta / self.effective_mass(self.direction)
+        return max(float(self.direction @ w), 1.0 / along if along > 0.0 else 0.0)
+
+    def worst_normal(self, alpha: float) -> FloatArray:
+        """Return the unit normal of that mass, along (alpha I + A)^-1 n; n itself where that is infinite."""
+        w = self.impulse(alpha)
+        return w / np.linalg.norm(w) if np.isfinite(w).all() else self.direction
+
+    def growth(self, alpha: float, beta: float) -> float:
+        """Return d/dt ln(v^T (alpha I + beta A)^-1 v) [1/s] as the pose changes, without the terms that reduce it.
+
+        With w = (alpha I + beta A)^-1 v the derivative is (2 w.a - beta w^T (dA/dt) w) / (v.w). The term of the
+        accelerations a (the larger one) and that of dA/dt count only where they are positive.
+        """
+        if self.change is None:
+            return 0.0
+        w = self.impulse(alpha, beta)
+        if not np.isfinite(w).all():
+            return math.inf
+        faster = max(0.0, *(float(w @ a) for a in self.change.accelerations))
+        lighter = max(0.0, -beta * float(w @ self.change.mobility_rate @ w))
+        return (2.0 * faster / self.change.speed + lighter) / float(self.direction @ w)

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dynamics of a robot at one joint state, and the effective mass of its contact points (Eqs. 1-14 of the paper).
+
+    v = J_v qd                     velocity of the contact point (Eq. 1)
+    A = J_v M^-1 J_v^T             mobility, the inverse of the operational mass matrix (Eqs. 3-4)
+    m_n = 1 / (n^T A n)            effective mass along the unit vector n (Eqs. 5-8)
+
+M is the mass matrix of the full model, or Eq. 14 of the lumped one. The paper is cited in `scara_effmass.model`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from scara_effmass.codes import ModelCode, NoLumpedMass
+from scara_effmass.reference.mobility import Mobility, PoseChange, effective_mass, is_definite, worst_mass
+from scara_effmass.values import FloatArray, Vector3
+
+if TYPE_CHECKING:
+    from scara_effmass.reference.dynamics import RobotDynamics
+
+MIN_LEVER_M = 1e-9
+"""Lever [m] below which a joint does not move the contact point."""
+X_AXIS: FloatArray = np.eye(3)[0]
+"""Direction of a contact at rest, whose mass is that of the worst direction anyway."""
+SINGULAR_ROUNDING = 1e-6
+"""Ratio of a singular value of J_v to its Frobenius norm, up to which it counts as 0."""
+
+
+class ContactPoint(NamedTuple):
+    """Name, Pinocchio's frame, and the dimensions in which a contact point can move outside singular poses."""
+
+    name: str
+    frame: int
+    rank: int
+
+
+class PoseState:
+    """Quantities of a robot at `q` and `qd` (n,), computed once: J, dJ/dt, M, M^-1, C and g, per model and contact."""
+
+    def __init__(self, dynamics: RobotDynamics, q: FloatArray, qd: FloatArray) -> None:
+        """Compute them."""
+        self.dynamics, self.q, self.qd = dynamics, q, qd
+        robot = dynamics.robot
+        self.mass_matrix: dict[ModelCode, FloatArray] = {}
+        self.inverse_mass_matrix: dict[ModelCode, FloatArray] = {}
+        self.coriolis: dict[ModelCode, FloatArray] = {}
+        for name, model in dynamics.models.items():
+            data = model.createData()
+            self.mass_matrix[name] = robot.mass_matrix(model, data, q).copy()
+            self.inverse_mass_matrix[name] = np.linalg.inv(self.mass_matrix[name]).astype(float)
+            self.coriolis[name] = np.reshape(pin.computeCoriolisMatrix(model, data, q, qd), 2 * q.shape)
+        self.gravity = np.array(pin.computeGeneralizedGravity(robot.model, robot.model.createData(), q))
+        self.data = robot.model.createData()
+        pin.computeJointJacobiansTimeVariation(robot.model, self.data, q, qd)
+        pin.framesForwardKinematics(robot.model, self.data, q)
+        self.contacts = tuple(ContactState(self, point) for point in dynamics.contacts)
+
+    def in_base(self, vector: Vector3, frame: str, setting: str = "contact_normal_frame") -> FloatArray:
+        """Return `vector` of the robot's `frame` in base axes. Raises RobotError for an unknown frame."""
+        index = self.dynamics.frame_index(frame, setting)
+        return np.array(vector) if index is None else self.data.oMf[index].rotation @ np.array(vector)
+
+
+class ContactState:
+    """One contact point at one joint state: `jacobian` J_v and `jacobian_rate` dJ_v/dt (3, n), velocity and speed."""
+
+    def __init__(self, state: PoseState, point: ContactPoint) -> None:
+        """Compute kinematics; masses follow on demand."""
+        self.state, self.name, self.frame, self.rank = state, *point
+        model, axes = state.dynamics.robot.model, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        jacobian = pin.getFrameJacobian(model, state.data, self.frame, axes)
+        rate = pin.getFrameJacobianTimeVariation(model, state.data, self.frame, axes)
+        # Pinocchio returns a vector for a single joint.
+        self.jacobian = np.reshape(jacobian, (6, model.nv))[:3].copy()
+        self.jacobian_rate = np.reshape(rate, (6, model.nv))[:3].copy()
+        self.velocity: FloatArray = self.jacobian @ state.qd
+        """v = J_v qd [m/s] (Eq. 1)."""
+        self.speed = float(np.linalg.norm(self.velocity))
+        self.direction = self.velocity / self.speed if self.speed > 0.0 else None
+        """Unit vector n of the velocity; None at rest."""
+        self.position = np.array(state.data.oMf[self.frame].translation)
+
+    @cached_property
+    def smallest_singular_value(self) -> float:
+        """Smallest singular value of J_v in the dimensions in which the point moves; 0 at a singular pose."""
+        values = np.linalg.svd(self.jacobian, compute_uv=False)
+        value = float(values[self.rank - 1])
+        return value if value > SINGULAR_ROUNDING * float(np.linalg.norm(values)) else 0.0
+
+    def speed_tolerance(self, velocity_tolerance: Sequence[float]) -> float:
+        """Return the error of the speed [m/s] that errors of the joint velocities up to these (n,) can cause."""
+        if not len(velocity_tolerance):
+            return 0.0
+        return float(np.linalg.norm(self.jacobian, axis=0) @ np.asarray(velocity_tolerance))
+
+    @cached_property
+    def massless_joints(self) -> tuple[int, ...]:
+        """Joints (0-based) that move the contact point, but no lumped mass."""
+        lumped = self.state.dynamics.lumped
+        joints = () if lumped is None else lumped.massless_joints
+        return tuple(joint for joint in joints if np.linalg.norm(self.jacobian[:, joint]) > MIN_LEVER_M)
+
+    @cached_property
+    def mobilities(self) -> dict[ModelCode, FloatArray]:
+        """A = J_v M^-1 J_v^T [1/kg] (Eqs. 3-4) of each model that has one at this pose."""
+        inverses, lumped = self.state.inverse_mass_matrix, self.state.dynamics.lumped
+        mobilities = {name: self.jacobian @ inverse @ self.jacobian.T for name, inverse in inverses.items()}
+        # The lumped mass matrix of parallel axes is definite by its form, others can lose that at a pose.
+        if lumped is not None and not lumped.is_regular and not is_definite(mobilities[ModelCode.LUMPED], self.rank):
+            del mobilities[ModelCode.LUMPED]
+        return mobilities
+
+    def no_lumped_mass(self, n: FloatArray | None) -> int | None:
+        """Return the code of `NoLumpedMass` along n, along the worst direction for None; None if there is a mass."""
+        for joint in reversed(self.massless_joints):
+            if n is None or abs(float(n @ self.jacobian[:, joint])) > MIN_LEVER_M:
+                return NoLumpedMass.MASSLESS_JOINT + joint
+        if ModelCode.LUMPED in self.mobilities:
+            return None
+        return NoLumpedMass.NOT_DEFINITE if ModelCode.LUMPED in self.state.mass_matrix else NoLumpedMass.NOT_THERE
+
+    def effective_mass(self, model: ModelCode, n: FloatArray | None) -> float:
+        """Return m_n [kg] along the unit vector n (Eq. 8), the largest of all for None; NaN without such a mass.
+
+        It is infinite along a direction in which no joint moves the point.
+        """
+        if model not in self.mobilities or (model is ModelCode.LUMPED and self.no_lumped_mass(n) is not None):
+            return math.nan
+        mobility = self.mobilities[model]
+        return worst_mass(mobility, self.rank) if n is None else effective_mass(mobility, n)
+
+    @property
+    def lumped(self) -> float:
+        """Lumped effective mass [kg] along the velocity, the largest of all directions at rest; NaN without one."""
+        return self.effective_mass(ModelCode.LUMPED, self.direction)
+
+    @property
+    def full(self) -> float:
+        """Full effective mass [kg] along the velocity, the largest of all directions at rest; NaN without one."""
+        return self.effective_mass(ModelCode.FULL, self.direction)
+
+    def mobility(self, model: ModelCode, n: FloatArray | None) -> Mobility:
+        """Return the mobility of free joints for a contact along n at the current speed; at rest for None.
+
+        dA/dt = K M^-1 J_v^T + its transpose with K = dJ_v/dt - J_v M^-1 C, because dM/dt = C + C^T.
+        """
+        response = self.jacobian @ self.state.inverse_mass_matrix[model]  # J_v M^-1
+        turning = self.jacobian_rate - response @ self.state.coriolis[model]
+        free, held = turning @ self.state.qd, self.jacobian_rate @ self.state.qd
+        return self._mobility(self.mobilities[model], turning @ response.T, (free, held), n)
+
+    def held_mobility(self, model: ModelCode, n: FloatArray | None) -> Mobility:
+        """Return the mobility J_v D^-1 J_v^T of joints that a controller each holds, D the diagonal of M.
+
+        dD/dt = 2 diag(C); the joints keep their velocities.
+        """
+        response = self.jacobian / np.diagonal(self.state.mass_matrix[model])
+        turning = self.jacobian_rate - response * np.diagonal(self.state.coriolis[model])
+        held = self.jacobian_rate @ self.state.qd
+        return self._mobility(response @ self.jacobian.T, turning @ response.T, (held,), n)
+
+    def _mobility(
+        self, matrix: FloatArray, rate: FloatArray, accelerations: tuple[FloatArray, ...], n: FloatArray | None
+    ) -> Mobility:
+        if n is None:
+            return Mobility.of_matrix(matrix, X_AXIS, self.rank)
+        return Mobility.of_matrix(matrix, n, self.rank, PoseChange(self.speed, rate + rate.T, accelerations))
+
+    def drive_acceleration(self) -> float:
+        """Return the largest acceleration [m/s2] of the point that the effort limits of the joints allow.
+
+        That is sum_i |J_v M^-1 e_i| (tau_max,i + |g_i(q)|) in the model with the larger sum; infinite if an effort
+        limit is unknown. Gravity acts along -z of the base.
+        """
+        effort = self.state.dynamics.robot.effort_limits + np.abs(self.state.gravity)
+        if not np.isfinite(effort).all():
+            return math.inf
+        inverses = self.state.inverse_mass_matrix.values()
+        return max(
+            (float(np.linalg.norm(self.jacobian @ inverse, axis=0) @ effort) for inverse in inverses), default=math.inf
+        )
+
+    def static_forces(self, directions: Sequence[FloatArray]) -> list[float]:
+        """Return the largest static force [N] along each unit vector in which a joint pushes.
+
+        J_v^T n F + g(q) = tau with |tau_i| <= tau_max,i: the smallest (tau_max,i - s_i g_i) / |(J_v^T n)_i| over the
+        joints, s_i the sign of (J_v^T n)_i. Negative where the weight alone is too much for a joint.
+        """
+        limits, forces = self.state.dynamics.robot.effort_limits, []
+        for n in directions:
+            lever = n @ self.jacobian
+            loaded = np.abs(lever) > MIN_LEVER_M
+            if loaded.any():
+                margin = limits - np.sign(lever) * self.state.gravity
+                forces.append(float(np.min(margin[loaded] / np.abs(lever[loaded]))))
+        return forces
+
+    def clamping_force(self, directions: Sequence[FloatArray]) -> float:
+        """Return the largest of the `static_forces` [N] along `directions`, 0 if no joint pushes.
+
+        Infinite without effort limits, and where they cannot carry the weight: then they are not those of the drives.
+        """
+        if (np.abs(self.state.gravity) > self.state.dynamics.robot.effort_limits).any():
+            return math.inf
+        return max([0.0, *self.static_forces(directions)])
+
+    def holding_force(self, directions: Sequence[FloatArray]) -> float:
+        """Return the force [N] up to which no joint reaches its effort limit, along any of `directions`."""
+        return min(self.static_forces(directions), default=math.inf)

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Allowable speed of a robot, whose mass depends on the contact normal and changes with the pose (ISO/TS 15066)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from scara_effmass.iso15066.allowable_speed import ContactCase, SpeedLimit, max_speed
+from scara_effmass.iso15066.contact import contact_time
+from scara_effmass.iso15066.drives import Line
+from scara_effmass.reference.mobility import Mobility
+
+
+@dataclass(frozen=True, slots=True)
+class DrivePush:
+    """Acceleration [m/s2] of the contact point that the effort limits allow, and its least mobility [1/kg]."""
+
+    acceleration: float
+    min_mobility: float
+
+    def force(self, obstacle_mobility: float) -> float:
+        """Return the force P = a / (1/m_n + 1/m_H) [N] of drives that push robot and body part on."""
+        mobility = self.min_mobility + obstacle_mobility
+        return self.acceleration / mobility if mobility > 0.0 else math.inf
+
+
+def speed_limit(
+    cases: Sequence[ContactCase],
+    mobilities: Sequence[Mobility],
+    push: DrivePush | None = None,
+    max_force: float = math.inf,
+) -> SpeedLimit:
+    """Return the smallest allowable speed of all `cases` and all `mobilities`, the relative speed of robot and person.
+
+    For drives that push on there are two bounds, of which the milder one holds: their simulated reduced masses, up to
+    the contact force `max_force` [N], and free joints with the constant `push` of the effort limits.
+    """
+    return min((_of_case(case, mobilities, push, max_force) for case in cases), key=_speed)
+
+
+def _speed(found: SpeedLimit) -> float:
+    return found.allowable_speed
+
+
+def _of_case(case: ContactCase, mobilities: Sequence[Mobility], push: DrivePush | None, max_force: float) -> SpeedLimit:
+    found = min((_of_mobility(case, m, case.lines_for(m.trace), max_force) for m in mobilities), key=_speed)
+    return found if push is None else max(found, _pushed(case, mobilities, push), key=_speed)
+
+
+def _of_mobility(
+    case: ContactCase, mobility: Mobility, lines: Sequence[Line], max_force: float = math.inf
+) -> SpeedLimit:
+    """Return the bound F = u sqrt(mu k), where 1/mu(n) >= alpha + beta n^T A n holds for every one of the `lines`."""
+    mu, (alpha, beta) = min(((mobility.reduced_mass(*line), line) for line in lines), key=lambda bound: bound[0])
+    growth = 0.0
+    if mobility.change is not None and mu < math.inf:
+        # The force grows with the square root of v^T (...)^-1 v.
+        time = case.drive_time or contact_time(mu, case.stiffness)
+        growth = 0.5 * time * mobility.growth(alpha, beta) / mobility.change.speed
+    return case.speed_limit(mu, growth, max_force)
+
+
+def _pushed(case: ContactCase, mobilities: Sequence[Mobility], push: DrivePush) -> SpeedLimit:
+    """Return the bound F = P + sqrt(P^2 + k mu u^2) of free joints and the push P: 0 if P alone is too much."""
+    force = push.force(case.obstacle_mobility)
+    square = case.force * (case.force - 2.0 * force)
+    if not square > 0.0:
+        return SpeedLimit(0.0, case.limit, 0.0, case.stiffness, force)
+    free = ((case.obstacle_mobility, 1.0),)
+    found = min((_of_mobility(case, mobility, free) for mobility in mobilities), key=_speed)
+    speed = max_speed(math.sqrt(square / (found.reduced_mass * case.stiffness)), found.growth)
+    return replace(found, allowable_speed=speed, push=force)

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Assessments of contacts at joint states: one structured array, with the texts of its codes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scara_effmass.codes import Reason
+from scara_effmass.kernel.records import CONTACT
+from scara_effmass.kernel.state import CODE, STATE
+from scara_effmass.safety.reasons import CRITERIA, MODELS, ReasonTexts
+from scara_effmass.values import ContactAssessment, Decision, FloatArray, Verdict
+
+BLOCK = 64
+"""Number of contacts that are turned into columns together: few enough for the first-level cache."""
+Records = np.ndarray[Any, np.dtype[np.void]]
+
+
+@dataclass(eq=False, slots=True)
+class Assessments:
+    """Assessments of P contacts at N joint states, in order.
+
+    `state_bytes` are the bytes of N `State`s, `numbers` (N, P, fields) those of the `Contact`s. `points` names the
+    contacts, `normal` the contact normal; `details` are texts of reasons.
+    """
+
+    state_bytes: NDArray[np.uint8]
+    numbers: FloatArray
+    points: tuple[str, ...]
+    normal: str
+    details: Sequence[str]
+    texts: ReasonTexts
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @property
+    def states(self) -> Records:
+        """The joint states (N,), of dtype STATE."""
+        return self.state_bytes.view(STATE)
+
+    @property
+    def contacts(self) -> Records:
+        """The contacts (N, P), of dtype CONTACT."""
+        return self.numbers.view(CONTACT)[..., 0]
+
+    @property
+    def labels(self) -> Mapping[str, tuple[str, ...]]:
+        """Texts of the fields that are codes, by code."""
+        return {
+            "body_region": self.texts.regions,
+            "criterion": CRITERIA,
+            "mass_model": MODELS,
+            "mass_model_reason": self.texts.whys,
+        }
+
+    def reason(self, row: int, point: int) -> str:
+        """Return the reason of one contact at one joint state, empty if it is OK."""
+        return self.texts.text(self.contacts["reason"][row, point], self.details)
+
+    def reasons(self, point: int) -> tuple[NDArray[np.int64], list[str]]:
+        """Return for each joint state (N,) the index of the reason of one contact, and the texts.
+
+        Equal reasons that follow each other share one text.
+        """
+        rows = self.contacts["reason"][:, point]
+        changes = np.any(rows[1:] != rows[:-1], axis=1)
+        indices = np.concatenate((np.zeros(min(len(rows), 1), np.int64), np.cumsum(changes)))
+        firsts = np.flatnonzero(np.concatenate((np.ones(min(len(rows), 1), np.bool_), changes)))
+        return indices, [self.texts.text(rows[first], self.details) for first in firsts.tolist()]
+
+    def columns(self) -> Mapping[str, FloatArray]:
+        """Return the fields of the contacts by name, each (N * P,) or (k, N * P) and contiguous."""
+        rows = self.numbers.reshape(-1, self.numbers.shape[-1])
+        columns = np.empty(rows.shape[::-1])
+        for first in range(0, len(rows), BLOCK):
+            columns[:, first : first + BLOCK] = rows[first : first + BLOCK].T
+        places = {name: (dtype.shape, offset // 8) for name, (dtype, offset, *_) in CONTACT.fields.items()}
+        return {name: columns[at : at + shape[0]] if shape else columns[at] for name, (shape, at) in places.items()}
+
+    def decision(self, row: int) -> Decision:
+        """Return the assessment of all contacts at joint state number `row`."""
+        state = self.states[row]
+        return Decision(
+            stamp_ns=int(state["stamp_ns"]),
+            input_age=float(state["age"]),
+            velocity_delay=float(state["delay"]),
+            contact_normal=self.normal if state["is_admitted"] else "",
+            watchdog=bool(state["is_watchdog"]),
+            contacts=tuple(self._contact(row, point) for point in range(len(self.points))),
+            allowable_speed=float(state["allowable_speed"]),
+            speed_scaling=float(state["speed_scaling"]),
+        )
+
+    def decisions(self) -> Iterator[Decision]:
+        """Yield the assessment of all contacts at each joint state."""
+        return (self.decision(row) for row in range(len(self)))
+
+    def _contact(self, row: int, point: int) -> ContactAssessment:
+        record = self.contacts[row, point]
+        return contact_of(record, self.points[point], self.texts.text(record["reason"], self.details), self.labels)
+
+
+def contact_of(
+    record: Any,  # noqa: ANN401 - of CONTACT
+    point: str,
+    reason: str,
+    labels: Mapping[str, tuple[str, ...]],
+) -> ContactAssessment:
+    """Return the contact in a record of CONTACT, with the text of its reason; `labels` are the texts of its codes."""
+    fields: dict[str, Any] = {}
+    for name in CONTACT.names:
+        value = record[name].tolist()
+        fields[name] = tuple(value) if isinstance(value, list) else value
+    fields |= {name: texts[int(record[name])] for name, texts in labels.items()}
+    fields |= {
+        "worst_direction_used": bool(record["worst_direction_used"]),
+        "mass_capped": bool(record["mass_capped"]),
+        "verdict": Verdict(int(record["verdict"])),
+        "reason_code": Reason(int(record["reason"][CODE])),
+        "contact_point": point,
+        "reason": reason,
+    }
+    return ContactAssessment(**fields)
+
+
+def joined(parts: Sequence[Assessments]) -> Assessments:
+    """Return the assessments of joint states that follow each other; texts of codes are those of the last part."""
+    if len(parts) == 1:
+        return parts[0]
+    states = np.concatenate([part.state_bytes for part in parts])
+    return replace(parts[-1], state_bytes=states, numbers=np.concatenate([part.numbers for part in parts]))
+
+
+def unknown_numbers(iso_mass: float = 0.0) -> FloatArray:
+    """Return a contact (fields,) without numbers: all are 0, the masses of the models NaN."""
+    contact = np.zeros(1, CONTACT)
+    contact["lumped_mass"] = contact["full_mass"] = np.nan
+    contact["iso_mass"] = iso_mass
+    return contact.view(np.float64)
+
+
+_NO_LABELS = dict.fromkeys(("body_region", "criterion", "mass_model", "mass_model_reason"), ("",))
+
+
+def unknown_contact(point: str, reason: str, code: Reason = Reason.STATED) -> ContactAssessment:
+    """Return an UNKNOWN without numbers."""
+    contact = contact_of(unknown_numbers().view(CONTACT)[0], point, reason, _NO_LABELS)
+    return contact._replace(reason_code=code)

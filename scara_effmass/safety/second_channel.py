@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reference in place of the kernel, and beside it: what it computes, and where the two differ."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from scara_effmass.iso15066 import Limit
+from scara_effmass.kernel.records import CONTACT, ByteArray
+from scara_effmass.kernel.state import CODE, REASON_SIZE, STATE, VALUES
+from scara_effmass.reference import ContactResult, RobotDynamics, assess
+from scara_effmass.settings import ContactType, Drives, MonitorSettings
+from scara_effmass.values import FloatArray
+
+AGREEMENT = 1e-10
+"""Tolerance of the agreement, relative for numbers above 1."""
+CANCELLED = 1e-5
+"""That with a servo or a clamped body part, whose bounds invert nearly singular matrices."""
+SINGULAR = 1e-6
+"""That where the smallest singular value of J_v is below it: there the leading digits cancel."""
+
+
+class ReferenceChannel:
+    """Assesses joint states one by one with the reference, in place of `ContactKernel`."""
+
+    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings, limits: tuple[Limit, ...]) -> None:
+        self._dynamics, self._settings, self._limits = dynamics, settings, limits
+        cancels = settings.drives is Drives.SERVO or settings.contact is ContactType.QUASI_STATIC
+        self._tolerance = CANCELLED if cancels else AGREEMENT
+
+    def compute(self, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
+        """Write the contacts at the admitted ones of N joint states, as `ContactKernel.compute`."""
+        contacts = numbers.view(CONTACT)[..., 0]
+        for row in np.flatnonzero(states.view(STATE)["is_admitted"]).tolist():
+            q, qd, tolerance, _ = motions[row]
+            results = assess(self._dynamics, self._settings, self._limits, q, qd, tolerance.tolist())
+            for contact, result in zip(contacts[row], results, strict=True):
+                fill(contact, result)
+
+    def difference(self, motion: FloatArray, numbers: FloatArray) -> str:
+        """Return the first field in which `numbers` (P, fields) at `motion` (4, n) differ; empty if none does."""
+        expected = np.zeros((1, *numbers.shape))
+        state = np.zeros(1, STATE)
+        state["is_admitted"] = 1
+        self.compute(state.view(np.uint8), motion[None], expected)
+        for own, other in zip(numbers.view(CONTACT)[..., 0], expected.view(CONTACT)[0, :, 0], strict=True):
+            tolerance = self._tolerance if other["smallest_singular_value"] > SINGULAR else SINGULAR
+            for name in CONTACT.names or ():
+                if not np.allclose(own[name], other[name], tolerance, tolerance, equal_nan=True):
+                    return name
+        return ""
+
+
+def fill(contact: Any, result: ContactResult) -> None:  # noqa: ANN401 - a record of CONTACT
+    """Write a result of the reference into a record of CONTACT."""
+    for name in CONTACT.names or ():
+        if name != "reason":
+            contact[name] = getattr(result, name)
+    reason = np.zeros(REASON_SIZE)
+    reason[CODE] = result.reason
+    reason[VALUES : VALUES + len(result.reason_values)] = result.reason_values
+    contact["reason"] = reason
