@@ -3,6 +3,7 @@
 
 import argparse
 import math
+import os
 import time
 from contextlib import ExitStack
 from typing import Any
