@@ -130,17 +130,17 @@ def simulate(seed: int, nuisance: Nuisance, *, turned: bool) -> list[ImpactRun]:
 
 
 def assess(run: ImpactRun, *, tool: bool) -> list[Decision]:
-    """Return the decisions on a run until shortly after the impact."""
+    """Return the decisions of a run until shortly after the impact."""
     monitor = Monitor(dynamics(tool=tool), MonitorSettings())
     end_ns = run.impact.onset_ns + AFTER_NS
     states = (state for state in run.joint_states if state.stamp_ns <= end_ns)
-    decisions = (monitor.assess(state, state.stamp_ns) for state in states)
+    decisions = [monitor.assess(state, state.stamp_ns) for state in states]
     return [decision for decision in decisions if decision is not None]
 
 
 def scaled(decision: Decision, factor: float) -> Decision:
-    """Return the decision on a robot whose masses and inertias are `factor` times as large."""
-    state = decision.contacts[0]
+    """Return `decision` as for a robot whose masses and inertias are `factor` times as large; one contact point."""
+    (state,) = decision.contacts
     lumped, full = (
         cast("Mobility6", tuple(a / factor for a in mobility))
         for mobility in (state.lumped_mobility, state.full_mobility)
@@ -157,19 +157,19 @@ def scaled(decision: Decision, factor: float) -> Decision:
 
 def validate(
     runs: Sequence[ImpactRun],
-    states: Sequence[Sequence[Decision]],
+    decisions: Sequence[Sequence[Decision]],
     nuisance: Nuisance,
     case: Case,
 ) -> Result:
     """Return the result of a campaign with the errors of `case`."""
     validator = Validator(ValidatorSettings())
-    for run, decisions in zip(runs, states, strict=True):
+    for run, assessed in zip(runs, decisions, strict=True):
         cart = min(range(len(OBSTACLE_MASSES)), key=lambda i: abs(OBSTACLE_MASSES[i] - run.setup.obstacle_mass))
         if cart in nuisance.two_carts:
             cart = nuisance.two_carts[case.declared[nuisance.two_carts.index(cart)]]
         validator.begin_recording()
         validator.runs.begin(run.setup.run_info("")._replace(obstacle_mass=OBSTACLE_MASSES[cart], stamp_ns=0), 0)
-        for decision in decisions:
+        for decision in assessed:
             validator.add_decision(scaled(decision, case.masses) if case.masses != 1.0 else decision, 0)
         detector = Detector(DetectionSettings())
         impacts = []
@@ -191,12 +191,12 @@ def outcomes(seed: int) -> Outcomes:
     """Return the outcome of each case and model for the campaign of `seed`."""
     nuisance = Nuisance.draw(np.random.default_rng(seed))
     square, turned = (simulate(seed, nuisance, turned=turned) for turned in (False, True))
-    states = {tool: [assess(run, tool=tool) for run in square] for tool in (True, False)}
-    turned_states = [assess(run, tool=True) for run in turned]
+    square_decisions = {tool: [assess(run, tool=tool) for run in square] for tool in (True, False)}
+    turned_decisions = [assess(run, tool=True) for run in turned]
     found = {}
     for name, case in CASES.items():
-        runs, contacts = (turned, turned_states) if case.turned else (square, states[case.tool])
-        for model in validate(runs, contacts, nuisance, case).models:
+        runs, decisions = (turned, turned_decisions) if case.turned else (square, square_decisions[case.tool])
+        for model in validate(runs, decisions, nuisance, case).models:
             outcome = "accepted" if model.accepted else "rejected" if model.decidable else "not decidable"
             found[name, model.model] = outcome
     return found
