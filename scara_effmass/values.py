@@ -6,7 +6,7 @@ Most are named tuples: they are built in every cycle, and a dataclass takes thre
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +92,7 @@ VERDICT_COLORS = {
 
 
 class ContactAssessment(NamedTuple):
-    """Assessment of one contact point at one joint state: `ContactState.msg`, field by field.
+    """Assessment of one contact point at one joint state: `ContactState.msg`, field by field, with units as in names of columns.
 
     `lumped_mass` and `full_mass` [kg] are NaN if the robot has no such model. Under UNKNOWN, what could not be computed
     is 0. Masses and `predicted_force` [N] are nominal; `force_bound` [N], `allowable_speed` and `margin` [m/s] include
@@ -101,26 +101,27 @@ class ContactAssessment(NamedTuple):
     """
 
     direction: Vector3
-    speed: float
-    effective_mass: float
-    lumped_mass: float
-    full_mass: float
-    iso_mass: float
-    worst_direction_mass: float
-    body_mass: float
-    reduced_mass: float
-    stiffness: float
-    predicted_force: float
-    allowable_speed: float
-    margin: float
+    speed: Annotated[float, "m_s"]
+    effective_mass: Annotated[float, "kg"]
+    lumped_mass: Annotated[float, "kg"]
+    full_mass: Annotated[float, "kg"]
+    iso_mass: Annotated[float, "kg"]
+    worst_direction_mass: Annotated[float, "kg"]
+    body_mass: Annotated[float, "kg"]
+    reduced_mass: Annotated[float, "kg"]
+    stiffness: Annotated[float, "n_m"]
+    predicted_force: Annotated[float, "n"]
+    contact_energy: Annotated[float, "j"]
+    allowable_speed: Annotated[float, "m_s"]
+    margin: Annotated[float, "m_s"]
     smallest_singular_value: float
-    worst_normal_reduced_mass: float
-    force_bound: float
-    clamping_force: float
-    lumped_mobility: Mobility6
-    full_mobility: Mobility6
+    worst_normal_reduced_mass: Annotated[float, "kg"]
+    force_bound: Annotated[float, "n"]
+    clamping_force: Annotated[float, "n"]
+    lumped_mobility: Annotated[Mobility6, "1_kg"]
+    full_mobility: Annotated[Mobility6, "1_kg"]
     test_direction: Vector3
-    test_effective_mass: float
+    test_effective_mass: Annotated[float, "kg"]
     worst_direction_used: bool
     mass_capped: bool
     verdict: Verdict

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Annotated, Any, BinaryIO, Protocol, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pyarrow as pa
@@ -22,7 +22,7 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import RunInfo, Verdict
+from scara_effmass.values import ContactAssessment, Mobility6, RunInfo, Vector3, Verdict
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_states import ContactStatesEncoder
 from scara_effmass.wire.message_types import CONTACT_STATES, RUN_INFO
@@ -30,44 +30,33 @@ from scara_effmass.wire.run_info import run_info_message
 
 SUFFIXES = (".parquet", ".csv", ".mcap")
 
-_UNITS = {
-    "speed": "speed_m_s",
-    "effective_mass": "effective_mass_kg",
-    "lumped_mass": "lumped_mass_kg",
-    "full_mass": "full_mass_kg",
-    "iso_mass": "iso_mass_kg",
-    "worst_direction_mass": "worst_direction_mass_kg",
-    "body_mass": "body_mass_kg",
-    "reduced_mass": "reduced_mass_kg",
-    "stiffness": "stiffness_n_m",
-    "predicted_force": "predicted_force_n",
-    "allowable_speed": "allowable_speed_m_s",
-    "margin": "margin_m_s",
-    "input_age": "input_age_s",
-    "smallest_singular_value": "smallest_singular_value",
-    "worst_normal_reduced_mass": "worst_normal_reduced_mass_kg",
-    "force_bound": "force_bound_n",
-    "clamping_force": "clamping_force_n",
-    "test_effective_mass": "test_effective_mass_kg",
-    "velocity_delay": "velocity_delay_s",
+_INDICES = {Vector3: ("x", "y", "z"), Mobility6: ("xx", "xy", "xz", "yy", "yz", "zz")}
+
+
+def _entries(kind: Any) -> tuple[object, list[str]]:  # noqa: ANN401 - a type, annotated with a unit or not
+    """Return the type of a field of `ContactAssessment`, and what its columns have after the name."""
+    plain, *unit = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+    indices = _INDICES.get(plain)
+    return plain, ["_".join(("", *parts, *unit)) for parts in ([[index] for index in indices] if indices else [[]])]
+
+
+_KINDS = {name: _entries(kind) for name, kind in get_type_hints(ContactAssessment, include_extras=True).items()}
+_NUMBERS = {
+    name: [f"{name}{end}" for end in ends]
+    for name, (kind, ends) in _KINDS.items()
+    if kind in {float, Vector3, Mobility6}
 }
-_LABELS = (
-    *("contact_point", "body_region", "criterion", "verdict", "reason"),
-    *("contact_normal", "mass_model", "mass_model_reason"),
-)
-_MOBILITIES = {
-    model: [f"{model}_{entry}_1_kg" for entry in ("xx", "xy", "xz", "yy", "yz", "zz")]
-    for model in ("lumped_mobility", "full_mobility")
-}
-_ENTRIES = {name: [f"{name}_{axis}" for axis in "xyz"] for name in ("direction", "test_direction")} | _MOBILITIES
-_FLAGS = ("worst_direction_used", "mass_capped", "watchdog")
+"""Columns of each field that is a number, a vector or a mobility."""
+_FLAGS = tuple(name for name, (kind, _) in _KINDS.items() if kind is bool)
+_LABELS = ("verdict", *(name for name, (kind, _) in _KINDS.items() if kind is str), "contact_normal")
+_TIMES = {"input_age_s": "age", "velocity_delay_s": "delay"}
+"""Fields of a State by their columns."""
 
 SCHEMA = pa.schema(
     [("bag", pa.string()), ("log_time_ns", pa.int64()), ("stamp_ns", pa.int64())]
     + [(name, pa.string()) for name in _LABELS]
-    + [(f"{name}_{axis}", pa.float64()) for name in ("direction", "test_direction") for axis in "xyz"]
-    + [(name, pa.float64()) for name in (*_UNITS.values(), *chain(*_MOBILITIES.values()))]
-    + [(name, pa.bool_()) for name in _FLAGS]
+    + [(name, pa.float64()) for name in (*chain(*_NUMBERS.values()), *_TIMES)]
+    + [(name, pa.bool_()) for name in (*_FLAGS, "watchdog")]
 )
 """Columns of a table: recording, log time, and the fields of `Decision` and `ContactAssessment` with their units."""
 _TEXT = pa.dictionary(pa.int32(), pa.string())
@@ -128,7 +117,7 @@ def open_table(
     """
     if suffix == ".parquet":
         texts = [field.name for field in schema if not pa.types.is_primitive(field.type)]
-        bounds = [field.name for field in schema if field.type != pa.float64()] + [_UNITS["margin"]]
+        bounds = [field.name for field in schema if field.type != pa.float64()] + _NUMBERS["margin"]
         # Dictionaries of numbers cost three times as much as all else. Without Arrow's schema, texts are read as texts.
         writer = parquet.ParquetWriter(
             file,
@@ -180,8 +169,7 @@ def _columns(bag: str, states: AssessedStates) -> dict[str, pa.Array]:
         "bag": labels(np.zeros(count * points, np.int64), [bag]),
         "log_time_ns": repeated(states.log_time_ns),
         "stamp_ns": repeated(records["stamp_ns"]),
-        _UNITS["input_age"]: repeated(records["age"]),
-        _UNITS["velocity_delay"]: repeated(records["delay"]),
+        **{column: repeated(records[name]) for column, name in _TIMES.items()},
         "watchdog": repeated(records["is_watchdog"] != 0),
         "contact_point": labels(np.tile(np.arange(points), count), assessments.points),
         "verdict": labels(columns["verdict"].astype(np.int64), Verdict._member_names_),
@@ -190,13 +178,9 @@ def _columns(bag: str, states: AssessedStates) -> dict[str, pa.Array]:
     }
     for name, texts in assessments.labels.items():
         table[name] = labels(columns[name].astype(np.int64), texts)
-    for name, column in columns.items():
-        if name in _ENTRIES:
-            table |= {entry: pa.array(values) for entry, values in zip(_ENTRIES[name], column, strict=True)}
-        elif name in _FLAGS:
-            table[name] = pa.array(column != 0.0)
-        elif name in _UNITS:
-            table[_UNITS[name]] = pa.array(column)
+    for name, names in _NUMBERS.items():
+        table |= {entry: pa.array(values) for entry, values in zip(names, np.atleast_2d(columns[name]), strict=True)}
+    table |= {name: pa.array(columns[name] != 0.0) for name in _FLAGS}
     return {name: table[name] for name in SCHEMA.names}
 
 

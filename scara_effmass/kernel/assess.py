@@ -156,6 +156,7 @@ def fill_limits(
     contact.predicted_force = (approach.speed + setup.person_speed) * math.sqrt(
         contact.reduced_mass * contact.stiffness
     )
+    contact.contact_energy = 0.5 * contact.reduced_mass * (approach.speed + setup.person_speed) ** 2
     contact.worst_normal_reduced_mass = min(worst_mu, cap)
     contact.body_region, contact.criterion, contact.mass_model = (
         case.region + 1,
@@ -235,7 +236,8 @@ def assess_point(
     contact.effective_mass = contact.worst_direction_mass = contact.body_mass = contact.reduced_mass = (
         contact.stiffness
     ) = 0.0
-    contact.predicted_force = contact.allowable_speed = contact.worst_normal_reduced_mass = contact.force_bound = 0.0
+    contact.predicted_force = contact.contact_energy = contact.allowable_speed = 0.0
+    contact.worst_normal_reduced_mass = contact.force_bound = 0.0
     contact.mass_capped = contact.verdict = contact.body_region = contact.criterion = contact.mass_model = 0.0
     contact.mass_model_reason = choice.why if error == Reason.NONE else 0.0
     set_reason(contact.reason, Reason.NONE, 0, 0.0, 0.0, 0.0)

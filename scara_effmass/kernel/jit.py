@@ -9,9 +9,12 @@ import hashlib
 import os
 import platform
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 WHY_NOT = ""
@@ -27,9 +30,13 @@ OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
 
 
 def _source_hash() -> str:
-    sources = [*sorted(Path(__file__).parent.glob("*.py")), Path(__file__).parents[1] / "codes.py"]
+    package = Path(__file__).parents[1]
+    # Constants of these rooms are compiled in.
+    rooms = ("kernel", "iso15066", "reference")
+    sources = [*(path for room in rooms for path in sorted((package / room).glob("*.py")))]
+    sources += [package / "codes.py", package / "values.py"]
     content = [source.read_bytes() for source in sources]
-    versions = f"{platform.python_version()} {getattr(numba, '__version__', '')}".encode()
+    versions = f"{platform.python_version()} {np.__version__} {getattr(numba, '__version__', '')}".encode()
     return hashlib.sha256(b"\0".join([*content, versions])).hexdigest()[:16]
 
 
@@ -66,7 +73,19 @@ def compiled(function: Function) -> Function:
         cached: Function = numba.njit(cache=True, **OPTIONS)(function)
     finally:
         numba.config.CACHE_DIR = before
+    _save_if_possible(cached)
     return cached
+
+
+def _save_if_possible(function: Any) -> None:  # noqa: ANN401 - a dispatcher of numba
+    """Let a full disk cost the time to compile again, and not the call that compiled."""
+    save = function._cache.save_overload  # noqa: SLF001 - numba has no other handle
+
+    def save_overload(*arguments: object) -> None:
+        with suppress(OSError):
+            save(*arguments)
+
+    function._cache.save_overload = save_overload  # noqa: SLF001
 
 
 def inlined(function: Function) -> Function:

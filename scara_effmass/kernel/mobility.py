@@ -120,7 +120,7 @@ def worst_reduced_mass(m: Mobility, alpha: float, beta: float) -> float:
         s = max(s, CLAMPED_TOLERANCE * m.total)
         numerator = m.total - m.along + s
         denominator = m.minors + s * (m.total + s)
-        if m.rank > 2:  # noqa: PLR2004 - dimensions
+        if m.rank > 2:
             numerator = m.adjugate + s * numerator
             denominator = m.determinant + s * denominator
     if denominator <= 0.0:

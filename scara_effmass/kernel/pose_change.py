@@ -74,7 +74,7 @@ def solve_mobility(change: Mobility, s: float) -> Vector3:
     s = max(s, CLAMPED_TOLERANCE * trace(m))
     if change.change_rank == 1:
         return scale(inverse(s + trace(m)), n)
-    if change.change_rank == 2:  # noqa: PLR2004 - dimensions
+    if change.change_rank == 2:
         of_plane = m[3] + m[5], -m[1], -m[2], m[0] + m[5], -m[4], m[0] + m[3]
         numerator, denominator = shifted(of_plane, s), trace(adjugate(m)) + s * (s + trace(m))
     else:

@@ -46,7 +46,7 @@ def push_direction(i: int, approach: Approach, setup: Setup) -> Vector3:
         return scale(sign, approach.normal)
     if approach.is_moving:
         return approach.direction
-    return sign * (axis == 0), sign * (axis == 1), sign * (axis == 2)  # noqa: PLR2004 - x, y, z
+    return sign * (axis == 0), sign * (axis == 1), sign * (axis == 2)
 
 
 @inlined

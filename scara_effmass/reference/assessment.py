@@ -15,7 +15,7 @@ import numpy as np
 
 from scara_effmass.codes import CriterionCode, ModelCode, ModelReason, NoLumpedMass, Reason
 from scara_effmass.iso15066.allowable_speed import MIN_EFFECTIVE_MASS, ContactCase, SpeedLimit, contact_cases
-from scara_effmass.iso15066.contact import peak_force, reduced_mass
+from scara_effmass.iso15066.contact import peak_force, reduced_mass, transferred_energy
 from scara_effmass.iso15066.limits import Limit
 from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.reference.dynamics import RobotDynamics
@@ -57,6 +57,7 @@ class ContactResult:
     reduced_mass: float = 0.0
     stiffness: float = 0.0
     predicted_force: float = 0.0
+    contact_energy: float = 0.0
     allowable_speed: float = 0.0
     worst_normal_reduced_mass: float = 0.0
     force_bound: float = 0.0
@@ -322,6 +323,7 @@ class ContactAssessor:
         worst_mus = (self._any_normal(model).reduced_mass(1.0 / m_h) for model in self.models)
         result.worst_normal_reduced_mass = min(max(worst_mus), cap)
         result.predicted_force = peak_force(speed + settings.person_speed, mu, limit.stiffness_n_m)
+        result.contact_energy = transferred_energy(speed + settings.person_speed, mu)  # Eqs. 31-33
         result.force_bound = found.force(speed * self._share + closing_speed, cap)
         result.allowable_speed = max(0.0, nominal_speed)
         self._judge(result, mass, nominal_speed)

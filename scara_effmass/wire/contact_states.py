@@ -32,15 +32,23 @@ _FLOAT64 = struct.Struct("<4sd")
 _STAMP = struct.Struct("<4siI")
 _NUMBERS_LAYOUT = "Q?BH4x4d"
 """From sequence_number to velocity_delay."""
-_VALUES_LAYOUT = "35d"
+_VALUES_SIZE, _REASON, *_MASSES = (
+    CONTACT.fields[name][1] // 8 for name in ("worst_direction_used", "reason", "lumped_mass", "full_mass")
+)
+"""Places in the numbers of a contact: the end of its values, its reason, and the two that may be NaN."""
+_PARTS = [
+    slice(offset // 8, offset // 8 + kind.shape[0]) if kind.shape else offset // 8
+    for kind, offset in (CONTACT.fields[name][:2] for name in CONTACT.names)
+    if offset // 8 < _VALUES_SIZE
+]
+"""Places of the values by field."""
+_VALUES_LAYOUT = f"{_VALUES_SIZE}d"
 """From direction to test_effective_mass of one contact."""
 _NUMBERS, _VALUES = struct.Struct(f"<{_NUMBERS_LAYOUT}"), struct.Struct(f"<{_VALUES_LAYOUT}")
 _FLAGS = struct.Struct("<??BxH")
 """worst_direction_used, mass_capped, verdict and reason_code of one contact."""
 _FIRST_FLAG = ContactAssessment._fields.index("worst_direction_used")
 _TEXTS = len(ContactAssessment._fields) - _FIRST_FLAG - 4
-_VALUES_SIZE, _REASON = (CONTACT.fields[name][1] // 8 for name in ("worst_direction_used", "reason"))
-"""Places in the numbers of a contact: the end of its values, and its reason."""
 
 
 def float64_message(value: float) -> bytes:
@@ -177,13 +185,11 @@ def _decode(reader: _Reader, data: bytes) -> tuple[Decision, int]:
 
 def _contact(values: tuple[Any, ...], texts: list[str]) -> ContactAssessment:
     """Return the contact with these `values`, from direction to verdict, and `texts`, from contact_point on."""
-    verdict = values[37]
+    numbers, (*flags, verdict, code) = values[:_VALUES_SIZE], values[_VALUES_SIZE:]
     if verdict not in _VERDICTS:
         return unknown_contact(texts[0], f"verdict = {verdict}: must be 0 to 3")
-    # lumped_mass and full_mass, values 5 and 6, may be NaN.
-    if not math.isfinite(sum(values[:5]) + sum(values[7:35])):
+    if not math.isfinite(sum(number for place, number in enumerate(numbers) if place not in _MASSES)):
         return unknown_contact(texts[0], "the contact state has a value that is not a number")
-    vectors = values[19:25], values[25:31], values[31:34]
-    code = values[38] if values[38] in _CODES else Reason.STATED
-    flags = *values[35:37], Verdict(verdict), Reason(code)
-    return ContactAssessment._make((values[:3], *values[3:19], *vectors, values[34], *flags, *texts))
+    fields = [numbers[part] for part in _PARTS]
+    known = Reason(code) if code in _CODES else Reason.STATED
+    return ContactAssessment._make((*fields, *flags, Verdict(verdict), known, *texts))

@@ -95,7 +95,7 @@ def test_arrows_have_the_length_of_the_speeds_and_the_directions_of_the_state() 
         0.25 * contact.allowable_speed * np.array(contact.direction)
     )
     normal = vector(markers["worst_normal"]) / np.linalg.norm(vector(markers["worst_normal"]))
-    inverse_masses = mobility_matrix(contact.lumped_mobility) + np.eye(3) / contact.obstacle_mass
+    inverse_masses = mobility_matrix(contact.lumped_mobility) + np.eye(3) / contact.body_mass
     worst = np.linalg.solve(inverse_masses, contact.direction)
     assert normal == pytest.approx(worst / np.linalg.norm(worst))
     reduced = np.dot(normal, contact.direction) ** 2 / (normal @ inverse_masses @ normal)

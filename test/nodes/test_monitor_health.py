@@ -22,7 +22,9 @@ def model_status(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[s
 
 
 def test_unknown_is_an_error_and_without_a_robot_there_is_a_hardware_id() -> None:
-    statuses = monitor_statuses(None, unknown_decision("no robot_description yet").contacts, {}, DiagnosticStatus())
+    statuses = monitor_statuses(
+        None, unknown_decision("no robot_description yet").contacts, {}, 0.0, DiagnosticStatus()
+    )
     assert statuses[-1].level == DiagnosticStatus.ERROR
     assert {status.hardware_id for status in statuses} == {"no robot"}
 
