@@ -18,7 +18,7 @@ from rclpy.task import Future
 from scara_effmass_msgs.msg import ForceBlock
 from usage import cpu_s, resident_mb
 
-from scara_effmass.daq.source import make_source
+from scara_effmass.daq import make_source
 from scara_effmass.settings import DaqSettings, ForceSourceKind, SimSettings
 from scara_effmass.wire.force import decode_force_block
 

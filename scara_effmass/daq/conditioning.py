@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,8 +11,7 @@ from numpy.typing import NDArray
 
 from scara_effmass.daq.clock_fit import ClockFit
 from scara_effmass.daq.source import ForceSource, Reading
-from scara_effmass.daq.tare import Tare
-from scara_effmass.settings import DaqSettings, FilterKind
+from scara_effmass.settings import DaqSettings, FilterKind, TareSettings
 from scara_effmass.values import (
     MAX_LOST_SAMPLES,
     NONE_SATURATED,
@@ -30,6 +28,10 @@ if TYPE_CHECKING:
 
 NO_FORCE: FloatArray = np.empty(0)
 NO_FORCE.flags.writeable = False
+PARTS = 10
+"""Number of parts of a tare; a short disturbance affects one or two of them."""
+MIN_PARTS = 7
+"""Minimum number of valid parts; the median then lies among valid ones."""
 
 
 class SignalConditioner:
@@ -231,9 +233,46 @@ class ForceChannel:
             self.tare_stamp_ns = block.stamp_ns + round((force.size - 1) / block.sample_rate * NS)
 
 
+class Tare:
+    """Median of the means of ten consecutive parts of a signal.
+
+    An impact falls into one or two parts, which move the median by no more than the noise. The sensor was at rest if at
+    least seven parts have no saturated sample and are within the tolerance of the median; otherwise there is no result.
+    """
+
+    def __init__(self, settings: TareSettings, sample_rate: float) -> None:
+        """Use `settings.time` of samples at `sample_rate` [Hz], at least ten."""
+        self._tolerance = settings.tolerance
+        self._length = PARTS * max(1, round(settings.time * sample_rate / PARTS))
+        self._force: FloatArray = np.empty(0)
+        self._saturated: BoolArray = np.empty(0, np.bool_)
+
+    @property
+    def done(self) -> bool:
+        """Whether all samples were added."""
+        return self._force.size == self._length
+
+    def add(self, force: FloatArray, saturated_samples: NDArray[np.uint32]) -> None:
+        """Add the next samples [N], all finite; those after the end are ignored. Indices are as in `ForceBlock`."""
+        saturated = np.isin(np.arange(force.size), saturated_samples)
+        self._force = np.concatenate((self._force, force))[: self._length]
+        self._saturated = np.concatenate((self._saturated, saturated))[: self._length]
+
+    def result(self) -> float | str:
+        """Return the zero force [N], or the reason why there is none. Requires `done`."""
+        valid = ~self._saturated.reshape(PARTS, -1).any(axis=1)
+        means = self._force.reshape(PARTS, -1)[valid].mean(axis=1)
+        if means.size < MIN_PARTS:
+            return "refused: the force was at the end of the measuring range"
+        zero = float(np.median(means))
+        if np.count_nonzero(np.abs(means - zero) <= self._tolerance) < MIN_PARTS:
+            return f"refused: the force moved by {np.ptp(means):.3g} N, tare.tolerance is {self._tolerance:g} N"
+        return zero
+
+
 def _lowpass(settings: DaqSettings, sample_rate: float) -> Lowpass | None:
     if settings.filter.kind is FilterKind.NONE:
         return None
-    # scipy takes a second and 80 MB to load.
-    lowpass: Lowpass = import_module("scara_effmass.daq.lowpass").make_lowpass(settings.filter, sample_rate)
-    return lowpass
+    from scara_effmass.daq.lowpass import make_lowpass  # noqa: PLC0415 - scipy takes a second and 80 MB to load
+
+    return make_lowpass(settings.filter, sample_rate)

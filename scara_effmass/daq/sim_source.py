@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The source `sim`: simulated force at the pace of a converter."""
+"""The source `sim`: simulated force at the pace of a converter, from half-sines or from the simulated cell."""
 
 import threading
 import time
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from itertools import count
 from typing import final
 
@@ -12,21 +11,14 @@ import numpy as np
 
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.settings import DaqSettings, SimScene
+from scara_effmass.sim.measurement import ForceSensor
 from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
 from scara_effmass.values import FloatArray
 from scara_effmass.wire.cdr import NS
 
+MS = 1_000_000
 MAX_POLL_S = 0.005
 """Longest polling period of the clock that sets the pace; ROS time may run at any speed."""
-
-
-def make_sim_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
-    """Return the source of the scene `settings.sim.scene`."""
-    if settings.sim.scene is SimScene.HALF_SINES:
-        return HalfSineSource(settings, now_ns)
-    # Import MuJoCo only for the scene that needs it.
-    source: ForceSource = import_module("scara_effmass.daq.sim_cell_source").SimCellSource(settings, now_ns)
-    return source
 
 
 class SimSource(ForceSource):
@@ -116,3 +108,49 @@ class HalfSineSource(SimSource):
         for first in count(0, size):
             samples = signal.samples(first, size)
             yield start_ns + round((first + size) * NS / true_rate), first, -samples if sensor.invert else samples
+
+
+@final
+class SimCellSource(SimSource):
+    """Force on the cart of the simulated cell, in blocks of `block_time` of ROS time.
+
+    The simulation depends on `sim.seed` and `sim.start` alone, so `sim_node` with the same values publishes the joint
+    states of the same cell.
+    """
+
+    uses_ros_time = True
+    channels: tuple[str, ...] = ("cell",)
+
+    def __init__(self, settings: DaqSettings, now_ns: Callable[[], int]) -> None:
+        from scara_effmass.sim.live import LiveSim  # noqa: PLC0415 - needs MuJoCo, which the other scene does not
+
+        super().__init__(settings, now_ns, now_ns)
+        sim = settings.sim
+        self._start_sim = LiveSim
+        self._sensor = ForceSensor(
+            sample_rate=sim.sample_rate,
+            clock_error=sim.clock_error,
+            sensitivity=settings.sensor.sensitivity,
+            range=settings.sensor.range,
+            noise=sim.noise,
+            seed=sim.seed,
+        )
+        self.description = f"simulated force: simulated cell (MuJoCo), seed {sim.seed}"
+        self.limit = self._sensor.saturation
+        self.filter_delay = self._sensor.filter_delay
+
+    def compute_blocks(self) -> Iterator[tuple[int, int, FloatArray]]:
+        """See `SimSource`; the robot starts at `sim.start`, or now."""
+        sim = self._settings.sim
+        start_ns = round(sim.start * 1e3) * MS or self._now_ns()
+        simulation = self._start_sim(start_ns, seed=sim.seed, sensor=self._sensor)
+        period_ns = max(1, round(self._settings.block_time * 1e3)) * MS
+        for due_ns in count(start_ns + period_ns, period_ns):
+            output = simulation.advance_to(due_ns)
+            yield due_ns, output.first_sample, output.force[np.newaxis]
+
+
+def make_sim_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
+    """Return the source of the scene `settings.sim.scene`."""
+    source = HalfSineSource if settings.sim.scene is SimScene.HALF_SINES else SimCellSource
+    return source(settings, now_ns)

@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interface of all force sources."""
 
-from collections.abc import Callable
-from importlib import import_module
 from typing import NamedTuple, Protocol
 
-from scara_effmass.errors import DriverMissingError
-from scara_effmass.extras import missing_extra
-from scara_effmass.settings import DaqSettings, ForceSourceKind
 from scara_effmass.values import BoolArray, FloatArray
 
 
@@ -84,21 +79,3 @@ class ForceSource(Protocol):
     def waiting_for(self) -> str:
         """What the next block waits for, if the source knows it."""
         return ""
-
-
-SOURCES = {
-    ForceSourceKind.NI9230: "scara_effmass.daq.ni9230:Ni9230Source",
-    ForceSourceKind.BAG: "scara_effmass.daq.bag_source:BagSource",
-    ForceSourceKind.SIM: "scara_effmass.daq.sim_source:make_sim_source",
-}
-"""Constructor of each source; its module, and with it a driver, is imported only when the source is selected."""
-
-
-def make_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
-    """Return the source selected in `settings`; `now_ns` returns the ROS time. Raises DaqError or SettingsError."""
-    module, _, name = SOURCES[settings.source].partition(":")
-    try:
-        source: ForceSource = getattr(import_module(module), name)(settings, now_ns)
-    except ModuleNotFoundError as error:
-        raise DriverMissingError(missing_extra(error) or str(error)) from error
-    return source

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers.force import UNITS, ForceFile, select_unit
-from scara_effmass.importers.uniform_sampling import uniform_samples
+from scara_effmass.importers.force_file import UNITS, ForceFile, select_unit, uniform_samples
 from scara_effmass.settings import ImportSettings
 from scara_effmass.wire.cdr import MAX_SEC, NS
 

@@ -1,60 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convert force recordings of other programs to ForceBlocks, one by one or in a bag."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.errors import BagError
 from scara_effmass.importers import BAG_IMPORTER, IMPORTERS
+from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT, ForceFile
 from scara_effmass.settings import ImportSettings
-from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, FloatArray, ForceBlock, true_runs
+from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, ForceBlock, true_runs
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
 
-NEWTON_PER_UNIT = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
-"""NIST SP 811, Appendix B.8."""
-VOLT_PER_UNIT = {"V": 1.0, "mV": 1e-3}
-UNITS = (*NEWTON_PER_UNIT, *VOLT_PER_UNIT)
-
-BLOCK_TIME_S = 0.1
-"""Length of an imported block."""
 MAX_VALUE = 1e9
 """[N] or [V]; no sensor measures more."""
-
-
-class SampleBlock(NamedTuple):
-    """Consecutive samples (n,) from `stamp_ns` on.
-
-    `clock_residual` [s] is the uncertainty of the stamp; `lost_samples` are missing directly before the block.
-    """
-
-    stamp_ns: int
-    samples: FloatArray
-    lost_samples: int
-    clock_residual: float
-
-
-@dataclass(frozen=True, slots=True)
-class ForceFile:
-    """An open force recording with a constant `sample_rate` [Hz].
-
-    `losses` returns one line for each part that could not be read so far; call it after reading `blocks`.
-    """
-
-    description: str
-    unit: str
-    """One of UNITS."""
-    sample_rate: float
-    blocks: Iterator[SampleBlock]
-    simulated: bool = False
-    losses: Callable[[], tuple[str, ...]] = tuple
 
 
 @dataclass(slots=True)
@@ -81,21 +46,6 @@ def import_force(path: Path, settings: ImportSettings) -> tuple[ForceFile, Itera
     module, _, function = IMPORTERS.get(path.suffix.lower(), BAG_IMPORTER).partition(":")
     file: ForceFile = getattr(import_module(module), function)(path, settings)
     return file, _force_blocks(path, file, settings)
-
-
-def select_unit(setting: str, stated: str, origin: str) -> str:
-    """Return the unit stated by the setting or by the file; either may be empty.
-
-    Raises SettingsError if neither is one of UNITS, or if they differ.
-    """
-    choices = ", ".join(UNITS)
-    if not setting and not stated:
-        raise SettingsError(f"{origin}: states no unit; unit must be one of {choices}")
-    if not setting and stated not in UNITS:
-        raise SettingsError(f"{origin}: has the unit {stated!r}; convert it, or set unit to one of {choices}")
-    if setting and stated in UNITS and stated != setting:
-        raise SettingsError(f"{origin}: unit = {setting}: must be empty, the file states {stated}")
-    return setting or stated
 
 
 def write_force_bag(

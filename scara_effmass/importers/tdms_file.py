@@ -11,7 +11,7 @@ from nptdms import TdmsFile
 from nptdms.log import log_manager
 
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers.force import BLOCK_TIME_S, UNITS, ForceFile, SampleBlock, select_unit
+from scara_effmass.importers.force_file import BLOCK_TIME_S, UNITS, ForceFile, SampleBlock, select_unit
 from scara_effmass.settings import ImportSettings
 from scara_effmass.values import FloatArray
 from scara_effmass.wire.cdr import MAX_SEC, NS

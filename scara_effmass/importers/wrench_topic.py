@@ -12,8 +12,7 @@ from scara_effmass.bags.bag import Bag, first_run_info
 from scara_effmass.bags.batches import IntArray, Topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, DecodeError
-from scara_effmass.importers.force import ForceFile
-from scara_effmass.importers.uniform_sampling import uniform_samples
+from scara_effmass.importers.force_file import ForceFile, uniform_samples
 from scara_effmass.settings import ImportSettings
 from scara_effmass.values import FloatArray, true_runs
 from scara_effmass.wire.cdr import NS

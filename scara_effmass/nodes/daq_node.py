@@ -15,9 +15,10 @@ from rclpy.duration import Duration
 from scara_effmass_msgs.msg import ForceBlock, Impact
 
 from scara_effmass import values
+from scara_effmass.daq import make_source
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.conditioning import SignalConditioner
-from scara_effmass.daq.source import ForceSource, make_source
+from scara_effmass.daq.source import ForceSource
 from scara_effmass.errors import DaqError, EffmassError, SettingsError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes import parameters

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial, wraps
 from itertools import pairwise
@@ -17,7 +18,7 @@ from typing import Any, TypeVar
 
 import rclpy
 from lifecycle_msgs.srv import ChangeState
-from rcl_interfaces.msg import Log
+from rcl_interfaces.msg import Log, SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -33,6 +34,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, State, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSPolicyKind, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
@@ -45,8 +47,9 @@ from std_srvs.srv import Trigger
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.qos import qos_profile
-from scara_effmass.nodes.readiness import report_readiness
+from scara_effmass.nodes.readiness import PERIOD_S, readiness_reporter
 from scara_effmass.nodes.realtime import use_realtime
+from scara_effmass.settings.loading import READ_ONLY, Settings, flat_fields
 from scara_effmass.streams import open_standard_streams
 from scara_effmass.wire.topics import INFO_QOS, Qos
 
@@ -102,7 +105,8 @@ class LifecycleBase(LifecycleNode):
         self._transition_error: Exception | None = None
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
-        report_readiness(self)
+        # Steady time: the clock of a replay stands still until the nodes are ready.
+        self.create_steady_timer(PERIOD_S, readiness_reporter(self, lambda: self.active), owned=False)
 
     def configure(self) -> None:
         """Load what the parameters name and create the endpoints. Raises EffmassError."""
@@ -234,6 +238,34 @@ class LifecycleBase(LifecycleNode):
         """Call `log` every `period_s` [s] while the node is active; 0: never."""
         if period_s:
             self.create_steady_timer(period_s, lambda: log() if self.active else None)
+
+    def on_parameters_changed(
+        self,
+        current: Callable[[], Settings],
+        apply: Callable[[Settings, AbstractSet[str]], None],
+        validate: Callable[[Settings], object] = lambda _: None,
+    ) -> None:
+        """Call `apply` with the new settings and the names of the changed parameters after every change.
+
+        Refuse a change if the settings model or `validate` raises EffmassError, whose text becomes the reason. What is
+        fixed on a configured node can change while it is unconfigured.
+        """
+        fields = flat_fields(type(current())).items()
+        self.fixed_parameters = [name for name, f in fields if f.json_schema_extra == READ_ONLY and name != "autostart"]
+        self.set_read_only(read_only=False)
+
+        def changed(changes: list[Parameter]) -> Settings:
+            return parameters.changed_settings(current(), changes, self.get_name())
+
+        def on_set(changes: list[Parameter]) -> SetParametersResult:
+            try:
+                validate(changed(changes))
+            except EffmassError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=True)
+
+        self.add_on_set_parameters_callback(on_set)
+        self.add_post_set_parameters_callback(lambda changes: apply(changed(changes), {p.name for p in changes}))
 
     def set_read_only(self, *, read_only: bool) -> None:
         """Mark the fixed parameters as read-only or writable."""

@@ -77,7 +77,7 @@ class MonitorNode(LifecycleBase):
         self._settings = parameters.declare(self, NodeSettings)
         self.autostart = self._settings.autostart
         limits_for(self._settings)
-        parameters.on_parameters_changed(self, lambda: self._settings, self._apply_settings, self._check_settings)
+        self.on_parameters_changed(lambda: self._settings, self._apply_settings, self._check_settings)
         self._outputs: dict[str, Any] = {}
         self._monitor: Monitor | None = None
         self._first_cause: Cause | None = None

@@ -1,23 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS parameters declared from a settings model, which states names, types, ranges and descriptions."""
 
-from collections.abc import Callable, Mapping, Sequence
-from collections.abc import Set as AbstractSet
+from collections.abc import Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import asdict
 from enum import Enum
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args, get_origin
+from typing import Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from scara_effmass.errors import EffmassError, SettingsError
+from scara_effmass.errors import SettingsError
 from scara_effmass.settings.loading import (
-    READ_ONLY,
     FrozenSettings,
     Settings,
     check_types,
@@ -28,9 +26,6 @@ from scara_effmass.settings.loading import (
     nearest,
     parameter_sections,
 )
-
-if TYPE_CHECKING:
-    from scara_effmass.nodes.lifecycle import LifecycleBase
 
 ARGUMENTS: ContextVar[Sequence[str]] = ContextVar("arguments", default=())
 """ROS arguments of the process, which show where a parameter comes from."""
@@ -75,37 +70,12 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
     return checked_settings
 
 
-def on_parameters_changed(
-    node: "LifecycleBase",
-    current: Callable[[], Settings],
-    apply: Callable[[Settings, AbstractSet[str]], None],
-    validate: Callable[[Settings], object] = lambda _: None,
-) -> None:
-    """Call `apply` with the new settings and the names of the changed parameters after every change.
-
-    Refuse a change if the settings model or `validate` raises EffmassError, whose text becomes the reason. What is
-    fixed on a configured node can change while it is unconfigured.
-    """
-    fields = flat_fields(type(current())).items()
-    node.fixed_parameters = [name for name, f in fields if f.json_schema_extra == READ_ONLY and name != "autostart"]
-    node.set_read_only(read_only=False)
-
-    def changed(changes: list[Parameter]) -> Settings:
-        settings = current()
-        model = type(settings)
-        fields = flat_fields(model)
-        values = {p.name: from_ros(p) for p in changes if p.name in fields}
-        return checked(model, {**settings.model_dump(), **values}, node.get_name())
-
-    def on_set(changes: list[Parameter]) -> SetParametersResult:
-        try:
-            validate(changed(changes))
-        except EffmassError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-    node.add_on_set_parameters_callback(on_set)
-    node.add_post_set_parameters_callback(lambda changes: apply(changed(changes), {p.name for p in changes}))
+def changed_settings(current: Settings, changes: Sequence[Parameter], node: str) -> Settings:
+    """Return `current` with the `changes` of `node`. Raises SettingsError."""
+    model = type(current)
+    fields = flat_fields(model)
+    values = {change.name: from_ros(change) for change in changes if change.name in fields}
+    return checked(model, {**current.model_dump(), **values}, node)
 
 
 def _shared_names(node: str) -> set[str]:

@@ -8,8 +8,7 @@ nodes that its sender has discovered.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable
 
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -18,10 +17,7 @@ from scara_effmass_msgs.msg import NodeReadiness
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.wire.topics import CLIENT_QOS, READINESS
 
-if TYPE_CHECKING:
-    from scara_effmass.nodes.lifecycle import LifecycleBase
-
-_PERIOD_S = 0.1
+PERIOD_S = 0.1
 _NS = 1_000_000_000
 
 
@@ -30,23 +26,22 @@ def node_names(endpoints: Iterable[TopicEndpointInfo]) -> set[str]:
     return {f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}" for endpoint in endpoints}
 
 
-def report_readiness(node: LifecycleBase) -> None:
-    """Publish the readiness of `node` every 0.1 s, in every lifecycle state, while someone subscribes."""
+def readiness_reporter(node: Node, is_active: Callable[[], bool]) -> Callable[[], None]:
+    """Return a function that publishes the readiness of `node`; call it every PERIOD_S, in every lifecycle state."""
     publisher = node.create_publisher(NodeReadiness, READINESS, qos_profile(CLIENT_QOS))
 
     def publish() -> None:
         if publisher.get_subscription_count():
             report = NodeReadiness(
                 node=node.get_fully_qualified_name(),
-                active=node.active,
+                active=is_active(),
                 use_sim_time=bool(node.get_parameter("use_sim_time").value),
                 peers=sorted(node_names(node.get_publishers_info_by_topic(READINESS))),
             )
             report.header.stamp = node.get_clock().now().to_msg()
             publisher.publish(report)
 
-    # Steady time: the clock of a replay stands still until the nodes are ready.
-    node.create_steady_timer(_PERIOD_S, publish, owned=False)
+    return publish
 
 
 class ReadinessReports:

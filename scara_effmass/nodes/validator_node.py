@@ -54,7 +54,7 @@ class ValidatorNode(LifecycleBase):
         self._settings = parameters.declare(self, NodeSettings)
         self.autostart = self._settings.autostart
         self._write_report = write_report
-        parameters.on_parameters_changed(self, lambda: self._settings, self._apply)
+        self.on_parameters_changed(lambda: self._settings, self._apply)
         self._validator = Validator(self._settings)
 
     def configure(self) -> None:

@@ -65,7 +65,7 @@ class VisualizationNode(LifecycleBase):
         self._settings = parameters.declare(self, NodeSettings)
         self.autostart = self._settings.autostart
         self._dynamics: RobotDynamics | None = None
-        parameters.on_parameters_changed(self, lambda: self._settings, self._apply, self._loaded)
+        self.on_parameters_changed(lambda: self._settings, self._apply, self._loaded)
 
     def configure(self) -> None:
         """Load the robot and create the endpoints. Raises EffmassError."""

@@ -12,9 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scara_effmass.daq import make_source
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.sim_source import HalfSineSource
-from scara_effmass.daq.source import ForceSource, Reading, make_source
+from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import DaqError, DeviceLostError, DeviceMissingError, OverrunError
 from scara_effmass.settings import BagSettings, DaqSettings, ForceSourceKind, Ni9230Settings, Stamps
 from test.daq.conftest import NiDevice

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scara_effmass.daq.sim_cell_source import SimCellSource
-from scara_effmass.daq.sim_source import HalfSineSource
-from scara_effmass.daq.source import ForceSource, Reading, make_source
+from scara_effmass.daq import make_source
+from scara_effmass.daq.sim_source import HalfSineSource, SimCellSource
+from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import BagError, DaqError, EffmassError, SettingsError
 from scara_effmass.settings import DaqSettings, checked
 from test.daq.conftest import NiDevice

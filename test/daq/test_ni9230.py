@@ -23,9 +23,10 @@ from nidaqmx.constants import (
 )
 from nidaqmx.errors import DaqFunctionNotSupportedError, DaqNotSupportedError
 
+from scara_effmass.daq import make_source
 from scara_effmass.daq.ni9230 import Ni9230Source
 from scara_effmass.daq.ni_driver import devices, driver_version
-from scara_effmass.daq.source import Reading, make_source
+from scara_effmass.daq.source import Reading
 from scara_effmass.errors import (
     DaqError,
     DeviceLostError,

@@ -2,8 +2,9 @@
 import numpy as np
 import pytest
 
+from scara_effmass.daq import make_source
 from scara_effmass.daq.sim_source import HalfSineSource
-from scara_effmass.daq.source import Reading, make_source
+from scara_effmass.daq.source import Reading
 from scara_effmass.settings import DaqSettings, ForceSourceKind, SensorSettings, SimSettings
 from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
 from test.daq.force_bag import Clock

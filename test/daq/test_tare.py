@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.daq.tare import Tare
+from scara_effmass.daq.conditioning import Tare
 from scara_effmass.settings import TareSettings
 from scara_effmass.values import FloatArray
 

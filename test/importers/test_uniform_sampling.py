@@ -6,8 +6,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.importers.force import SampleBlock
-from scara_effmass.importers.uniform_sampling import CHUNK, uniform_samples
+from scara_effmass.importers.force_file import CHUNK, SampleBlock, uniform_samples
 
 NS = 10**9
 T0 = 1_700_000_000 * NS

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from scara_effmass.daq import make_source
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.conditioning import SignalConditioner
-from scara_effmass.daq.source import Reading, make_source
+from scara_effmass.daq.source import Reading
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes.daq_health import daq_statuses
 from scara_effmass.settings import DaqSettings, checked

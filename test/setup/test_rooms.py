@@ -4,6 +4,8 @@
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -114,6 +116,63 @@ def test_room_imports_only_from_below_and_its_own_libraries(room: str) -> None:
 )
 def test_misplaced_import_is_detected(room: str, source: str) -> None:
     assert any(violation(room, name) for name in imports(source))
+
+
+def executed(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield `node` and all nodes in it, without what only a type checker reads."""
+    if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+        for other in node.orelse:
+            yield from executed(other)
+        return
+    yield node
+    for child in ast.iter_child_nodes(node):
+        yield from executed(child)
+
+
+def imported_modules(name: str, source: str, modules: set[str]) -> set[str]:
+    """Return the `modules` that `source` of the module `name` imports anywhere, by statement or "module:function"."""
+    found: set[str] = set()
+    for node in executed(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            members = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= (members & modules) or {str(node.module)}
+        elif isinstance(node, ast.Constant) and str(node.value).startswith("scara_effmass."):
+            found.add(str(node.value).partition(":")[0])
+    return (found & modules) - {name}
+
+
+def import_cycle(sources: dict[str, str]) -> list[str]:
+    """Return modules that import each other in a circle, empty if there are none."""
+    graph = {name: imported_modules(name, source, set(sources)) for name, source in sources.items()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        cycle: list[str] = error.args[1]
+        return cycle
+    return []
+
+
+def test_no_modules_import_each_other() -> None:
+    sources: dict[str, str] = {}
+    for path in PACKAGE.rglob("*.py"):
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        sources[".".join(parts).removesuffix(".__init__")] = path.read_text(encoding="utf-8")
+    assert not import_cycle(sources)
+
+
+@pytest.mark.parametrize(
+    "deferred", ["from scara_effmass import a", "X = 'scara_effmass.a:f'", "def f(): import scara_effmass.a"]
+)
+def test_cycle_is_detected(deferred: str) -> None:
+    assert import_cycle({"scara_effmass.a": "from scara_effmass.b import c", "scara_effmass.b": deferred})
+    assert not import_cycle(
+        {
+            "scara_effmass.a": "import scara_effmass.b",
+            "scara_effmass.b": "if TYPE_CHECKING:\n    from scara_effmass import a",
+        }
+    )
 
 
 @pytest.mark.live

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Convert stamped samples to blocks of uniform sampling.
+"""A force recording of another program: its unit, and its samples as blocks of uniform sampling.
 
 A sensor measures at a constant rate, but stamps jitter or come in bursts, and samples may be missing. A delayed sample
 shifts only its own stamp; a missing sample shifts all stamps after it. The minimum delay within a window of samples
 tells the two apart.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -14,12 +15,19 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from scara_effmass.importers.force import BLOCK_TIME_S, SampleBlock
+from scara_effmass.errors import SettingsError
 from scara_effmass.values import FloatArray
 from scara_effmass.wire.cdr import NS
 
 IntArray = NDArray[np.int64]
 
+NEWTON_PER_UNIT = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
+"""NIST SP 811, Appendix B.8."""
+VOLT_PER_UNIT = {"V": 1.0, "mV": 1e-3}
+UNITS = (*NEWTON_PER_UNIT, *VOLT_PER_UNIT)
+
+BLOCK_TIME_S = 0.1
+"""Length of an imported block."""
 HEAD = 4096
 """Number of samples that determine the rate."""
 CHUNK = 4096
@@ -33,6 +41,49 @@ NOISE_FACTOR = 2.0
 """The delays of two windows without a gap rarely differ by more than this multiple of the usual delay."""
 BURST_ROUNDS = 4
 MAX_LOSS = 0.5
+
+
+class SampleBlock(NamedTuple):
+    """Consecutive samples (n,) from `stamp_ns` on.
+
+    `clock_residual` [s] is the uncertainty of the stamp; `lost_samples` are missing directly before the block.
+    """
+
+    stamp_ns: int
+    samples: FloatArray
+    lost_samples: int
+    clock_residual: float
+
+
+@dataclass(frozen=True, slots=True)
+class ForceFile:
+    """An open force recording with a constant `sample_rate` [Hz].
+
+    `losses` returns one line for each part that could not be read so far; call it after reading `blocks`.
+    """
+
+    description: str
+    unit: str
+    """One of UNITS."""
+    sample_rate: float
+    blocks: Iterator[SampleBlock]
+    simulated: bool = False
+    losses: Callable[[], tuple[str, ...]] = tuple
+
+
+def select_unit(setting: str, stated: str, origin: str) -> str:
+    """Return the unit stated by the setting or by the file; either may be empty.
+
+    Raises SettingsError if neither is one of UNITS, or if they differ.
+    """
+    choices = ", ".join(UNITS)
+    if not setting and not stated:
+        raise SettingsError(f"{origin}: states no unit; unit must be one of {choices}")
+    if not setting and stated not in UNITS:
+        raise SettingsError(f"{origin}: has the unit {stated!r}; convert it, or set unit to one of {choices}")
+    if setting and stated in UNITS and stated != setting:
+        raise SettingsError(f"{origin}: unit = {setting}: must be empty, the file states {stated}")
+    return setting or stated
 
 
 class _Sampling(NamedTuple):
