@@ -28,7 +28,7 @@ from scara_effmass.safety import Assessments, Monitor
 from scara_effmass.safety.assessments import joined
 from scara_effmass.safety.monitor import Pending
 from scara_effmass.settings import MonitorSettings, VelocitySource
-from scara_effmass.values import Decision, FloatArray, JointState
+from scara_effmass.values import Decision, FloatArray, JointState, Payload
 from scara_effmass.wire.message_types import INERTIA
 from scara_effmass.wire.payload import decode_payload
 
@@ -217,9 +217,9 @@ def _admitted(
             stop = payloads.take(block.log_time_ns, row, min(len(block), row + size - batch.count % size))
             rows = slice(row, stop)
             for part, measured in _parts(block, rows, velocity, velocities, monitor):
-                pending = monitor.admit(block.names, stamps[part], clocks[part], block.position[part], measured)
-                if pending is not None:
-                    batch.add(pending, block.log_time_ns[part], block, part.start)
+                admitted = monitor.admit(block.names, stamps[part], clocks[part], block.position[part], measured)
+                if admitted is not None:
+                    batch.add(admitted, block.log_time_ns[part], block, part.start)
             row = stop
             if batch.count >= size:
                 yield batch
@@ -253,6 +253,8 @@ class _Payloads:
         messages = bag.messages(loads) if loads else iter(())
         self._monitor = monitor
         self._payloads = ((message.log_time_ns, decode_payload(message.data)) for message in messages)
+        self._next_ns: float
+        self._payload: Payload | str
         self._next_ns, self._payload = next(self._payloads, _NO_PAYLOAD)
 
     def take(self, log_time_ns: IntArray, row: int, stop: int) -> int:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scara_effmass.analysis.assessment import AssessedStates
 from scara_effmass.errors import CrossCheckError
-from scara_effmass.kernel.records import CONTACT
+from scara_effmass.kernel.records import FIELDS
 from scara_effmass.values import BoolArray
 
 TOLERANCE = 1e-10
@@ -70,6 +70,6 @@ def _columns(states: AssessedStates) -> Iterator[tuple[str, NDArray[Any]]]:
     for point, contact in enumerate(assessments.points):
         indices, texts = assessments.reasons(point)
         yield f"{contact}: reason", np.array(texts, object)[indices]
-        for name in CONTACT.names:
+        for name in FIELDS:
             if name != "reason":
                 yield f"{contact}: {name}", assessments.contacts[name][:, point]

@@ -176,8 +176,8 @@ def _columns(bag: str, states: AssessedStates) -> dict[str, pa.Array]:
         "reason": labels(np.stack(indices, axis=1).reshape(-1), [text for _, texts in reasons for text in texts]),
         "contact_normal": labels(np.repeat(records["is_admitted"], points), ["", assessments.normal]),
     }
-    for name, texts in assessments.labels.items():
-        table[name] = labels(columns[name].astype(np.int64), texts)
+    for name, choices in assessments.labels.items():
+        table[name] = labels(columns[name].astype(np.int64), choices)
     for name, names in _NUMBERS.items():
         table |= {entry: pa.array(values) for entry, values in zip(names, np.atleast_2d(columns[name]), strict=True)}
     table |= {name: pa.array(columns[name] != 0.0) for name in _FLAGS}

@@ -60,7 +60,7 @@ def run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monitor
         print_lines(introduction)
     recording = args.out / processes.RECORDING
     with processes.removed_on_failure(recording):
-        live = _run_live(args, topics, force_topic, dynamics, settings)
+        live = _run_live(args, topics, force_topic, settings)
         sent = int(live.replayed["sent"][JOINT_STATES])
         answered = live.verdicts.total()
         if not answered:
@@ -130,9 +130,7 @@ def _lines(live: LiveRun) -> Iterator[tuple[str, str]]:
         yield "recording", warning
 
 
-def _run_live(
-    args: argparse.Namespace, topics: list[str], force_topic: str, dynamics: RobotDynamics, settings: MonitorSettings
-) -> LiveRun:
+def _run_live(args: argparse.Namespace, topics: list[str], force_topic: str, settings: MonitorSettings) -> LiveRun:
     """Start the nodes, replay `topics`, of which the first has the joint states, and receive until the end.
 
     Raises EffmassError when a process fails.

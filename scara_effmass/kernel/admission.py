@@ -10,6 +10,7 @@ uncorrelated with it, so a regression of the error on the high-passed velocity e
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from scara_effmass.codes import Reason
 from scara_effmass.kernel.jit import compiled, inlined
@@ -207,7 +208,9 @@ def check_command(state: State, q: FloatArray, rules: Rules, memory: Memory, joi
 
 
 @inlined
-def check(state: State, motion: FloatArray, rules: Rules, memory: Memory, joints: tuple[JointMemory, ...]) -> bool:
+def check(  # noqa: C901, PLR0911 - one check after the other
+    state: State, motion: FloatArray, rules: Rules, memory: Memory, joints: tuple[JointMemory, ...]
+) -> bool:
     """Return whether a joint state is valid; write why it is not, or which gap lies before it."""
     if state.now_ns + rules.future_tolerance_ns < memory.last_stamp_ns:  # system time was set back
         forget(memory, joints)
@@ -244,9 +247,11 @@ def admit(
 ) -> None:
     """Admit or refuse N joint states in order.
 
-    `motions` (N, 4, n) are q, qd, the tolerances of qd, which are written here, and the change of a filtered qd. All but `motions` are the bytes of State, Rules, Memory and JointMemory: numba recognizes records slowly at a call.
+    `motions` (N, 4, n) are q, qd, the tolerances of qd, which are written here, and the change of a filtered qd.
+    All but `motions` are the bytes of State, Rules, Memory and JointMemory: numba recognizes records slowly at a call.
     """
-    rules, memory, joints = rules_of.view(RULES)[0], memory_of.view(MEMORY)[0], joints_of.view(JOINT_MEMORY)
+    joints: Any = joints_of.view(JOINT_MEMORY)
+    rules, memory = rules_of.view(RULES)[0], memory_of.view(MEMORY)[0]
     rows = states.view(STATE)
     for row in range(len(rows)):
         state = rows[row]
@@ -270,4 +275,5 @@ def admit(
 @compiled
 def forget_all(memory_of: ByteArray, joints_of: ByteArray) -> None:
     """Forget all joint states, and the latest command."""
-    forget(memory_of.view(MEMORY)[0], joints_of.view(JOINT_MEMORY))
+    joints: Any = joints_of.view(JOINT_MEMORY)
+    forget(memory_of.view(MEMORY)[0], joints)

@@ -104,9 +104,17 @@ def fill_mobilities(choice: Choice, approach: Approach, setup: Setup, work: Work
 
 
 @inlined
-def add_held(k: int, approach: Approach, held: Vector3, changes: bool, setup: Setup, work: Work, out: Mobility) -> None:
+def add_held(
+    k: int,
+    approach: Approach,
+    held: Vector3,
+    changes: bool,  # noqa: FBT001 - compiled
+    setup: Setup,
+    work: Work,
+    out: Mobility,
+) -> None:
     """Write the mobility of model `k` if a controller of its own holds each joint."""
-    m = held_mobility(k, approach.count, work)
+    m = held_mobility(k, approach.joints, work)
     out.change_rank, out.rank = 0, approach.rank
     if changes:
         fill_held_change(k, m, approach, held, work, out)
@@ -139,7 +147,7 @@ def fill_limits(
     models, count = fill_mobilities(choice, approach, setup, work)
     acceleration, min_mobility, max_force = math.inf, 0.0, math.inf
     if setup.is_servo:
-        acceleration, min_mobility = drive_acceleration(approach.count, setup, work), 1.0 / worst
+        acceleration, min_mobility = drive_acceleration(approach.joints, setup, work), 1.0 / worst
     if setup.joints_are_coupled:
         max_force = holding_force(approach, cases, work.mobilities[:models], setup, work)
     drives = Drives(acceleration, min_mobility, max_force)
@@ -207,7 +215,7 @@ def set_motion(contact: Contact, approach: Approach, choice: Choice, setup: Setu
     contact.speed, contact.iso_mass = approach.speed, setup.iso_mass
     contact.lumped_mass = min(work.masses[Model.LUMPED], cap)
     contact.full_mass = min(work.masses[Model.FULL], cap)
-    squares = squared_jacobian(approach.count, work)
+    squares = squared_jacobian(approach.joints, work)
     square = smallest_eigenvalue(squares, approach.rank)
     is_regular = square > EIGENVALUE_ROUNDING * trace(squares)
     contact.smallest_singular_value = math.sqrt(square) if is_regular else 0.0

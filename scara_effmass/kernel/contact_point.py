@@ -41,11 +41,11 @@ from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6
 class Approach(NamedTuple):
     """Motion of a contact point towards a contact.
 
-    `count` joints come up to its own. `direction` is zero at rest, `normal` the fixed contact normal if there is one.
+    `joints` joints come up to its own. `direction` is zero at rest, `normal` the fixed contact normal if there is one.
     At least `share` of the speed counts along that. `tolerance` is that of the speed.
     """
 
-    count: int
+    joints: int
     rank: int
     place: Vector3
     velocity: Vector3
@@ -94,8 +94,8 @@ def approach_of(point: Point, tolerances: FloatArray, setup: Setup, work: Work) 
 @inlined
 def fill_jacobian_rate(approach: Approach, setup: Setup, work: Work) -> Vector3:
     """Write the rows of dJ_v^T/dt; return the acceleration of the point with held joint velocities."""
-    acceleration, j = ZERO_VECTOR, approach.count - 1
-    for i in range(approach.count):
+    acceleration, j = ZERO_VECTOR, approach.joints - 1
+    for i in range(approach.joints):
         set_vector(work.jacobian_rate, i, ZERO_VECTOR)
     while j >= 0:
         lever = sub(approach.place, vector_at(work.places, j))
@@ -148,7 +148,7 @@ def fill_change(
     """Write the change of pose of model `k`: K M^-1 J_v^T and K qd, with K = dJ_v/dt - J_v M^-1 C."""
     if not work.has_coriolis[k]:
         fill_coriolis(k, setup, work)
-    count, uncoupled, coriolis, bias = approach.count, work.uncoupled[k], work.coriolis[k], work.bias[k]
+    count, uncoupled, coriolis, bias = approach.joints, work.uncoupled[k], work.coriolis[k], work.bias[k]
     fill_responses(k, count, count, work)
     powers, free = NO_MATRIX, held
     for i in range(count):
@@ -175,7 +175,7 @@ def held_mobility(k: int, count: int, work: Work) -> Mobility6:
 def fill_held_change(k: int, m: Mobility6, approach: Approach, held: Vector3, work: Work, out: Mobility) -> None:
     """Write the change of pose of `held_mobility`, after `fill_change`: only the diagonal of C counts."""
     powers = NO_MATRIX
-    for i in range(approach.count):
+    for i in range(approach.joints):
         response = scale(1.0 / work.diagonals[k, i], vector_at(work.jacobian, i))
         rate = sub(vector_at(work.jacobian_rate, i), scale(work.coriolis_diagonals[k, i], response))
         powers = add_matrices(powers, outer(rate, response))

@@ -191,7 +191,7 @@ def set_flow(array: FloatArray, i: int, flow: Flow) -> None:
 
 @inlined
 def flow_of(body: Inertia, v: Motion) -> Flow:
-    """Return the flow of a link: T^T = (h . v) 1 - v h^T - w x P, with the first moments h and P, the sum of m r r^T."""
+    """Return the flow of a link: T^T = (h . v) 1 - v h^T - w x P, with first moments h and P, the sum of m r r^T."""
     s = body.second
     half = 0.5 * (s[0] + s[3] + s[5])
     p = (half - s[0], -s[1], -s[2]), (-s[1], half - s[3], -s[4]), (-s[2], -s[4], half - s[5])
@@ -234,7 +234,9 @@ def fill_coriolis_matrix(k: int, setup: Setup, work: Work) -> None:
 
 
 @inlined
-def fill_coriolis(k: int, setup: Setup, work: Work) -> None:
+def fill_coriolis(  # noqa: C901 - loops over a triangle
+    k: int, setup: Setup, work: Work
+) -> None:
     """Write M^-1 C qd and M^-1 C M^-1 in the coordinates of U: D^-1 U^-1 C qd and D^-1 U^-1 C U^-T D^-1."""
     fill_coriolis_matrix(k, setup, work)
     n, factors, matrix, bias = setup.joints, work.factors[k], work.coriolis[k], work.bias[k]

@@ -53,9 +53,9 @@ def worst_mass(m: Mobility6, rank: int) -> float:
 
 @inlined
 def massless_joint(approach: Approach, setup: Setup, work: Work) -> tuple[bool, int]:
-    """Return whether a joint without lumped mass moves the point, and the last that does so along the velocity, or -1."""
+    """Return whether a joint without lumped mass moves the point, and the last that does along the velocity, or -1."""
     is_massless, last = False, -1
-    for j in range(approach.count):
+    for j in range(approach.joints):
         lever = vector_at(work.jacobian, j)
         if setup.is_massless[j] and dot(lever, lever) > MIN_LEVER_M * MIN_LEVER_M:
             is_massless = True
@@ -67,11 +67,12 @@ def massless_joint(approach: Approach, setup: Setup, work: Work) -> tuple[bool, 
 @inlined
 def choose_models(approach: Approach, setup: Setup, work: Work) -> Choice:
     """Write `masses` along the velocity and `worst` of the models that decide; return the choice."""
-    masses, worst, count, rank = work.masses, work.worst, approach.count, approach.rank
+    masses, worst, count, rank = work.masses, work.worst, approach.joints, approach.rank
     lumped = full = NO_MOBILITY
     masses[Model.LUMPED] = masses[Model.FULL] = worst[Model.LUMPED] = worst[Model.FULL] = math.nan
     masses[Model.ISO] = worst[Model.ISO] = setup.iso_mass
-    has_lumped, reason = setup.has_lumped, NoLumpedMass.NOT_THERE
+    reason: int = NoLumpedMass.NOT_THERE
+    has_lumped = setup.has_lumped
     if has_lumped:
         lumped = mobility_of(Model.LUMPED, count, work)
         if setup.is_lumped_regular or is_definite(lumped, rank):
@@ -98,7 +99,11 @@ def choose_models(approach: Approach, setup: Setup, work: Work) -> Choice:
 
 @inlined
 def deciding_models(
-    setup: Setup, work: Work, reason: int, is_massless: bool, is_heavy: bool
+    setup: Setup,
+    work: Work,
+    reason: int,
+    is_massless: bool,  # noqa: FBT001 - compiled
+    is_heavy: bool,  # noqa: FBT001 - compiled
 ) -> tuple[bool, bool, bool, int]:
     """Return whether lumped, full and ISO mass decide, and why."""
     has_lumped, has_full = not math.isnan(work.masses[Model.LUMPED]), not math.isnan(work.masses[Model.FULL])

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -118,7 +120,8 @@ class Setup:
 class Mobility:
     """Mobility of one mass model for the contact normals of the settings, and how it changes with the pose.
 
-    `along` to `rank` are scalars of A: along the velocity, that of its adjugate, and its invariants (`total` is the trace). The others are its `PoseChange` in `change_rank`
+    `along` to `rank` are scalars of A: along the velocity, that of its adjugate, and its invariants (`total` is the
+    trace). The others are its `PoseChange` in `change_rank`
     dimensions, 0 without one: direction and speed of the contact point, A, the `powers` K M^-1 J^T, and the
     accelerations with `free` and with `held` joint velocities.
     """
@@ -168,8 +171,8 @@ class Work:
     responses: Columns3
     masses: Vector
     worst: Vector
-    any_normal: Annotated[Mobility, (3,)]
-    mobilities: Annotated[Mobility, (MAX_MOBILITIES,)]
+    any_normal: Annotated[Any, (3,), Mobility]
+    mobilities: Annotated[Any, (MAX_MOBILITIES,), Mobility]
     max_masses: Annotated[FloatArray, (MAX_MOBILITIES,)]
     growths: Annotated[FloatArray, (MAX_MOBILITIES,)]
 
@@ -178,7 +181,8 @@ def dtype_of(record: type) -> np.dtype[np.void]:
     """Return numpy's type of a record class above; its fields are attributes in plain Python, too."""
     fields = []
     for name, hint in get_type_hints(record, include_extras=True).items():
-        kind, shape = get_args(hint) if get_origin(hint) is Annotated else (hint, ())
+        kind, shape, *records = get_args(hint) if get_origin(hint) is Annotated else (hint, ())
+        kind = records[0] if records else kind
         fields.append((name, _TYPES.get(kind) or dtype_of(kind), shape))
     return np.dtype((np.record, fields))
 
@@ -189,14 +193,15 @@ Contact = Any
 _SHAPES: dict[object, tuple[int, ...]] = {Vector3: (3,), Mobility6: (6,)}
 _NOT_NUMBERS = {"contact_point", "reason_code"}
 """Fields that are the column of an array, or part of the reason."""
-CONTACT = np.dtype(
-    (
-        np.record,
-        [
-            (name, "f8", (REASON_SIZE,) if name == "reason" else _SHAPES.get(kind, ()))
-            for name, kind in get_type_hints(ContactAssessment).items()
-            if name not in _NOT_NUMBERS
-        ],
-    )
-)
-"""numpy's type of a `ContactAssessment`: all float64, texts as the codes of `safety.reasons`, `reason` as in `state`."""
+FIELDS = {
+    name: (REASON_SIZE,) if name == "reason" else _SHAPES.get(kind, ())
+    for name, kind in get_type_hints(ContactAssessment).items()
+    if name not in _NOT_NUMBERS
+}
+"""Shape of each field of a contact, all float64, in order: texts are codes of `safety.reasons`, `reason` is as in
+`state`."""
+_SIZES = [math.prod(shape) for shape in FIELDS.values()]
+PLACES = dict(zip(FIELDS, accumulate(_SIZES, initial=0), strict=False))
+"""Place of each field in the numbers of a contact."""
+CONTACT = np.dtype((np.record, [(name, "f8", shape) for name, shape in FIELDS.items()]))
+"""numpy's type of a `ContactAssessment`."""

@@ -7,6 +7,7 @@ A worse verdict shows at once. A better one shows after the release time, in whi
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from scara_effmass.kernel.jit import compiled, inlined
 from scara_effmass.kernel.records import CONTACT, ByteArray, Contact
@@ -125,7 +126,8 @@ def settle(
     `numbers` (N, P, fields) are Contacts, `unknown` (fields,) one without numbers. The others are the bytes of State,
     Rules, Memory and, per contact, Debounce.
     """
-    rows, contacts_of = states.view(STATE), numbers.view(CONTACT)
+    contacts_of: Any = numbers.view(CONTACT)
+    rows = states.view(STATE)
     rules, memory, remembered = rules_of.view(RULES)[0], memory_of.view(MEMORY)[0], debounces.view(DEBOUNCE)
     for row in range(len(rows)):
         state, contacts = rows[row], contacts_of[row, :, 0]

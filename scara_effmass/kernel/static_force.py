@@ -57,7 +57,7 @@ def clamping_force(approach: Approach, setup: Setup, work: Work) -> float:
         if abs(work.gravity[j]) > setup.effort[j]:
             force = math.inf
     for i in range(push_count(approach, setup)):
-        force = max(force, static_force(push_direction(i, approach, setup), approach.count, setup, work))
+        force = max(force, static_force(push_direction(i, approach, setup), approach.joints, setup, work))
     return min(force, setup.external_force)
 
 
@@ -75,7 +75,7 @@ def holding_force(
     """Return the contact force [N] up to which no joint reaches its effort limit."""
     force, alpha = math.inf, math.inf
     for i in range(push_count(approach, setup)):
-        force = smaller_force(force, push_direction(i, approach, setup), approach.count, setup, work)
+        force = smaller_force(force, push_direction(i, approach, setup), approach.joints, setup, work)
     if setup.normal == Normal.FIXED or not approach.is_moving:
         return force
     for i in range(len(cases)):
@@ -85,5 +85,5 @@ def holding_force(
             worst = solve_mobility(changes[k], alpha)
             length = norm(worst)
             if 0.0 < length < math.inf:
-                force = smaller_force(force, scale(1.0 / length, worst), approach.count, setup, work)
+                force = smaller_force(force, scale(1.0 / length, worst), approach.joints, setup, work)
     return force

@@ -60,9 +60,10 @@ def contact_markers(
 ) -> Iterator[Marker]:
     """Yield what is known of each contact point: verdict, mass ellipsoid, velocity, allowable speed, worst normal.
 
-    `contact_normal` is that of the decision. `places` are the positions [m] of the contact points; others only have a text above the base, and UNKNOWN only its
-    text. The ellipsoid has a semi-axis of `ellipsoid_scale` [m] at 1 kg, an arrow `arrow_scale` [m] at 1 m/s. Texts of
-    contact points at the same place are stacked, so that none covers another.
+    `contact_normal` is that of the decision. `places` are the positions [m] of the contact points; others only have
+    a text above the base, and UNKNOWN only its text. The ellipsoid has a semi-axis of `ellipsoid_scale` [m] at 1
+    kg, an arrow `arrow_scale` [m] at 1 m/s. Texts of contact points at the same place are stacked, so that none
+    covers another.
     """
     drawn: list[FloatArray] = []
     for index, contact in enumerate(contacts):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.codes import Reason
-from scara_effmass.kernel.records import CONTACT
+from scara_effmass.kernel.records import CONTACT, FIELDS, PLACES
 from scara_effmass.kernel.state import CODE, STATE
 from scara_effmass.safety.reasons import CRITERIA, MODELS, ReasonTexts
 from scara_effmass.values import ContactAssessment, Decision, FloatArray, Verdict
@@ -80,8 +80,8 @@ class Assessments:
         columns = np.empty(rows.shape[::-1])
         for first in range(0, len(rows), BLOCK):
             columns[:, first : first + BLOCK] = rows[first : first + BLOCK].T
-        places = {name: (dtype.shape, offset // 8) for name, (dtype, offset, *_) in CONTACT.fields.items()}
-        return {name: columns[at : at + shape[0]] if shape else columns[at] for name, (shape, at) in places.items()}
+        places = ((name, shape, PLACES[name]) for name, shape in FIELDS.items())
+        return {name: columns[at : at + shape[0]] if shape else columns[at] for name, shape, at in places}
 
     def decision(self, row: int) -> Decision:
         """Return the assessment of all contacts at joint state number `row`."""
@@ -114,7 +114,7 @@ def contact_of(
 ) -> ContactAssessment:
     """Return the contact in a record of CONTACT, with the text of its reason; `labels` are the texts of its codes."""
     fields: dict[str, Any] = {}
-    for name in CONTACT.names:
+    for name in FIELDS:
         value = record[name].tolist()
         fields[name] = tuple(value) if isinstance(value, list) else value
     fields |= {name: texts[int(record[name])] for name, texts in labels.items()}

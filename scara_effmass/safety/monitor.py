@@ -53,7 +53,7 @@ MAX_DETAILS = 10_000
 OTHER_DETAIL = "one of too many different reasons"
 HEAD, REASON_HEAD = Struct("3q"), Struct("3d")
 """Layout of the first three fields of a State, and of a reason."""
-REASON_AT = STATE.fields["reason"][1]
+REASON_AT: int = (STATE.fields or {"reason": (STATE, 0)})["reason"][1]
 
 
 class Cause(NamedTuple):
@@ -69,8 +69,8 @@ class Pending(NamedTuple):
     """N joint states between two steps of the assessment.
 
     `records` (N,) are `State`s and `states` their bytes; `motions` (N, 4, n) are q, qd, tolerances of qd, and the
-    change of a filtered qd within its delay; `numbers` (N, P, fields) are those of the contacts, and `unknown` (fields,)
-    those of a contact without numbers.
+    change of a filtered qd within its delay; `numbers` (N, P, fields) are those of the contacts, and `unknown`
+    (fields,) those of a contact without numbers.
     """
 
     records: Records
@@ -91,7 +91,8 @@ class Monitor:
     def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings, *, use_reference: bool = False) -> None:
         """Watch the robot of `dynamics`; `use_reference`: compute with the reference in place of the kernel, slowly.
 
-        Raises KernelError if the kernel cannot be compiled, LimitError or RobotError for `settings` that `check` refuses, and for a robot that is not in SI units.
+        Raises KernelError if the kernel cannot be compiled, LimitError or RobotError for `settings` that `check` refuses,
+        and for a robot that is not in SI units.
         """
         robot = dynamics.robot
         if reason := robot.units_reason:
@@ -332,8 +333,8 @@ class Monitor:
             return None
         pending = self._single
         number = NO_SEQUENCE if sequence_number is None else sequence_number
-        HEAD.pack_into(pending.states, 0, state.stamp_ns, now_ns, number)
-        REASON_HEAD.pack_into(pending.states, REASON_AT, layout.reason, layout.joint, self._detail(layout.detail))
+        HEAD.pack_into(pending.states.data, 0, state.stamp_ns, now_ns, number)
+        REASON_HEAD.pack_into(pending.states.data, REASON_AT, layout.reason, layout.joint, self._detail(layout.detail))
         self._read(pending, layout, state.position[None], state.velocity[None])
         self.compute(pending)
         self._until_check -= 1

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from scara_effmass.iso15066 import Limit
-from scara_effmass.kernel.records import CONTACT, ByteArray
-from scara_effmass.kernel.state import CODE, REASON_SIZE, STATE, VALUES
+from scara_effmass.kernel.records import CONTACT, FIELDS, REASON_SIZE, ByteArray
+from scara_effmass.kernel.state import CODE, STATE, VALUES
 from scara_effmass.reference import ContactResult, RobotDynamics, assess
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import FloatArray
@@ -47,7 +47,7 @@ class ReferenceChannel:
         self.compute(state.view(np.uint8), motion[None], expected)
         for own, other in zip(numbers.view(CONTACT)[..., 0], expected.view(CONTACT)[0, :, 0], strict=True):
             tolerance = self._tolerance if other["smallest_singular_value"] > SINGULAR else SINGULAR
-            for name in CONTACT.names or ():
+            for name in FIELDS:
                 if not np.allclose(own[name], other[name], tolerance, tolerance, equal_nan=True):
                     return name
         return ""
@@ -55,7 +55,7 @@ class ReferenceChannel:
 
 def fill(contact: Any, result: ContactResult) -> None:  # noqa: ANN401 - a record of CONTACT
     """Write a result of the reference into a record of CONTACT."""
-    for name in CONTACT.names or ():
+    for name in FIELDS:
         if name != "reason":
             contact[name] = getattr(result, name)
     reason = np.zeros(REASON_SIZE)

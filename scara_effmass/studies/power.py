@@ -37,7 +37,7 @@ from scara_effmass.share import share
 from scara_effmass.sim.cart import SpringContact
 from scara_effmass.sim.experiment import OBSTACLE_MASSES, ImpactRun, run_impact
 from scara_effmass.studies.campaign import Campaign
-from scara_effmass.values import ContactAssessment, ForceBlock, Mobility6
+from scara_effmass.values import Decision, ForceBlock, Mobility6
 
 SCARA = share("config", "omron_i4_550l.yaml")
 AFTER_NS = 150_000_000
@@ -129,46 +129,48 @@ def simulate(seed: int, nuisance: Nuisance, *, turned: bool) -> list[ImpactRun]:
     return runs
 
 
-def assess(run: ImpactRun, *, tool: bool) -> list[ContactAssessment]:
-    """Return the contact states of a run until shortly after the impact."""
+def assess(run: ImpactRun, *, tool: bool) -> list[Decision]:
+    """Return the decisions on a run until shortly after the impact."""
     monitor = Monitor(dynamics(tool=tool), MonitorSettings())
     end_ns = run.impact.onset_ns + AFTER_NS
     states = (state for state in run.joint_states if state.stamp_ns <= end_ns)
-    decisions = [monitor.assess(state, state.stamp_ns) for state in states]
-    return [decision.contacts[0] for decision in decisions if decision is not None]
+    decisions = (monitor.assess(state, state.stamp_ns) for state in states)
+    return [decision for decision in decisions if decision is not None]
 
 
-def scaled(state: ContactAssessment, factor: float) -> ContactAssessment:
-    """Return the state of a robot whose masses and inertias are `factor` times as large."""
+def scaled(decision: Decision, factor: float) -> Decision:
+    """Return the decision on a robot whose masses and inertias are `factor` times as large."""
+    state = decision.contacts[0]
     lumped, full = (
         cast("Mobility6", tuple(a / factor for a in mobility))
         for mobility in (state.lumped_mobility, state.full_mobility)
     )
-    return state._replace(
+    contact = state._replace(
         lumped_mass=factor * state.lumped_mass,
         full_mass=factor * state.full_mass,
         iso_mass=factor * state.iso_mass,
         lumped_mobility=lumped,
         full_mobility=full,
     )
+    return decision._replace(contacts=(contact,))
 
 
 def validate(
     runs: Sequence[ImpactRun],
-    states: Sequence[Sequence[ContactAssessment]],
+    states: Sequence[Sequence[Decision]],
     nuisance: Nuisance,
     case: Case,
 ) -> Result:
     """Return the result of a campaign with the errors of `case`."""
     validator = Validator(ValidatorSettings())
-    for run, contacts in zip(runs, states, strict=True):
+    for run, decisions in zip(runs, states, strict=True):
         cart = min(range(len(OBSTACLE_MASSES)), key=lambda i: abs(OBSTACLE_MASSES[i] - run.setup.obstacle_mass))
         if cart in nuisance.two_carts:
             cart = nuisance.two_carts[case.declared[nuisance.two_carts.index(cart)]]
         validator.begin_recording()
         validator.runs.begin(run.setup.run_info("")._replace(obstacle_mass=OBSTACLE_MASSES[cart], stamp_ns=0), 0)
-        for contact in contacts:
-            validator.add_state(scaled(contact, case.masses) if case.masses != 1.0 else contact, 0)
+        for decision in decisions:
+            validator.add_decision(scaled(decision, case.masses) if case.masses != 1.0 else decision, 0)
         detector = Detector(DetectionSettings())
         impacts = []
         for block in run.force_blocks:

@@ -11,7 +11,7 @@ from typing import Any
 
 from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
-from scara_effmass.kernel.records import CONTACT
+from scara_effmass.kernel.records import FIELDS, PLACES
 from scara_effmass.safety import Assessments, unknown_contact
 from scara_effmass.values import ContactAssessment, Decision, Verdict
 from scara_effmass.wire.cdr import (
@@ -32,14 +32,13 @@ _FLOAT64 = struct.Struct("<4sd")
 _STAMP = struct.Struct("<4siI")
 _NUMBERS_LAYOUT = "Q?BH4x4d"
 """From sequence_number to velocity_delay."""
-_VALUES_SIZE, _REASON, *_MASSES = (
-    CONTACT.fields[name][1] // 8 for name in ("worst_direction_used", "reason", "lumped_mass", "full_mass")
-)
-"""Places in the numbers of a contact: the end of its values, its reason, and the two that may be NaN."""
+_VALUES_SIZE, _REASON = PLACES["worst_direction_used"], PLACES["reason"]
+_MASSES = PLACES["lumped_mass"], PLACES["full_mass"]
+"""Places in the numbers of a contact: the end of its values, its reason, and those that may be NaN."""
 _PARTS = [
-    slice(offset // 8, offset // 8 + kind.shape[0]) if kind.shape else offset // 8
-    for kind, offset in (CONTACT.fields[name][:2] for name in CONTACT.names)
-    if offset // 8 < _VALUES_SIZE
+    slice(PLACES[name], PLACES[name] + shape[0]) if shape else PLACES[name]
+    for name, shape in FIELDS.items()
+    if PLACES[name] < _VALUES_SIZE
 ]
 """Places of the values by field."""
 _VALUES_LAYOUT = f"{_VALUES_SIZE}d"
@@ -99,7 +98,8 @@ class ContactStatesEncoder:
         before = with_text(with_text(b"", decision.contact_normal), decision.contacts[worst].reason)
         self._texts_of_state = padded(before + b"\x00" * (-len(before) % 4) + COUNT.pack(len(decision.contacts)))
         self._tails = []
-        for contact in decision.contacts:
+        contacts: tuple[Any, ...] = decision.contacts
+        for contact in contacts:
             tail = _FLAGS.pack(*contact[_FIRST_FLAG : _FIRST_FLAG + 4])
             for text in contact[_FIRST_FLAG + 4 :]:
                 tail = with_text(tail, text)
