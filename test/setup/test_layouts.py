@@ -40,6 +40,8 @@ def field_type(message_type: str, path: str) -> str:
     part, _, rest = path.partition(".")
     match = _PART.fullmatch(part)
     assert match, path
+    node: Nodetype
+    content: Any
     node, content = dict(known_types().fielddefs[message_type][1])[match["name"]]
     assert (node in {Nodetype.ARRAY, Nodetype.SEQUENCE}) == bool(match["index"])
     if match["index"]:
