@@ -53,7 +53,7 @@ coverage: .venv/.test  ## measure the branch coverage of each room; ROOM restric
 	@mkdir -p build
 	$(PYTEST) --cov --cov-report= $(addprefix test/,$(ROOM))
 	@# What numba compiles is not measured, so its tests run again as Python.
-	NUMBA_DISABLE_JIT=1 $(PYTEST) --cov --cov-append --cov-report= test/safety/test_sequence.py
+	NUMBA_DISABLE_JIT=1 $(PYTEST) --cov --cov-append --cov-report= test/kernel
 	$(BIN)/python scripts/coverage_table.py $(ROOM)
 
 mutants: .venv/.test  ## test mutants of the pure rooms; ROOM, N and SEED choose the sample

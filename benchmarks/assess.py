@@ -25,6 +25,8 @@ COUNT = 600_000
 """Ten minutes at 1 kHz."""
 TOPIC = "/joint_states"
 ROBOTS = {"SCARA, 2 contact points": "", "UR10, six axes": "ur10_robot.urdf", "Panda, seven axes": "panda.urdf"}
+GOALS = {"": 5.0, "ur10_robot.urdf": 5.5, "panda.urdf": 6.0}
+"""Smallest rate over that of rosbags."""
 
 
 def measure(robot: str) -> tuple[float, float]:

@@ -15,7 +15,6 @@ import pinocchio as pin
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety import monitor as monitor_module
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray, JointState, Verdict
 
@@ -26,25 +25,21 @@ if TYPE_CHECKING:
 
 CYCLES_PER_BLOCK = 500
 BLOCKS = 60
-
-
-def compiled() -> bool:
-    """Return whether the core is the compiled one."""
-    return not monitor_module.__file__.endswith(".py")
+CONTACT_POINTS = {1: 1.0, 4: 1.5, 16: 3.0, 64: 10.0}
+"""Numbers of contact points, and the largest time of a cycle with them over that with one."""
 
 
 def new_monitor(robot: Robot, settings: MonitorSettings) -> Monitor:
-    """Return a monitor as the node has it once it has loaded the kernel."""
+    """Return a monitor as the node has it when it is configured."""
     monitor = Monitor(RobotDynamics(robot), settings)
-    monitor.assessor.load_kernel()
+    monitor.compile()
     return monitor
 
 
 def kind() -> str:
     """Return what computes in a cycle."""
     settings = MonitorSettings()
-    core = new_monitor(load_robot(settings=settings), settings).core
-    return f"{core}, {'compiled' if compiled() else 'NOT compiled, see doctor'}"
+    return new_monitor(load_robot(settings=settings), settings).core
 
 
 def measure() -> tuple[float, float]:
@@ -95,7 +90,7 @@ def _beside_pinocchio(robot: Robot, settings: MonitorSettings, states: list[Join
         return masses
 
     def core(state: JointState) -> object:
-        return monitor.assess(state, state.stamp_ns)
+        return monitor.assess_one(state, state.stamp_ns)
 
     # As the node does after start-up: keep the garbage collector away from the prepared states.
     gc.collect()
@@ -110,20 +105,20 @@ def _beside_pinocchio(robot: Robot, settings: MonitorSettings, states: list[Join
     return float(np.median(ours)), float(np.median(theirs))
 
 
-def measure_contact_points() -> tuple[float, float]:
-    """Return the median CPU time per cycle [us] with four contact points and with one, timed in turn."""
-    states, times = smooth_motion(), []
-    monitors = []
-    for points in ("tool", "elbow", "rim=link4: 0.05 0 0", "fore=link2: 0.1 0 0"), ("tool",):
-        settings = MonitorSettings(contact_points=points)
-        monitors.append(new_monitor(load_robot(settings=settings), settings))
+def measure_contact_points() -> dict[int, float]:
+    """Return the median CPU time per cycle [us] by the number of contact points, timed in turn."""
+    states, monitors = smooth_motion(), {}
+    for count in CONTACT_POINTS:
+        settings = MonitorSettings(
+            contact_points=("tool", *(f"p{i}=link2: {0.2 * i / count} 0 0" for i in range(1, count)))
+        )
+        monitors[count] = new_monitor(load_robot(settings=settings), settings)
+    times: dict[int, list[float]] = {count: [] for count in CONTACT_POINTS}
     for block in range(BLOCKS):
         chunk = states[block * CYCLES_PER_BLOCK : (block + 1) * CYCLES_PER_BLOCK]
-        times.append(
-            [_time(lambda state, monitor=monitor: monitor.assess(state, state.stamp_ns), chunk) for monitor in monitors]
-        )
-    four, one = np.median(times, axis=0).tolist()
-    return four, one
+        for count, monitor in monitors.items():
+            times[count].append(_time(lambda state, own=monitor: own.assess_one(state, state.stamp_ns), chunk))
+    return {count: float(np.median(own)) for count, own in times.items()}
 
 
 def _time(function: Callable[[JointState], object], states: list[JointState]) -> float:

@@ -28,7 +28,7 @@ def main() -> None:
         show(what, f"{ours:,.1f} {unit}", against, f"{theirs:,.1f} {unit}", f"{ours / theirs:.2f}", goal)
 
     pinocchio = "CRBA + J + solve, one mass"
-    row(f"core, one cycle ({core.kind()})", *_around(pinocchio, core.measure()), "us", "<= 1.2")
+    row(f"core, one cycle ({core.kind()})", *_around(pinocchio, core.measure()), "us", "<= 0.6")
     first, _ = times = core.measure_chain(4)
     row("core, 4 joints", *_around(pinocchio, times), "us", "")
     for joints in (6, 7, 14):
@@ -42,11 +42,13 @@ def main() -> None:
             "us",
             f"<= {first * points:,.0f} us",
         )
-    row("core, 4 contact points", *_around("1 contact point", core.measure_contact_points()), "us", "<= 1.5")
+    times_us = core.measure_contact_points()
+    for points, goal in core.CONTACT_POINTS.items():
+        row(f"core, {points} contact points", times_us[points], "1 contact point", times_us[1], "us", f"<= {goal:g}")
     row("bag, joint states", *_around("rosbags", bags.measure()), "1/s", ">= 10")
     for robot, file in assess.ROBOTS.items():
-        what, goal = f"bag -> verdicts, {robot}", ">= 2" if file else ">= 5"
-        row(what, *_around("rosbags decoding alone", assess.measure(file)), "1/s", goal)
+        what = f"bag -> verdicts, {robot}"
+        row(what, *_around("rosbags decoding alone", assess.measure(file)), "1/s", f">= {assess.GOALS[file]:g}")
     row("workspace map, SCARA, a pose", *_around("closed form, masses alone", workspace_map.measure()), "ns", "<= 2")
     runs = live.measure()
     monitor, bare = runs["monitor"], runs["bare"]

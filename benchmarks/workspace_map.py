@@ -26,7 +26,7 @@ def measure() -> tuple[float, float]:
     settings = MonitorSettings(contact_points=("tool",), **AS_SAMPLED)
     dynamics = load_dynamics(settings)
     monitor, scara = Monitor(dynamics, settings), scara_of(dynamics)
-    monitor.assessor.load_kernel()
+    monitor.compile()
     q1, q2 = np.ascontiguousarray(dynamics.robot.sample_configurations(COUNT)[:, :2].T)
 
     def map_workspace() -> None:

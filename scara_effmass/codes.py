@@ -61,6 +61,11 @@ class Reason(IntEnum):
     SHUTDOWN = 83
     NODE_ERROR = 84  # detail: error
     STATED = 90  # detail: the text
+    # What displays conclude by themselves:
+    NO_MONITOR = 100
+    TWO_MONITORS = 101
+    MONITOR_SILENT = 102  # values: duration [s]
+    NO_CONTACT_STATES = 103
 
 
 class ModelCode(IntEnum):

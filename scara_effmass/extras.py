@@ -11,7 +11,6 @@ EXTRAS = {
     "nicegui": "dashboard",
     "nidaqmx": "daq",
     "nptdms": "daq",
-    "rtamt": "properties",
 }
 """Extra of pyproject.toml by importable name."""
 

@@ -47,7 +47,7 @@ def test_table_agrees_with_the_extras_of_the_project() -> None:
         assert known & names[extra] or library == "distributed", library
     assert set(EXTRAS.values()) | {"all", "dev"} == set(extras)
     (together,) = map(Requirement, extras["all"])
-    assert together.extras == set(extras) - {"all", "dev", "properties"}
+    assert together.extras == set(extras) - {"all", "dev"}
 
 
 def test_only_optional_libraries_have_an_extra() -> None:

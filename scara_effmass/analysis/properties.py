@@ -1,18 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Temporal properties that verdicts must have, in signal temporal logic (STL), evaluated by RTAMT.
-
-The time that RTAMT takes grows with the square of the length of a signal. Verdicts are therefore evaluated as runs of
-equal verdicts, which loses nothing, and a few hundred runs at a time.
-"""
+"""Temporal properties that verdicts must have, compared block by block in bounded memory."""
 
 from __future__ import annotations
 
-import sys
-import typing
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,35 +14,54 @@ from numpy.typing import NDArray
 from pyarrow import csv, parquet
 
 from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.batches import IntArray
 from scara_effmass.bags.files import open_bag
-from scara_effmass.input_files import read_table
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import Verdict, severity
+from scara_effmass.values import BoolArray, FloatArray, Verdict, severity
 from scara_effmass.wire.contact_states import decode_contact_states
 from scara_effmass.wire.message_types import CONTACT_STATES, FORMER_CONTACT_STATE
 from scara_effmass.wire.topics import verdict_qos
-
-sys.modules["typing.io"] = typing  # for the parser of RTAMT; deprecated, and gone from Python 3.13
-import rtamt  # noqa: E402
 
 Columns = Mapping[str, Sequence[Any]]
 Array = NDArray[Any]
 
 
-class Property(NamedTuple):
-    """An STL formula over `severity` (0 OK to 3 UNKNOWN) and the other signals of `_signals`.
+class _Verdicts(NamedTuple):
+    """Consecutive verdicts (m,) of one contact point, in the order of their publication.
 
-    Whole numbers are compared with halves, because a robustness of 0 would decide nothing. `on_stamps` evaluates at the
-    header stamps in place of the log times. A `live` property applies to recordings of a live monitor only.
+    `cause` is the severity without debouncing and latch, 0 where that is unknown. `ended`: the monitor ends with it.
     """
 
-    text: str
-    formula: str
-    on_stamps: bool = False
-    live: bool = False
+    log_ns: IntArray
+    stamp_ns: IntArray
+    severity: IntArray
+    cause: IntArray
+    watchdog: BoolArray
+    ended: BoolArray
+    allowable_speed: FloatArray
+    margin: FloatArray
+    age: FloatArray
 
 
-PROPERTIES = tuple(Property(**values) for values in read_table(__file__, "properties.yaml"))
+_OK, _WARN, _VIOLATION, _UNKNOWN = (severity(verdict) for verdict in sorted(Verdict, key=severity))
+
+# A number that is NaN violates.
+EACH: Mapping[str, Callable[[_Verdicts, float], BoolArray]] = {
+    "UNKNOWN implies speed 0": lambda v, _: (v.severity < _UNKNOWN) | (v.allowable_speed <= 0.0),
+    "a permissive verdict is not below the speed": lambda v, _: (v.severity > _WARN) | (v.margin >= 0.0),
+    "a permissive verdict is not older than the timeout": lambda v, timeout: (v.severity > _WARN) | (v.age <= timeout),
+    "a watchdog's verdict is UNKNOWN": lambda v, _: ~v.watchdog | (v.severity == _UNKNOWN),
+}
+"""Properties of each verdict at its log time, with the `timeout` [s]."""
+HELD = {
+    "WARN is held for the release time": _WARN,
+    "a VIOLATION is not followed by OK or WARN within the release time": _VIOLATION,
+    "UNKNOWN is held for the release time": _UNKNOWN,
+}
+"""Properties that no verdict is less severe than this within the release time of a cause so severe, by the stamps."""
+DEADLINE = "a verdict comes at least every deadline while active"
+"""Property of the verdicts of a live monitor on one topic."""
+PROPERTIES = (*EACH, *HELD, DEADLINE)
 
 
 class PropertyResult(NamedTuple):
@@ -76,11 +88,9 @@ _ENDS = ("the monitor was deactivated", "the node shuts down", "the node ends: "
 _SEVERITIES = {verdict.name: severity(verdict) for verdict in Verdict}
 _NAMES = {int(verdict): verdict.name for verdict in Verdict}
 _BLOCK = 16_384
-_CHUNK = 250
 _NEVER_NS = np.iinfo(np.int64).max
 _NS = 1e9
-_INSTANT_S = 1e-9
-_SLACK_S = 1e-6
+_SLACK_NS = 1000
 """Margin below the release time, which a verdict may just reach."""
 
 
@@ -145,70 +155,112 @@ def _contact_rows(bag: Bag, topic: str) -> Iterator[tuple[Any, ...]]:
             )
 
 
-class _Trace:
-    """Collect the runs of equal verdicts of one contact point."""
+class _Violations:
+    """Count the times at which a property begins to be violated."""
 
-    def __init__(self, max_gap_ns: float) -> None:
+    def __init__(self) -> None:
         self.count = 0
-        self._max_gap_ns = max_gap_ns
-        self._blocks: list[dict[str, Array]] = []
-        self._last_stamp_ns = 0
+        self.first_ns = _NEVER_NS
+        self._is_violated = False
+
+    def add(self, violated: BoolArray, at_ns: IntArray) -> None:
+        """Take whether each of the next verdicts violates the property, and their times."""
+        begins = violated & ~np.concatenate(([self._is_violated], violated[:-1]))
+        self.count += int(begins.sum())
+        if not self.count:
+            return
+        self.first_ns = min(self.first_ns, int(at_ns[begins].min(initial=_NEVER_NS)))
+        self._is_violated = bool(violated[-1:].any())
+
+
+class _Trace:
+    """Evaluate the properties of the verdicts of one contact point."""
+
+    def __init__(self, settings: MonitorSettings) -> None:
+        self.count = 0
+        self.violations: dict[str, _Violations] = defaultdict(_Violations)
+        self._timeout_s = settings.timeout
+        self._release_ns = round(settings.release_time * _NS) - _SLACK_NS
+        self._known_ns = self._end_ns = 0
+        self._cause_ns = dict.fromkeys(HELD, -_NEVER_NS)
 
     def add(self, block: Columns) -> None:
-        """Append a block of verdicts, in the order of their publication."""
-        self.count += len(block["verdict"])
-        log, stamp = (np.asarray(block[name], dtype=np.int64) for name in ("log_time_ns", "stamp_ns"))
-        reason, watchdog = block["reason"], np.asarray(block["watchdog"], dtype=bool)
-        level = np.array([_SEVERITIES[name] for name in block["verdict"]])
-        is_cause = np.array([not text.startswith(_NOT_A_CAUSE) for text in reason]) & ~watchdog
-        cause = np.where(is_cause, level, 0)
-        # The stamp of a refused joint state may be anything: its UNKNOWN counts at a time between its neighbours.
-        has_time = ~watchdog & (cause < _SEVERITIES["UNKNOWN"])
-        index, count = np.arange(level.size), level.size
-        before = np.maximum.accumulate(np.where(has_time, index, -1))
-        after = np.minimum.accumulate(np.where(has_time, index, count)[::-1])[::-1]
-        known = np.concatenate(([self._last_stamp_ns], stamp, [_NEVER_NS]))
-        stamp = np.where(has_time, stamp, np.clip(stamp, known[before + 1], known[after + 1]))
-        self._last_stamp_ns = int(known[before[-1] + 1])
-        ended = np.array([text.startswith(_ENDS) for text in reason]) & watchdog
-        keys = np.stack((level, cause, watchdog, ended))
-        changes = (np.diff(keys) != 0).any(axis=0) | (np.diff(log) > self._max_gap_ns) | (np.diff(stamp) < 0)
-        first = np.concatenate(([0], np.flatnonzero(changes) + 1))
-        last = np.concatenate((first[1:], [level.size])) - 1
-        numbers = {name: np.asarray(block[name], dtype=float) for name in _COLUMNS[-3:]}
-        self._blocks.append(
-            {
-                "log": log[first],
-                "log_end": log[last],
-                "stamp": stamp[first],
-                "stamp_end": stamp[last],
-                "severity": level[first],
-                "cause": cause[first],
-                "watchdog": watchdog[first],
-                "ended": ended[first],
-                "allowable_speed": np.maximum.reduceat(numbers["allowable_speed_m_s"], first),
-                "margin": np.minimum.reduceat(numbers["margin_m_s"], first),
-                "age": np.maximum.reduceat(numbers["input_age_s"], first),
-            }
-        )
+        """Take the next verdicts."""
+        verdicts = _verdicts(block, self._known_ns)
+        self.count += len(verdicts.severity)
+        for text, holds in EACH.items():
+            self.violations[text].add(~holds(verdicts, self._timeout_s), verdicts.log_ns)
+        # The watchdog repeats a stamp, and its verdicts do not affect later ones.
+        is_answer = ~verdicts.watchdog
+        stamp_ns = verdicts.stamp_ns[is_answer]
+        if self._release_ns <= 0 or not stamp_ns.size:
+            return
+        # Stamps go back where the clock of the monitor went back and the monitor discarded its history.
+        starts = np.flatnonzero(np.diff(stamp_ns, prepend=self._end_ns) < 0)
+        part = np.repeat(starts, np.diff(starts, append=stamp_ns.size))
+        first = np.concatenate((np.full(stamp_ns.size - part.size, -1), part))
+        for text, level in HELD.items():
+            is_cause = verdicts.cause[is_answer] >= level
+            last = np.maximum.accumulate(np.where(is_cause, np.arange(stamp_ns.size), -1))
+            cause_ns = np.where(last >= 0, stamp_ns[last], self._cause_ns[text])
+            is_recent = (last >= first) & (stamp_ns - self._release_ns <= cause_ns)
+            self.violations[text].add(is_recent & (verdicts.severity[is_answer] < level), stamp_ns)
+            self._cause_ns[text] = int(cause_ns[-1]) if last[-1] >= first[-1] else -_NEVER_NS
+        self._end_ns = int(stamp_ns[-1])
+        has_time = verdicts.cause[is_answer] < _UNKNOWN
+        self._known_ns = int(stamp_ns[has_time][-1]) if has_time.any() else self._known_ns
 
-    def columns(self) -> dict[str, Array]:
-        """Return the columns of all runs: times of the first and the last verdict [ns], and the worst values."""
-        return {name: np.concatenate([block[name] for block in self._blocks]) for name in self._blocks[0]}
+
+class _Topic:
+    """Evaluate DEADLINE for the verdicts on one topic of a live monitor."""
+
+    def __init__(self, deadline_s: float) -> None:
+        self.violations = _Violations()
+        self._deadline_ns = round(deadline_s * _NS)
+        self._last_ns = _NEVER_NS
+        self._has_ended = False
+
+    def add(self, block: Columns) -> None:
+        """Take the next verdicts."""
+        verdicts = _verdicts(block, 0)
+        self._pass(verdicts.log_ns, verdicts.ended)
+
+    def finish(self, end_ns: int) -> None:
+        """Take the end of the recording."""
+        self._pass(np.array([end_ns]), np.array([True]))
+
+    def _pass(self, log_ns: IntArray, ended: BoolArray) -> None:
+        due_ns = np.concatenate(([min(self._last_ns, int(log_ns[0]))], log_ns[:-1])) + self._deadline_ns
+        is_active = ~np.concatenate(([self._has_ended], ended[:-1]))
+        self.violations.add(is_active & (log_ns > due_ns), due_ns)
+        self._last_ns, self._has_ended = int(log_ns[-1]), bool(ended[-1])
+
+
+def _verdicts(block: Columns, known_ns: int) -> _Verdicts:
+    """Return the verdicts in a block; `known_ns` is the last known stamp before it."""
+    log_ns, stamp_ns = (np.asarray(block[name], dtype=np.int64) for name in ("log_time_ns", "stamp_ns"))
+    reason, watchdog = block["reason"], np.asarray(block["watchdog"], dtype=bool)
+    level = np.array([_SEVERITIES[name] for name in block["verdict"]])
+    is_cause = np.array([not text.startswith(_NOT_A_CAUSE) for text in reason]) & ~watchdog
+    cause = np.where(is_cause, level, 0)
+    # The stamp of a refused joint state may be anything: its UNKNOWN counts at a time between its neighbours.
+    has_time = ~watchdog & (cause < _UNKNOWN)
+    index, count = np.arange(level.size), level.size
+    before = np.maximum.accumulate(np.where(has_time, index, -1))
+    after = np.minimum.accumulate(np.where(has_time, index, count)[::-1])[::-1]
+    known = np.concatenate(([known_ns], stamp_ns, [_NEVER_NS]))
+    stamp_ns = np.where(has_time, stamp_ns, np.clip(stamp_ns, known[before + 1], known[after + 1]))
+    ended = np.array([text.startswith(_ENDS) for text in reason]) & watchdog
+    numbers = (np.asarray(block[name], dtype=float) for name in _COLUMNS[-3:])
+    return _Verdicts(log_ns, stamp_ns, level, cause, watchdog, ended, *numbers)
 
 
 def _check(
     verdicts: str, blocks: Iterator[tuple[str, Columns]], settings: MonitorSettings, end_ns: int = 0
 ) -> list[PropertyResult]:
     """Evaluate all properties; `end_ns` is the end of a recording of a live monitor."""
-    deadline_s = verdict_qos(settings.timeout).deadline_s
-    bounds = {
-        "timeout": settings.timeout,
-        "release": settings.release_time - _SLACK_S,
-        "deadline": deadline_s,
-    }
-    traces: dict[str, _Trace] = defaultdict(lambda: _Trace(deadline_s * _NS / 4.0))
-    topics: dict[str, _Trace] = defaultdict(lambda: _Trace(deadline_s * _NS / 4.0))
+    traces: dict[str, _Trace] = defaultdict(lambda: _Trace(settings))
+    topics: dict[str, _Topic] = defaultdict(lambda: _Topic(verdict_qos(settings.timeout).deadline_s))
     for source, block in blocks:
         points = np.asarray(block["contact_point"], dtype=object)
         for point in dict.fromkeys(points):
@@ -218,79 +270,17 @@ def _check(
         if end_ns:  # by topic: the names of the contact points change when the monitor gets its robot
             topics[source].add(block)
     results, count = [], sum(trace.count for trace in traces.values())
-    for rule in PROPERTIES:
-        if (rule.live and not end_ns) or (rule.on_stamps and settings.release_time <= _SLACK_S):
-            continue
-        violations = [
-            (at_s, place)
-            for place, trace in (topics if rule.live else traces).items()
-            for at_s in _violations(rule, bounds, trace.columns(), end_ns)
-        ]
-        first = ""
-        if violations:
-            at_s, place = min(violations, key=itemgetter(0))
-            first = f"in {place}, at {at_s:.6f} s"
-        results.append(PropertyResult(verdicts, rule.text, count, len(violations), first))
+    found = {text: {place: trace.violations[text] for place, trace in traces.items()} for text in (*EACH, *HELD)}
+    if settings.release_time * _NS <= _SLACK_NS:
+        found = {text: found[text] for text in EACH}
+    if end_ns:
+        for topic in topics.values():
+            topic.finish(end_ns)
+        found[DEADLINE] = {place: topic.violations for place, topic in topics.items()}
+    for text, violations in found.items():
+        total, first = sum(own.count for own in violations.values()), ""
+        if total:
+            place, own = min(violations.items(), key=lambda item: item[1].first_ns)
+            first = f"in {place}, at {own.first_ns / _NS:.6f} s"
+        results.append(PropertyResult(verdicts, text, count, total, first))
     return results if traces else []
-
-
-def _violations(rule: Property, bounds: Mapping[str, float], runs: dict[str, Array], last_ns: int) -> list[float]:
-    """Return the times [s] at which a property begins to be violated."""
-    formula = rule.formula.format(**bounds)
-    clock = "stamp" if rule.on_stamps else "log"
-    if rule.on_stamps:  # the watchdog repeats a stamp, and its verdicts do not affect later ones
-        runs = {name: values[~runs["watchdog"]] for name, values in runs.items()}
-    begins_s: list[float] = []
-    # Stamps go back where the clock of the monitor went back and the monitor discarded its history.
-    parts = np.split(np.arange(runs[clock].size), np.flatnonzero(np.diff(runs[clock]) < 0) + 1)
-    for part in parts:
-        start_ns, end_ns = runs[clock][part], runs[f"{clock}_end"][part]
-        for begin in range(0, part.size, _CHUNK):
-            stop = min(begin + _CHUNK, part.size)
-            memory_ns = start_ns[begin] - _NS * max(bounds.values())
-            before = min(int(np.searchsorted(end_ns, memory_ns)), begin)
-            chunk = {name: values[part[before:stop]] for name, values in runs.items()}
-            until_ns = start_ns[stop] if stop < part.size else max(end_ns[-1], last_ns * rule.live)
-            origin_ns, from_s = start_ns[before], (start_ns[begin] - start_ns[before]) / _NS
-            until_s = (until_ns - origin_ns) / _NS
-            robustness = _evaluate(formula, _signals(chunk, clock, origin_ns, until_s))
-            ends = [at_s for at_s, _ in robustness[1:]] + [until_s]
-            begins_s += [
-                origin_ns / _NS + max(at_s, from_s)
-                for (at_s, value), end_s in zip(robustness, ends, strict=True)
-                if value < 0.0 and end_s > from_s and at_s <= until_s
-            ]
-    return begins_s
-
-
-def _signals(runs: dict[str, Array], clock: str, origin_ns: int, until_s: float) -> dict[str, list[list[float]]]:
-    """Return the signals as steps [time in s, value] up to `until_s`; `cause` and `answer` are 0 between two runs."""
-    start_s, end_s = ((runs[name] - origin_ns) / _NS for name in (clock, f"{clock}_end"))
-    start_s = np.maximum.accumulate(start_s + _INSTANT_S / 10.0 * np.arange(start_s.size))  # steps need different times
-    stop_s = max(until_s, float(start_s[-1]), float(end_s[-1])) + 2.0 * _INSTANT_S
-    names = ("severity", "watchdog", "allowable_speed", "margin", "age")
-    values = {name: runs[name].astype(float) for name in names} | {"active": 1.0 - runs["ended"]}
-    signals = {
-        name: [*map(list, zip(start_s.tolist(), value.tolist(), strict=True)), [stop_s, float(value[-1])]]
-        for name, value in values.items()
-    }
-    for name, impulse in (("cause", runs["cause"].astype(float)), ("answer", np.ones(start_s.size))):
-        steps: list[list[float]] = []
-        for start, end, value in zip(start_s.tolist(), end_s.tolist(), impulse.tolist(), strict=True):
-            if steps and steps[-1][0] >= start:
-                steps.pop()
-            steps += [[start, value], [max(end, start) + _INSTANT_S, 0.0]]
-        signals[name] = [*steps, [stop_s, 0.0]]
-    return signals
-
-
-def _evaluate(formula: str, signals: dict[str, list[list[float]]]) -> list[list[float]]:
-    """Return the robustness of an STL formula as steps [time in s, value]; below 0 the formula is violated."""
-    spec = rtamt.StlDenseTimeSpecification()
-    used = [name for name in signals if name in formula]
-    for name in used:
-        spec.declare_var(name, "float")
-    spec.spec = formula
-    spec.parse()
-    robustness: list[list[float]] = spec.evaluate(*([name, signals[name]] for name in used))
-    return robustness

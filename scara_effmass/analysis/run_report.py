@@ -105,7 +105,7 @@ class RunReport:
                 "positions": dict(episode.positions),
                 "body_region": episode.body_region,
                 "reason": episode.reason,
-                "remedy": remedy(episode.reason),
+                "remedy": remedy(episode.reason_code),
             }
             for episode in episodes
         ]

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from typing_extensions import TypedDict
 
 from scara_effmass.analysis.assessment import AssessedStates
-from scara_effmass.analysis.time_series import NO_JOINT_STATE
 from scara_effmass.bags.batches import IntArray
+from scara_effmass.codes import Reason
+from scara_effmass.kernel.state import CODE
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.values import ContactAssessment, Verdict, severity
 
@@ -96,6 +97,7 @@ class SummaryState(TypedDict):
     cycles: dict[Verdict, int]
     time_ns: dict[Verdict, int]
     reasons: dict[str, int]
+    codes: dict[str, Reason]
     numbers: dict[str, list[tuple[float, float]]]
     mass_models: dict[str, int]
     gaps: int
@@ -117,6 +119,7 @@ class Summary:
         self.cycles: Counter[Verdict] = Counter()
         self.time_ns: Counter[Verdict] = Counter()
         self.reasons: Counter[str] = Counter()
+        self._codes: dict[str, Reason] = {}
         self._numbers: dict[str, list[tuple[float, float]]] = {}
         self.mass_models: Counter[str] = Counter()
         self.gaps = 0
@@ -139,7 +142,8 @@ class Summary:
                 for index, count in _counts(indices[is_unknown]):
                     text = texts[index].replace("…", "...")  # "…" will stand for a number
                     numbers = [float(number.group()) for number in NUMBER.finditer(text)]
-                    self._count_reason(NUMBER.sub("…", text), count, [(number, number) for number in numbers])
+                    code = Reason(int(contacts["reason"][int(np.argmax(indices == index)), point, CODE]))
+                    self._count_reason(NUMBER.sub("…", text), code, count, [(number, number) for number in numbers])
             decides &= shown != Verdict.UNKNOWN
             pairs = contacts["mass_model"][:, point] * len(whys) + contacts["mass_model_reason"][:, point]
             for pair, count in _counts(pairs[decides].astype(np.int64)):
@@ -170,7 +174,7 @@ class Summary:
         if max(shares) <= MAX_UNKNOWN_SHARE:
             return ""
         in_gaps = not self.reasons or 2 * self._gaps_ns > unknown_ns
-        return remedy(NO_JOINT_STATE if in_gaps else self.reasons.most_common(1)[0][0])
+        return remedy(Reason.GAP if in_gaps else self._codes[self.reasons.most_common(1)[0][0]])
 
     def reason_counts(self) -> dict[str, int]:
         """Return the number of UNKNOWN cycles by reason, most frequent first, with the ranges of its numbers."""
@@ -202,18 +206,19 @@ class Summary:
         self.time_ns += other.time_ns
         self.mass_models += other.mass_models
         for reason, count in other.reasons.items():
-            self._count_reason(reason, count, other._numbers[reason])
+            self._count_reason(reason, other._codes[reason], count, other._numbers[reason])
         self.gaps += other.gaps
         self.max_gap_ns = max(self.max_gap_ns, other.max_gap_ns)
         self._gaps_ns += other._gaps_ns
         margins = [tightest for tightest in (self.tightest, other.tightest) if tightest is not None]
         self.tightest = min(margins, key=lambda tightest: tightest.contact.margin, default=None)
 
-    def _count_reason(self, reason: str, count: int, ranges: list[tuple[float, float]]) -> None:
+    def _count_reason(self, reason: str, code: Reason, count: int, ranges: list[tuple[float, float]]) -> None:
         """Add `count` to a `reason` of UNKNOWN, in which "…" stands for each number; the numbers lie in `ranges`."""
         if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
-            reason = OTHER_REASONS
+            reason, code = OTHER_REASONS, Reason.STATED
         self.reasons[reason] += count
+        self._codes[reason] = code
         before = self._numbers.setdefault(reason, ranges if reason != OTHER_REASONS else [])
         if reason != OTHER_REASONS:
             pairs = zip(before, ranges, strict=True)

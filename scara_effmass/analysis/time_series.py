@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from scara_effmass.analysis.assessment import AssessedStates
 from scara_effmass.bags.batches import IntArray
+from scara_effmass.codes import Reason
+from scara_effmass.kernel.state import CODE
 from scara_effmass.values import NAN, BoolArray, FloatArray, Verdict
 
 NO_JOINT_STATE = "no joint state"
@@ -25,8 +27,8 @@ NO_JOINT_STATE = "no joint state"
 class TimeSeries:
     """Assessments at `time` (m,) [s] since `start_ns`; unknown values are NaN. Speeds [m/s], masses [kg].
 
-    Where the verdict changes, `reasons` holds its reason by index, and `places` its body region and the joint positions
-    by name. `mass_models` counts the mass models with the reasons for them.
+    Where the verdict changes, `reasons` holds its reason by index, and `places` its body region, the joint positions by
+    name, and the code of the reason. `mass_models` counts the mass models with the reasons for them.
     """
 
     start_ns: int
@@ -41,7 +43,7 @@ class TimeSeries:
     lumped_mass: FloatArray
     full_mass: FloatArray
     iso_mass: FloatArray
-    places: dict[int, tuple[str, dict[str, float]]] = field(default_factory=dict)
+    places: dict[int, tuple[str, dict[str, float], Reason]] = field(default_factory=dict)
 
     def with_gaps(self, timeout: float) -> TimeSeries:
         """Return a copy with a row of NaN after each gap longer than `timeout` [s] begins, which breaks a line."""
@@ -64,8 +66,8 @@ _VALUES = tuple(field.name for field in fields(TimeSeries))[5:-1]
 class Episode(NamedTuple):
     """An interval of one verdict, from `start` to `stop` [s] since the first joint state.
 
-    `min_margin` [m/s] is NaN where no margin is known; `reason`, `body_region` and the joint `positions` by name
-    [rad, m] are those of the first joint state.
+    `min_margin` [m/s] is NaN where no margin is known; `reason` with its code, `body_region` and the joint
+    `positions` by name [rad, m] are those of the first joint state.
     """
 
     start: float
@@ -75,6 +77,7 @@ class Episode(NamedTuple):
     reason: str
     body_region: str = ""
     positions: Mapping[str, float] = MappingProxyType({})
+    reason_code: Reason = Reason.NONE
 
 
 class TimeSeriesBuilder:
@@ -87,7 +90,7 @@ class TimeSeriesBuilder:
         self._values: list[FloatArray] = []
         self._count = 0
         self._reasons: dict[int, str] = {}
-        self._places: dict[int, tuple[str, dict[str, float]]] = {}
+        self._places: dict[int, tuple[str, dict[str, float], Reason]] = {}
         self._mass_models: Counter[str] = Counter()
 
     def add(self, states: AssessedStates, point: int) -> None:
@@ -100,7 +103,11 @@ class TimeSeriesBuilder:
         for row in np.flatnonzero(np.diff(verdict, prepend=np.int8(before))).tolist():
             index = self._count + row
             self._reasons[index] = assessments.reason(row, point)
-            self._places[index] = labels["body_region"][int(contact["body_region"][row])], states.positions(row)
+            region, code = (
+                labels["body_region"][int(contact["body_region"][row])],
+                Reason(int(contact["reason"][row, CODE])),
+            )
+            self._places[index] = region, states.positions(row), code
         models, whys = contact["mass_model"], contact["mass_model_reason"].astype(np.int64)
         for model, name in enumerate(labels["mass_model"]):
             counts = np.bincount(whys[models == model])
@@ -178,7 +185,7 @@ def intervals(series: TimeSeries, timeout: float) -> Iterator[Episode]:
         min_margin = NAN if np.isnan(margins).all() else float(np.nanmin(margins))
         number = bisect_right(changes, start)
         changed = changes[number - 1] if number else 0
-        reason, place = series.reasons.get(changed, ""), series.places.get(changed, ("", {}))
+        reason, place = series.reasons.get(changed, ""), series.places.get(changed, ("", {}, Reason.NONE))
         yield Episode(float(time[start]), last, Verdict(verdict[start]), min_margin, reason, *place)
         if end > last:
-            yield Episode(last, end, Verdict.UNKNOWN, NAN, NO_JOINT_STATE)
+            yield Episode(last, end, Verdict.UNKNOWN, NAN, NO_JOINT_STATE, reason_code=Reason.GAP)

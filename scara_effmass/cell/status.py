@@ -12,6 +12,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from scara_effmass.codes import Reason
+from scara_effmass.safety.reasons import TEXTS
 from scara_effmass.values import (
     ContactAssessment,
     Decision,
@@ -37,7 +39,6 @@ TRACE_BEFORE_NS, TRACE_AFTER_NS = 2_000_000, 6_000_000
 """Force shown before the onset and after the end of an impact."""
 _LOST_FORCE_NS = 2_000_000_000
 """Longest wait for the force of an impact [ns]."""
-_NO_STATE = "no contact states yet"
 
 
 class SpeedSample(NamedTuple):
@@ -106,13 +107,18 @@ class Diagnostic(NamedTuple):
     at_ns: int
 
 
+def _no_verdict(code: Reason, *values: float) -> tuple[Reason, str]:
+    """Return code and text of a reason that the display concludes by itself."""
+    return code, TEXTS[code].format(v=values)
+
+
 @final
 class CellStatus:
     """What is known about a cell at the time of the last `update`.
 
-    `verdict` is that of the latest `decision`, with `contact_point` and `reason`. It is UNKNOWN before the first one,
-    with no or two monitors, and when the monitor is silent for longer than `timeout_ns`. `allowable_speed` [m/s] and
-    `speed_scaling` [0-1] are then 0. `lost` counts the messages that did not arrive.
+    `verdict` is that of the latest `decision`, with `contact_point`, `reason` and `reason_code`. It is UNKNOWN before
+    the first one, with no or two monitors, and when the monitor is silent for longer than `timeout_ns`.
+    `allowable_speed` [m/s] and `speed_scaling` [0-1] are then 0. `lost` counts the messages that did not arrive.
     """
 
     def __init__(self, now_ns: int) -> None:
@@ -120,13 +126,14 @@ class CellStatus:
         self.has_monitor = True
         self.decision: Decision | None = None
         self.lost = 0
-        self.verdict, self.contact_point, self.reason = Verdict.UNKNOWN, "", _NO_STATE
+        self.verdict, self.contact_point = Verdict.UNKNOWN, ""
+        self.reason_code, self.reason = _no_verdict(Reason.NO_CONTACT_STATES)
         self.verdict_since_ns = now_ns
         self.allowable_speed = self.speed_scaling = 0.0
         self.joint_state: JointState | None = None
         self.joint_state_at_ns = 0
         self.speeds: deque[SpeedSample] = deque(maxlen=HISTORY_NS // BIN_NS + 1)
-        self.episodes: deque[Episode] = deque([Episode(self.verdict, "", _NO_STATE, now_ns)], maxlen=MAX_EPISODES)
+        self.episodes: deque[Episode] = deque([Episode(self.verdict, "", self.reason, now_ns)], maxlen=MAX_EPISODES)
         self.impacts: deque[ImpactRecord] = deque(maxlen=MAX_IMPACTS)
         self.validations: deque[Validation] = deque(maxlen=MAX_VALIDATIONS)
         self.diagnostics: dict[str, Diagnostic] = {}
@@ -203,14 +210,14 @@ class CellStatus:
 
     def update(self, now_ns: int) -> None:
         """Judge silence at `now_ns`, log the verdict, and cut out the force of new impacts."""
-        verdict, point, reason = self._judge(now_ns)
+        verdict, point, (code, reason) = self._judge(now_ns)
         if verdict is not self.verdict:
             if self.episodes and self.episodes[-1].end_ns is None:
                 self.episodes[-1].end_ns = max(now_ns, self.episodes[-1].start_ns)
             if verdict is not Verdict.OK:
                 self.episodes.append(Episode(verdict, point, reason, now_ns))
             self.verdict_since_ns = now_ns
-        self.verdict, self.contact_point, self.reason = verdict, point, reason
+        self.verdict, self.contact_point, self.reason_code, self.reason = verdict, point, code, reason
         self.allowable_speed = self.speed_scaling = 0.0
         if self.decision is not None and verdict is not Verdict.UNKNOWN:
             self.allowable_speed, self.speed_scaling = self.decision.allowable_speed, self.decision.speed_scaling
@@ -220,19 +227,19 @@ class CellStatus:
             if not len(record.force) and now_ns - record.at_ns < _LOST_FORCE_NS:
                 self._cut_trace(record)
 
-    def _judge(self, now_ns: int) -> tuple[Verdict, str, str]:
-        """Return the verdict of the cell, the contact point that decides, and the reason."""
+    def _judge(self, now_ns: int) -> tuple[Verdict, str, tuple[Reason, str]]:
+        """Return the verdict of the cell, the contact point that decides, and code and text of the reason."""
         if not self.has_monitor:
-            return Verdict.UNKNOWN, "", "no monitor: contact_states has no publisher"
+            return Verdict.UNKNOWN, "", _no_verdict(Reason.NO_MONITOR)
         if now_ns - self._conflict_ns <= self.timeout_ns:
-            return Verdict.UNKNOWN, "", "two monitors publish contact_states: must be one"
+            return Verdict.UNKNOWN, "", _no_verdict(Reason.TWO_MONITORS)
         if self.decision is None:
-            return Verdict.UNKNOWN, "", _NO_STATE
+            return Verdict.UNKNOWN, "", _no_verdict(Reason.NO_CONTACT_STATES)
         silence_ns = now_ns - self._arrived_ns
         if silence_ns > self.timeout_ns:
-            return Verdict.UNKNOWN, "", f"the monitor is silent: no contact states for {silence_ns / 1e9:.1f} s"
+            return Verdict.UNKNOWN, "", _no_verdict(Reason.MONITOR_SILENT, silence_ns / 1e9)
         worst = self.decision.worst
-        return worst.verdict, worst.contact_point, worst.reason
+        return worst.verdict, worst.contact_point, (worst.reason_code, worst.reason)
 
     def _cut_trace(self, record: ImpactRecord) -> None:
         """Copy the force around an impact once it has arrived completely."""

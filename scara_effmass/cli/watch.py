@@ -90,7 +90,7 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) 
     if status.reason:
         parts.append(Text(status.reason, style="bold"))
     if is_unknown:
-        parts.append(Text(f"remedy: {remedy(status.reason)}"))
+        parts.append(Text(f"remedy: {remedy(status.reason_code)}"))
     past = next((episode for episode in reversed(status.episodes) if episode.end_ns is not None), None)
     if past is not None and past.end_ns is not None:
         ago_s = (now_ns - past.end_ns) / 1e9

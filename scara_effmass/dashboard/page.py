@@ -126,7 +126,7 @@ class Page:
             self._word.text = verdict.name
         is_ok = verdict is Verdict.OK
         self._reason.text = _ALL_OK if is_ok else f"{status.contact_point}: {status.reason}".strip(": ")
-        advice = remedy(status.reason)
+        advice = remedy(status.reason_code)
         self._remedy.text = f"Remedy: {advice}.".replace("`", "") if advice else ""
         self._now.content = _speed_html(status)
         self._contacts.content = _table(*_contact_rows(status))

@@ -96,7 +96,7 @@ def is_bounded(m: Mobility6, bound: Mobility6, factor: float) -> bool:
 @inlined
 def set_scalar(out: Mobility, mobility: float) -> None:
     """Write a mobility that is the same for every contact normal, or known for one."""
-    out.along, out.adjugate, out.total = mobility, 0.0, mobility
+    out.along, out.adjugate, out.matrix_trace = mobility, 0.0, mobility
     out.minors, out.determinant, out.rank = 0.0, 0.0, 1
 
 
@@ -104,7 +104,7 @@ def set_scalar(out: Mobility, mobility: float) -> None:
 def set_scalars(out: Mobility, m: Mobility6, n: Vector3, rank: int) -> None:
     """Write the scalars of A along `n`."""
     of_m = adjugate(m)
-    out.along, out.adjugate, out.total = along(m, n), along(of_m, n), trace(m)
+    out.along, out.adjugate, out.matrix_trace = along(m, n), along(of_m, n), trace(m)
     out.minors, out.determinant, out.rank = trace(of_m), determinant(m, of_m), rank
 
 
@@ -115,11 +115,11 @@ def worst_reduced_mass(m: Mobility, alpha: float, beta: float) -> float:
         return inverse(alpha)
     s = alpha / beta
     if m.rank == 1:
-        denominator, numerator = m.total + s, 1.0
+        denominator, numerator = m.matrix_trace + s, 1.0
     else:
-        s = max(s, CLAMPED_TOLERANCE * m.total)
-        numerator = m.total - m.along + s
-        denominator = m.minors + s * (m.total + s)
+        s = max(s, CLAMPED_TOLERANCE * m.matrix_trace)
+        numerator = m.matrix_trace - m.along + s
+        denominator = m.minors + s * (m.matrix_trace + s)
         if m.rank > 2:
             numerator = m.adjugate + s * numerator
             denominator = m.determinant + s * denominator

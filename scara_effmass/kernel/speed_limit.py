@@ -75,7 +75,7 @@ def free_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Boun
 @inlined
 def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Bound:
     """Return the bound of the drives of the settings, of simulated contacts within the range of their simulation."""
-    if case.line_count > 1 and not m.total <= MAX_MOBILITY * mass_factor:
+    if case.line_count > 1 and not m.matrix_trace <= MAX_MOBILITY * mass_factor:
         return immovable_bound(case, m, mass_factor, rate)
     mu, alpha, beta = math.inf, 0.0, 0.0
     for i in range(case.line_count):

@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.nodes.diagnostics import status
-from scara_effmass.nodes.terminal import CHANGES, REMEDY
+from scara_effmass.nodes.terminal import CHANGES, REASON_CODE, REMEDY
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor
 from scara_effmass.safety.remedies import remedy
@@ -155,7 +155,7 @@ def contact_text(contact: ContactAssessment) -> str:
     """Return the assessment in one line: verdict, speed of allowable speed, body region, reason, remedy if UNKNOWN."""
     is_unknown = contact.verdict is Verdict.UNKNOWN
     numbers = "" if is_unknown else f", {contact.speed:.3f} of {contact.allowable_speed:.3f} m/s, {contact.body_region}"
-    advice = f"{REMEDY}{remedy(contact.reason)}" * is_unknown
+    advice = f"{REMEDY}{remedy(contact.reason_code)}" * is_unknown
     return f"{contact.verdict.name}{numbers}{': ' * bool(contact.reason)}{contact.reason}{advice}"
 
 
@@ -170,6 +170,7 @@ def _contact_status(contact: ContactAssessment, changes: int, input_age: float) 
         "body region": contact.body_region,
         "criterion": contact.criterion,
         "input age [s]": f"{input_age:.6f}",
+        REASON_CODE: contact.reason_code.value,
         CHANGES: changes,
     }
     name = f"contact {contact.contact_point}".rstrip()

@@ -10,10 +10,13 @@ from textwrap import shorten
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 
+from scara_effmass.codes import Reason
 from scara_effmass.safety.remedies import remedy
 
 CHANGES = "changes of the verdict"
 """Key of the number of changes in a status. The log shows the first change and counts those that it leaves out."""
+REASON_CODE = "reason code"
+"""Key of the code of the reason in a status; reasons with the same remedy are one kind of problem."""
 REMEDY = "; remedy: "
 """Separates the message of a status from its remedy, which the status line leaves out."""
 _STATUS_WIDTH = 80
@@ -52,8 +55,9 @@ class NodeLog:
         for status in statuses:
             logged = self._logged.setdefault(status.name, _Logged(now_s))
             is_ok = status.level == DiagnosticStatus.OK
-            key = (status.level, "" if is_ok else remedy(status.message) or _NUMBER.sub("", status.message))
-            changes = next((int(pair.value) for pair in status.values if pair.key == CHANGES), 0)
+            numbers = {pair.key: int(pair.value) for pair in status.values if pair.key in {CHANGES, REASON_CODE}}
+            advice, changes = remedy(Reason(numbers.get(REASON_CODE, 0))), numbers.get(CHANGES, 0)
+            key = (status.level, "" if is_ok else advice or _NUMBER.sub("", status.message))
             new_changes, waited = changes - logged.changes, now_s - logged.time_s >= _MIN_INTERVAL_S
             if key == logged.key and not new_changes:
                 continue

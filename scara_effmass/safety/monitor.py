@@ -19,7 +19,7 @@ from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.kernel import jit
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, NANOSECONDS, WINDOW_S, admit, forget_all
 from scara_effmass.kernel.contact_kernel import ContactKernel, too_large
-from scara_effmass.kernel.records import CONTACT, IntArray
+from scara_effmass.kernel.records import CONTACT, REASON_SIZE, IntArray
 from scara_effmass.kernel.settle import settle
 from scara_effmass.kernel.state import (
     CODE,
@@ -51,8 +51,9 @@ DEFAULT_MAX_SPEED = (60.0, 10.0)
 MAX_DETAILS = 10_000
 """Number of different texts of reasons that are kept."""
 OTHER_DETAIL = "one of too many different reasons"
-HEAD, REASON_HEAD = Struct("3q"), Struct("3d")
-"""Layout of the first three fields of a State, and of a reason."""
+HEAD, REASON = Struct("3q"), Struct(f"{REASON_SIZE}d")
+"""Layout of the first three fields of a State, and of its reason."""
+NO_VALUES = (0.0,) * (REASON_SIZE - DETAIL - 1)
 REASON_AT: int = (STATE.fields or {"reason": (STATE, 0)})["reason"][1]
 
 
@@ -334,7 +335,8 @@ class Monitor:
         pending = self._single
         number = NO_SEQUENCE if sequence_number is None else sequence_number
         HEAD.pack_into(pending.states.data, 0, state.stamp_ns, now_ns, number)
-        REASON_HEAD.pack_into(pending.states.data, REASON_AT, layout.reason, layout.joint, self._detail(layout.detail))
+        detail = self._detail(layout.detail)
+        REASON.pack_into(pending.states.data, REASON_AT, layout.reason, layout.joint, detail, *NO_VALUES)
         self._read(pending, layout, state.position[None], state.velocity[None])
         self.compute(pending)
         self._until_check -= 1

@@ -83,6 +83,10 @@ TEXTS = {
     Reason.SHUTDOWN: "the node shuts down",
     Reason.NODE_ERROR: "the node ends: {detail}",
     Reason.STATED: "{detail}",
+    Reason.NO_MONITOR: "no monitor: contact_states has no publisher",
+    Reason.TWO_MONITORS: "two monitors publish contact_states: must be one",
+    Reason.MONITOR_SILENT: "the monitor is silent: no contact states for {v[0]:.1f} s",
+    Reason.NO_CONTACT_STATES: "no contact states yet",
 }
 """English text of each code: `v` are its numbers, `joint` and `unit` those of its joint, `detail` its own text."""
 

@@ -7,7 +7,6 @@ from io import BytesIO
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.image import imread
-from scara_effmass.analysis.assessed_states import states_of
 
 from scara_effmass.analysis.figure import draw_run
 from scara_effmass.analysis.recorded_run import RecordedForce
@@ -15,6 +14,7 @@ from scara_effmass.analysis.report import report_figure
 from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Impact, Verdict
+from test.decisions import decision_on, states_of
 
 
 def run(seconds: float = 10.0, *, max_mass: float = 3.0, full: bool = True, gap: bool = False) -> TimeSeries:
@@ -86,7 +86,7 @@ def test_missing_mass_model_is_not_in_the_legend() -> None:
 
 def test_single_unknown_cycle_is_drawn() -> None:
     builder = TimeSeriesBuilder()
-    builder.add(states_of([1], [[unknown_contact("tool", "the header stamp is zero", 0, 0.0)]]), 0)
+    builder.add(states_of(decision_on(unknown_contact("tool", "the header stamp is zero")), log_time_ns=1), 0)
     figure = report_figure("run", "", "", draw(builder.build()))
     height, width, _ = imread(BytesIO(figure.png)).shape
     assert width > 1500

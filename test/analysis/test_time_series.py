@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scara_effmass.analysis.assessed_states import states_of
 
 from scara_effmass.analysis.time_series import (
     NO_JOINT_STATE,
@@ -18,11 +17,12 @@ from scara_effmass.analysis.time_series import (
 )
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
+from test.decisions import decision_on, states_of
 
 OK, WARN, VIOLATION, UNKNOWN = Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN
 TIMEOUT = 0.2
 
-assessed = unknown_contact("tool", "", 1, 0.0)._replace(
+assessed = unknown_contact("tool", "")._replace(
     verdict=OK, speed=0.2, allowable_speed=1.0, margin=0.8, effective_mass=2.0, lumped_mass=2.0, iso_mass=2.77
 )
 
@@ -31,17 +31,17 @@ def series(times: list[float], verdicts: list[Verdict]) -> TimeSeries:
     builder = TimeSeriesBuilder()
     for number, (time, verdict) in enumerate(zip(times, verdicts, strict=True)):
         stamp_ns = 10**12 + round(time * 1e9)
-        row = assessed._replace(stamp_ns=stamp_ns, verdict=verdict, reason=f"row {number}", margin=0.1 - time)
-        builder.add(states_of([stamp_ns], [[row]]), 0)
+        row = assessed._replace(verdict=verdict, reason=f"row {number}", margin=0.1 - time)
+        builder.add(states_of(decision_on(row, stamp_ns=stamp_ns), log_time_ns=stamp_ns), 0)
     return builder.build()
 
 
 def test_assessments_are_in_order_of_their_stamps() -> None:
     builder = TimeSeriesBuilder()
-    builder.add(states_of([3_004_000_000], [[assessed._replace(speed=0.5, stamp_ns=3_000_000_000, reason="late")]]), 0)
-    builder.add(
-        states_of([1_001_000_000], [[assessed._replace(stamp_ns=1_000_000_000, verdict=WARN, reason="early")]]), 0
-    )
+    late = decision_on(assessed._replace(speed=0.5, reason="late"), stamp_ns=3_000_000_000)
+    builder.add(states_of(late, log_time_ns=3_004_000_000), 0)
+    early = decision_on(assessed._replace(verdict=WARN, reason="early"), stamp_ns=1_000_000_000)
+    builder.add(states_of(early, log_time_ns=1_001_000_000), 0)
     kept = builder.build()
     assert kept.time.tolist() == [0.0, 2.0]
     assert kept.speed.tolist() == [0.2, 0.5]
@@ -52,9 +52,10 @@ def test_assessments_are_in_order_of_their_stamps() -> None:
 
 def test_unknown_values_are_nan() -> None:
     builder = TimeSeriesBuilder()
-    builder.add(states_of([1_000_000_000], [[unknown_contact("tool", "the header stamp is zero", 0, 0.0)]]), 0)
+    zero = decision_on(unknown_contact("tool", "the header stamp is zero"), stamp_ns=0)
+    builder.add(states_of(zero, log_time_ns=1_000_000_000), 0)
     held = assessed._replace(verdict=UNKNOWN, reason="held after: stale", allowable_speed=0.0)
-    builder.add(states_of([2_001_000_000], [[held._replace(stamp_ns=2_000_000_000)]]), 0)
+    builder.add(states_of(decision_on(held, stamp_ns=2_000_000_000), log_time_ns=2_001_000_000), 0)
     kept = builder.build()
     assert kept.time.tolist() == [0.0, 1.0]
     assert np.isnan(kept.speed[0])
@@ -116,9 +117,9 @@ def test_intervals_have_verdict_margin_and_reason_and_silence_is_unknown() -> No
 def test_an_interval_has_the_region_and_the_pose_of_its_start() -> None:
     builder = TimeSeriesBuilder()
     for number, verdict in enumerate((OK, WARN, WARN, VIOLATION)):
-        positions = [{"joint1": 0.1 * number, "joint2": 0.2 * number}]
-        row = assessed._replace(stamp_ns=10**9 + 10**8 * number, verdict=verdict, body_region=f"region {number}")
-        builder.add(states_of([row.stamp_ns], [[row]], positions.__getitem__), 0)
+        positions, stamp_ns = {"joint1": 0.1 * number, "joint2": 0.2 * number}, 10**9 + 10**8 * number
+        decision = decision_on(assessed._replace(verdict=verdict, body_region=f"region {number}"), stamp_ns=stamp_ns)
+        builder.add(states_of(decision, log_time_ns=stamp_ns, positions=positions), 0)
     rows = list(intervals(builder.build(), TIMEOUT))
     assert [(row.verdict, row.body_region) for row in rows] == [
         (OK, "region 0"),

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scara_effmass.kernel.contact_columns import NUMBERS, columns_of, joined
 
 from scara_effmass.analysis.workspace_map import Cells, Plane, WorkspaceSample, map_table, sample_workspace, summarize
 from scara_effmass.errors import RobotError
+from scara_effmass.kernel.records import CONTACT
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor, unknown_contact
@@ -18,15 +18,24 @@ from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.studies.scara import scara_lumped_mass
 from scara_effmass.values import Vector3, Verdict
+from test.decisions import assessments_of, decision_on
 
 ALONG_X: Vector3 = (1.0, 0.0, 0.0)
 SEEN_FROM_ABOVE = Plane()
 MASSES = ("effective_mass", "reduced_mass", "worst_normal_reduced_mass")
 
 
-def sample(settings: MonitorSettings, direction: Vector3 = ALONG_X, plane: Plane = SEEN_FROM_ABOVE) -> WorkspaceSample:
+def sample(
+    settings: MonitorSettings,
+    direction: Vector3 = ALONG_X,
+    plane: Plane = SEEN_FROM_ABOVE,
+    *,
+    use_reference: bool = False,
+) -> WorkspaceSample:
     dynamics = RobotDynamics(load_robot(settings.robot_path, settings))
-    return sample_workspace(Monitor(dynamics, settings), direction, "", plane, 300, lambda _: None)
+    return sample_workspace(
+        Monitor(dynamics, settings, use_reference=use_reference), direction, "", plane, 300, lambda _: None
+    )
 
 
 def test_masses_are_those_of_the_closed_form() -> None:
@@ -44,8 +53,8 @@ def test_result_does_not_depend_on_the_speed_of_the_motion() -> None:
     assert len(pairs) > 280
     for first, second in pairs:
         for field in (*MASSES, "allowable_speed"):
-            value = getattr(slow.contacts, field)[first]
-            assert getattr(fast.contacts, field)[second] == pytest.approx(value, rel=1e-4, abs=1e-5), field
+            value = slow.contacts[field][first]
+            assert fast.contacts[field][second] == pytest.approx(value, rel=1e-4, abs=1e-5), field
 
 
 def test_plane_and_direction_of_a_six_axis_arm() -> None:
@@ -53,8 +62,8 @@ def test_plane_and_direction_of_a_six_axis_arm() -> None:
     direction = (0.0, 0.6, -0.8)
     drawn = sample(MonitorSettings(robot=robot, effective_mass_model=MassModel.FULL), direction, Plane(1, 0.25))
     np.testing.assert_allclose(drawn.positions[:, 1], 0.25, atol=1e-4)
-    np.testing.assert_allclose(drawn.contacts.direction, [direction] * 300, atol=1e-3)
-    assert {contact.direction for contact in drawn.assessments()} == {*map(tuple, drawn.contacts.direction.tolist())}
+    np.testing.assert_allclose(drawn.contacts["direction"], [direction] * 300, atol=1e-3)
+    assert {contact.direction for contact in drawn.assessments()} == {*map(tuple, drawn.contacts["direction"].tolist())}
     cells = Cells(drawn)
     table = map_table(cells, ("a", "b", "c", "d", "e", "f"))
     assert table.column_names[:2] == ["x_m", "z_m"]
@@ -63,27 +72,21 @@ def test_plane_and_direction_of_a_six_axis_arm() -> None:
         inside = np.all(offsets <= cells.size / 2.0 + 1e-9, axis=1)
         assert row["configurations"] == inside.sum()
         assert row["effective_mass_kg"] == drawn.masses("effective_mass")[inside].max()
-        slowest = min(np.flatnonzero(inside), key=lambda index: drawn.contacts.allowable_speed[index])
-        assert row["allowable_speed_m_s"] == drawn.contacts.allowable_speed[slowest]
+        slowest = min(np.flatnonzero(inside), key=lambda index: drawn.contacts["allowable_speed"][index])
+        assert row["allowable_speed_m_s"] == drawn.contacts["allowable_speed"][slowest]
         assert row["f_position"] == drawn.q[slowest, 5]
 
 
 @pytest.mark.parametrize("robot", ["", "ur5_robot.urdf", "panda.urdf"])
-def test_compiled_kernel_gives_the_numbers_of_the_reference(robot: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_kernel_gives_the_numbers_of_the_reference(robot: str) -> None:
     settings = MonitorSettings(robot=str(share("config", "robots", robot)) if robot else "")
-    few = sample(settings, (0.6, 0.8, 0.0))
-    monkeypatch.setattr("scara_effmass.analysis.workspace_map.MANY", 300)
     fast = sample(settings, (0.6, 0.8, 0.0))
-    monkeypatch.setattr("scara_effmass.kernel.jit.WHY_NOT", "numba is not installed")
-    slow = sample(settings, (0.6, 0.8, 0.0))
-    assert (few.slow_reason, fast.slow_reason, slow.slow_reason) == ("", "", "numba is not installed")
-    np.testing.assert_array_equal(few.contacts.allowable_speed, slow.contacts.allowable_speed)
+    slow = sample(settings, (0.6, 0.8, 0.0), use_reference=True)
     assert (fast.left_out, len(fast.q)) == (slow.left_out, 300)
-    for name in NUMBERS:
-        values = getattr(fast.contacts, name), getattr(slow.contacts, name)
-        np.testing.assert_allclose(*values, rtol=1e-10, atol=1e-10, err_msg=name)
-    assert fast.contacts.labels() == slow.contacts.labels()
-    assert fast.contacts.reasons(range(300)) == slow.contacts.reasons(range(300))
+    for name in set(CONTACT.names) - {"reason"}:
+        np.testing.assert_allclose(fast.contacts[name], slow.contacts[name], rtol=1e-10, atol=1e-10, err_msg=name)
+    assert fast.assessed.labels == slow.assessed.labels
+    assert [contact.reason for contact in fast.assessments()] == [contact.reason for contact in slow.assessments()]
 
 
 def test_point_that_cannot_move_along_the_direction_is_refused() -> None:
@@ -93,7 +96,7 @@ def test_point_that_cannot_move_along_the_direction_is_refused() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.none() | st.floats(0.1, 9.0)), min_size=2, max_size=30))
 def test_unknown_configuration_allows_no_speed_and_has_no_mass(rows: list[tuple[int, float | None]]) -> None:
-    blank = unknown_contact("tool", "no mass", 1, 0.0)
+    blank = unknown_contact("tool", "no mass")
     contacts = [
         blank
         if mass is None
@@ -106,10 +109,10 @@ def test_unknown_configuration_allows_no_speed_and_has_no_mass(rows: list[tuple[
         )
         for _, mass in rows
     ]
-    columns = joined([columns_of("tool", "worst", part) for part in (contacts[:1], contacts[1:])])
-    assert columns.reasons(range(len(rows))) == [contact.reason for contact in contacts]
+    assessed = assessments_of(*map(decision_on, contacts))
+    assert [decision.reason for decision in assessed.decisions()] == [contact.reason for contact in contacts]
     positions = np.array([[place, 0.0, 0.0] for place, _ in rows], float)
-    cells = Cells(WorkspaceSample(SEEN_FROM_ABOVE, ALONG_X, np.zeros((len(rows), 1)), positions, columns, 0))
+    cells = Cells(WorkspaceSample(SEEN_FROM_ABOVE, ALONG_X, np.zeros((len(rows), 1)), positions, assessed, 0))
     table = map_table(cells, ("joint1",))
     assert table.num_rows == len({place for place, _ in rows})
     for row in table.to_pylist():

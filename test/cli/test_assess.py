@@ -3,7 +3,6 @@
 
 import csv
 import json
-import math
 import os
 import subprocess
 import sys
@@ -20,51 +19,46 @@ import yaml
 from geometry_msgs.msg import Inertia, Vector3
 from pyarrow import parquet
 from rclpy.serialization import serialize_message
-from scara_effmass.wire.contact_state import ContactStateEncoder
 
 from scara_effmass import __version__
 from scara_effmass.analysis import bag_assessment
+from scara_effmass.analysis.cross_check import cross_checked
 from scara_effmass.analysis.properties import PROPERTIES
 from scara_effmass.analysis.tables import SCHEMA
 from scara_effmass.bags.bag import run_infos
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
+from scara_effmass.codes import Reason
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
-from scara_effmass.kernel import jit
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.safety import Monitor
-from scara_effmass.safety.monitor import unknown_contact
+from scara_effmass.safety import Monitor, unknown_contact
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share
-from scara_effmass.values import ContactAssessment, Verdict, severity
+from scara_effmass.values import ContactAssessment, Decision, Verdict, severity
+from scara_effmass.wire.contact_states import ContactStatesEncoder, decode_contact_states
 from scara_effmass.wire.joint_state import JointStateDecoder
-from scara_effmass.wire.message_types import CONTACT_STATE, INERTIA
+from scara_effmass.wire.message_types import CONTACT_STATES, INERTIA
 from test.cli.conftest import Cli, Refused, swing
+from test.decisions import assessments_of, decision_on
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 UNITS = ("", "_m_s", "_kg", "_n_m", "_n", "_s")
 
 
-def core_assessments(path: Path, settings: MonitorSettings | None = None) -> list[ContactAssessment]:
-    """Return the assessments that `safety.Monitor` gives for every joint state of a recording."""
+def core_decisions(path: Path, settings: MonitorSettings | None = None) -> list[Decision]:
+    """Return the decisions that `safety.Monitor` gives for every joint state of a recording."""
     settings = settings or MonitorSettings()
     monitor = Monitor(RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), settings)), settings)
     decoder = JointStateDecoder()
-    contacts: list[ContactAssessment] = []
+    decisions: list[Decision] = []
     with open_bag(path) as bag:
         for message in bag.messages(["/joint_states"]):
             decision = monitor.assess(decoder.decode(message.data), message.log_time_ns)
             assert decision is not None
-            contacts += decision.contacts
-    return contacts
-
-
-def is_equal(left: object, right: object) -> bool:
-    return left == right or (
-        isinstance(left, float) and isinstance(right, float) and math.isnan(left) and math.isnan(right)
-    )
+            decisions.append(decision)
+    return decisions
 
 
 @cache
@@ -77,11 +71,15 @@ def columns_of(field: str) -> list[str]:
     return [name for unit in UNITS if (name := f"{field}{unit}") in SCHEMA.names]
 
 
-def assert_equal(rows: list[dict[str, Any]], contacts: list[ContactAssessment]) -> None:
+OF_STATE = ("stamp_ns", "input_age", "velocity_delay", "contact_normal", "watchdog")
+
+
+def assert_equal(rows: list[dict[str, Any]], decisions: list[Decision]) -> None:
+    contacts = [(decision, contact) for decision in decisions for contact in decision.contacts]
     assert len(rows) == len(contacts)
-    for field in ContactAssessment._fields:
+    for field in (*OF_STATE, *(name for name in ContactAssessment._fields if name != "reason_code")):
         found = np.array([[row[column] for column in columns_of(field)] for row in rows])
-        values = [getattr(contact, field) for contact in contacts]
+        values = [getattr(decision if field in OF_STATE else contact, field) for decision, contact in contacts]
         wanted = np.array([value.name for value in values] if field == "verdict" else values).reshape(found.shape)
         if wanted.dtype == float:
             np.testing.assert_allclose(found, wanted, 1e-10, 1e-10, err_msg=field)
@@ -89,35 +87,41 @@ def assert_equal(rows: list[dict[str, Any]], contacts: list[ContactAssessment]) 
             np.testing.assert_array_equal(found, wanted, err_msg=field)
 
 
-def test_cross_check_compares_with_a_monitor(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+CROSS_CHECKED = {
+    "defaults": (),
+    "payload topic": ("--payload-topic", "load"),
+    "velocity bag": ("--velocity-bag", ""),
+    "latch": ("--params", "latch: true"),
+    "servo": ("--params", "drives: servo"),
+    "filtered velocity": ("--params", "velocity_window: 0.01"),
+}
+
+
+@pytest.mark.parametrize("case", CROSS_CHECKED)
+def test_cross_check_compares_every_setting_with_the_reference(
+    case: str, swing_bag: Path, cli: Cli, tmp_path: Path
+) -> None:
+    words: tuple[Any, ...] = CROSS_CHECKED[case]
+    if case == "velocity bag":
+        words = ("--velocity-bag", swing_bag)
+    elif words[:1] == ("--params",):
+        (tmp_path / "cell.yaml").write_text(f"/**:\n  ros__parameters:\n    {words[1]}\n", encoding="utf-8")
+        words = ("--params", tmp_path / "cell.yaml")
     out = tmp_path / "swing.parquet"
-    done = cli("assess", swing_bag, "-o", out, "--cross-check")
-    if not jit.WHY_NOT:
-        assert (done.returncode, done.stderr) == (0, "")
-        assert_equal(parquet.read_table(out).to_pylist(), core_assessments(swing_bag))
-    done = cli("assess", swing_bag, "-o", tmp_path / "new.parquet", "--cross-check", "--payload-topic", "load")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("--cross-check: must compare with many joint states at once: ")
-    assert list(tmp_path.iterdir()) == ([] if jit.WHY_NOT else [out])
+    done = cli("assess", swing_bag, "-o", out, "--cross-check", *words)
+    assert (done.returncode, done.stderr) == (int(case == "payload topic"), "")  # no payload: all are UNKNOWN
+    if not words:
+        assert_equal(parquet.read_table(out).to_pylist(), core_decisions(swing_bag))
 
 
 def test_difference_found_by_the_cross_check_leaves_no_file(
     swing_bag: Path, cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bag_assessment, "one_by_one", lambda *_: iter(()))
+    monkeypatch.setattr(bag_assessment, "cross_checked", lambda name, own, _: cross_checked(name, own, iter(())))
     done = cli("assess", swing_bag, "-o", tmp_path / "swing.parquet", "--cross-check")
     assert (done.returncode, done.stdout) == (1, "")
     assert "cross-check: the number of joint states differs" in done.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def test_reason_for_one_by_one_is_printed(
-    swing_bag: Path, cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(bag_assessment, "MANY", 1)
-    done = cli("assess", swing_bag, "-o", tmp_path / "swing.parquet", "--velocity-bag", swing_bag)
-    (line,) = (line for line in done.stdout.splitlines() if line.startswith("one by one"))
-    assert line.endswith("[fast]'" if jit.WHY_NOT else "--velocity-bag")
 
 
 def test_parquet_contains_the_assessments(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
@@ -125,7 +129,7 @@ def test_parquet_contains_the_assessments(swing_bag: Path, cli: Cli, tmp_path: P
     done = cli("assess", swing_bag, "-o", out)
     assert (done.returncode, done.stderr) == (0, "")
     rows = parquet.read_table(out).to_pylist()
-    assert_equal(rows, core_assessments(swing_bag))
+    assert_equal(rows, core_decisions(swing_bag))
     assert {row["bag"] for row in rows} == {str(swing_bag)}
     assert all(row["log_time_ns"] == row["stamp_ns"] for row in rows)
     metadata = {key.decode(): value.decode() for key, value in parquet.read_schema(out).metadata.items()}
@@ -143,7 +147,7 @@ def test_direction_adds_the_mass_along_it(swing_bag: Path, cli: Cli, tmp_path: P
     )
     settings = MonitorSettings(test_direction=(1.0, 0.0, 0.0), test_direction_frame="tool")
     rows = parquet.read_table(out).to_pylist()
-    assert_equal(rows, core_assessments(swing_bag, settings))
+    assert_equal(rows, core_decisions(swing_bag, settings))
     assert len({row["test_direction_x"] for row in rows}) > 100
     assert min(row["test_effective_mass_kg"] for row in rows if row["verdict"] != "UNKNOWN") > 0.9
 
@@ -174,7 +178,7 @@ def test_options_of_the_cell_apply(swing_bag: Path, cli: Cli, tmp_path: Path) ->
         effective_mass_model=MassModel.FULL,
     )
     rows = parquet.read_table(tmp_path / "a.parquet").to_pylist()
-    assert_equal(rows, core_assessments(swing_bag, settings))
+    assert_equal(rows, core_decisions(swing_bag, settings))
     assert {row["contact_point"] for row in rows} == {"tool", "hand"}
 
 
@@ -194,7 +198,7 @@ def test_recorded_payload_counts_from_its_log_time_on(swing_bag: Path, cli: Cli,
     assert {row["reason"] for row in rows[:1000]} == {"no payload on payload yet"}
     assert {(row["verdict"], row["allowable_speed_m_s"]) for row in rows[:1000]} == {("UNKNOWN", 0.0)}
     settings = MonitorSettings(payload_mass=2.0, payload_com=(0.0, 0.0, 0.1), release_time=0.0)
-    assert_equal([{**row, "bag": ""} for row in rows[1000:]], core_assessments(swing_bag, settings)[1000:])
+    assert_equal([{**row, "bag": ""} for row in rows[1000:]], core_decisions(swing_bag, settings)[500:])
 
 
 def test_recording_without_a_readable_joint_state_gives_status_1(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
@@ -220,28 +224,20 @@ def test_csv_contains_the_exact_assessments(swing_bag: Path, cli: Cli, tmp_path:
     kinds: dict[str, Callable[[str], Any]] = {"double": float, "int64": int, "bool": "true".__eq__, "string": str}
     for row in rows:
         row.update({name: kinds[str(SCHEMA.field(name).type)](value) for name, value in row.items()})
-    assert_equal(rows, core_assessments(swing_bag))
+    assert_equal(rows, core_decisions(swing_bag))
 
 
 def test_mcap_contains_contact_states_at_the_recorded_times(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     assert cli("assess", swing_bag, "-o", tmp_path / "a.mcap").returncode == 0
-    contacts = core_assessments(swing_bag)
+    decisions = core_decisions(swing_bag)
     with open_bag(tmp_path / "a.mcap") as bag:
-        messages = list(bag.messages(["/contact_state"]))
-        assert len(messages) == len(contacts)
-        for message, contact in zip(messages, contacts, strict=True):
-            state = bag.deserialize(message)
-            assert message.log_time_ns == contact.stamp_ns
-            assert state.header.frame_id == "base_link"
-            assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == contact.stamp_ns
-            assert (state.direction.x, state.direction.y, state.direction.z) == contact.direction
-            test = state.test_direction
-            assert (test.x, test.y, test.z) == contact.test_direction
-            assert tuple(state.lumped_mobility) == contact.lumped_mobility
-            assert tuple(state.full_mobility) == contact.full_mobility
-            other = {"stamp_ns", "direction", "test_direction", "lumped_mobility", "full_mobility"}
-            for field in set(contact._fields) - other:
-                assert is_equal(getattr(state, field), getattr(contact, field)), field
+        messages = list(bag.messages(["/contact_states"]))
+        assert len(messages) == len(decisions)
+        for number, (message, decision) in enumerate(zip(messages, decisions, strict=True), 1):
+            assert message.log_time_ns == decision.stamp_ns
+            expected = decision._replace(sequence_number=number)
+            assert repr(decode_contact_states(message.data)) == repr(expected)  # NaN is equal to itself
+        assert bag.deserialize(messages[0]).header.frame_id == "base_link"
         ((_, info),) = run_infos(bag)
         assert json.loads(info.note)["limits_hash"] == TABLE_HASH
 
@@ -254,24 +250,24 @@ def test_options_reach_the_core(swing_bag: Path, cli: Cli, tmp_path: Path) -> No
     settings = MonitorSettings.model_validate(
         {"body_regions": ("chest", "pelvis"), "contact": "quasi_static", "effective_mass_model": "largest"}
     )
-    assert_equal(parquet.read_table(tmp_path / "a.parquet").to_pylist(), core_assessments(swing_bag, settings))
+    assert_equal(parquet.read_table(tmp_path / "a.parquet").to_pylist(), core_decisions(swing_bag, settings))
 
 
 def test_summary_matches_the_rows(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     result = json.loads(cli("assess", swing_bag, "-o", tmp_path / "a.csv", "--json").stdout)
     assert any(note.startswith("no rotor inertia for joint1") for note in result["robot_notes"])
-    contacts = core_assessments(swing_bag)
-    counts = Counter(contact.verdict for contact in contacts)
-    assert result["joint_states"] == result["cycles"] == len(contacts) / 2
-    worst = Counter(
-        max(pair, key=lambda c: severity(c.verdict)).verdict for pair in zip(contacts[::2], contacts[1::2], strict=True)
-    )
+    decisions = core_decisions(swing_bag)
+    contacts = [(decision.stamp_ns, contact) for decision in decisions for contact in decision.contacts]
+    counts = Counter(contact.verdict for _, contact in contacts)
+    assert result["joint_states"] == result["cycles"] == len(decisions)
+    worst = Counter(max((c.verdict for c in decision.contacts), key=severity) for decision in decisions)
     assert result["cycles_by_verdict"] == {verdict.name: worst[verdict] for verdict in Verdict}
     assert counts[Verdict.OK]
     assert counts[Verdict.VIOLATION]
-    tightest = min((c for c in contacts if c.verdict is not Verdict.UNKNOWN), key=lambda contact: contact.margin)
+    known = ((stamp_ns, contact) for stamp_ns, contact in contacts if contact.verdict is not Verdict.UNKNOWN)
+    stamp_ns, tightest = min(known, key=lambda pair: pair[1].margin)
     assert result["tightest"]["margin_m_s"] == tightest.margin
-    assert result["tightest"]["stamp_ns"] == tightest.stamp_ns
+    assert result["tightest"]["stamp_ns"] == stamp_ns
     assert result["tightest"]["body_region"] == tightest.body_region
     assert set(result["tightest"]["positions"]) == {"joint1", "joint2", "joint3", "joint4"}
     assert sum(result["seconds_by_verdict"].values()) == pytest.approx(999 * 0.002)
@@ -281,7 +277,7 @@ def test_summary_matches_the_rows(swing_bag: Path, cli: Cli, tmp_path: Path) -> 
 def test_several_bags_share_a_table_with_one_monitor_per_bag(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     done = cli("assess", swing_bag, swing_bag, "-o", tmp_path / "a.parquet", "--json")
     rows = parquet.read_table(tmp_path / "a.parquet").to_pylist()
-    assert_equal(rows, 2 * core_assessments(swing_bag))
+    assert_equal(rows, 2 * core_decisions(swing_bag))
     assert json.loads(done.stdout)["gaps"] == 0
     copyfile(swing_bag / "swing_0.mcap", tmp_path / "second.mcap")
     assert cli("assess", swing_bag, tmp_path / "second.mcap", "-o", tmp_path / "a.mcap").returncode == 0
@@ -289,8 +285,8 @@ def test_several_bags_share_a_table_with_one_monitor_per_bag(swing_bag: Path, cl
         counts = {topic.name: topic.count for topic in bag.topics}
     assert counts == {
         "/run_info": 1,
-        "/bag_0_swing/contact_state": 2000,
-        "/bag_1_second/contact_state": 2000,
+        "/bag_0_swing/contact_states": 1000,
+        "/bag_1_second/contact_states": 1000,
     }
 
 
@@ -307,7 +303,7 @@ def test_undecodable_joint_state_gives_unknown_and_the_run_continues(swing_bag: 
     assert {row["contact_point"] for row in rows[1::2]} == {"elbow"}
     rows = rows[::2]
     assert rows[500]["verdict"] == "UNKNOWN"
-    assert rows[500]["stamp_ns"] == 0
+    assert rows[500]["stamp_ns"] == rows[500]["log_time_ns"]
     assert rows[500]["reason"].startswith("JointState: ")
     assert rows[501]["verdict"] == "UNKNOWN"
     assert rows[501]["reason"] == f"held after: {rows[500]['reason']}"
@@ -370,7 +366,7 @@ def test_report_shows_every_contact_point_and_episode(swing_bag: Path, cli: Cli,
     assert violation["min_margin_m_s"] == summary["tightest"]["margin_m_s"]
     assert set(violation["positions"]) == {"joint1", "joint2", "joint3", "joint4"}
     assert violation["body_region"] in violation["reason"]
-    assert violation["remedy"] == remedy(violation["reason"]) != ""
+    assert violation["remedy"] == remedy(Reason.TOO_FAST) != ""
     assert all(episode["remedy"] for episode in summary["episodes"])
     assert abs(violation["stamp_ns"] - summary["tightest"]["stamp_ns"]) <= 1e9 * violation["duration_s"] + 1
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
@@ -413,9 +409,9 @@ def test_existing_output_needs_force(suffix: str, swing_bag: Path, cli: Cli, ref
 # ru_maxrss would also count the memory of the parent process.
 MEMORY = """
 import pathlib, sys
-from scara_effmass.analysis import assessed_states
+from scara_effmass.analysis import assessment
 from scara_effmass.cli import main
-assessed_states.ROWS = 8_192
+assessment.ROWS = 8_192
 for bag in sys.argv[2:]:
     assert main(["assess", bag, "-o", sys.argv[1], "--force"]) == 0
     status = pathlib.Path("/proc/self/status").read_text().splitlines()
@@ -458,24 +454,16 @@ def test_verdicts_of_the_shipped_bags_have_all_properties(suffix: str, tmp_path:
 
 
 def test_recorded_verdicts_that_violate_a_property_give_exit_code_1(swing_bag: Path, tmp_path: Path, cli: Cli) -> None:
-    encoder = ContactStateEncoder("tool", "base_link")
+    encoder = ContactStatesEncoder("base_link")
     with open_bag(swing_bag) as swing, BagWriter(tmp_path / "live") as live:
         for message in swing.messages():
             live.write(message.topic, message.type, message.log_time_ns, message.data)
-            state = unknown_contact("tool", "no reason", message.log_time_ns, 0.0)._replace(allowable_speed=0.1)
-            live.write("/contact_state", CONTACT_STATE, message.log_time_ns, encoder.encode(state))
+            contact = unknown_contact("tool", "no reason")._replace(allowable_speed=0.1)
+            state = assessments_of(decision_on(contact, stamp_ns=message.log_time_ns))
+            live.write("/contact_states", CONTACT_STATES, message.log_time_ns, encoder.encode(state))
     done = cli("assess", tmp_path / "live", "-o", "live.parquet", "--properties")
     assert done.returncode == 1
     assert (
-        f"{tmp_path / 'live'}: UNKNOWN implies speed 0: violated 1 times, first in /contact_state: tool, at 17672"
+        f"{tmp_path / 'live'}: UNKNOWN implies speed 0: violated 1 times, first in /contact_states: tool, at 17672"
         in (" ".join(done.stdout.split()))
     )
-
-
-def test_missing_library_of_the_properties_is_named(
-    swing_bag: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delitem(sys.modules, "scara_effmass.analysis.properties", raising=False)
-    monkeypatch.setitem(sys.modules, "rtamt", None)
-    line = refused("assess", swing_bag, "-o", "swing.csv", "--properties")
-    assert line == "rtamt: must be installed: pip install 'scara_effmass[properties]'"

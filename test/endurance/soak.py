@@ -149,7 +149,7 @@ def soak(duration_s: float, bag: Path) -> tuple[str, list[str]]:  # noqa: PLR091
     latency = [f"| {name} tenth | {np.median(x):.0f} | {np.percentile(x, 99):.0f} |" for name, x in parts]
     holding = sum(not check.violations for check in checks)
     git = ["git", "rev-parse", "--short", "HEAD"]
-    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()  # noqa: S603
+    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
     page = f"""`make soak DURATION={duration_s:.0f}` on {datetime.now(timezone.utc):%Y-%m-%d} at commit {commit}:
 all nodes, the recorder (a new file every {FILE_S / 60:.0f} minutes) and the dashboard (without a browser) at 1 kHz,
 {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}.

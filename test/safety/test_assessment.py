@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from scara_effmass.model.dynamics import EffectiveMasses, RobotDynamics
-from scara_effmass.safety.contact_assessor import ContactAssessor
-from scara_effmass.safety.joint_state_validator import METRES_PER_RADIAN, WINDOW_S
 
+from scara_effmass.codes import ModelCode
 from scara_effmass.errors import LimitError, RobotError
-from scara_effmass.iso15066 import BODY_REGIONS, Limit, Mobility, SpeedLimits, limits_for
+from scara_effmass.iso15066 import BODY_REGIONS, Limit, contact_cases, limits_for
+from scara_effmass.kernel.admission import METRES_PER_RADIAN, WINDOW_S
+from scara_effmass.reference import ContactState, RobotDynamics
+from scara_effmass.reference.mobility import Mobility
+from scara_effmass.reference.pose_state import X_AXIS
+from scara_effmass.reference.speed_limit import DrivePush, speed_limit
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
-from scara_effmass.values import ContactAssessment, JointState, Vector3, Verdict
+from scara_effmass.values import ContactAssessment, FloatArray, JointState, Vector3, Verdict
 
 Variant = Callable[[Callable[[dict[str, Any]], object]], RobotDynamics]
 
@@ -45,7 +48,18 @@ def first_assessment(
     decision = Monitor(dynamics, settings).assess(JointState(NOW, JOINTS, np.array(q), np.array(qd)), NOW)
     assert decision is not None
     assert decision.allowable_speed == min(contact.allowable_speed for contact in decision.contacts)
+    assert decision.contact_normal == f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
     return list(decision.contacts)
+
+
+def contact_at(dynamics: RobotDynamics, q: Vector, qd: Vector = (0.0, 0.0, 0.0, 0.0)) -> ContactState:
+    """Return the first contact point of the reference."""
+    return dynamics.at(np.array(q), np.array(qd)).contacts[0]
+
+
+def direction_of(contact: ContactState, settings: MonitorSettings) -> FloatArray | None:
+    """Return the direction of the velocity, None below the speed threshold."""
+    return contact.direction if contact.speed >= settings.speed_threshold else None
 
 
 def assess_one(dynamics: RobotDynamics, q: Vector, qd: Vector, **settings: object) -> ContactAssessment:
@@ -64,7 +78,7 @@ def require_no_numbers(contact: ContactAssessment) -> None:
     """Require an UNKNOWN whose masses, force and speeds are 0, and which names no limit."""
     assert contact.verdict is Verdict.UNKNOWN
     assert (contact.effective_mass, contact.worst_direction_mass, contact.reduced_mass) == (0.0, 0.0, 0.0)
-    assert (contact.obstacle_mass, contact.stiffness, contact.predicted_force) == (0.0, 0.0, 0.0)
+    assert (contact.body_mass, contact.stiffness, contact.predicted_force) == (0.0, 0.0, 0.0)
     assert (contact.allowable_speed, contact.margin) == (0.0, -contact.speed)
     assert (contact.body_region, contact.criterion, contact.mass_capped) == ("", "", False)
 
@@ -90,56 +104,56 @@ any_settings = st.builds(
 
 
 def bounding_reduced_mass(
-    masses: EffectiveMasses, model: MassModel, iso_mass: float, obstacle_mass: float, settings: MonitorSettings
+    contact: ContactState, model: ModelCode, iso_mass: float, obstacle_mass: float, settings: MonitorSettings
 ) -> float:
     """Return the largest (v.n)^2 mu(n) / (share of the speed)^2 of one model, by linear algebra."""
     if settings.drives is Drives.IMMOVABLE:
         return obstacle_mass
     factor = 1.0 + settings.mass_uncertainty
-    if model is MassModel.ISO:
+    if model is ModelCode.ISO:
         return parallel(iso_mass * factor, obstacle_mass)
-    lumped = model is MassModel.LUMPED
-    mobility = np.array(masses.lumped_mobility if lumped else masses.full_mobility) / factor
+    mobility = contact.mobilities[model] / factor
     normal = settings.fixed_normal
     if normal is not None:
-        return parallel(1.0 / (np.array(normal) @ mobility @ np.array(normal)), obstacle_mass)
-    velocity = np.array(masses.direction)
-    if not velocity.any():
-        return parallel(factor * (masses.worst_lumped if lumped else masses.worst_full), obstacle_mass)
+        return parallel(1.0 / float(np.array(normal) @ mobility @ np.array(normal)), obstacle_mass)
+    velocity = direction_of(contact, settings)
+    if velocity is None:
+        return parallel(factor * contact.effective_mass(model, None), obstacle_mass)
     if settings.contact_normal == "velocity":
-        return parallel(1.0 / (velocity @ mobility @ velocity), obstacle_mass)
+        return parallel(1.0 / float(velocity @ mobility @ velocity), obstacle_mass)
     return float(velocity @ np.linalg.solve(mobility + np.eye(3) / obstacle_mass, velocity))
 
 
 def bounding_speed(
-    masses: EffectiveMasses, model: MassModel, iso_mass: float, limit: Limit, settings: MonitorSettings
+    contact: ContactState, model: ModelCode, iso_mass: float, limit: Limit, settings: MonitorSettings
 ) -> float:
     """Return v with v (1 + growth v) sqrt(mu k) = F, by linear algebra; the growth is that of 1.5 times the rise."""
     stiffness = limit.stiffness_n_m * (1.0 + settings.stiffness_uncertainty)
-    mu = bounding_reduced_mass(masses, model, iso_mass, limit.obstacle_mass_kg, settings)
+    mu = bounding_reduced_mass(contact, model, iso_mass, limit.obstacle_mass_kg, settings)
     speed, growth = limit.permissible_force_n / math.sqrt(mu * stiffness), 0.0
-    change = masses.lumped_change if model is MassModel.LUMPED else masses.full_change
-    if model is not MassModel.ISO and change is not None and settings.contact_normal != "velocity":
-        matrix = np.array(change.mobility) / (1.0 + settings.mass_uncertainty) + np.eye(3) / limit.obstacle_mass_kg
-        n = np.array(change.direction)
-        w, along_speed = np.linalg.solve(matrix, n), masses.speed
+    n = direction_of(contact, settings)
+    if model is not ModelCode.ISO and n is not None and settings.contact_normal != "velocity":
+        change = contact.mobility(model, n).change
+        assert change is not None
+        mobility, rate = contact.mobilities[model], change.mobility_rate / (1.0 + settings.mass_uncertainty)
+        matrix = mobility / (1.0 + settings.mass_uncertainty) + np.eye(3) / limit.obstacle_mass_kg
+        w, along_speed = np.linalg.solve(matrix, n), contact.speed
         if settings.fixed_normal is not None:
             normal = np.array(settings.fixed_normal)
-            along_speed *= max(abs(n @ normal), 0.1)
+            along_speed *= max(abs(float(n @ normal)), 0.1)
             n = normal * (1.0 if n @ normal >= 0.0 else -1.0)
             w = n / (n @ matrix @ n)
-        rate = np.array(change.mobility_rate) / (1.0 + settings.mass_uncertainty)
         if settings.drives is Drives.IMMOVABLE:
             w, rate = n, 0.0 * rate
-        faster = max(0.0, *(w @ np.array(a) for a in change.accelerations)) / along_speed
-        growth = 2.0 * (faster + max(0.0, -(w @ rate @ w))) / (n @ w)
+        faster = max(0.0, *(float(w @ a) for a in change.accelerations)) / along_speed
+        growth = 2.0 * (faster + max(0.0, -float(w @ rate @ w))) / float(n @ w)
         growth *= 0.5 * min(1.5 * math.pi / 2.0 * math.sqrt(mu / stiffness), 0.5) / along_speed
     return float(2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed)))
 
 
-def heavy_enough(masses: EffectiveMasses, margin: float) -> MassModel:
+def heavy_enough(contact: ContactState, margin: float) -> MassModel:
     """Return the model that auto takes: lumped if nowhere lighter than full by more than the margin."""
-    lumped, full = np.array(masses.lumped_mobility), np.array(masses.full_mobility)
+    lumped, full = contact.mobilities[ModelCode.LUMPED], contact.mobilities[ModelCode.FULL]
     lowest = np.linalg.eigvalsh(full - (1.0 - margin) * lumped)[0]
     assume(abs(lowest) > 1e-8 * np.trace(full))
     return MassModel.LUMPED if lowest > 0.0 else MassModel.FULL
@@ -151,35 +165,34 @@ def test_assessment_agrees_with_masses_and_limits(
 ) -> None:
     (contact,) = first_assessment(scara, q, qd, settings)
     error = settings.position_tolerance / WINDOW_S * np.array([1.0, 1.0, METRES_PER_RADIAN, 1.0])
-    (masses,) = scara.effective_masses(
-        np.array(q), np.array(qd), settings.speed_threshold, error.tolist(), changes=("lumped", "full")
-    )
+    at = contact_at(scara, q, qd)
     # A clamped part is immovable, and the linear algebra below singular at a singular pose.
-    assume(settings.contact is ContactType.TRANSIENT or masses.smallest_singular_value > 1e-3)
+    assume(settings.contact is ContactType.TRANSIENT or at.smallest_singular_value > 1e-3)
+    direction, iso_mass = direction_of(at, settings), scara.robot.iso_mass
+    lumped, full = (at.effective_mass(model, direction) for model in (ModelCode.LUMPED, ModelCode.FULL))
     mass_by_model = {
-        MassModel.LUMPED: masses.lumped,
-        MassModel.FULL: masses.full,
-        MassModel.ISO: scara.robot.iso_mass,
-        MassModel.LARGEST: max(masses.lumped, masses.full, scara.robot.iso_mass),
+        MassModel.LUMPED: lumped,
+        MassModel.FULL: full,
+        MassModel.ISO: iso_mass,
+        MassModel.LARGEST: max(lumped, full, iso_mass),
     }
     model = settings.effective_mass_model
     if model is MassModel.AUTO:
-        model = heavy_enough(masses, settings.model_margin)
+        model = heavy_enough(at, settings.model_margin)
     mass = mass_by_model[model]
     models = list(mass_by_model)[:3] if model is MassModel.LARGEST else [model]
-    allowed = {}
+    codes, allowed = [ModelCode[m.name] for m in models], {}
     for limit in limits_for(settings):
-        allowed[limit.region] = min(bounding_speed(masses, m, scara.robot.iso_mass, limit, settings) for m in models)
+        allowed[limit.region] = min(bounding_speed(at, code, iso_mass, limit, settings) for code in codes)
     share = 1.0
-    if settings.fixed_normal is not None and any(masses.direction):
-        share = max(abs(float(np.dot(settings.fixed_normal, masses.direction))), 0.1)
-    closing = settings.person_speed + settings.speed_uncertainty + masses.speed_tolerance
+    if settings.fixed_normal is not None and direction is not None:
+        share = max(abs(float(np.dot(settings.fixed_normal, direction))), 0.1)
+    closing = settings.person_speed + settings.speed_uncertainty + at.speed_tolerance(error.tolist())
     expected = max(0.0, (min(allowed.values()) - closing) / share)
     # A clamped part near a singular pose: the smallest eigenvalue decides, which has an error of 1e-7.
     tolerance = 1e-4 if settings.contact is ContactType.QUASI_STATIC else 1e-6
     assert contact.allowable_speed == pytest.approx(expected, rel=tolerance, abs=1e-9)
     assert allowed[contact.body_region] == pytest.approx(min(allowed.values()), rel=tolerance)
-    assert contact.contact_normal == settings.contact_normal
     # As mobilities: masses that are infinite but for rounding differ.
     assert 1.0 / mass_by_model[MassModel(contact.mass_model)] == pytest.approx(1.0 / mass, abs=1e-12)
     assert contact.margin == contact.allowable_speed - contact.speed
@@ -189,7 +202,7 @@ def test_assessment_agrees_with_masses_and_limits(
     limit = next(limit for limit in limits_for(settings) if limit.region == contact.body_region)
     assert contact.criterion == limit.criterion
     assert contact.stiffness == limit.stiffness_n_m
-    assert contact.obstacle_mass == (0.0 if math.isinf(limit.obstacle_mass_kg) else limit.obstacle_mass_kg)
+    assert contact.body_mass == (0.0 if math.isinf(limit.obstacle_mass_kg) else limit.obstacle_mass_kg)
     mu = min(parallel(mass, limit.obstacle_mass_kg), settings.mass_cap)
     assert contact.reduced_mass == pytest.approx(mu, rel=1e-12)
     force = (contact.speed + settings.person_speed) * math.sqrt(mu * limit.stiffness_n_m)
@@ -199,7 +212,7 @@ def test_assessment_agrees_with_masses_and_limits(
     if speed > expected * (1.0 + tolerance) + 1e-9:
         assert contact.verdict is Verdict.VIOLATION
     elif speed < settings.warn_ratio * expected * (1.0 - tolerance) - 1e-9:
-        lighter = mass < min(masses.full, settings.mass_cap) * (1.0 - settings.model_margin)
+        lighter = mass < min(full, settings.mass_cap) * (1.0 - settings.model_margin)
         assert contact.verdict is (Verdict.WARN if lighter else Verdict.OK)
     assert bool(contact.reason) == (contact.verdict is not Verdict.OK)
 
@@ -270,7 +283,7 @@ def test_closing_speed_is_subtracted(scara: RobotDynamics, q: Vector, qd: Vector
 def test_what_the_velocity_check_lets_pass_is_added_to_the_speed(scara: RobotDynamics) -> None:
     q, qd = (0.3, 1.2, 0.1, 0.0), (0.5, 0.3, 0.01, 0.1)
     exact, default = assess_one(scara, q, qd, position_tolerance=0.0), assess_one(scara, q, qd)
-    levers = np.linalg.norm(scara.jacobian(np.array(q), scara.robot.contact_frames["tool"]), axis=0)
+    levers = np.linalg.norm(contact_at(scara, q).jacobian, axis=0)
     added = levers @ [0.01, 0.01, 0.0025, 0.01] / WINDOW_S
     assert 0.01 < added < 0.02
     assert default.allowable_speed == pytest.approx(exact.allowable_speed - added, rel=1e-12)
@@ -341,14 +354,14 @@ def test_stretched_arm_gives_capped_mass(
             assert contact.mass_capped
             assert contact.effective_mass == 1000.0
             # mu -> m_H: an immovable robot, not an infinite force
-            assert contact.reduced_mass == pytest.approx(contact.obstacle_mass, rel=1e-6)
+            assert contact.reduced_mass == pytest.approx(contact.body_mass, rel=1e-6)
             assert contact.verdict is Verdict.OK, contact.reason
         assert contact.allowable_speed > 0.0
 
 
 def test_clamped_contact_has_no_obstacle_mass(scara: RobotDynamics) -> None:
     contact = assess_one(scara, (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1), contact="quasi_static")
-    assert contact.obstacle_mass == 0.0
+    assert contact.body_mass == 0.0
     assert contact.reduced_mass == contact.effective_mass
 
 
@@ -390,7 +403,7 @@ def test_test_direction_has_the_mass_of_a_motion_along_it(
     contact = assess_one(scara, q, qd, effective_mass_model=model, test_direction=direction)
     unit = np.array(direction) / np.linalg.norm(direction)
     np.testing.assert_allclose(contact.test_direction, unit, atol=1e-12)
-    jacobian = scara.jacobian(np.array(q), scara.robot.contact_frames["tool"])
+    jacobian = contact_at(scara, q).jacobian
     assume(np.linalg.svd(jacobian, compute_uv=False)[-1] > 1e-3)
     along = np.linalg.pinv(jacobian) @ unit
     speeds = tuple(0.5 * along / np.abs(along).max() + 1e-13)
@@ -526,9 +539,13 @@ def test_tightest_contact_point_governs(offset_scara: RobotDynamics, q: Vector, 
     assert decision.speed_scaling == min(1.0, decision.allowable_speed)
 
 
-def test_assessment_without_a_message_has_no_stamp_age_or_delay(scara: RobotDynamics) -> None:
-    (contact,) = ContactAssessor(scara, settings_of()).assess(np.array([0.3, 1.2, 0.1, 0.0]), np.full(4, 0.1))
-    assert (contact.stamp_ns, contact.input_age, contact.velocity_delay) == (0, 0.0, 0.0)
+def test_configurations_have_no_stamp_age_or_delay(scara: RobotDynamics) -> None:
+    monitor = Monitor(scara, settings_of())
+    for decision in monitor.assess_configurations(
+        np.tile([0.3, 1.2, 0.1, 0.0], (2, 1)), np.full((2, 4), 0.1)
+    ).decisions():
+        assert (decision.stamp_ns, decision.input_age, decision.velocity_delay) == (0, 0.0, 0.0)
+        assert list(decision.contacts) == first_assessment(scara, (0.3, 1.2, 0.1, 0.0), (0.1,) * 4, settings_of())
 
 
 def test_unknown_contact_point_allows_nothing(offset_scara: RobotDynamics) -> None:
@@ -630,7 +647,7 @@ def test_computed_torque_counts_up_to_the_effort_limits(
             + [(0.0, s, 0.0) for s in (1.0, -1.0)]
             + [(0.0, 0.0, s) for s in (1.0, -1.0)]
         )
-    force = min(weak.clamping_force(np.array(q), 0, n) for n in normals)
+    force = min(contact_at(weak, q).clamping_force([np.array(n)]) for n in normals)
     (limit,) = limits_for(settings_of(body_regions=[region]))
     expected = force / limit.permissible_force_n * strong.allowable_speed
     assert 0.0 < limited.allowable_speed < 0.5 * strong.allowable_speed
@@ -653,7 +670,9 @@ def test_weakest_axis_of_a_robot_at_rest_limits_computed_torque(
     settings |= {"max_velocity_lag": 0.0}
     strong, limited = assess_one(scara, q, qd, **settings), assess_one(weak, q, qd, **settings)
     axes: tuple[Vector3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    forces = [min(weak.clamping_force(np.array(q), 0, n) for n in ((x, y, z), (-x, -y, -z))) for x, y, z in axes]
+    forces = [
+        min(contact_at(weak, q).clamping_force([np.array(n)]) for n in ((x, y, z), (-x, -y, -z))) for x, y, z in axes
+    ]
     assert np.argmin(forces) == axis
     (limit,) = limits_for(settings_of(body_regions=["chest"]))
     assert limited.allowable_speed == pytest.approx(min(forces) / limit.permissible_force_n * strong.allowable_speed)
@@ -672,8 +691,8 @@ def test_computed_torque_allows_no_speed_where_the_weight_is_too_much_for_a_join
         return scara_variant(lambda file: [joint.update(max_effort=efforts[joint["name"]]) for joint in file["joints"]])
 
     weak, strong = with_lift(1.0), with_lift(1000.0)
-    q, qd, up = (0.3, 1.2, 0.1, 0.0), (1e-6, 1e-6, -0.1, 1e-6), (0.0, 0.0, 1.0)
-    assert weak.holding_force(np.array(q), 0, up) < 0.0 < strong.holding_force(np.array(q), 0, up)
+    q, qd, up = (0.3, 1.2, 0.1, 0.0), (1e-6, 1e-6, -0.1, 1e-6), np.array((0.0, 0.0, 1.0))
+    assert contact_at(weak, q).holding_force([up]) < 0.0 < contact_at(strong, q).holding_force([up])
     settings: dict[str, object] = {"drives": "servo", "servo": {"computed_torque": True}, "body_regions": ["abdomen"]}
     limited, whole = (assess_one(robot, q, qd, **settings) for robot in (weak, strong))
     assert limited.allowable_speed == 0.0 < whole.allowable_speed
@@ -700,37 +719,39 @@ def test_servo_counts_joints_that_are_held_one_by_one(
         position_tolerance=0.0,
     )
     (contact,) = first_assessment(scara, q, qd, settings)
-    state, changes = (np.array(q), np.array(qd)), () if normal == "velocity" else ("full",)
-    (masses,) = scara.effective_masses(*state, speed_threshold, changes=changes)
-    held = scara.composite_mass(*state, 0, "full", masses)
-    fixed, mobilities, share = settings.fixed_normal, [], 1.0
-    if fixed and any(masses.direction):
-        share = max(abs(float(np.dot(fixed, masses.direction))), 0.1)
-    coupled = "full", masses.full, masses.worst_full, masses.full_mobility, masses.full_change
-    for _, mass, worst_mass, matrix, change in (coupled,) if servo["computed_torque"] else (coupled, held):
-        if fixed:
-            along = change and change.along(fixed, share * masses.speed)
-            mobilities.append(Mobility.of_matrix(matrix, fixed, masses.rank, along).along_normal())
-        elif normal == "velocity" or not any(masses.direction):
-            mobilities.append(Mobility.of_mass(mass if normal == "velocity" else worst_mass))
+    at = contact_at(scara, q, qd)
+    direction, share, mobilities = direction_of(at, settings), 1.0, []
+    fixed = None if settings.fixed_normal is None else np.array(settings.fixed_normal)
+    if fixed is not None and direction is not None:
+        share = max(abs(float(fixed @ direction)), 0.1)
+    coupled, held = at.mobility(ModelCode.FULL, direction), at.held_mobility(ModelCode.FULL, direction)
+    for mobility in (coupled,) if servo["computed_torque"] else (coupled, held):
+        if fixed is not None:
+            mobilities.append(mobility.along(fixed, share * at.speed))
+        elif direction is None:
+            mobilities.append(Mobility.of_mass(mobility.worst_mass, X_AXIS))
+        elif normal == "velocity":
+            mobilities.append(Mobility.of_mass(mobility.effective_mass(direction), direction))
         else:
-            mobilities.append(Mobility.of_matrix(matrix, masses.direction, masses.rank, change))
-    limit = SpeedLimits(limits_for(settings), settings).worst_normal(mobilities, 1.0 + settings.mass_uncertainty)
-    closing = settings.person_speed + settings.speed_uncertainty + masses.speed_tolerance
+            mobilities.append(mobility)
+    heavier = [mobility.with_masses(1.0 + settings.mass_uncertainty) for mobility in mobilities]
+    limit = speed_limit(contact_cases(limits_for(settings), settings), heavier)
+    closing = settings.person_speed + settings.speed_uncertainty
     assert contact.allowable_speed == pytest.approx(max(0.0, (limit.allowable_speed - closing) / share))
 
 
 def test_mass_of_the_standard_on_a_servo_is_that_mass_alone(scara_variant: Variant) -> None:
     """The push of the drives accelerates the arm as their effort limits allow."""
     weak = scara_variant(lambda file: [joint.update(max_effort=5.0) for joint in file["joints"]])
-    q, qd, mobility = (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.1, 0.1), Mobility.of_mass(weak.robot.iso_mass)
+    q, qd = (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.1, 0.1)
     for bandwidth in (1.0, 1000.0):
         servo = {"bandwidth": bandwidth, "computed_torque": False}
         settings = settings_of(drives="servo", servo=servo, effective_mass_model="iso", position_tolerance=0.0)
         (contact,) = first_assessment(weak, q, qd, settings)
-        push = weak.drive_acceleration(np.array(q), 0), mobility.trace
-        limits, factor = SpeedLimits(limits_for(settings), settings), 1.0 + settings.mass_uncertainty
-        expected = limits.worst_normal([mobility], factor, push).allowable_speed - settings.speed_uncertainty
+        mobility = Mobility.of_mass(weak.robot.iso_mass * (1.0 + settings.mass_uncertainty), X_AXIS)
+        push = DrivePush(contact_at(weak, q).drive_acceleration(), mobility.trace)
+        limit = speed_limit(contact_cases(limits_for(settings), settings), [mobility], push)
+        expected = limit.allowable_speed - settings.speed_uncertainty
         assert contact.allowable_speed == pytest.approx(expected)
 
 
@@ -740,7 +761,7 @@ def test_robot_at_rest_clamps_along_its_strongest_axis(scara_variant: Variant) -
     q = (0.3, 1.2, 0.1, 0.0)
     contact = assess_one(robot, q, (1e-6,) * 4, contact="quasi_static")
     assert contact.worst_direction_used
-    vertical = [robot.clamping_force(np.array(q), 0, (0.0, 0.0, sign)) for sign in (1.0, -1.0)]
+    vertical = [contact_at(robot, q).clamping_force([np.array((0.0, 0.0, sign))]) for sign in (1.0, -1.0)]
     assert contact.clamping_force == pytest.approx(max(vertical))
 
 
@@ -751,7 +772,7 @@ def test_fixed_normal_clamps_along_both_its_senses(scara_variant: Variant, norma
     q, text = (0.3, 1.2, 0.1, 0.0), " ".join(map(str, normal))
     contact = assess_one(robot, q, (0.1,) * 4, contact="quasi_static", contact_normal=text)
     x, y, z = normal
-    there, back = (robot.clamping_force(np.array(q), 0, n) for n in (normal, (-x, -y, -z)))
+    there, back = (contact_at(robot, q).clamping_force([np.array(n)]) for n in (normal, (-x, -y, -z)))
     assert (abs(there - back) > 10.0) == (z != 0.0)
     assert contact.clamping_force == pytest.approx(max(there, back))
 

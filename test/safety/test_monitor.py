@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from scara_effmass.codes import Reason
 from scara_effmass.errors import RobotError
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.safety import Monitor, unknown_contact, unknown_decision
+from scara_effmass.safety import Monitor, unknown_assessments, unknown_contact
 from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.values import Decision, JointState, Verdict
 
@@ -87,19 +88,19 @@ def test_unusable_stamp_gives_the_time_of_the_clock_and_no_age(scara: RobotDynam
     state = JointState(stamp_ns, JOINTS, np.zeros(4), np.full(4, 0.01))
     decision = make_monitor(scara).assess(state, NOW)
     assert decision is not None
-    assert (decision.contacts[0].stamp_ns, decision.contacts[0].input_age) == (NOW, 0.0)
+    assert (decision.stamp_ns, decision.input_age) == (NOW, 0.0)
 
 
 def test_unknown_contact_states_no_number() -> None:
-    contact = unknown_contact("tool", "no data", 5, 0.25)
-    assert (contact.stamp_ns, contact.contact_point, contact.reason, contact.input_age) == (5, "tool", "no data", 0.25)
+    contact = unknown_contact("tool", "no data", Reason.NO_ROBOT)
+    assert (contact.contact_point, contact.reason, contact.reason_code) == ("tool", "no data", Reason.NO_ROBOT)
     assert contact.direction == (0.0, 0.0, 0.0)
     assert math.isnan(contact.lumped_mass)
     assert math.isnan(contact.full_mass)
     assert contact.lumped_mobility == contact.full_mobility == (0.0,) * 6
     assert contact.test_direction == (0.0, 0.0, 0.0)
     names = set(contact._fields) - {
-        *("stamp_ns", "contact_point", "reason", "input_age", "direction", "lumped_mass", "full_mass"),
+        *("contact_point", "reason", "reason_code", "direction", "lumped_mass", "full_mass"),
         *("lumped_mobility", "full_mobility", "test_direction"),
     }
     assert {name for name in names if getattr(contact, name)} == set()
@@ -117,7 +118,7 @@ class TestFirstCause:
         assert cause is not None
         assert (cause.stamp_ns, cause.contact_point, cause.verdict) == (NOW + MS, "tool", Verdict.VIOLATION)
         assert "is above the" in cause.reason
-        assert later is cause
+        assert later == cause
         monitor.reset()
         assert monitor.first_cause is None
 
@@ -187,12 +188,11 @@ class TestWatchdogDecision:
     def test_watchdog_decision_is_unknown_and_allows_nothing(self, scara: RobotDynamics) -> None:
         monitor = make_monitor(scara)
         for expected in ("no joint state yet", "no joint state for 0.25 s"):
-            silent = monitor.watchdog_decision(250 * MS)
-            (contact,) = silent.contacts
-            assert (contact.verdict, contact.reason, contact.input_age) == (Verdict.UNKNOWN, expected, 0.25)
+            silent = monitor.watchdog_decision(250 * MS).decision(0)
+            assert (verdict(silent), reason(silent), silent.input_age) == (Verdict.UNKNOWN, expected, 0.25)
             assert (silent.allowable_speed, silent.speed_scaling) == (0.0, 0.0)
             send(monitor, 0)
-        assert silent.contacts[0].stamp_ns == NOW
+        assert silent.stamp_ns == NOW
 
     def test_watchdog_decision_changes_no_later_verdict(self, scara: RobotDynamics) -> None:
         undisturbed, monitor = (make_monitor(scara, release_time=0.1) for _ in range(2))
@@ -265,22 +265,23 @@ def test_verdicts_are_counted(scara: RobotDynamics) -> None:
 
 
 def test_undecodable_joint_state_has_no_stamp_and_no_age(scara: RobotDynamics) -> None:
-    (contact,) = make_monitor(scara).reject("not CDR").contacts
-    assert (contact.verdict, contact.reason) == (Verdict.UNKNOWN, "not CDR")
-    assert (contact.stamp_ns, contact.input_age) == (0, 0.0)
+    monitor = make_monitor(scara)
+    decision = monitor.settle(monitor.refuse(Reason.UNDECODABLE, "not CDR", 0)).decision(0)
+    assert (verdict(decision), reason(decision), monitor.rejected) == (Verdict.UNKNOWN, "not CDR", 1)
+    assert (decision.stamp_ns, decision.input_age) == (0, 0.0)
 
 
 @pytest.mark.parametrize("text", ["no robot_description yet", "robot_description: not XML"])
 def test_no_robot_allows_nothing(text: str) -> None:
-    decision = unknown_decision(text)
-    (contact,) = decision.contacts
-    assert (contact.verdict, contact.reason, contact.contact_point) == (Verdict.UNKNOWN, text, "")
+    decision = unknown_assessments(Reason.NO_ROBOT, text).decision(0)
+    assert (verdict(decision), reason(decision), decision.contacts[0].contact_point) == (Verdict.UNKNOWN, text, "")
+    assert decision.reason_code is Reason.NO_ROBOT
     assert (decision.allowable_speed, decision.speed_scaling) == (0.0, 0.0)
-    assert (contact.watchdog, contact.input_age) == (False, 0.0)
-    assert unknown_decision(text, watchdog=True).contacts[0].watchdog
+    assert (decision.watchdog, decision.input_age) == (False, 0.0)
+    assert unknown_assessments(Reason.NO_ROBOT, text, watchdog=True).decision(0).watchdog
 
 
-def test_only_contacts_of_the_watchdog_are_marked(scara: RobotDynamics) -> None:
+def test_only_decisions_of_the_watchdog_are_marked(scara: RobotDynamics) -> None:
     monitor = make_monitor(scara)
-    assert not send(monitor, 0).contacts[0].watchdog
-    assert monitor.watchdog_decision(10**9).contacts[0].watchdog
+    assert not send(monitor, 0).watchdog
+    assert monitor.watchdog_decision(10**9).decision(0).watchdog

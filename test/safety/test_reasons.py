@@ -1,110 +1,134 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The texts of the kernel's codes are those of the assessment without it."""
+"""Each code of a reason has its text."""
 
 from typing import Any
 
 import numpy as np
 import pytest
-from scara_effmass.model.dynamics import LUMPED_NOT_DEFINITE, RobotDynamics
 
-from scara_effmass.iso15066 import SpeedLimits, limits_for
-from scara_effmass.kernel import codes
-from scara_effmass.kernel.records import OFFSETS
-from scara_effmass.safety.reasons import MASSLESS, NO_CLAMPING_FORCE, Reasons
+from scara_effmass.codes import ModelReason, NoLumpedMass, Reason
+from scara_effmass.iso15066 import limits_for
+from scara_effmass.kernel.records import REASON_SIZE
+from scara_effmass.kernel.state import CODE, DETAIL, HELD, JOINT, LATCHED, VALUES
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety.reasons import MASSLESS, NO_TEXTS, NOT_DEFINITE, TEXTS, ReasonTexts
 from scara_effmass.settings import MonitorSettings
 
-NUMBERS = {"speed": 1.5, "allowable_speed": 0.75, "effective_mass": 2.0, "clamping_force": 900.0}
-MASSES = {"lumped_mass": 1e-5, "full_mass": 2e-5, "iso_mass": 3e-5}
+SPEEDS = (1.5, 0.75, 1.0, 1.0)
+"""Speed, allowable speed, criterion and body region."""
+LUMPED, FULL, ISO = 1, 2, 3
 
 
-def text(dynamics: RobotDynamics, settings: MonitorSettings, **numbers: float) -> str:
-    row = np.zeros(max(OFFSETS.values()) + 1)
-    for name, value in (NUMBERS | MASSES | numbers).items():
-        row[OFFSETS[name]] = value
-    reasons = Reasons(dynamics, settings, SpeedLimits(limits_for(settings), settings))
-    return reasons.of_row(row.tolist())
+def texts_of(dynamics: RobotDynamics, **settings: object) -> ReasonTexts:
+    values = MonitorSettings.model_validate(settings)
+    return ReasonTexts.of(dynamics, values, limits_for(values))
+
+
+def text(texts: ReasonTexts, code: Reason, *values: float, joint: int = 0, held: bool = False, latched: int = 0) -> str:
+    """Return the text of a reason whose own text is "detail"; the contact that `latched` is "tool" or has no name."""
+    reason = np.zeros(REASON_SIZE)
+    reason[[CODE, JOINT, DETAIL, HELD, LATCHED]] = code, joint, 1, held, latched
+    reason[VALUES : VALUES + len(values)] = values
+    return texts.text(reason, ("", "detail", "tool"))
+
+
+@pytest.mark.parametrize("code", Reason)
+def test_every_code_has_a_text(scara: RobotDynamics, code: Reason) -> None:
+    # This robot has masses, so nothing says why it has none.
+    assert bool(text(texts_of(scara), code)) == (code not in {Reason.NONE, Reason.NO_MASSES})
+    assert set(TEXTS) == set(Reason)
 
 
 @pytest.mark.parametrize(
-    ("error", "reason"),
+    ("code", "values", "expected"),
     [
-        (codes.Error.NO_FORCE, NO_CLAMPING_FORCE),
-        (
-            codes.Error.TOO_LIGHT + codes.Model.LUMPED,
-            "lumped mass = 1e-05 kg: must be at least 1e-06 kg: check the robot",
-        ),
-        (codes.Error.TOO_LIGHT + codes.Model.FULL, "full mass = 2e-05 kg: must be at least 1e-06 kg: check the robot"),
-        (codes.Error.TOO_LIGHT + codes.Model.ISO, "iso mass = 3e-05 kg: must be at least 1e-06 kg: check the robot"),
-        (codes.Error.NO_WORST + codes.Model.LUMPED, "no lumped mass for every contact normal, "),
-        (codes.Error.NO_WORST + codes.Model.FULL, "no full mass for every contact normal, "),
-        (codes.Error.NO_LUMPED + codes.NoLumped.NOT_DEFINITE, f"no lumped mass ({LUMPED_NOT_DEFINITE}): choose "),
-        (codes.Error.NO_LUMPED + codes.NoLumped.MASSLESS, f"no lumped mass ({MASSLESS}): choose "),
-        (codes.Error.NO_LUMPED + codes.NoLumped.MASSLESS_JOINT, "no lumped mass (joint1 moves the contact point"),
-        (codes.Error.NO_LUMPED + codes.NoLumped.MASSLESS_JOINT + 3, "no lumped mass (joint4 moves the contact point"),
+        (Reason.NO_CLAMPING_FORCE, (), "the clamping force is unknown: state effort limits in the robot file that "),
+        (Reason.TOO_LIGHT, (LUMPED, 1e-5), "lumped mass = 1e-05 kg: must be at least 1e-06 kg: check the robot"),
+        (Reason.TOO_LIGHT, (FULL, 2e-5), "full mass = 2e-05 kg: must be at least 1e-06 kg: check the robot"),
+        (Reason.TOO_LIGHT, (ISO, 3e-5), "iso mass = 3e-05 kg: must be at least 1e-06 kg: check the robot"),
+        (Reason.NO_WORST_MASS, (LUMPED,), "no lumped mass for every contact normal, "),
+        (Reason.NO_WORST_MASS, (FULL,), "no full mass for every contact normal, "),
+        (Reason.NO_LUMPED_MASS, (NoLumpedMass.NOT_DEFINITE,), f"no lumped mass ({NOT_DEFINITE}): choose "),
+        (Reason.NO_LUMPED_MASS, (NoLumpedMass.MASSLESS,), f"no lumped mass ({MASSLESS}): choose "),
+        (Reason.NO_LUMPED_MASS, (NoLumpedMass.MASSLESS_JOINT,), "no lumped mass (joint1 moves the contact point"),
+        (Reason.NO_LUMPED_MASS, (NoLumpedMass.MASSLESS_JOINT + 3,), "no lumped mass (joint4 moves the contact point"),
+        (Reason.UNDECODABLE, (), "detail"),
+        (Reason.GAP, (0.2514,), "no joint state for 0.251 s"),
     ],
 )
-def test_each_error_has_its_text(scara: RobotDynamics, error: int, reason: str) -> None:
-    found = text(scara, MonitorSettings(), error=error, remark=codes.Remark.FAST)
-    assert found.startswith(reason)
+def test_code_that_gives_unknown_has_its_text(
+    scara: RobotDynamics, code: Reason, values: tuple[float, ...], expected: str
+) -> None:
+    assert text(texts_of(scara), code, *values).startswith(expected)
+
+
+def test_joint_has_its_name_and_unit(scara: RobotDynamics) -> None:
+    texts = texts_of(scara)
+    assert text(texts, Reason.SPEED_LIMIT, 4.0, 3.0, joint=2) == (
+        "joint3 at 4.0000 m/s exceeds its maximum speed of 3.0000 m/s"
+    )
+    assert text(texts, Reason.SPEED_LIMIT, 4.0, 3.0, joint=3).startswith("joint4 at 4.0000 rad/s")
 
 
 def test_robot_without_inertias_or_a_lumped_model_says_why(
     bare_scara: RobotDynamics, skew_scara: RobotDynamics
 ) -> None:
-    found = text(bare_scara, MonitorSettings(), error=codes.Error.NO_FULL)
+    found = text(texts_of(bare_scara), Reason.NO_FULL_MASS)
     assert found == f"no full mass ({bare_scara.full_reason}): choose effective_mass_model auto, lumped or iso"
     assert bare_scara.full_reason
-    found = text(skew_scara, MonitorSettings(), error=codes.Error.NO_LUMPED + codes.NoLumped.NOT_THERE)
+    found = text(texts_of(skew_scara), Reason.NO_LUMPED_MASS, NoLumpedMass.NOT_THERE)
     assert found == f"no lumped mass ({skew_scara.lumped_reason}): choose effective_mass_model auto, full or iso"
     assert skew_scara.lumped_reason
 
 
-LIMIT = {"criterion": 1.0, "body_region": 1.0}
-
-
 @pytest.mark.parametrize(
-    ("remark", "numbers", "reason"),
+    ("code", "values", "expected"),
     [
-        (0, {}, ""),
-        (codes.Remark.FAST, {}, "1.500 m/s is above the 0.750 m/s that the force limit of {} allows"),
-        (codes.Remark.CLOSE, {}, "1.500 m/s is close to the 0.750 m/s that the force limit of {} allows"),
+        (Reason.NONE, (), ""),
+        (Reason.TOO_FAST, SPEEDS, "1.500 m/s is above the 0.750 m/s that the force limit of {} allows"),
+        (Reason.NEAR_LIMIT, SPEEDS, "1.500 m/s is close to the 0.750 m/s that the force limit of {} allows"),
+        (Reason.TOO_FAST, (1.5, 0.0, 2.0, 1.0), "1.500 m/s is above the 0.000 m/s that the pressure"),
         (
-            codes.Remark.FAST,
-            {"criterion": 2.0, "allowable_speed": -1.0},
-            "1.500 m/s is above the 0.000 m/s that the pressure",
+            Reason.LIGHT_MODEL,
+            (*SPEEDS, 2.0, 3.0),
+            "the lumped mass of 2 kg is below the full model's 3 kg",
         ),
-        (codes.Remark.LIGHT, {}, "the lumped mass of 2 kg is below the full model's 2e-05 kg"),
         (
-            codes.Remark.CLOSE | codes.Remark.LIGHT,
-            {},
-            "1.500 m/s is close to the 0.750 m/s that the force limit of {} allows; the ",
+            Reason.NEAR_LIMIT,
+            (*SPEEDS, 2.0, 3.0),
+            "1.500 m/s is close to the 0.750 m/s that the force limit of {} allows; the lumped mass of 2 kg is below ",
         ),
-        (codes.Remark.CLAMPED, {}, "the drives can clamp with 900 N, above the {:.0f} N of {}, at any speed"),
+        (Reason.CLAMPED, (900.0,), "the drives can clamp with 900 N, above the {:.0f} N of {}, at any speed"),
     ],
 )
-def test_each_remark_has_its_text(scara: RobotDynamics, remark: int, numbers: dict[str, float], reason: str) -> None:
-    settings = MonitorSettings.model_validate(
-        {"effective_mass_model": "lumped", "body_regions": ("hand_fingers", "chest")}
-    )
-    limits = SpeedLimits(limits_for(settings), settings).limits
+def test_code_of_an_assessment_has_its_text(
+    scara: RobotDynamics, code: Reason, values: tuple[float, ...], expected: str
+) -> None:
+    settings: dict[str, Any] = {"effective_mass_model": "lumped", "body_regions": ("hand_fingers", "chest")}
+    limits = limits_for(MonitorSettings.model_validate(settings))
     weakest = min(limits, key=lambda limit: limit.permissible_force_n)
     words: tuple[Any, ...] = (limits[0].region,)
-    if remark == codes.Remark.CLAMPED:
+    if code is Reason.CLAMPED:
         words = weakest.permissible_force_n, weakest.region
-    assert text(scara, settings, remark=remark, **(LIMIT | numbers)).startswith(reason.format(*words))
+    assert text(texts_of(scara, **settings), code, *values).startswith(expected.format(*words))
+
+
+def test_held_and_latched_reasons_say_so() -> None:
+    assert text(NO_TEXTS, Reason.ZERO_STAMP, held=True) == "held after: the header stamp is zero"
+    assert text(NO_TEXTS, Reason.ZERO_STAMP, latched=3) == "latched until reset: tool: the header stamp is zero"
+    assert text(NO_TEXTS, Reason.ZERO_STAMP, latched=1) == "latched until reset: the header stamp is zero"
 
 
 def test_why_a_model_decides_is_listed_in_the_order_of_the_codes(
     scara: RobotDynamics, bare_scara: RobotDynamics
 ) -> None:
     for dynamics in (scara, bare_scara):
-        reasons = Reasons(dynamics, MonitorSettings(), SpeedLimits(limits_for(MonitorSettings()), MonitorSettings()))
-        lumped = [dynamics.lumped_reason, LUMPED_NOT_DEFINITE, MASSLESS]
-        assert reasons.whys[codes.Why.SETTING] == "effective_mass_model auto"
-        assert reasons.whys[codes.Why.HEAVY].startswith("nowhere more than ")
-        assert reasons.whys[codes.Why.LIGHTER].startswith("the lumped model is more than ")
-        assert reasons.whys[codes.Why.LARGEST].startswith("largest of lumped, no full mass: ")
-        for index, reason in enumerate(lumped):
-            assert reasons.whys[codes.Why.FULL + index] == f"no lumped mass: {reason}"
-            iso = codes.Why.FULL + len(lumped) + len(dynamics.robot.joint_names) + index
-            assert reasons.whys[iso] == f"no full mass: {dynamics.full_reason}; no lumped mass: {reason}"
+        whys, joints = texts_of(dynamics).whys, len(dynamics.robot.joint_names)
+        assert whys[ModelReason.SETTING] == "effective_mass_model auto"
+        assert whys[ModelReason.HEAVY_ENOUGH].startswith("nowhere more than ")
+        assert whys[ModelReason.LIGHTER].startswith("the lumped model is more than ")
+        assert whys[ModelReason.LARGEST].startswith("largest of lumped, no full mass: ")
+        for index, reason in enumerate((dynamics.lumped_reason, NOT_DEFINITE, MASSLESS)):
+            assert whys[ModelReason.NO_LUMPED + index] == f"no lumped mass: {reason}"
+            iso = ModelReason.only_iso(index, joints)
+            assert whys[iso] == f"no full mass: {dynamics.full_reason}; no lumped mass: {reason}"

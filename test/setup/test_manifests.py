@@ -47,7 +47,7 @@ them.
 """
 
 BROUGHT = {
-    *("scara_effmass", "scara_effmass_msgs", "rtamt", "tomli", "typing_extensions"),
+    *("scara_effmass", "scara_effmass_msgs", "tomli", "typing_extensions"),
     *("annotated_types", "pydantic_core"),  # pydantic
     "markupsafe",  # jinja2
     *("fastapi", "starlette", "uvicorn"),  # nicegui

@@ -54,7 +54,6 @@ IMPORTERS = {
     "matplotlib": {"analysis", "studies"},
     "numba": {"kernel"},
     "pyarrow": {"analysis", "bags", "studies"},
-    "rtamt": {"analysis"},
     "scipy": {"analysis", "cell", "daq", "impacts", "iso15066", "sim", "studies"},
 }
 """The rooms that may import a library."""

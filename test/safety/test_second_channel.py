@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A monitor with the compiled kernel decides as one without, and stops using a kernel that disagrees."""
+"""A monitor with the compiled kernel decides as one with the reference, and stops using a kernel that disagrees."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -9,14 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from scara_effmass.codes import Reason
+from scara_effmass.errors import KernelError
 from scara_effmass.kernel import jit
-from scara_effmass.kernel.contact_kernel import ContactKernel, SingleState
-from scara_effmass.kernel.records import OFFSETS
+from scara_effmass.kernel.contact_kernel import ContactKernel
+from scara_effmass.kernel.records import CONTACT, ByteArray
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.safety import Monitor, contact_assessor
+from scara_effmass.safety import Monitor
+from scara_effmass.safety import monitor as monitor_module
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import Decision, FloatArray, JointState, Payload, Verdict
+from scara_effmass.values import Decision, FloatArray, JointState, Verdict
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config" / "robots"
 TOLERANCE = 1e-10
@@ -25,16 +28,9 @@ INTERVAL = 150
 POINTS = ("tool", "elbow", "rim=link4: 0.05 0 0")
 
 
-def new_monitor(robot: Path | None = None, *, kernel: bool, **values: object) -> Monitor:
+def new_monitor(robot: Path | None = None, *, use_reference: bool = False, **values: object) -> Monitor:
     settings = MonitorSettings.model_validate(values)
-    monitor = Monitor(RobotDynamics(load_robot(robot, settings)), settings)
-    if kernel:
-        assert monitor.assessor.load_kernel() == ""
-    return monitor
-
-
-def lacks_kernel(monitor: Monitor) -> bool:
-    return monitor.lacks_kernel
+    return Monitor(RobotDynamics(load_robot(robot, settings)), settings, use_reference=use_reference)
 
 
 def motion(monitor: Monitor, count: int) -> Iterator[JointState]:
@@ -80,8 +76,8 @@ def assert_equal(decision: Decision, expected: Decision) -> None:
         (ROBOTS / "panda.urdf", {"effective_mass_model": "full", "body_regions": ("hand_fingers", "chest")}),
     ],
 )
-def test_monitor_with_kernel_decides_as_one_without(robot: Path | None, values: dict[str, Any]) -> None:
-    with_kernel, without = (new_monitor(robot, kernel=kernel, **values) for kernel in (True, False))
+def test_monitor_with_kernel_decides_as_one_with_the_reference(robot: Path | None, values: dict[str, Any]) -> None:
+    with_kernel, without = (new_monitor(robot, use_reference=reference, **values) for reference in (False, True))
     verdicts = set()
     for state in motion(with_kernel, 900):
         decision, expected = (monitor.assess(state, state.stamp_ns) for monitor in (with_kernel, without))
@@ -92,54 +88,73 @@ def test_monitor_with_kernel_decides_as_one_without(robot: Path | None, values: 
     assert {Verdict.UNKNOWN, Verdict.VIOLATION} <= verdicts
     assert with_kernel.verdicts == without.verdicts
     assert with_kernel.first_cause == without.first_cause
+    assert with_kernel.kernel_fault == without.kernel_fault == ""
     assert with_kernel.core == "compiled kernel"
-    assert without.core == "Pinocchio: the kernel is not loaded"
+    assert without.core == "reference: use_reference"
 
 
-def test_changed_settings_and_payloads_need_a_kernel_of_their_own() -> None:
-    monitor = new_monitor(kernel=True, payload_topic="payload")
-    assert not lacks_kernel(monitor)
-    monitor.take_payload(Payload(1.0, (0.0, 0.0, 0.0), (0.0,) * 6))
-    assert lacks_kernel(monitor)
-    monitor.assessor = monitor.assessor.copy()
-    assert lacks_kernel(monitor)
-    assert monitor.assessor.load_kernel() == ""
-    monitor.apply(monitor.settings.model_copy(update={"warn_ratio": 0.5}))
-    assert lacks_kernel(monitor)
+def test_monitor_without_numba_says_so_unless_told_to_use_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jit, "WHY_NOT", "numba cannot be imported: no module")
+    with pytest.raises(KernelError, match=r"numba cannot be imported: no module: .* set use_reference"):
+        new_monitor()
+    monitor = new_monitor(use_reference=True)
+    monitor.compile()
+    assert monitor.core == "reference: use_reference"
 
 
-def test_monitor_without_numba_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jit, "WHY_NOT", "numba is not installed")
-    monitor = new_monitor(kernel=False)
-    assert lacks_kernel(monitor)
-    monitor.assessor.load_kernel()
-    assert not lacks_kernel(monitor)
-    assert monitor.core == "Pinocchio: numba is not installed"
+def test_compiling_leaves_no_trace() -> None:
+    compiled, fresh = new_monitor(latch=True), new_monitor(latch=True)
+    compiled.compile()
+    assert (compiled.core, compiled.kernel_fault) == ("compiled kernel", "")
+    for state in motion(compiled, 250):
+        decision, expected = (monitor.assess(state, state.stamp_ns) for monitor in (compiled, fresh))
+        assert repr(decision) == repr(expected)
+    assert compiled.verdicts == fresh.verdicts
+    assert compiled.rejected == fresh.rejected
 
 
-def test_kernel_that_cannot_be_compiled_leaves_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(_: ContactKernel) -> SingleState:
+def test_kernel_that_cannot_be_compiled_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
         raise OSError("the cache is damaged")
 
-    monkeypatch.setattr(ContactKernel, "single_state", fail)
-    monitor = new_monitor(kernel=False)
-    assert monitor.assessor.load_kernel() == "the kernel cannot be loaded: OSError('the cache is damaged')"
-    assert monitor.core.startswith("Pinocchio: the kernel cannot be loaded")
+    monitor = new_monitor()
+    monkeypatch.setattr(ContactKernel, "compute", fail)
+    with pytest.raises(KernelError, match=r"cannot be compiled: OSError\('the cache is damaged'\): set use_reference"):
+        monitor.compile()
 
 
-@pytest.mark.parametrize("field", ["remark", "criterion"])
-def test_kernel_with_a_wrong_text_is_not_used(monkeypatch: pytest.MonkeyPatch, field: str) -> None:
-    correct = ContactKernel.columns
+def spoil(monkeypatch: pytest.MonkeyPatch, field: str, change: Callable[[float], float], correct: int = 0) -> list[int]:
+    """Let the kernel compute `field` wrongly after `correct` runs; return the list of its runs."""
+    compute = ContactKernel.compute
+    runs: list[int] = []
 
-    def wrong(kernel: ContactKernel, *states: FloatArray) -> FloatArray:
-        columns = correct(kernel, *states)
-        of_field = columns[OFFSETS[field]]
-        of_field[of_field > 0.0] = 3.0 - of_field[of_field > 0.0]
-        return columns
+    def wrong(kernel: ContactKernel, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
+        compute(kernel, states, motions, numbers)
+        runs.append(len(runs))
+        if len(runs) > correct:
+            for contact in numbers.view(CONTACT)[..., 0].ravel():
+                contact[field] = change(contact[field])
 
-    monkeypatch.setattr(ContactKernel, "columns", wrong)
-    monitor = new_monitor(kernel=False, body_regions=("chest",))
-    assert monitor.assessor.load_kernel() == "the compiled kernel disagrees with Pinocchio in what limits the speed"
+    monkeypatch.setattr(ContactKernel, "compute", wrong)
+    return runs
+
+
+@pytest.mark.parametrize(
+    ("field", "change"),
+    [("allowable_speed", lambda value: value * 1.001), ("criterion", lambda value: 3.0 - value)],
+)
+def test_kernel_that_disagrees_when_compiled_is_not_used(
+    monkeypatch: pytest.MonkeyPatch, field: str, change: Callable[[float], float]
+) -> None:
+    runs = spoil(monkeypatch, field, change)
+    monitor, reference = new_monitor(body_regions=("chest",)), new_monitor(body_regions=("chest",), use_reference=True)
+    monitor.compile()
+    assert monitor.kernel_fault == f"the compiled kernel disagrees with the reference in {field}"
+    assert monitor.core == f"reference: {monitor.kernel_fault}"
+    for state in motion(monitor, 5):
+        decision, expected = (one.assess(state, state.stamp_ns) for one in (monitor, reference))
+        assert repr(decision) == repr(expected)
+    assert len(runs) == 1
 
 
 @pytest.mark.parametrize(
@@ -156,24 +171,9 @@ def test_wrong_record_of_the_kernel_gives_unknown_and_is_the_last(
     monkeypatch: pytest.MonkeyPatch, field: str, change: Callable[[float], float], correct: int
 ) -> None:
     """A kernel that goes wrong, at once or later, is found out within CHECK_INTERVAL joint states."""
-    single_state, runs = ContactKernel.single_state, 0
-
-    def wrong(kernel: ContactKernel) -> SingleState:
-        memory = single_state(kernel)
-        numbers = memory.rows.cast("d")
-
-        def run() -> None:
-            nonlocal runs
-            memory.run()
-            runs += 1
-            if runs > correct:
-                numbers[OFFSETS[field]] = change(numbers[OFFSETS[field]])
-
-        return memory._replace(run=run)
-
-    monkeypatch.setattr(ContactKernel, "single_state", wrong)
-    monkeypatch.setattr(contact_assessor, "CHECK_INTERVAL", INTERVAL)
-    monitor, reference = new_monitor(kernel=True), new_monitor(kernel=False)
+    monkeypatch.setattr(monitor_module, "CHECK_INTERVAL", INTERVAL)
+    monitor, reference = new_monitor(), new_monitor(use_reference=True)
+    runs = spoil(monkeypatch, field, change, correct)
     faults: list[int] = []
     for count, state in enumerate(motion(monitor, 2 * INTERVAL)):
         decision, expected = monitor.assess(state, state.stamp_ns), reference.assess(state, state.stamp_ns)
@@ -181,17 +181,16 @@ def test_wrong_record_of_the_kernel_gives_unknown_and_is_the_last(
         assert expected is not None
         if monitor.kernel_fault and not faults:
             faults.append(count)
-            runs_at_fault = runs
-            reason = f"the compiled kernel disagrees with Pinocchio in {field}"
+            reason = f"the compiled kernel disagrees with the reference in {field}"
             assert monitor.kernel_fault == reason
+            assert decision.reason_code is Reason.KERNEL_DISAGREES
             assert {(c.verdict, c.reason, c.allowable_speed) for c in decision.contacts} == {
                 (Verdict.UNKNOWN, reason, 0.0)
             }
-            assert not lacks_kernel(monitor)
-            assert monitor.core == f"Pinocchio: {reason}"
+            assert monitor.core == f"reference: {reason}"
         elif faults and count > faults[0] + 60:  # the UNKNOWN is released
             assert_equal(decision, expected)
-    assert faults
-    assert runs == runs_at_fault <= INTERVAL + 1
+    assert len(faults) == 1
+    assert len(runs) == faults[0] + 1 <= INTERVAL + 1
     monitor.apply(monitor.settings)
-    assert not lacks_kernel(monitor)
+    assert monitor.core.startswith("reference: the compiled kernel disagrees")
