@@ -57,7 +57,7 @@ class RobotMasses:
     def _along(self, n: Vector3, model: str) -> FloatArray:
         """Return the mass of `model` along `n` (m,) [kg]; NaN without it."""
         x, y, z = n
-        rows = getattr(self.sample.contacts, f"{model}_mobility")
+        rows = self.sample.contacts[f"{model}_mobility"]
         mobility = rows @ [x * x, 2.0 * x * y, 2.0 * x * z, y * y, 2.0 * y * z, z * z]
         with np.errstate(divide="ignore"):
             masses = np.where(mobility > 0.0, 1.0 / mobility, np.inf)
