@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from scara_effmass.iso15066 import Limit, contact_cases
+from scara_effmass.iso15066 import ContactCase, Limit, contact_cases
 from scara_effmass.kernel.assess import assess_states
 from scara_effmass.kernel.codes import MODELS, NORMALS, Normal
 from scara_effmass.kernel.records import (
@@ -40,9 +40,16 @@ class ContactKernel:
 
     def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings, limits: tuple[Limit, ...]) -> None:
         """Copy what the functions need. `limits` are those of `settings`."""
-        robot, self._dynamics = dynamics.robot, dynamics
-        model = robot.model
+        self._dynamics = dynamics
         cases = contact_cases(limits, settings)
+        frames = [(dynamics.robot.model.frames[frame], rank) for _, frame, rank in dynamics.contacts]
+        points = [Point(frame.parentJoint - 1, rank, frame.placement.translation) for frame, rank in frames]
+        rows = [_case(case, limits.index(case.limit)) for case in cases]
+        self._arrays = _bytes([self._setup(settings, cases)]), _bytes(points), _bytes(rows)
+
+    def _setup(self, settings: MonitorSettings, cases: Sequence[ContactCase]) -> Setup:
+        """Return robot and settings, `cases` those of all limits."""
+        dynamics, robot, model = self._dynamics, self._dynamics.robot, self._dynamics.robot.model
         lumped = dynamics.lumped
         models = (model if lumped is None else lumped.model, model)
         has_masses = not robot.masses_reason
@@ -51,7 +58,7 @@ class ContactKernel:
         normal_joint, normal = self._direction(settings.fixed_normal, settings.contact_normal_frame)
         test_joint, test = self._direction(settings.fixed_test_direction, settings.test_direction_frame)
         bodies = [list(of_model.inertias)[1:] for of_model in models]
-        setup = Setup(
+        return Setup(
             joints=model.nv,
             parent=np.array([model.parents[joint] - 1 for joint in joints]),
             is_revolute=np.array(robot.revolute),
@@ -93,32 +100,12 @@ class ContactKernel:
             closing_speed=settings.person_speed + settings.speed_uncertainty,
             warn_ratio=settings.warn_ratio,
             external_force=settings.external_force_limit or math.inf,
-            weakest_force=min(limit.permissible_force_n for limit in limits),
+            weakest_force=min(case.limit.permissible_force_n for case in cases),
             min_alpha=min((alpha / beta for case in cases for alpha, beta in case.lines if beta), default=0.0),
             min_stiffness=min(case.stiffness for case in cases),
             max_drive_time=max(case.drive_time or 0.0 for case in cases),
             gravity=model.gravity.linear,
         )
-        rows = [
-            Case(
-                region=limits.index(case.limit),
-                is_pressure=case.limit.criterion == "pressure",
-                force=case.force,
-                stiffness=case.stiffness,
-                rate=case.stiffness / case.force**2,
-                obstacle_mobility=case.obstacle_mobility,
-                max_mu=case.limit.obstacle_mass_kg,
-                drive_time=case.drive_time or 0.0,
-                nominal_stiffness=case.limit.stiffness_n_m,
-                body_mass=case.limit.obstacle_mass_kg,
-                line_count=len(case.lines),
-                lines=np.array(case.lines),
-            )
-            for case in cases
-        ]
-        frames = [(model.frames[frame], rank) for _, frame, rank in dynamics.contacts]
-        points = [Point(frame.parentJoint - 1, rank, frame.placement.translation) for frame, rank in frames]
-        self._arrays = _bytes([setup]), _bytes(points), _bytes(rows)
 
     def _direction(self, vector: Vector3 | None, name: str) -> tuple[int, FloatArray]:
         """Return the joint that carries the frame `name`, -1 for the base, and `vector` in the axes of that joint."""
@@ -131,6 +118,24 @@ class ContactKernel:
     def compute(self, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
         """Write the contacts at the admitted ones of N joint states, as `assess_states`."""
         assess_states(states, motions, *self._arrays, numbers, np.empty(WORK.itemsize, np.uint8))
+
+
+def _case(case: ContactCase, region: int) -> Case:
+    """Return the record of `case`, whose limit is that of `region`, an index."""
+    return Case(
+        region=region,
+        is_pressure=case.limit.criterion == "pressure",
+        force=case.force,
+        stiffness=case.stiffness,
+        rate=case.stiffness / case.force**2,
+        obstacle_mobility=case.obstacle_mobility,
+        max_mu=case.limit.obstacle_mass_kg,
+        drive_time=case.drive_time or 0.0,
+        nominal_stiffness=case.limit.stiffness_n_m,
+        body_mass=case.limit.obstacle_mass_kg,
+        line_count=len(case.lines),
+        lines=np.array(case.lines),
+    )
 
 
 def _bytes(records: Sequence[Any]) -> ByteArray:

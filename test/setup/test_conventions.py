@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rules of style that no linter checks."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -45,3 +46,10 @@ def test_every_source_file_states_its_licence() -> None:
     sources += [ROOT / name for name in (".ci/run", "Makefile", "scripts/ros_executable", "setup.py")]
     headers = {path: path.read_text(encoding="utf-8").splitlines()[:2] for path in sources}
     assert [path for path in headers if "# SPDX-License-Identifier: Apache-2.0" not in headers[path]] == []
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "scara_effmass/kernel").glob("*.py")), ids=lambda path: path.stem)
+def test_functions_of_the_kernel_have_at_most_60_lines(path: Path) -> None:
+    functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.FunctionDef)]
+    lengths = {node.name: (node.end_lineno or 0) - node.lineno + 1 for node in functions}
+    assert {name: length for name, length in lengths.items() if length > 60} == {}

@@ -22,7 +22,7 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.sim.measurement import FORCE_SENSOR, POSITION_STEP, VELOCITY_STEP
 from scara_effmass.sim.recordings import EPOCH_NS, FORCE_TOPIC, RECORDINGS, SEED, TOUR_PULSES, ReferenceRecording
 from scara_effmass.studies.shipped_bags import CAMPAIGN, CHECKSUMS, generate
-from scara_effmass.values import ContactAssessment, FloatArray, ForceBlock, JointState, Verdict
+from scara_effmass.values import Decision, FloatArray, ForceBlock, JointState, Verdict
 from test.bags.messages import run_info_of
 
 ROOT = Path(__file__).parents[2]
@@ -51,11 +51,11 @@ def scalars(block: ForceBlock) -> dict[str, object]:
     return {name: value for name, value in block._asdict().items() if not isinstance(value, np.ndarray)}
 
 
-def assess(name: str) -> list[ContactAssessment]:
+def assess(name: str) -> list[Decision]:
     settings = MonitorSettings()
     monitor = Monitor(RobotDynamics(load_robot(ROOT / "config" / "omron_i4_550l.yaml", settings)), settings)
     decisions = [monitor.assess(state, state.stamp_ns) for state in read_states(BAGS / name)]
-    return [decision.contacts[0] for decision in decisions if decision is not None]
+    return [decision for decision in decisions if decision is not None]
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -217,21 +217,22 @@ def test_straight_recording_has_no_force() -> None:
 
 
 def test_tour_gets_every_verdict_and_passes_singular_poses() -> None:
-    contacts = assess("tour")
+    decisions = assess("tour")
+    contacts = [decision.contacts[0] for decision in decisions]
     shares = {verdict: count / len(contacts) for verdict, count in Counter(c.verdict for c in contacts).items()}
     assert all(shares[verdict] > 0.05 for verdict in (Verdict.OK, Verdict.WARN, Verdict.VIOLATION))
     # UNKNOWN only at the start: a velocity of exactly zero is valid once the positions confirm it.
     known = [c.verdict is not Verdict.UNKNOWN for c in contacts]
     first = known.index(True)
     assert all(known[first:])
-    assert contacts[first].stamp_ns - EPOCH_NS < 400_000_000
+    assert decisions[first].stamp_ns - EPOCH_NS < 400_000_000
     usable = contacts[first:]
     assert min(c.smallest_singular_value for c in usable) < 1e-3
     assert any(c.mass_capped for c in usable)
 
 
 def test_straight_recording_is_ok_with_the_papers_mass() -> None:
-    contacts = assess("straight_300_200")
+    contacts = [decision.contacts[0] for decision in assess("straight_300_200")]
     known = [c for c in contacts if c.verdict is not Verdict.UNKNOWN]
     assert {c.verdict for c in known} == {Verdict.OK}
     assert len(contacts) - len(known) <= 300
