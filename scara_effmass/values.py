@@ -92,7 +92,7 @@ VERDICT_COLORS = {
 
 
 class ContactAssessment(NamedTuple):
-    """Assessment of one contact point at one joint state: `ContactState.msg`, field by field; units as in names of columns.
+    """Assessment of one contact point at one joint state: `ContactState.msg`, field by field, with units.
 
     `lumped_mass` and `full_mass` [kg] are NaN if the robot has no such model. Under UNKNOWN, what could not be computed
     is 0. Masses and `predicted_force` [N] are nominal; `force_bound` [N], `allowable_speed` and `margin` [m/s] include

@@ -120,10 +120,9 @@ class Setup:
 class Mobility:
     """Mobility of one mass model for the contact normals of the settings, and how it changes with the pose.
 
-    `along` to `rank` are scalars of A: along the velocity, that of its adjugate, and its invariants (`matrix_trace` is the
-    trace). The others are its `PoseChange` in `change_rank`
-    dimensions, 0 without one: direction and speed of the contact point, A, the `powers` K M^-1 J^T, and the
-    accelerations with `free` and with `held` joint velocities.
+    `along` to `rank` are scalars of A: along the velocity, that of its adjugate, and its invariants. The
+    others are its `PoseChange` in `change_rank` dimensions, 0 without one: direction and speed of the contact point, A,
+    the `powers` K M^-1 J^T, and the accelerations with `free` and with `held` joint velocities.
     """
 
     along: float

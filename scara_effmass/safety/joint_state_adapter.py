@@ -132,7 +132,7 @@ class JointStateAdapter:
             self._filtered_names = layout.names
         return self._window.apply(stamps, motions)
 
-    def _layout_of(self, reported: tuple[str, ...]) -> Layout:
+    def _layout_of(self, reported: tuple[str, ...]) -> Layout:  # noqa: PLR0911 - one check after the other
         names, problem = self._renamed(reported)
         nothing = np.empty(0, np.intp)
 

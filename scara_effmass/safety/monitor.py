@@ -92,8 +92,8 @@ class Monitor:
     def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings, *, use_reference: bool = False) -> None:
         """Watch the robot of `dynamics`; `use_reference`: compute with the reference in place of the kernel, slowly.
 
-        Raises KernelError if the kernel cannot be compiled, LimitError or RobotError for `settings` that `check` refuses,
-        and for a robot that is not in SI units.
+        Raises KernelError if the kernel cannot be compiled, LimitError or RobotError for `settings` that `check`
+        refuses, and for a robot that is not in SI units.
         """
         robot = dynamics.robot
         if reason := robot.units_reason:

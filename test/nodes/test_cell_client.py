@@ -12,9 +12,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.node import Node
-from scara_effmass.safety.cell_status import CellStatus
-from scara_effmass.safety.debounce import severity
-from scara_effmass.wire.contact_state import ContactStateEncoder
 from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
 
 from scara_effmass.cell.status import CellStatus

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
-from scara_effmass.wire.contact_state import float64_message
 from scara_effmass_msgs import msg
 from std_msgs.msg import Float64
 
