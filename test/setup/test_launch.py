@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactState, ContactStates
 from sensor_msgs.msg import JointState
 
 from scara_effmass.bags.files import open_bag
@@ -192,10 +192,10 @@ def test_two_cells_side_by_side_keep_to_their_namespaces(
         for name in ("left", "right")
     }
     harness = NodeHarness(own_domain, tmp_path)
-    received: dict[str, list[ContactState]] = {name: [] for name in cells}
+    received: dict[str, list[ContactStates]] = {name: [] for name in cells}
     senders = {}
-    for name, contacts in received.items():
-        harness.node.create_subscription(ContactState, f"/{name}/contact_state", contacts.append, DEEP_QOS)
+    for name, states in received.items():
+        harness.node.create_subscription(ContactStates, f"/{name}/contact_states", states.append, DEEP_QOS)
         senders[name] = harness.node.create_publisher(JointState, f"/{name}/joint_states", DEEP_QOS)
 
     arrays: list[DiagnosticArray] = []
@@ -206,13 +206,13 @@ def test_two_cells_side_by_side_keep_to_their_namespaces(
         senders["right"].publish(joint_state(names=JOINTS[1:], position=Q[1:], velocity=QD[1:]))
 
     def answered() -> bool:
-        reasons = {contact.reason for contact in received["right"]}
-        return any(contact.verdict == ContactState.OK for contact in received["left"]) and any(
+        reasons = {states.reason for states in received["right"]}
+        return any(states.verdict == ContactState.OK for states in received["left"]) and any(
             reason.startswith("joint joint1 is missing") for reason in reasons
         )
 
     def recorded() -> bool:
-        topics = ("contact_state", "force", "joint_states")
+        topics = ("contact_states", "force", "joint_states")
         return all(harness.node.count_subscribers(f"/{name}/{topic}") >= 2 for name in cells for topic in topics)
 
     harness.spin_until(lambda: recorded() and answered(), repeat=send)
@@ -232,12 +232,12 @@ def test_two_cells_side_by_side_keep_to_their_namespaces(
     for status in statuses():  # each belongs to one analyzer
         assert sum(any(part in status for part in group["contains"]) for group in groups) == 1, status
     harness.close()
-    assert {contact.verdict for contact in received["right"]} == {ContactState.UNKNOWN}
+    assert {states.verdict for states in received["right"]} == {ContactState.UNKNOWN}
     for name, cell in cells.items():
         for process in cell:
             process.terminate()
         assert [(process.communicate()[1][-300:], process.returncode)[1] for process in cell] == [0] * 4
         with open_bag(tmp_path / name) as bag:
             names = {topic.name for topic in bag.topics} - {"/diagnostics"}
-        assert {f"/{name}/contact_state", f"/{name}/force", f"/{name}/joint_states"} <= names
+        assert {f"/{name}/contact_states", f"/{name}/force", f"/{name}/joint_states"} <= names
         assert {topic.split("/")[1] for topic in names} == {name}
