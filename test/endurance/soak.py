@@ -20,16 +20,16 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+sys.path += [str(Path(__file__).parents[2]), str(Path(__file__).parents[2] / "benchmarks")]
 
 import numpy as np
 import rclpy
 from live import DISCOVERY_S, Sender
-from measured_page import write_section
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
 from usage import cpu_s, resident_mb
 
+from benchmarks.measured_page import write_section
 from scara_effmass.analysis.properties import check_recording
 from scara_effmass.bags.files import open_bag
 from scara_effmass.settings import MonitorSettings
