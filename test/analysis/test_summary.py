@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scara_effmass.analysis.summary import MAX_REASONS, OTHER_REASONS, Summary
 from scara_effmass.codes import Reason
 from scara_effmass.safety import unknown_contact
+from scara_effmass.safety.reasons import TEXTS
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.values import ContactAssessment, Verdict
 from test.decisions import decision_on, states_of
@@ -123,9 +124,11 @@ def test_range_covers_every_number(numbers: list[tuple[float, float]]) -> None:
 def test_remedy_of_the_leading_reason_from_five_percent_on(unknown: int, *, share: bool) -> None:
     summary = Summary(TIMEOUT_NS)
     for number in range(100):
-        reason = "the header stamp is zero" if number < unknown - 1 else "the header stamp is repeated"
+        code = Reason.ZERO_STAMP if number < unknown - 1 else Reason.REPEATED_STAMP
         verdict = Verdict.UNKNOWN if number < unknown else Verdict.OK
-        summary.add(states_of(decision_on(contact(verdict, reason=reason)), log_time_ns=0))
+        summary.add(
+            states_of(decision_on(contact(verdict, reason=TEXTS[code])._replace(reason_code=code)), log_time_ns=0)
+        )
     assert summary.remedy == (remedy(Reason.ZERO_STAMP) if share else "")
     assert (("remedy", summary.remedy) in summary.lines()) is share
 

@@ -15,7 +15,9 @@ from scara_effmass_msgs import msg
 from std_msgs.msg import Float64
 
 from scara_effmass.bags.definitions import known_types
+from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
+from scara_effmass.safety.reasons import CRITERIA, MODELS
 from scara_effmass.values import (
     ContactAssessment,
     Decision,
@@ -33,6 +35,7 @@ from scara_effmass.wire.force import decode_force_block, decode_impact, force_bl
 from scara_effmass.wire.impact_validation import impact_validation_message, series_from
 from scara_effmass.wire.message_types import CONTACT_STATES, FORCE_BLOCK, IMPACT, RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
+from test.decisions import assessments_of
 
 NS = 10**9
 NUMBER = st.floats(width=64)
@@ -46,6 +49,7 @@ OF_TYPE: dict[object, st.SearchStrategy[Any]] = {
     Vector3: st.tuples(NUMBER, NUMBER, NUMBER),
     Mobility6: st.tuples(*[NUMBER] * 6),
     Verdict: st.sampled_from(Verdict),
+    Reason: st.just(Reason.STATED),
     int: UINT32,
 }
 WITH_NAME = {"stamp_ns": STAMP_NS, "tare_stamp_ns": STAMP_NS, "true_onset_ns": STAMP_NS}
@@ -116,6 +120,8 @@ def value_in(message: Any, like: Any) -> Any:  # noqa: ANN401 - of rclpy or rosb
         content = getattr(message, name)
         if name == "verdict":
             return Verdict(content)
+        if name == "reason_code":
+            return Reason(content)
         if name.endswith("_mobility"):
             return tuple(map(float, content))
         return (content.x, content.y, content.z) if hasattr(content, "x") else content
@@ -257,12 +263,14 @@ FINITE_VECTORS = {
 }
 CONTACTS = values_of(
     ContactAssessment,
+    criterion=st.sampled_from(CRITERIA),
+    mass_model=st.sampled_from(MODELS),
     **{
         name: FINITE_VECTORS[of]
         for name, of in get_type_hints(ContactAssessment).items()
         if of in FINITE_VECTORS and name not in {"lumped_mass", "full_mass"}
     },
-)
+).map(lambda contact: contact if contact.reason else contact._replace(reason_code=Reason.NONE))
 DECISIONS = st.builds(
     Decision,
     stamp_ns=st.integers(0, 2**31 * NS - 1),
@@ -281,7 +289,7 @@ def test_contact_states_are_read_by_rclpy_rosbags_and_this_package(decisions: li
     """One encoder writes all messages of a monitor, each of the size of rclpy's, and numbers them."""
     encoder = ContactStatesEncoder(frame_id)
     for index, decision in enumerate(decisions):
-        data = encoder.encode(decision)
+        data = encoder.encode(assessments_of(decision))
         of_ros = deserialize_message(data, msg.ContactStates)
         of_rosbags: Any = known_types().deserialize_cdr(data, CONTACT_STATES)
         for message in (of_ros, of_rosbags):
@@ -313,7 +321,7 @@ def states_message(**fields: Any) -> bytes:  # noqa: ANN401
 
 
 def test_every_truncation_of_contact_states_is_refused() -> None:
-    data = ContactStatesEncoder("base_link").encode(decode_contact_states(states_message(reason="why")))
+    data = ContactStatesEncoder("base_link").encode(assessments_of(decode_contact_states(states_message(reason="why"))))
     for end in range(len(data)):
         with pytest.raises(DecodeError, match=r"^ContactStates: "):
             decode_contact_states(data[:end])
