@@ -9,7 +9,7 @@ from scara_effmass.analysis.assessment import AssessedStates, Source
 from scara_effmass.bags.batches import IntArray
 from scara_effmass.bags.joint_state_blocks import JointStateBlock
 from scara_effmass.codes import Reason
-from scara_effmass.kernel.records import CONTACT
+from scara_effmass.kernel.records import CONTACT, FIELDS
 from scara_effmass.kernel.state import CODE, DETAIL, STATE
 from scara_effmass.safety import Assessments
 from scara_effmass.safety.reasons import CRITERIA, MODELS, ReasonTexts
@@ -50,7 +50,7 @@ def assessments_of(*decisions: Decision) -> Assessments:
             "mass_model": MODELS.index(contact.mass_model),
             "mass_model_reason": texts.whys.index(contact.mass_model_reason),
         }
-        for name in set(CONTACT.names) - {"reason"}:
+        for name in FIELDS.keys() - {"reason"}:
             record[name] = codes.get(name, getattr(contact, name))
         if contact.reason:
             record["reason"][[CODE, DETAIL]] = contact.reason_code or Reason.STATED, details.index(contact.reason)

@@ -90,7 +90,7 @@ def compare(path: Path, dynamics: RobotDynamics, time: Time = Time.LIVE, **chang
     for name in assessed.states.dtype.names or ():
         if name not in {"sequence", "now_ns", "reason"}:
             np.testing.assert_array_equal(assessed.states[name], expected.states[name], err_msg=name)
-    for name in set(CONTACT.names) - {"reason"}:
+    for name in set(CONTACT.names or ()) - {"reason"}:
         np.testing.assert_array_equal(assessed.contacts[name], expected.contacts[name], err_msg=name)
     for point in range(len(dynamics.contact_points)):
         own, texts = assessed.reasons(point)

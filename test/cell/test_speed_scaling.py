@@ -19,8 +19,8 @@ PERIOD_NS = 4_000_000
 def contact(
     speed: float, allowable_speed: float, name: str = "tool", verdict: Verdict = Verdict.OK, *, at_rest: bool = False
 ) -> ContactAssessment:
-    values = {"speed": speed, "allowable_speed": allowable_speed, "worst_direction_used": at_rest}
-    return unknown_contact(name, "")._replace(verdict=verdict, **values)
+    known = unknown_contact(name, "")._replace(verdict=verdict, worst_direction_used=at_rest)
+    return known._replace(speed=speed, allowable_speed=allowable_speed)
 
 
 def state(speed: float, allowable_speed: float, *, at_rest: bool = False) -> Decision:

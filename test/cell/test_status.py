@@ -27,8 +27,8 @@ S = 1000 * MS
 def contact(
     verdict: Verdict = Verdict.OK, point: str = "tool", speed: float = 0.2, limit: float = 0.5, reason: str = ""
 ) -> ContactAssessment:
-    speeds = {"speed": speed, "allowable_speed": limit, "margin": limit - speed}
-    return unknown_contact(point, reason)._replace(verdict=verdict, **speeds)
+    known = unknown_contact(point, reason)._replace(verdict=verdict)
+    return known._replace(speed=speed, allowable_speed=limit, margin=limit - speed)
 
 
 def decision(number: int = 2, *contacts: ContactAssessment) -> Decision:

@@ -19,8 +19,10 @@ from rich.console import Console
 
 from scara_effmass.cell.status import CellStatus
 from scara_effmass.cli.watch import screen
+from scara_effmass.codes import Reason
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Impact, Verdict
+from test.decisions import decision_on
 from test.nodes.conftest import NodeHarness, joint_state
 
 S = 1_000_000_000
@@ -29,13 +31,16 @@ BLOCKS = 5
 """Rows of a large letter, at least."""
 
 
-def status(verdict: Verdict, reason: str = "", speed: float = 0.325) -> CellStatus:
+def status(verdict: Verdict, reason: str = "", speed: float = 0.325, code: Reason = Reason.STATED) -> CellStatus:
     status = CellStatus(0)
     status.timeout_ns = S
-    for name, own, state_speed in (("elbow", Verdict.OK, 0.1), ("tool", verdict, speed)):
-        contact = unknown_contact(name, reason, 1, 0.0)
-        contact = contact._replace(verdict=own, speed=state_speed, allowable_speed=1.204, effective_mass=2.77)
-        status.take_contact(contact, 3 * S)
+    contacts = [
+        unknown_contact(name, reason, code)._replace(
+            verdict=own, speed=state_speed, allowable_speed=1.204, margin=1.204 - state_speed, effective_mass=2.77
+        )
+        for name, own, state_speed in (("elbow", Verdict.OK, 0.1), ("tool", verdict, speed))
+    ]
+    status.take_decision(decision_on(*contacts), 3 * S)
     return status
 
 
@@ -60,7 +65,7 @@ def test_screen_fits_and_has_word_and_figures_in_blocks(verdict: Verdict, width:
 
 def test_unknown_shares_no_line_with_ok_and_shows_no_number() -> None:
     """Without colours: the words, the hatching and the dashes."""
-    unknown = lines(status(Verdict.UNKNOWN, "the joint state is 3.1 s old"), 4 * S)
+    unknown = lines(status(Verdict.UNKNOWN, "the joint state is 3.1 s old", code=Reason.OLD_STAMP), 4 * S)
     ok = lines(status(Verdict.OK), 4 * S)
     assert not {line for line in unknown[1:] if line.strip()} & {line for line in ok if "OK" in line or "█" in line}
     assert not any(re.search(r"\bOK\b", line) for line in unknown)
@@ -73,16 +78,18 @@ def test_worst_contact_point_is_named_and_comes_first() -> None:
     cell = CellStatus(0)
     cell.timeout_ns = S
     verdicts = {"tool": Verdict.OK, "elbow": Verdict.WARN, "rim": Verdict.VIOLATION, "flange": Verdict.VIOLATION}
+    contacts = []
     for place, (name, verdict) in enumerate(verdicts.items()):
-        contact = unknown_contact(name, f"of {name}", 1, 0.0)
-        contact = contact._replace(verdict=verdict, speed=1.0, allowable_speed=0.9 + 0.1 * (verdict is Verdict.OK))
-        cell.take_contact(contact._replace(speed=1.0 + 0.1 * place), 3 * S)
+        speed, allowed = 1.0 + 0.1 * place, 0.9 + 0.1 * (verdict is Verdict.OK)
+        contact = unknown_contact(name, f"of {name}")._replace(verdict=verdict, speed=speed)
+        contacts.append(contact._replace(allowable_speed=allowed, margin=allowed - speed))
+    cell.take_decision(decision_on(*contacts), 3 * S)
     shown = lines(cell, 4 * S, 120, 40)
     assert "VIOLATION at flange for 1 s" in [line.strip() for line in shown]
     assert "of flange" in shown
     rows = [line.split()[:2] for line in shown if line.split()[:1] and line.split()[0] in verdicts]
     assert rows == [["rim", "VIOLATION"], ["flange", "VIOLATION"], ["elbow", "WARN"], ["tool", "OK"]]
-    cell.take_contact(unknown_contact("tool", "no joint state", 1, 0.0), 3 * S)
+    cell.take_decision(decision_on(unknown_contact("tool", "no joint state"), *contacts[1:]), 3 * S)
     shown = lines(cell, 4 * S, 120, 40)
     assert "UNKNOWN at tool for 1 s" in [line.strip() for line in shown]
     assert not any(re.search(r"OK|WARN|VIOLATION", line) for line in shown if "before:" not in line)
@@ -91,17 +98,20 @@ def test_worst_contact_point_is_named_and_comes_first() -> None:
 def test_silence_and_a_missing_monitor_turn_an_ok_screen_to_unknown() -> None:
     cell = status(Verdict.OK)
     cell.update(3 * S + S + 1)
-    assert "the monitor is silent: no contact state for 1.0 s" in lines(cell, 4 * S + 1)
+    assert "the monitor is silent: no contact states for 1.0 s" in lines(cell, 4 * S + 1)
     cell.take_publisher(S, exists=False)
     cell.update(5 * S)
     text = " ".join(lines(cell, 5 * S))
-    assert "no monitor: contact_state has no publisher" in text
+    assert "no monitor: contact_states has no publisher" in text
     assert "remedy: check that a monitor runs in this namespace and ROS domain" in text
 
 
 def test_screen_shows_impact_past_episode_and_simulation() -> None:
     cell = status(Verdict.VIOLATION, "0.4 m/s is above", 1.4)
-    cell.take_contact(cell.contacts["tool"]._replace(verdict=Verdict.OK), 4 * S)
+    assert cell.decision is not None
+    cell.take_decision(
+        decision_on(*(contact._replace(verdict=Verdict.OK) for contact in cell.decision.contacts)), 4 * S
+    )
     cell.take_impact(Impact(S, "cell", 123.4, *(2e-3, 0.3, 0.0, False, False, 0, 0.0, 0.1, 1e-4, "t", True)), 4 * S)
     text = " ".join(lines(cell, 6 * S, 120, 40))
     assert "before: VIOLATION until 2 s ago, for 1.00 s: tool: 0.4 m/s is above" in text

@@ -18,6 +18,7 @@ from scara_effmass.dashboard.server import Guard, bound_socket, is_local
 from scara_effmass.errors import SettingsError
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
+from test.decisions import decision_on
 
 APP = Starlette(routes=[Route("/", lambda _: PlainTextResponse("page"))])
 
@@ -71,8 +72,8 @@ def test_a_port_in_use_is_refused() -> None:
 def test_spreadsheets_evaluate_no_text_of_a_message() -> None:
     status = CellStatus(0)
     status.episodes.clear()
-    status.take_contact(unknown_contact("tool", "", 1, 0.0)._replace(verdict=Verdict.OK), 1)
-    status.take_contact(unknown_contact("=A1", "+A2", 1, 0.0), 2)
+    status.take_decision(decision_on(unknown_contact("tool", "")._replace(verdict=Verdict.OK)), 1)
+    status.take_decision(decision_on(unknown_contact("=A1", "+A2")), 2)
     client: Any = SimpleNamespace(status=status, wall_ns=lambda at_ns: at_ns)
     _, row = csv.reader(csv_of(client).splitlines())
     assert (row[0], row[4], row[5]) == ("UNKNOWN", "'=A1", "'+A2")

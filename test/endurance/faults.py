@@ -664,7 +664,7 @@ MONITOR = (str(BIN / "monitor_node"), "--ros-args", "-p", f"timeout:={TIMEOUT_S}
 
 
 def monitor(harness: NodeHarness, *arguments: str) -> Cell:
-    cell = Cell(harness, (*MONITOR, *arguments), ContactState, "contact_state", DEEP)
+    cell = Cell(harness, (*MONITOR, *arguments), ContactStates, "contact_states", DEEP)
     cell.start()
     return cell
 
@@ -741,7 +741,7 @@ def with_byte(data: bytes, value: int) -> bytes:
 def verdicts(harness: NodeHarness, cell: Cell) -> None:
     """Send ContactStates as input of `cell`."""
     qos = qos_profile(topics.verdict_qos(TIMEOUT_S))
-    publisher = harness.node.create_publisher(ContactState, "contact_state", qos)
+    publisher = harness.node.create_publisher(ContactStates, "contact_states", qos)
     cell.send = publisher.publish
     cell.healthy = lambda: [verdict()]
 
@@ -761,7 +761,7 @@ SCALING_MUST = dict.fromkeys(("none", "messages cut in half", "random bytes"), "
 SCALING_FAULTS = (
     *(
         Fault(
-            "contact_state of speed_scaling", name, SCALING_MUST.get(name, "UNKNOWN"), sends(message), bad_input=False
+            "contact_states of speed_scaling", name, SCALING_MUST.get(name, "UNKNOWN"), sends(message), bad_input=False
         )
         for name, message in {
             "none": list,
@@ -810,10 +810,10 @@ def also(kind: type, topic: str, message: Callable[[], object], cell: Cell) -> A
 VALIDATOR_FAULTS = (
     *(
         Fault(
-            "contact_state of the validator",
+            "contact_states of the validator",
             name,
             "recovers" if name in {"1 h ahead", "NaN in every number", "verdict 99"} else "continues",
-            partial(also, ContactState, "contact_state", message),
+            partial(also, ContactStates, "contact_states", message),
             bad_input=False,
         )
         for name, message in {
@@ -965,7 +965,7 @@ class Recording:
         output, _ = self._process.communicate(timeout=60.0)
         states: list[Any] = []
         with open_bag(self.bag) as bag, suppress(DecodeError):  # of damaged messages
-            topics_of = {topic.name for topic in bag.topics if topic.name == "/contact_state"}
+            topics_of = {topic.name for topic in bag.topics if topic.name == "/contact_states"}
             states += [bag.deserialize(raw) for raw in bag.messages(topics_of)] if topics_of else []
         held: Counter[object] = Counter((stamp_ns(s), s.contact_point, s.verdict, s.reason) for s in states)
         for index, received in self.received:
@@ -1009,7 +1009,7 @@ def cell_of(
                 harness = stack.enter_context(closing(NodeHarness(domain, folder, GROUPS[make][0])))
                 cells[make] = make(harness), recording
                 if GROUPS[make][0] == "monitor":
-                    harness.spin_until(lambda: harness.node.count_subscribers("contact_state") > 1)  # the recorder
+                    harness.spin_until(lambda: harness.node.count_subscribers("contact_states") > 1)  # the recorder
             return cells[make]
 
         yield get
@@ -1043,7 +1043,7 @@ def fault_result(
 
 def test_two_monitors(own_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(own_domain))
-    fault = Fault("contact_state of a display", "a second monitor by mistake", "UNKNOWN", no_input)
+    fault = Fault("contact_states of a display", "a second monitor by mistake", "UNKNOWN", no_input)
     with closing(NodeHarness(own_domain, tmp_path)) as harness, CellClient("display", ()) as client:
         cell = monitor(harness)
 
@@ -1053,7 +1053,7 @@ def test_two_monitors(own_domain: int, tmp_path: Path, monkeypatch: pytest.Monke
         harness.spin_until(lambda: shows(Verdict.OK))
         with closing(NodeHarness(own_domain, tmp_path, "second")) as second:
             second.start(*MONITOR[1:], command=MONITOR[:1], kernel=True)
-            harness.spin_until(lambda: harness.node.count_publishers("contact_state") > 1)
+            harness.spin_until(lambda: harness.node.count_publishers("contact_states") > 1)
             begin_s = time.time()
             harness.spin_until(lambda: shows(Verdict.UNKNOWN))
             known_s, reason = time.time() - begin_s, client.status.reason

@@ -34,7 +34,7 @@ from rich.console import Console
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactStates
 from sensor_msgs.msg import JointState as JointStateMessage
 from usage import resident_mb
 
@@ -136,8 +136,7 @@ def _monitors() -> list[tuple[Monitor, tuple[str, ...]]]:
         settings = MonitorSettings(release_time=0.0, **values)
         robot = load_robot(share("config", "robots", file) if file else None, settings)
         monitor = Monitor(RobotDynamics(robot), settings)
-        if why_not := monitor.assessor.load_kernel():
-            show(f"{robot.name} without the kernel: {why_not}")
+        monitor.compile()
         monitors.append((monitor, tuple(robot.joint_names)))
     return monitors
 
@@ -240,14 +239,14 @@ class Cell:
         rclpy.init()
         self.node = rclpy.create_node("fuzz")
         self.publisher = self.node.create_publisher(JointStateMessage, "joint_states", QoSProfile(depth=1000))
-        self.node.create_subscription(ContactState, "contact_state", self._on_answer, QoSProfile(depth=5000))
+        self.node.create_subscription(ContactStates, "contact_states", self._on_answer, QoSProfile(depth=5000))
         self.answers: list[tuple[int, Verdict]] = []
         """Stamp [ns] and verdict."""
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._start_ns = time.time_ns()
         self._spin_until(
-            lambda: self.publisher.get_subscription_count() and self.node.count_publishers("contact_state")
+            lambda: self.publisher.get_subscription_count() and self.node.count_publishers("contact_states")
         )
 
     def close(self) -> None:
@@ -276,7 +275,7 @@ class Cell:
         answers, self.answers = self.answers, []
         return answers, sent
 
-    def _on_answer(self, state: ContactState) -> None:
+    def _on_answer(self, state: ContactStates) -> None:
         stamp_ns = state.header.stamp.sec * NS + state.header.stamp.nanosec
         self.answers.append((stamp_ns, Verdict(state.verdict)))
 

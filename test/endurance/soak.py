@@ -174,17 +174,17 @@ Properties of the recorded verdicts (`assess --properties`): {holding} of {len(c
 
 def losses(bag: Path, sent: int, first_ns: int, last_ns: int) -> dict[str, int]:
     """Return how many joint states and verdicts the recording lacks, and how many samples the force node lost."""
-    stamps: dict[str, set[int]] = {topic: set() for topic in ("/joint_states", "/contact_state")}
+    stamps: dict[str, set[int]] = {topic: set() for topic in ("/joint_states", "/contact_states")}
     samples = 0
     with open_bag(bag) as opened:
-        for raw in opened.messages(["/joint_states", "/contact_state"]):
+        for raw in opened.messages(["/joint_states", "/contact_states"]):
             stamp_ns = int.from_bytes(raw.data[4:8], "little") * 10**9 + int.from_bytes(raw.data[8:12], "little")
             if first_ns <= stamp_ns <= last_ns:
                 stamps[raw.topic].add(stamp_ns)
         samples = sum(block.lost_samples for block in opened.force_blocks("/force"))
     return {
         "joint states in the recording": sent - len(stamps["/joint_states"]),
-        "verdicts in the recording": len(stamps["/joint_states"] - stamps["/contact_state"]),
+        "verdicts in the recording": len(stamps["/joint_states"] - stamps["/contact_states"]),
         "force samples": samples,
     }
 

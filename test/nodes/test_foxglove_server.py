@@ -14,7 +14,7 @@ from scara_effmass.bags.definitions import definition_of, known_types
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
 from scara_effmass.wire.contact_states import ContactStatesEncoder, decode_contact_states
-from test.decisions import decision_on
+from test.decisions import assessments_of, decision_on
 from test.nodes.conftest import DEEP_QOS, TIMEOUT_S, NodeHarness
 
 COMMAND = (sys.executable, "-m", "scara_effmass", "foxglove")
@@ -41,7 +41,7 @@ def test_client_reads_a_contact_state_unchanged(new_harness: Callable[..., NodeH
     address = process.stdout.readline().split()[2].rstrip(";")
     assert address.startswith("ws://127.0.0.1:")
     states = harness.node.create_publisher(ContactStates, "contact_states", DEEP_QOS)
-    data = ContactStatesEncoder("base_link").encode(SENT)
+    data = ContactStatesEncoder("base_link").encode(assessments_of(SENT))
     harness.spin_until(states.get_subscription_count)
     with connect(address, subprotocols=["foxglove.sdk.v1"], open_timeout=TIMEOUT_S) as server:  # type: ignore[list-item]
         messages = received(server)

@@ -26,7 +26,7 @@ from scara_effmass.values import RunInfo as RunInfoValue
 from scara_effmass.wire.contact_states import ContactStatesEncoder
 from scara_effmass.wire.force import impact_message
 from scara_effmass.wire.run_info import run_info_message
-from test.decisions import decision_on
+from test.decisions import assessments_of, decision_on
 from test.nodes.conftest import NodeHarness
 
 EXECUTABLE = Path(sys.executable).with_name("validator_node")
@@ -94,7 +94,7 @@ class ValidatorHarness:
         encoder = ContactStatesEncoder("base_link")
         for number in range(first, first + len(masses)):
             for millisecond in range(number * 1000 + 400, number * 1000 + 600):
-                self.states.publish(encoder.encode(decision(millisecond)))
+                self.states.publish(encoder.encode(assessments_of(decision(millisecond))))
             self.impacts.publish(impact_message(impact(number, PEAKS[number % len(PEAKS)])))
 
 

@@ -23,7 +23,7 @@ from scara_effmass.values import Decision, Verdict
 from scara_effmass.values import RunInfo as RunInfoValue
 from scara_effmass.wire.contact_states import ContactStatesEncoder
 from scara_effmass.wire.run_info import run_info_message
-from test.decisions import decision_on
+from test.decisions import assessments_of, decision_on
 from test.nodes.conftest import DEEP_QOS, NodeHarness, Q, joint_state, stamp_ns
 
 EXECUTABLE = str(Path(sys.executable).with_name("visualization_node"))
@@ -58,7 +58,7 @@ class Viewer:
     def send(self) -> None:
         self.sent = joint_state()
         self.harness.send(self.sent)
-        self.states.publish(self.encoder.encode(ok(stamp_ns(self.sent))))
+        self.states.publish(self.encoder.encode(assessments_of(ok(stamp_ns(self.sent)))))
 
     def until(
         self, done: Callable[[dict[str, Marker]], Any], repeat: Callable[[], object] | None = None
@@ -111,7 +111,7 @@ def test_markers_follow_the_states_and_become_unknown_without_them(new_harness: 
 
     def send_both() -> None:
         viewer.send()
-        second.publish(second_encoder.encode(ok(stamp_ns(viewer.sent))))
+        second.publish(second_encoder.encode(assessments_of(ok(stamp_ns(viewer.sent)))))
 
     viewer.until(lambda shown: "two monitors publish contact_states" in shown["verdict 0"].text, send_both)
     viewer.harness.node.destroy_publisher(second)

@@ -22,7 +22,7 @@ STILL = (0.0, 0.0, 0.0)
 def history_of(states: Iterable[Decision], **settings: float) -> StateHistory:
     history = StateHistory(ValidatorSettings(**settings))
     for state in states:
-        history.add(state.stamp_ns, *state.contacts, state.stamp_ns + MS)
+        history.add(state.stamp_ns, state.contacts[0], state.stamp_ns + MS)
     return history
 
 
@@ -270,7 +270,7 @@ def test_states_out_of_order_are_left_out(make_state: MakeState) -> None:
 def test_history_is_bounded_and_long_enough(make_state: MakeState) -> None:
     history = StateHistory(ValidatorSettings(history=1.0))
     for i in range(10_000):
-        history.add(START + i * MS, *make_state(START + i * MS, 0.1 + i * 1e-5).contacts, 0)
+        history.add(START + i * MS, make_state(START + i * MS, 0.1 + i * 1e-5).contacts[0], 0)
         assert min(i + 1, 1000) <= len(history) <= 2001
     assert usable(history.at(START + 9001 * MS, MS)).speed == pytest.approx(0.1 + 9001e-5)
     assert history.is_clock_reset(START + 8000 * MS)
