@@ -5,10 +5,11 @@ from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from scara_effmass.codes import Reason
 from scara_effmass.model.load import load_robot
 from scara_effmass.nodes.monitor_health import monitor_statuses, worst_contacts
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.safety import Cause, Monitor, unknown_contact, unknown_decision
+from scara_effmass.safety import Cause, Monitor, unknown_assessments, unknown_contact
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import Decision, Verdict
@@ -22,9 +23,8 @@ def model_status(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[s
 
 
 def test_unknown_is_an_error_and_without_a_robot_there_is_a_hardware_id() -> None:
-    statuses = monitor_statuses(
-        None, unknown_decision("no robot_description yet").contacts, {}, 0.0, DiagnosticStatus()
-    )
+    decision = unknown_assessments(Reason.STATED, "no robot_description yet").decision(0)
+    statuses = monitor_statuses(None, decision.contacts, {}, 0.0, DiagnosticStatus())
     assert statuses[-1].level == DiagnosticStatus.ERROR
     assert {status.hardware_id for status in statuses} == {"no robot"}
 

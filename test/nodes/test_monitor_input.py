@@ -155,7 +155,7 @@ def test_joints_are_matched_by_name_in_any_order(harness: NodeHarness) -> None:
     )
     assert mixed.verdict == ContactState.OK
     # The tolerance of the velocities depends on the joint states before.
-    depending = {"allowable_speed": 0.0, "margin": 0.0, "force_bound": 0.0}
+    depending: dict[str, Any] = {"allowable_speed": 0.0, "margin": 0.0, "force_bound": 0.0}
     assert bits(contact_of(mixed)._replace(**depending)) == bits(contact_of(plain)._replace(**depending))
 
 
