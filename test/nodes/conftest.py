@@ -208,14 +208,18 @@ class NodeHarness:
         """Publish `message` and return the contact state that follows."""
         self._clear_when_complete()
         self.send(message)
-        answers = self.spin_until(lambda: self._complete() and [c for c in self.contact_states if not c.watchdog])
-        return cast("Answer", answers[0])
+        answers: list[Answer] = self.spin_until(
+            lambda: self._complete() and [c for c in self.contact_states if not c.watchdog]
+        )
+        return answers[0]
 
     def watchdog_response(self) -> Answer:
         """Return the contact state that the watchdog publishes while no joint state is sent."""
         self._clear_when_complete()
-        answers = self.spin_until(lambda: self._complete() and [c for c in self.contact_states if c.watchdog])
-        return cast("Answer", answers[-1])
+        answers: list[Answer] = self.spin_until(
+            lambda: self._complete() and [c for c in self.contact_states if c.watchdog]
+        )
+        return answers[-1]
 
     def send_until_ok(self) -> Answer:
         """Send joint states stamped now until the newest one gets OK; return that contact state."""

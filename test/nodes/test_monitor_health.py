@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping
 
+import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.codes import Reason
@@ -10,10 +11,13 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.nodes.monitor_health import monitor_statuses, worst_contacts
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor, unknown_assessments, unknown_contact
+from scara_effmass.safety.second_channel import ReferenceChannel
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import Decision, Verdict
 from test.decisions import decision_on
+
+DISAGREES = "the compiled kernel disagrees with the reference in speed"
 
 
 def model_status(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[str, str]]:
@@ -23,13 +27,8 @@ def model_status(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[s
 
 
 def test_unknown_is_an_error_and_without_a_robot_there_is_a_hardware_id() -> None:
-    statuses = monitor_statuses(
-        None,
-        unknown_assessments(Reason.NO_ROBOT, "no robot_description yet").decision(0).contacts,
-        {},
-        0.0,
-        DiagnosticStatus(),
-    )
+    decision = unknown_assessments(Reason.STATED, "no robot_description yet").decision(0)
+    statuses = monitor_statuses(None, decision.contacts, {}, 0.0, DiagnosticStatus())
     assert statuses[-1].level == DiagnosticStatus.ERROR
     assert {status.hardware_id for status in statuses} == {"no robot"}
 
@@ -47,17 +46,18 @@ def test_stated_rotor_inertia_gives_no_warning() -> None:
     assert "rotor inertia from the setting armature: joint1 0.3, joint2 0" in values["notes"]
 
 
-def test_kernel_that_disagreed_is_a_warning_and_counted() -> None:
+def test_kernel_that_disagreed_is_a_warning_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = MonitorSettings()
     monitor = Monitor(RobotDynamics(load_robot(settings=settings)), settings)
-    for fault, core, count in (
-        ("", "compiled kernel", "0"),
-        ("the compiled kernel disagrees with the reference in speed", "compiled kernel", "1"),
+    for field, fault, core, count in (
+        ("", "", "compiled kernel", "0"),
+        ("speed", DISAGREES, f"reference: {DISAGREES}", "1"),
     ):
-        monitor.kernel_fault = fault
+        monkeypatch.setattr(ReferenceChannel, "difference", lambda *_, field=field: field)
+        monitor.compile()
         _, status = monitor_statuses(monitor, (), {}, 0.0, DiagnosticStatus())
         values = {pair.key: pair.value for pair in status.values}
-        assert values["core"].startswith(core)
+        assert values["core"] == core
         assert values["kernel disagreements"] == count
         assert status.message.startswith(fault)
         assert status.level == DiagnosticStatus.WARN

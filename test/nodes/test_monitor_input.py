@@ -155,10 +155,8 @@ def test_joints_are_matched_by_name_in_any_order(harness: NodeHarness) -> None:
     )
     assert mixed.verdict == ContactState.OK
     # The tolerance of the velocities depends on the joint states before.
-    own, other = (
-        contact_of(state)._replace(allowable_speed=0.0, margin=0.0, force_bound=0.0) for state in (mixed, plain)
-    )
-    assert bits(own) == bits(other)
+    depending: dict[str, Any] = {"allowable_speed": 0.0, "margin": 0.0, "force_bound": 0.0}
+    assert bits(contact_of(mixed)._replace(**depending)) == bits(contact_of(plain)._replace(**depending))
 
 
 def test_joint_states_of_another_device_are_counted_and_ignored(harness: NodeHarness) -> None:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-import pytest
 from rclpy.serialization import deserialize_message
 from scara_effmass_msgs.msg import ContactStates
 
@@ -35,19 +34,14 @@ def responses_when_complete(contacts: list[Answer]) -> list[Answer]:
     return found if len(found := responses(contacts)) >= JOINT_STATES else []
 
 
-@pytest.mark.parametrize("kernel", [False, True])
-def test_replay_and_assess_agree_on_every_joint_state(
-    new_harness: Callable[[], NodeHarness],
-    tmp_path: Path,
-    kernel: bool,  # noqa: FBT001
-) -> None:
-    """Pinocchio on both sides, then the kernel on both: the cross-check assesses short recordings with it, too."""
+def test_replay_and_assess_agree_on_every_joint_state(new_harness: Callable[[], NodeHarness], tmp_path: Path) -> None:
+    """The kernel computes on both sides."""
     recording = str(share("bags", "straight_300_200"))
     harness = new_harness()
-    harness.start("--ros-args", "-p", "use_sim_time:=true", "-p", "timeout:=10.0", kernel=kernel)
+    harness.start("--ros-args", "-p", "use_sim_time:=true", "-p", "timeout:=10.0")
     harness.subscribe()
     harness.spin_until(lambda: harness.contact_states)  # the subscription has matched
-    harness.diagnostic("model", "core", lambda core: core.startswith("compiled kernel" if kernel else "Pinocchio"))
+    harness.diagnostic("model", "core", lambda core: core.startswith("compiled kernel"))
     environment = {**os.environ, "ROS_DOMAIN_ID": str(harness.domain)}
     with subprocess.Popen([COMMAND, "replay", recording], env=environment) as replay:
         harness.spin_until(lambda: replay.poll() is not None)
@@ -56,7 +50,7 @@ def test_replay_and_assess_agree_on_every_joint_state(
 
     assessed, params = tmp_path / "assessed.mcap", tmp_path / "params.yaml"
     params.write_text("monitor: {ros__parameters: {timeout: 10.0}}", encoding="utf-8")  # the machine may be busy
-    assess = [COMMAND, "assess", recording, "-o", str(assessed), "--params", str(params), *["--cross-check"] * kernel]
+    assess = [COMMAND, "assess", recording, "-o", str(assessed), "--params", str(params)]
     subprocess.run(assess, check=True, stdout=subprocess.DEVNULL)
     with open_bag(assessed) as bag:
         offline = [deserialize_message(message.data, ContactStates) for message in bag.messages(["/contact_states"])]

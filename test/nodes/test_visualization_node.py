@@ -17,10 +17,10 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.model.pose_geometry import pose_geometry
 from scara_effmass.nodes.visualization_node import VisualizationNode
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.safety import unknown_contact
+from scara_effmass.safety import Assessments, unknown_contact
 from scara_effmass.share import share
-from scara_effmass.values import Decision, Verdict
 from scara_effmass.values import RunInfo as RunInfoValue
+from scara_effmass.values import Verdict
 from scara_effmass.wire.contact_states import ContactStatesEncoder
 from scara_effmass.wire.run_info import run_info_message
 from test.decisions import assessments_of, decision_on
@@ -31,7 +31,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 S = 1_000_000_000
 
 
-def ok(stamp: int) -> Decision:
+def ok(stamp: int) -> Assessments:
     contact = unknown_contact("tool", "")._replace(
         verdict=Verdict.OK,
         direction=(0.0, 1.0, 0.0),
@@ -41,7 +41,7 @@ def ok(stamp: int) -> Decision:
         mass_model="lumped",
         lumped_mobility=(1.0, 0.0, 0.0, 0.5, 0.0, 2.0),
     )
-    return decision_on(contact, stamp_ns=stamp)
+    return assessments_of(decision_on(contact, stamp_ns=stamp))
 
 
 class Viewer:
