@@ -35,7 +35,7 @@ def decision_on(*contacts: ContactAssessment, stamp_ns: int = 1, **fields: Any) 
 
 
 def assessments_of(*decisions: Decision) -> Assessments:
-    """Return decisions on the same contact points as arrays; each reason keeps its text alone."""
+    """Return decisions on the same contact points as arrays; a reason without a code keeps its text alone."""
     contacts = [contact for decision in decisions for contact in decision.contacts]
     texts = ReasonTexts(
         regions=tuple(dict.fromkeys(["", *(contact.body_region for contact in contacts)])),
@@ -53,7 +53,7 @@ def assessments_of(*decisions: Decision) -> Assessments:
         for name in set(CONTACT.names) - {"reason"}:
             record[name] = codes.get(name, getattr(contact, name))
         if contact.reason:
-            record["reason"][[CODE, DETAIL]] = Reason.STATED, details.index(contact.reason)
+            record["reason"][[CODE, DETAIL]] = contact.reason_code or Reason.STATED, details.index(contact.reason)
     states = np.zeros(len(decisions), STATE)
     for state, decision in zip(states, decisions, strict=True):
         state["stamp_ns"], state["age"], state["delay"] = decision.stamp_ns, decision.input_age, decision.velocity_delay

@@ -17,6 +17,6 @@ def test_every_field_has_a_column_and_every_column_a_field() -> None:
     assert entries < columns
     columns -= entries
     fields = OF_STATE | set(ContactAssessment._fields) - {"reason_code"}
-    names = {name if name in fields else re.sub("_(n_m|m_s|kg|n|s)$", "", name) for name in columns}
+    names = {name if name in fields else re.sub("_(n_m|m_s|kg|n|j|s)$", "", name) for name in columns}
     assert len(names) == len(columns)
     assert names == fields - vectors - {"lumped_mobility", "full_mobility"}

@@ -281,7 +281,7 @@ def test_contact_states_are_read_by_rclpy_rosbags_and_this_package(decisions: li
     """One encoder writes all messages of a monitor, each of the size of rclpy's, and numbers them."""
     encoder = ContactStatesEncoder(frame_id)
     for index, decision in enumerate(decisions):
-        data = encoder.encode(decision)
+        data = encoder.encode(assessments_of(decision))
         of_ros = deserialize_message(data, msg.ContactStates)
         of_rosbags: Any = known_types().deserialize_cdr(data, CONTACT_STATES)
         for message in (of_ros, of_rosbags):
@@ -313,7 +313,7 @@ def states_message(**fields: Any) -> bytes:  # noqa: ANN401
 
 
 def test_every_truncation_of_contact_states_is_refused() -> None:
-    data = ContactStatesEncoder("base_link").encode(decode_contact_states(states_message(reason="why")))
+    data = ContactStatesEncoder("base_link").encode(assessments_of(decode_contact_states(states_message(reason="why"))))
     for end in range(len(data)):
         with pytest.raises(DecodeError, match=r"^ContactStates: "):
             decode_contact_states(data[:end])
