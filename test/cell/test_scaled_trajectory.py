@@ -51,7 +51,7 @@ def tour_run(speed_ratio: float | None) -> Run:
         decision = monitor.assess(trajectory.advance(factor, PERIOD_S, now_ns), now_ns)
         assert decision is not None
         (contact,) = decision.contacts
-        scaler.take(contact, now_ns)
+        scaler.take(decision, now_ns)
         rows.append((factor, contact.speed, contact.allowable_speed, contact.verdict is not Verdict.UNKNOWN))
         factor = 1.0 if speed_ratio is None else scaler.factor(now_ns)
     columns = np.array(rows)

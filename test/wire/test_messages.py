@@ -15,6 +15,7 @@ from scara_effmass_msgs import msg
 from std_msgs.msg import Float64
 
 from scara_effmass.bags.definitions import known_types
+from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.values import (
     ContactAssessment,
@@ -33,6 +34,8 @@ from scara_effmass.wire.force import decode_force_block, decode_impact, force_bl
 from scara_effmass.wire.impact_validation import impact_validation_message, series_from
 from scara_effmass.wire.message_types import CONTACT_STATES, FORCE_BLOCK, IMPACT, RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
+
+from test.decisions import assessments_of
 
 NS = 10**9
 NUMBER = st.floats(width=64)
@@ -116,6 +119,8 @@ def value_in(message: Any, like: Any) -> Any:  # noqa: ANN401 - of rclpy or rosb
         content = getattr(message, name)
         if name == "verdict":
             return Verdict(content)
+        if name == "reason_code":
+            return Reason(content)
         if name.endswith("_mobility"):
             return tuple(map(float, content))
         return (content.x, content.y, content.z) if hasattr(content, "x") else content
@@ -262,7 +267,8 @@ CONTACTS = values_of(
         for name, of in get_type_hints(ContactAssessment).items()
         if of in FINITE_VECTORS and name not in {"lumped_mass", "full_mass"}
     },
-)
+    reason_code=st.just(Reason.NONE),
+).map(lambda contact: contact._replace(reason_code=Reason.STATED if contact.reason else Reason.NONE))
 DECISIONS = st.builds(
     Decision,
     stamp_ns=st.integers(0, 2**31 * NS - 1),
@@ -289,6 +295,7 @@ def test_contact_states_are_read_by_rclpy_rosbags_and_this_package(decisions: li
             assert message.header.stamp.sec * NS + message.header.stamp.nanosec == decision.stamp_ns
             assert message.sequence_number == index + 1
             assert (message.verdict, message.reason) == (decision.verdict, decision.reason)
+            assert message.reason_code == decision.reason_code
             for name in ("input_age", "velocity_delay", "contact_normal", "watchdog", "allowable_speed"):
                 assert repr(getattr(message, name)) == repr(getattr(decision, name))
             assert message.speed_scaling == decision.speed_scaling
