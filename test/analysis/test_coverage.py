@@ -35,9 +35,7 @@ def contacts(direction: Vector3 = (0.0, 0.0, 0.0), speed: float = 0.0, mass: flo
     length = math.hypot(*direction) or 1.0
     x, y, z = (component / length for component in direction)
     return [
-        unknown_contact(point, "")._replace(
-            verdict=Verdict.OK, effective_mass=mass, direction=(x, y, z), speed=speed
-        )
+        unknown_contact(point, "")._replace(verdict=Verdict.OK, effective_mass=mass, direction=(x, y, z), speed=speed)
         for point in POINTS
     ]
 

@@ -34,7 +34,6 @@ from scara_effmass.wire.force import decode_force_block, decode_impact, force_bl
 from scara_effmass.wire.impact_validation import impact_validation_message, series_from
 from scara_effmass.wire.message_types import CONTACT_STATES, FORCE_BLOCK, IMPACT, RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
-
 from test.decisions import assessments_of
 
 NS = 10**9
