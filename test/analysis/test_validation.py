@@ -3,6 +3,7 @@
 
 import math
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -18,7 +19,6 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
-from scara_effmass.kernel import jit
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
@@ -65,8 +65,7 @@ def result_of_cores(paths: list[Path], dynamics: RobotDynamics) -> Result:
                 for log_time_ns, state in zip(block.log_time_ns.tolist(), block.states(), strict=True):
                     decision = monitor.assess(state, log_time_ns)
                     assert decision is not None
-                    for contact in decision.contacts:
-                        validator.add_state(contact, log_time_ns)
+                    validator.add_decision(decision, log_time_ns)
             log_times_ns = [message.log_time_ns for message in bag.messages(["/force"])]
             for log_time_ns, force in zip(log_times_ns, bag.force_blocks("/force"), strict=True):
                 validator.add_force(force, log_time_ns)
@@ -85,19 +84,12 @@ def test_result_equals_direct_use_of_the_validator(
     assert repr(validation.result) == repr(result_of_cores(campaign, dynamics))
 
 
-def test_long_recordings_use_the_kernel_with_the_same_result(
+def test_reference_gives_the_same_result(
     campaign: list[Path], dynamics: RobotDynamics, validation: Validation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monitors: list[Monitor] = []
-
-    def new_monitor(of: RobotDynamics, settings: MonitorSettings) -> Monitor:
-        monitors.append(Monitor(of, settings))
-        return monitors[-1]
-
-    monkeypatch.setattr("scara_effmass.analysis.validation.MANY", 1)
-    monkeypatch.setattr("scara_effmass.analysis.validation.Monitor", new_monitor)
+    by_reference = partial(Monitor, use_reference=True)
+    monkeypatch.setattr("scara_effmass.analysis.validation.Monitor", by_reference)
     impacts = validate(campaign, dynamics, SETTINGS).result.impacts
-    assert [monitor.assessor.why_not for monitor in monitors] == [jit.WHY_NOT] * len(campaign)
     for impact, expected in zip(impacts, validation.result.impacts, strict=True):
         numbers = [asdict(one)[name] for one in (impact, expected) for name in NUMBERS]
         assert numbers[: len(NUMBERS)] == pytest.approx(numbers[len(NUMBERS) :], rel=1e-9)
