@@ -35,7 +35,7 @@ def decision_on(*contacts: ContactAssessment, stamp_ns: int = 1, **fields: Any) 
 
 
 def assessments_of(*decisions: Decision) -> Assessments:
-    """Return decisions on the same contact points as arrays; a reason keeps its text, or its code if that has no numbers."""
+    """Return decisions on the same contact points as arrays; a reason without a code keeps its text alone."""
     contacts = [contact for decision in decisions for contact in decision.contacts]
     texts = ReasonTexts(
         regions=tuple(dict.fromkeys(["", *(contact.body_region for contact in contacts)])),

@@ -124,11 +124,12 @@ def test_range_covers_every_number(numbers: list[tuple[float, float]]) -> None:
 def test_remedy_of_the_leading_reason_from_five_percent_on(unknown: int, *, share: bool) -> None:
     summary = Summary(TIMEOUT_NS)
     for number in range(100):
-        code = Reason.ZERO_STAMP if number < unknown - 1 else Reason.REPEATED_STAMP
+        code, reason = Reason.ZERO_STAMP, "the header stamp is zero"
+        if number >= unknown - 1:
+            code, reason = Reason.REPEATED_STAMP, "the header stamp is repeated"
         verdict = Verdict.UNKNOWN if number < unknown else Verdict.OK
-        summary.add(
-            states_of(decision_on(contact(verdict, reason=TEXTS[code])._replace(reason_code=code)), log_time_ns=0)
-        )
+        cycle = contact(verdict, reason=reason)._replace(reason_code=code)
+        summary.add(states_of(decision_on(cycle), log_time_ns=0))
     assert summary.remedy == (remedy(Reason.ZERO_STAMP) if share else "")
     assert (("remedy", summary.remedy) in summary.lines()) is share
 

@@ -2,7 +2,8 @@
 """Validation of recordings: same result as the core classes, run information per recording, refusals."""
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -81,6 +82,17 @@ def test_result_equals_direct_use_of_the_validator(
 ) -> None:
     # As text, in which NaN equals itself.
     assert repr(validation.result) == repr(result_of_cores(campaign, dynamics))
+
+
+def test_reference_gives_the_same_result(
+    campaign: list[Path], dynamics: RobotDynamics, validation: Validation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    by_reference = partial(Monitor, use_reference=True)
+    monkeypatch.setattr("scara_effmass.analysis.validation.Monitor", by_reference)
+    impacts = validate(campaign, dynamics, SETTINGS).result.impacts
+    for impact, expected in zip(impacts, validation.result.impacts, strict=True):
+        numbers = [asdict(one)[name] for one in (impact, expected) for name in NUMBERS]
+        assert numbers[: len(NUMBERS)] == pytest.approx(numbers[len(NUMBERS) :], rel=1e-9)
 
 
 def test_campaign_reproduces_the_trends_of_the_paper(validation: Validation) -> None:

@@ -85,19 +85,25 @@ def test_stated_folder_that_cannot_be_written_is_replaced_by_none(
 
 
 def test_each_version_of_the_sources_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Also of the codes, which are compiled into the functions."""
-    shutil.copytree(Path(jit.__file__).parent, tmp_path / "kernel")
-    shutil.copy(Path(jit.__file__).parents[1] / "codes.py", tmp_path)
+    """Also of the other rooms and modules whose constants are compiled in."""
+    package = Path(jit.__file__).parents[1]
+    for room in ("kernel", "iso15066", "reference"):
+        shutil.copytree(package / room, tmp_path / room)
+    for module in ("codes.py", "values.py"):
+        shutil.copy(package / module, tmp_path)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     original = jit.cache_folder()
     monkeypatch.setattr(jit, "__file__", str(tmp_path / "kernel" / "jit.py"))
     folders = [original, jit.cache_folder()]
-    for changed in ("kernel/spatial.py", "codes.py"):
+    for changed in ("kernel/spatial.py", "iso15066/__init__.py", "reference/__init__.py", "codes.py", "values.py"):
         with (tmp_path / changed).open("a", encoding="utf-8") as source:
             source.write("\n")
         folders.append(jit.cache_folder())
     assert folders[0] == folders[1]
-    assert len(set(folders)) == 3
+    for library in (np, jit.numba):
+        monkeypatch.setattr(library, "__version__", "other", raising=False)
+        folders.append(jit.cache_folder())
+    assert len(set(folders)) == len(folders) - 1
 
 
 def fields(dtype: np.dtype[Any]) -> Iterator[str]:

@@ -270,7 +270,8 @@ CONTACTS = values_of(
         for name, of in get_type_hints(ContactAssessment).items()
         if of in FINITE_VECTORS and name not in {"lumped_mass", "full_mass"}
     },
-).map(lambda contact: contact if contact.reason else contact._replace(reason_code=Reason.NONE))
+    reason_code=st.just(Reason.NONE),
+).map(lambda contact: contact._replace(reason_code=Reason.STATED if contact.reason else Reason.NONE))
 DECISIONS = st.builds(
     Decision,
     stamp_ns=st.integers(0, 2**31 * NS - 1),
@@ -297,6 +298,7 @@ def test_contact_states_are_read_by_rclpy_rosbags_and_this_package(decisions: li
             assert message.header.stamp.sec * NS + message.header.stamp.nanosec == decision.stamp_ns
             assert message.sequence_number == index + 1
             assert (message.verdict, message.reason) == (decision.verdict, decision.reason)
+            assert message.reason_code == decision.reason_code
             for name in ("input_age", "velocity_delay", "contact_normal", "watchdog", "allowable_speed"):
                 assert repr(getattr(message, name)) == repr(getattr(decision, name))
             assert message.speed_scaling == decision.speed_scaling
