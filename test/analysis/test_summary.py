@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from scara_effmass.analysis.summary import MAX_REASONS, OTHER_REASONS, Summary
 from scara_effmass.codes import Reason
 from scara_effmass.safety import unknown_contact
-from scara_effmass.safety.reasons import TEXTS
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.values import ContactAssessment, Verdict
 from test.decisions import decision_on, states_of

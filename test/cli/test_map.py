@@ -41,20 +41,13 @@ def test_map_of_a_plane_of_a_six_axis_arm(cli: Cli, refused: Refused, tmp_path: 
     assert "--force" in refused(*words, "--samples", "300")
 
 
-def test_parquet_carries_the_provenance_and_without_numba_it_is_said_to_be_slower(
-    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parquet_carries_the_provenance(cli: Cli, tmp_path: Path) -> None:
     # A filter of the cell's velocities does not concern sampled ones.
     params = tmp_path / "cell.yaml"
     params.write_text("monitor: {ros__parameters: {velocity_source: from_positions, velocity_window: 0.05}}")
     words = ("map", "-o", tmp_path / "map", "--samples", "100", "--table", "parquet", "--params", params)
-    monkeypatch.setattr("scara_effmass.analysis.workspace_map.MANY", 100)
     done = cli(*words)
     assert "every z, seen along z" in done.stdout
-    assert "one by one" not in done.stdout
-    monkeypatch.setattr("scara_effmass.kernel.jit.WHY_NOT", "numba is not installed")
-    slow = " ".join(cli(*words, "--force").stdout.split())
-    assert "one by one slower than many configurations at once: numba is not installed" in slow
     metadata = parquet.read_schema(tmp_path / "map" / "map.parquet").metadata
     assert metadata[b"scara_effmass_version"].decode() == __version__
 

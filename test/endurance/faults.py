@@ -28,10 +28,9 @@ from lifecycle_msgs.msg import Transition
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
-from scara_effmass.wire.contact_state import ContactStateEncoder
-from scara_effmass_msgs.msg import ContactState, ForceBlock, Impact, ImpactValidation, RunInfo
+from scara_effmass_msgs.msg import ContactState, ContactStates, ForceBlock, Impact, ImpactValidation, RunInfo
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -47,7 +46,9 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Impact as ImpactValue
 from scara_effmass.values import Verdict
 from scara_effmass.wire import topics
+from scara_effmass.wire.contact_states import ContactStatesEncoder
 from scara_effmass.wire.force import impact_message
+from test.decisions import assessments_of, decision_on
 from test.nodes.conftest import JOINTS, NodeHarness, Q, joint_state, ros_node, stamp_ns
 from test.nodes.test_flood import FLOODER
 from test.nodes.test_monitor_end import ONE_LINK
@@ -127,6 +128,11 @@ class Output(NamedTuple):
         return self.source_s - self.stamp_ns / 1e9
 
 
+def _key(message: ContactStates) -> object:
+    """Return what a recording must hold of `message`."""
+    return stamp_ns(message), tuple((c.contact_point, c.verdict, c.reason) for c in message.contacts)
+
+
 RESULTS: list[Result] = []
 PROPERTIES: list[str] = []
 RECORD = (sys.executable, "-m", "scara_effmass", "record")
@@ -147,7 +153,7 @@ class Cell:
         self.on_sources: Callable[[], None] = lambda: None
         self.begin_s = 0.0
         self.min_outputs = 10
-        self.has_age = kind is ContactState
+        self.has_age = kind is ContactStates
         self.healthy: Callable[[], Messages] = lambda: [joint_state()]
         self.messages = self._healthy
         self.is_permissive: Callable[[Any], bool] = lambda message: message.verdict in PERMISSIVE
@@ -158,7 +164,7 @@ class Cell:
             deadline=lambda _: self.lost_s.append(time.time()),
             liveliness=self._on_liveliness,
         )
-        if kind is ContactState:
+        if kind is ContactStates:
             qos = QoSProfile(
                 depth=20_000,
                 deadline=patience,
@@ -170,7 +176,7 @@ class Cell:
             topic,
             self._receive,  # type: ignore[arg-type]
             qos,
-            event_callbacks=events if kind is ContactState else None,
+            event_callbacks=events if kind is ContactStates else None,
         )
 
     def _on_liveliness(self, event: Any) -> None:  # noqa: ANN401
@@ -186,14 +192,14 @@ class Cell:
 
     def _receive(self, message: Any, info: dict[str, Any]) -> None:  # noqa: ANN401
         stamp = stamp_ns(message) if hasattr(message, "header") else 0
-        key = (stamp, message.contact_point, message.verdict, message.reason) if hasattr(message, "verdict") else None
+        key = _key(message) if isinstance(message, ContactStates) else None
         source_s = info["source_timestamp"] / 1e9
         self.outputs.append(Output(time.time(), source_s, self.is_permissive(message), stamp, key))
 
     def start(self) -> None:
         """Start the node, or start it again."""
         self.harness.process_may_end = False
-        self.harness.start(*self.command[1:], command=self.command[:1], kernel=True)
+        self.harness.start(*self.command[1:], command=self.command[:1])
 
     def restart(self) -> None:
         """Kill the node and start it again."""
@@ -722,20 +728,23 @@ def with_clock(harness: NodeHarness) -> Cell:
 
 # speed_scaling_node
 
-ENCODER = ContactStateEncoder("tool", "base_link")
+ENCODER = ContactStatesEncoder("base_link")
 
 
 def verdict(**fields: Any) -> bytes:  # noqa: ANN401
-    """Return a valid ContactState of now with changed fields."""
-    state = unknown_contact("tool", "", time.time_ns() + fields.pop("shift_ns", 0), 0.001)
+    """Return valid ContactStates of now with changed fields of the contact."""
+    stamp_ns = time.time_ns() + fields.pop("shift_ns", 0)
     good = {"verdict": Verdict.OK, "direction": (1.0, 0.0, 0.0), "speed": 0.25, "allowable_speed": 1.0, "margin": 0.75}
     masses = dict.fromkeys(("effective_mass", "lumped_mass", "full_mass", "iso_mass"), 2.0)
-    return ENCODER.encode(state._replace(**{**good, **masses, **fields}))
+    contact = unknown_contact("tool", "")._replace(**{**good, **masses, **fields})
+    return ENCODER.encode(assessments_of(decision_on(contact, stamp_ns=stamp_ns, input_age=0.001)))
 
 
-def with_byte(data: bytes, value: int) -> bytes:
-    """Return a ContactState with another verdict number."""
-    return data.replace(b"\x05\x00\x00\x00OKOK\x00\x01", b"\x05\x00\x00\x00OKOK\x00" + bytes((value,)))
+def with_verdict(data: bytes, value: int) -> bytes:
+    """Return ContactStates with another verdict number of the contact."""
+    message = deserialize_message(data, ContactStates)
+    message.verdict = message.contacts[0].verdict = value
+    return serialize_message(message)
 
 
 def verdicts(harness: NodeHarness, cell: Cell) -> None:
@@ -771,7 +780,7 @@ SCALING_FAULTS = (
             "allowable speed infinite": lambda: [verdict(allowable_speed=float("inf"))],
             "speed NaN": lambda: [verdict(speed=NAN)],
             "stamps 0.6 s old": lambda: [verdict(shift_ns=-6 * S // 10)],
-            "verdict 99": lambda: [with_byte(verdict(criterion="OKOK"), 99)],
+            "verdict 99": lambda: [with_verdict(verdict(), 99)],
             "messages cut in half": lambda: [verdict()[:100]],
             "random bytes": lambda: [noise(bytearray())],
         }.items()
@@ -819,7 +828,7 @@ VALIDATOR_FAULTS = (
         for name, message in {
             "cut in half": lambda: verdict()[:100],
             "random bytes": lambda: noise(bytearray()),
-            "verdict 99": lambda: with_byte(verdict(criterion="OKOK"), 99),
+            "verdict 99": lambda: with_verdict(verdict(), 99),
             "NaN in every number": lambda: verdict(speed=NAN, effective_mass=NAN, lumped_mass=NAN, full_mass=NAN),
             "1 h ahead": lambda: verdict(shift_ns=3600 * S),
         }.items()
@@ -967,7 +976,7 @@ class Recording:
         with open_bag(self.bag) as bag, suppress(DecodeError):  # of damaged messages
             topics_of = {topic.name for topic in bag.topics if topic.name == "/contact_states"}
             states += [bag.deserialize(raw) for raw in bag.messages(topics_of)] if topics_of else []
-        held: Counter[object] = Counter((stamp_ns(s), s.contact_point, s.verdict, s.reason) for s in states)
+        held: Counter[object] = Counter(_key(s) for s in states)
         for index, received in self.received:
             lost = sum((received - held).values())
             RESULTS[index] = RESULTS[index]._replace(lost=lost)
@@ -1052,7 +1061,7 @@ def test_two_monitors(own_domain: int, tmp_path: Path, monkeypatch: pytest.Monke
 
         harness.spin_until(lambda: shows(Verdict.OK))
         with closing(NodeHarness(own_domain, tmp_path, "second")) as second:
-            second.start(*MONITOR[1:], command=MONITOR[:1], kernel=True)
+            second.start(*MONITOR[1:], command=MONITOR[:1])
             harness.spin_until(lambda: harness.node.count_publishers("contact_states") > 1)
             begin_s = time.time()
             harness.spin_until(lambda: shows(Verdict.UNKNOWN))

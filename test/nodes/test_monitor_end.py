@@ -157,8 +157,8 @@ BUSY = """
 import time
 from scara_effmass.nodes import monitor_node
 class SlowMonitor(monitor_node.Monitor):
-    def assess(self, state, *arguments):
-        decision = super().assess(state, *arguments)
+    def assess_one(self, state, *arguments):
+        decision = super().assess_one(state, *arguments)
         if "slow" in state.names:
             time.sleep(6.0)
         return decision

@@ -146,7 +146,7 @@ def bounding_speed(
         if settings.drives is Drives.IMMOVABLE:
             w, rate = n, 0.0 * rate
         faster = max(0.0, *(float(w @ a) for a in change.accelerations)) / along_speed
-        growth = 2.0 * (faster + max(0.0, -float(w @ rate @ w))) / float(n @ w)
+        growth = (2.0 * faster + max(0.0, -float(w @ rate @ w))) / float(n @ w)
         growth *= 0.5 * min(1.5 * math.pi / 2.0 * math.sqrt(mu / stiffness), 0.5) / along_speed
     return float(2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed)))
 
