@@ -57,7 +57,8 @@ def test_screen_fits_and_has_word_and_figures_in_blocks(verdict: Verdict, width:
     shown = lines(status(verdict, "because"), 4 * S, width, height)
     assert max(map(len, shown)) <= width
     assert len(shown) <= height
-    text = "OK for 1 s" if verdict is Verdict.OK else f"{verdict.name} at tool for 1 s"
+    seconds = 4 if verdict is Verdict.UNKNOWN else 1  # UNKNOWN since the start
+    text = "OK for 1 s" if verdict is Verdict.OK else f"{verdict.name} at tool for {seconds} s"
     word = [line.strip() for line in shown].index(text)
     assert sum("█" in line for line in shown[:word]) >= BLOCKS
     assert sum("█" in line for line in shown[word:]) >= (2 if verdict is Verdict.UNKNOWN else BLOCKS)

@@ -58,7 +58,7 @@ class Viewer:
     def send(self) -> None:
         self.sent = joint_state()
         self.harness.send(self.sent)
-        self.states.publish(self.encoder.encode(assessments_of(ok(stamp_ns(self.sent)))))
+        self.states.publish(self.encoder.encode(ok(stamp_ns(self.sent))))
 
     def until(
         self, done: Callable[[dict[str, Marker]], Any], repeat: Callable[[], object] | None = None
@@ -111,7 +111,7 @@ def test_markers_follow_the_states_and_become_unknown_without_them(new_harness: 
 
     def send_both() -> None:
         viewer.send()
-        second.publish(second_encoder.encode(assessments_of(ok(stamp_ns(viewer.sent)))))
+        second.publish(second_encoder.encode(ok(stamp_ns(viewer.sent))))
 
     viewer.until(lambda shown: "two monitors publish contact_states" in shown["verdict 0"].text, send_both)
     viewer.harness.node.destroy_publisher(second)
