@@ -41,7 +41,8 @@ class Reason(IntEnum):
     PAYLOAD_UNKNOWN = 39  # detail: why
     GAP = 40  # values: duration [s]
     SILENCE = 41  # values: duration [s]; detail: joint states of other devices
-    NO_JOINT_STATE = 42  # detail: joint states of other devices
+    NO_JOINT_STATE = 42
+    ONLY_OTHER_JOINTS = 43  # detail: joint states of other devices
     NO_MASSES = 50
     NO_LUMPED_MASS = 51  # values: why there is none
     NO_FULL_MASS = 52

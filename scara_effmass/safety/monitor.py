@@ -403,7 +403,8 @@ class Monitor:
         """
         last_ns, seconds = int(self._memory["last_stamp_ns"][0]), elapsed_ns / 1e9
         hint = f" ({self.ignored} named none of the robot's joints){self.joint_map_hint}" if self.ignored else ""
-        reason = Reason.SILENCE if last_ns else Reason.NO_JOINT_STATE
+        never = Reason.ONLY_OTHER_JOINTS if self.ignored else Reason.NO_JOINT_STATE
+        reason = Reason.SILENCE if last_ns else never
         pending = self._unknown_state(reason, hint, last_ns or now_ns, seconds, seconds)
         pending.records["is_watchdog"] = 1
         return self.settle(pending)
