@@ -43,7 +43,7 @@ from test.cli.conftest import Cli, Refused, swing
 from test.decisions import assessments_of, decision_on
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
-UNITS = ("", "_m_s", "_kg", "_n_m", "_n", "_s")
+UNITS = ("", "_m_s", "_kg", "_n_m", "_n", "_j", "_s")
 
 
 def core_decisions(path: Path, settings: MonitorSettings | None = None) -> list[Decision]:
