@@ -241,7 +241,7 @@ def _parts(
     first = rows.start
     for size, group in groupby(found, len):
         part = list(group)
-        yield slice(first, first + len(part)), np.array(part).reshape(-1, size)
+        yield slice(first, first + len(part)), np.array(part).reshape(len(part), size)
         first += len(part)
 
 
