@@ -74,8 +74,10 @@ class ContactStatesEncoder:
         """Return the CDR bytes of the next message, that of joint state number `row`."""
         state, contacts = assessments.states[row].tolist(), assessments.numbers[row]
         stamp_ns, _, _, is_admitted, _, watchdog, age, delay, _, verdict, worst, allowable_speed, scaling = state
-        # The bytes of verdicts, codes and reasons stand for their texts.
-        texts = self.frame_id, is_admitted, worst, contacts[:, _VALUES_SIZE:].tobytes(), assessments.details
+        # The bytes of verdicts, codes and reasons stand for their texts, which those of the settings complete.
+        codes = contacts[:, _VALUES_SIZE:].tobytes()
+        settings = assessments.points, assessments.normal, assessments.texts, assessments.details
+        texts = self.frame_id, is_admitted, worst, codes, settings
         if texts != self._texts:
             self._encode_texts(assessments, row, worst)
             self._texts = texts

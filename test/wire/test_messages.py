@@ -17,6 +17,7 @@ from std_msgs.msg import Float64
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
+from scara_effmass.safety import unknown_contact
 from scara_effmass.safety.reasons import CRITERIA, MODELS
 from scara_effmass.values import (
     ContactAssessment,
@@ -35,7 +36,7 @@ from scara_effmass.wire.force import decode_force_block, decode_impact, force_bl
 from scara_effmass.wire.impact_validation import impact_validation_message, series_from
 from scara_effmass.wire.message_types import CONTACT_STATES, FORCE_BLOCK, IMPACT, RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
-from test.decisions import assessments_of
+from test.decisions import assessments_of, decision_on
 
 NS = 10**9
 NUMBER = st.floats(width=64)
@@ -313,6 +314,20 @@ def test_contact_states_are_read_by_rclpy_rosbags_and_this_package(decisions: li
         for copy in (data, serialize_message(of_ros), *by_rosbags):
             decoded = decode_contact_states(bytes(copy))
             assert text(decoded) == text(expected._replace(sequence_number=index + 1))
+
+
+def test_texts_follow_the_settings_where_the_codes_stay() -> None:
+    """The encoder keeps texts while the codes of an assessment stay, which mean others under other settings."""
+    contact = unknown_contact("tool", "")._replace(verdict=Verdict.OK, mass_model="full", criterion="force")
+    decision = decision_on(contact._replace(body_region="chest"), contact_normal="worst")
+    others = decision._replace(contact_normal="velocity", contacts=(contact._replace(body_region="neck"),))
+    renamed = decision._replace(contacts=(contact._replace(body_region="chest", contact_point="elbow"),))
+    encoder = ContactStatesEncoder("base_link")
+    for sent in (decision, others, decision, renamed):
+        decoded = decode_contact_states(encoder.encode(assessments_of(sent)))
+        assert decoded.contact_normal == sent.contact_normal
+        assert decoded.contacts[0].body_region == sent.contacts[0].body_region
+        assert decoded.contacts[0].contact_point == sent.contacts[0].contact_point
 
 
 def states_message(**fields: Any) -> bytes:  # noqa: ANN401
