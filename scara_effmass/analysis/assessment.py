@@ -12,7 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
-from itertools import chain, groupby
+from itertools import accumulate, chain, groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -155,9 +155,9 @@ def assess_joint_states(
         for batch in _admitted(bag, topic, monitor, time, velocities, skew or ClockSkew()):
             waiting.append((batch, pool.submit(batch.compute, monitor)))
             if len(waiting) > threads:
-                yield _finished(monitor, *waiting.popleft())
+                yield from _finished(monitor, *waiting.popleft())
         while waiting:
-            yield _finished(monitor, *waiting.popleft())
+            yield from _finished(monitor, *waiting.popleft())
 
 
 def assessed_rows(
@@ -167,30 +167,41 @@ def assessed_rows(
     return chain.from_iterable(states.rows() for states in assess_joint_states(bag, topic, monitor, time, velocities))
 
 
+class _Part(NamedTuple):
+    """Joint states that were admitted together, those of `block` from `row` on, if there is one."""
+
+    pending: Pending
+    log_time_ns: IntArray
+    block: JointStateBlock | None
+    row: int
+
+
 class _Batch:
     """Joint states on their way through the steps."""
 
     def __init__(self) -> None:
-        self.log_times: list[IntArray] = []
-        self.pending: list[Pending] = []
-        self.sources: list[Source] = []
+        self.parts: list[_Part] = []
         self.count = 0
 
-    def add(self, pending: Pending, log_time_ns: IntArray, block: JointStateBlock | None, row: int) -> None:
-        self.sources.append(Source(self.count, block, row))
-        self.log_times.append(log_time_ns)
-        self.pending.append(pending)
-        self.count += len(log_time_ns)
+    def add(self, part: _Part) -> None:
+        self.parts.append(part)
+        self.count += len(part.log_time_ns)
 
     def compute(self, monitor: Monitor) -> None:
-        for pending in self.pending:
-            monitor.compute(pending)
+        for part in self.parts:
+            monitor.compute(part.pending)
 
 
-def _finished(monitor: Monitor, batch: _Batch, computed: Future[None]) -> AssessedStates:
+def _finished(monitor: Monitor, batch: _Batch, computed: Future[None]) -> Iterator[AssessedStates]:
+    """Yield the assessments of a batch; a payload that changes their texts cuts them."""
     computed.result()
-    settled = joined([monitor.settle(pending) for pending in batch.pending])
-    return AssessedStates(np.concatenate(batch.log_times), settled, batch.sources, monitor.names_of)
+    for _, group in groupby(batch.parts, lambda part: part.pending.texts):
+        parts = list(group)
+        firsts = accumulate((len(part.log_time_ns) for part in parts), initial=0)
+        sources = [Source(first, part.block, part.row) for first, part in zip(firsts, parts, strict=False)]
+        settled = joined([monitor.settle(part.pending) for part in parts])
+        times = np.concatenate([part.log_time_ns for part in parts])
+        yield AssessedStates(times, settled, sources, monitor.names_of)
 
 
 def _admitted(
@@ -203,7 +214,7 @@ def _admitted(
         total += len(block) + len(block.decode_failures)
         for log_time_ns, reason in block.decode_failures:
             pending = monitor.refuse(Reason.UNDECODABLE, reason, log_time_ns)
-            batch.add(pending, np.array([log_time_ns]), None, 0)
+            batch.add(_Part(pending, np.array([log_time_ns]), None, 0))
         if not len(block):
             continue
         skew.add(block.stamp_ns, block.log_time_ns)
@@ -219,7 +230,7 @@ def _admitted(
             for part, measured in _parts(block, rows, velocity, velocities, monitor):
                 admitted = monitor.admit(block.names, stamps[part], clocks[part], block.position[part], measured)
                 if admitted is not None:
-                    batch.add(admitted, block.log_time_ns[part], block, part.start)
+                    batch.add(_Part(admitted, block.log_time_ns[part], block, part.start))
             row = stop
             if batch.count >= size:
                 yield batch

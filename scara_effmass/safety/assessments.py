@@ -130,7 +130,7 @@ def contact_of(
 
 
 def joined(parts: Sequence[Assessments]) -> Assessments:
-    """Return the assessments of joint states that follow each other; texts of codes are those of the last part."""
+    """Return the assessments of joint states that follow each other, whose codes have the same texts."""
     if len(parts) == 1:
         return parts[0]
     states = np.concatenate([part.state_bytes for part in parts])

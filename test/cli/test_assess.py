@@ -200,6 +200,43 @@ def test_recorded_payload_counts_from_its_log_time_on(swing_bag: Path, cli: Cli,
     assert_equal([{**row, "bag": ""} for row in rows[1000:]], core_decisions(swing_bag, settings)[500:])
 
 
+EMPTY_HAND = """
+<robot name="arm">
+  <link name="base"/>
+  <link name="arm"><inertial><origin xyz="0.1 0 0"/><mass value="2"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="hand"/>
+  <link name="tip"/>
+  <joint name="joint1" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" effort="10" velocity="3"/></joint>
+  <joint name="joint2" type="revolute"><parent link="arm"/><child link="hand"/><origin xyz="0.3 0 0"/>
+    <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="10" velocity="3"/></joint>
+  <joint name="mount" type="fixed"><parent link="hand"/><child link="tip"/><origin xyz="0.2 0 0"/></joint>
+</robot>
+"""
+
+
+def test_reason_that_a_payload_ends_stays_on_the_joint_states_before_it(
+    swing_bag: Path, cli: Cli, tmp_path: Path
+) -> None:
+    """A link without mass has one as soon as it carries a load, and the text of the reason is another then."""
+    (tmp_path / "arm.urdf").write_text(EMPTY_HAND, encoding="utf-8")
+    with open_bag(swing_bag) as bag, BagWriter(tmp_path / "cell.mcap") as cell:
+        for number, message in enumerate(bag.messages(["/joint_states"])):
+            if number in {0, 500}:
+                load = bytes(serialize_message(Inertia(m=number / 500.0)))
+                cell.write("/payload", INERTIA, message.log_time_ns, load)
+            cell.write("/joint_states", JOINT_STATE, message.log_time_ns, message.data)
+    words = ("assess", tmp_path / "cell.mcap", "--robot", tmp_path / "arm.urdf", "--payload-topic", "payload")
+    assert cli(*words, "-o", tmp_path / "a.parquet").returncode == 0
+    rows = parquet.read_table(tmp_path / "a.parquet").to_pylist()
+    reason = "no mass behind joint2: the robot is heavier than the file says"
+    assert {row["reason"] for row in rows[:500]} == {reason}
+    assert {row["verdict"] for row in rows[:500]} == {"UNKNOWN"}
+    assert f"held after: {reason}" in {row["reason"] for row in rows[500:]}
+    assert all(row["reason"] for row in rows if row["verdict"] != "OK")
+
+
 def test_recording_without_a_readable_joint_state_gives_status_1(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     (recording,) = swing_bag.glob("*.mcap")
     content = bytearray(recording.read_bytes())
