@@ -74,12 +74,9 @@ class Verdict(IntEnum):
     VIOLATION = 3
 
 
-_SEVERITY = {Verdict.OK: 0, Verdict.WARN: 1, Verdict.VIOLATION: 2, Verdict.UNKNOWN: 3}
-
-
-def severity(verdict: Verdict) -> int:
+def severity(verdict: int) -> int:
     """Return 0 for OK to 3 for UNKNOWN, under which nothing is allowed."""
-    return _SEVERITY[verdict]
+    return 3 if verdict == Verdict.UNKNOWN else verdict - Verdict.OK
 
 
 VERDICT_COLORS = {

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from scara_effmass.codes import Reason
+from scara_effmass.codes import CriterionCode, Reason
 from scara_effmass.kernel.codes import Model, Normal
 from scara_effmass.kernel.contact_point import (
     Approach,
@@ -53,6 +53,7 @@ from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6
 
 EIGENVALUE_ROUNDING = 1e-12
 """Ratio of an eigenvalue of J_v J_v^T to its trace, up to which it counts as 0: its root would be rounding."""
+_FORCE, _PRESSURE = float(CriterionCode.FORCE), float(CriterionCode.PRESSURE)
 _OK, _WARN, _VIOLATION = float(Verdict.OK), float(Verdict.WARN), float(Verdict.VIOLATION)
 
 
@@ -168,7 +169,7 @@ def fill_limits(
     contact.worst_normal_reduced_mass = min(worst_mu, cap)
     contact.body_region, contact.criterion, contact.mass_model = (
         case.region + 1,
-        2.0 if case.is_pressure else 1.0,
+        _PRESSURE if case.is_pressure else _FORCE,
         model + 1,
     )
     set_verdict(contact, case, bound, mass, approach, setup)

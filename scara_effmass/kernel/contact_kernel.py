@@ -129,7 +129,6 @@ def _case(case: ContactCase, region: int) -> Case:
         stiffness=case.stiffness,
         rate=case.stiffness / case.force**2,
         obstacle_mobility=case.obstacle_mobility,
-        max_mu=case.limit.obstacle_mass_kg,
         drive_time=case.drive_time or 0.0,
         nominal_stiffness=case.limit.stiffness_n_m,
         body_mass=case.limit.obstacle_mass_kg,

@@ -16,7 +16,7 @@ from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vecto
 Vector = Annotated[FloatArray, (3,)]
 ByteArray = NDArray[np.uint8]
 IntArray = NDArray[np.int64]
-REASON_SIZE = 11
+REASON_SIZE = 12
 """Numbers of a reason, see `state`."""
 MIN_NORMAL_COMPONENT = 0.1
 """Smallest share of the speed that counts along a fixed normal: its direction is known to about 6 degrees."""
@@ -50,7 +50,6 @@ class Case:
     stiffness: float
     rate: float
     obstacle_mobility: float
-    max_mu: float
     drive_time: float
     nominal_stiffness: float
     body_mass: float

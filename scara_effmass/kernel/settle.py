@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from scara_effmass import values
 from scara_effmass.kernel.jit import compiled, inlined
 from scara_effmass.kernel.records import CONTACT, ByteArray, Contact
 from scara_effmass.kernel.state import (
@@ -30,10 +31,7 @@ UNKNOWN, OK, VIOLATION = int(Verdict.UNKNOWN), int(Verdict.OK), int(Verdict.VIOL
 WORST_FIRST = UNKNOWN, VIOLATION, int(Verdict.WARN)
 
 
-@inlined
-def severity(verdict: int) -> int:
-    """Return 0 for OK to 3 for UNKNOWN, under which nothing is allowed."""
-    return 3 if verdict == UNKNOWN else verdict - OK
+severity = inlined(values.severity)
 
 
 @inlined

@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from scara_effmass.kernel.jit import inlined
-from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3
+from scara_effmass.values import ZERO_VECTOR, FloatArray, Mobility6, Vector3
 
 Matrix = tuple[Vector3, Vector3, Vector3]
 NO_MATRIX: Matrix = (ZERO_VECTOR, ZERO_VECTOR, ZERO_VECTOR)
@@ -40,7 +40,6 @@ class Inertia(NamedTuple):
 
 
 NO_MOTION = Motion(ZERO_VECTOR, ZERO_VECTOR)
-NO_INERTIA = Inertia(0.0, ZERO_VECTOR, NO_MOBILITY)
 
 
 @inlined

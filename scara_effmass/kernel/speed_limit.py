@@ -132,7 +132,7 @@ def governing_case(
             rate *= excess * excess
         for k in range(len(mobilities)):
             speed = slowest.speed * (1.0 + work.growths[k] * slowest.speed)
-            if not min(work.max_masses[k], case.max_mu) * rate * speed * speed <= 1.0:
+            if not min(work.max_masses[k], case.body_mass) * rate * speed * speed <= 1.0:
                 other = case_bound(case, mobilities[k], factor, rate)
                 if is_less(other, bound):
                     bound = other

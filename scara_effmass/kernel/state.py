@@ -6,16 +6,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-import numpy as np
-
 from scara_effmass.codes import Reason
 from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.records import REASON_SIZE, IntArray, dtype_of
 from scara_effmass.values import FloatArray
 
-CODE, JOINT, DETAIL, HELD, LATCHED, VALUES = range(6)
+CODE, JOINT, DETAIL, HELD, LATCHED, WORDS, VALUES = range(7)
 """Places in a reason: its code, a joint, a text beside it; 1 if held from an earlier joint state; the text that names
-the contact that latched it, plus 1; from VALUES on up to six numbers."""
+the contact that latched it, plus 1; its whole text if it is of earlier settings; from VALUES on up to six numbers."""
 ReasonArray = Annotated[FloatArray, (REASON_SIZE,)]
 NO_SEQUENCE = -1
 
@@ -140,8 +138,3 @@ def copy_reason(source: FloatArray, target: FloatArray) -> None:
     """Copy a reason."""
     for i in range(REASON_SIZE):
         target[i] = source[i]
-
-
-def records(dtype: np.dtype[np.void], count: int = 1) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-    """Return `count` records of zeros."""
-    return np.zeros(count, dtype)

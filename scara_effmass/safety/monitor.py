@@ -31,6 +31,7 @@ from scara_effmass.kernel.state import (
     RULES,
     STATE,
     VALUES,
+    WORDS,
 )
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.assessments import Assessments, Records, unknown_numbers
@@ -120,6 +121,8 @@ class Monitor:
         self._state_payload(f"no payload on {settings.payload_topic} yet" if settings.payload_topic else "")
         forget_all(*self._memory_bytes[1:3])
         self.apply(settings)
+        self._remembered_texts = self._texts
+        """Those of the reasons that are remembered."""
 
     def compile(self) -> None:
         """Compile or load the kernel, by assessing one joint state without a trace. Raises KernelError.
@@ -224,7 +227,7 @@ class Monitor:
         memory = self._memory[0]
         if not memory["has_cause"]:
             return None
-        reason = self._texts.text(memory["cause_reason"], self._details)
+        reason = self._remembered_texts.text(memory["cause_reason"], self._details)
         point = self._details[memory["cause_point"]]
         return Cause(int(memory["cause_stamp_ns"]), point, Verdict(int(memory["cause_verdict"])), reason)
 
@@ -383,12 +386,24 @@ class Monitor:
 
     def settle(self, pending: Pending) -> Assessments:
         """Return the assessments of joint states that are computed, in the order of admission."""
+        if pending.texts is not self._remembered_texts:
+            self._restate(pending.texts)
         rules, memory, _, debounces = self._memory_bytes
         settle(pending.states, pending.numbers, pending.unknown, rules, memory, debounces)
         states, numbers = pending.states, pending.numbers
         if pending is self._single:
             states, numbers = states.copy(), numbers.copy()
         return Assessments(states, numbers, self._points, self._normal, self._details, pending.texts)
+
+    def _restate(self, texts: ReasonTexts) -> None:
+        """Keep the words of the reasons that are remembered, whose codes mean others under new `texts`."""
+        before, self._remembered_texts = self._remembered_texts, texts
+        if before == texts:
+            return
+        debounces = self._debounces
+        for reasons in (self._memory["cause_reason"], debounces["stale_reason"], *debounces["reasons"]):
+            for reason in reasons:
+                reason[WORDS] = self._detail(before.words(reason, self._details))
 
     def refuse(self, reason: Reason, detail: str, stamp_ns: int, age: float = 0.0, seconds: float = 0.0) -> Pending:
         """Return one joint state that is invalid for `reason`, such as undecodable bytes, to be settled."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from scara_effmass.codes import Reason
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, Limit
-from scara_effmass.kernel.state import CODE, DETAIL, HELD, JOINT, LATCHED, VALUES
+from scara_effmass.kernel.state import CODE, DETAIL, HELD, JOINT, LATCHED, VALUES, WORDS
 from scara_effmass.model.lumping import lumped_suffices
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
@@ -141,10 +141,20 @@ class ReasonTexts:
         )
 
     def text(self, reason: FloatArray, details: Sequence[str]) -> str:
-        """Return the text of a `reason` (11,), whose texts are in `details`."""
+        """Return the text of a `reason` (12,), whose texts are in `details`."""
+        text = self.words(reason, details)
+        if reason[HELD]:
+            text = f"{HELD_AFTER}{text}"
+        if reason[LATCHED]:
+            point = details[int(reason[LATCHED]) - 1]
+            text = f"{LATCHED_UNTIL_RESET}{f'{point}: ' if point else ''}{text}"
+        return text
+
+    def words(self, reason: FloatArray, details: Sequence[str]) -> str:
+        """Return its text without what became of it."""
+        if reason[WORDS]:
+            return details[int(reason[WORDS])]
         code = Reason(int(reason[CODE]))
-        if code is Reason.NONE:
-            return ""
         numbers, joint = reason[VALUES:].tolist(), int(reason[JOINT])
         fields = dict(self.fixed)
         fields |= {"v": numbers, "detail": details[int(reason[DETAIL])]}
@@ -159,11 +169,6 @@ class ReasonTexts:
         text = TEXTS[code].format(**fields)
         if is_speed and numbers[4] > 0.0:
             text += f"; {TEXTS[Reason.LIGHT_MODEL].format(**fields)}"
-        if reason[HELD]:
-            text = f"{HELD_AFTER}{text}"
-        if reason[LATCHED]:
-            point = details[int(reason[LATCHED]) - 1]
-            text = f"{LATCHED_UNTIL_RESET}{f'{point}: ' if point else ''}{text}"
         return text
 
 

@@ -136,11 +136,6 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return f"must be {' or '.join(get_close_matches(name, names, n=1)) or ', '.join(names) or 'absent'}"
 
 
-def rescaled(value: float, factor: float) -> float:
-    """Return `value` * `factor` without the rounding error of a change of units, to be written into a file."""
-    return float(f"{value * factor:.12g}")
-
-
 def load_settings(kind: type[Settings], path: Path, node: str, other_nodes: Collection[str] = ()) -> Settings:
     """Return the settings of `node` ("monitor") in the ROS parameter file at `path`.
 

@@ -106,6 +106,23 @@ def test_unknown_contact_states_no_number() -> None:
     assert {name for name in names if getattr(contact, name)} == set()
 
 
+def test_remembered_reasons_keep_their_words_under_other_settings(scara: RobotDynamics) -> None:
+    """A code means another body region there, and a kept one must not name it."""
+    monitor = make_monitor(scara, latch=True, release_time=1.0, body_regions=["chest"])
+    assert "limit of chest" in reason(send(monitor, 0, FAST))
+    monitor.apply(MonitorSettings(latch=True, release_time=1.0, body_regions=("neck",)))
+    assert monitor.first_cause is not None
+    assert "limit of chest" in monitor.first_cause.reason
+    assert reason(send(monitor, 2)).startswith("latched until reset: tool: ")
+    assert "limit of chest" in reason(send(monitor, 4))
+    monitor.apply(MonitorSettings(release_time=1.0, body_regions=("neck",)))
+    held = send(monitor, 6)
+    assert held.contacts[0].reason_code is Reason.TOO_FAST
+    assert reason(held).startswith("held after: ")
+    assert "limit of chest" in reason(held)
+    assert "limit of neck" in reason(send(monitor, 8, FAST))
+
+
 class TestFirstCause:
     def test_first_cause_stays_until_reset(self, scara: RobotDynamics) -> None:
         monitor = make_monitor(scara)
