@@ -91,7 +91,8 @@ def test_reference_gives_the_same_result(
     monkeypatch.setattr("scara_effmass.analysis.validation.Monitor", by_reference)
     impacts = validate(campaign, dynamics, SETTINGS).result.impacts
     for impact, expected in zip(impacts, validation.result.impacts, strict=True):
-        numbers = [asdict(one)[name] for one in (impact, expected) for name in NUMBERS]
+        fields = [{**asdict(one), **asdict(one.series)} for one in (impact, expected)]
+        numbers = [of_impact[name] for of_impact in fields for name in NUMBERS]
         assert numbers[: len(NUMBERS)] == pytest.approx(numbers[len(NUMBERS) :], rel=1e-9)
 
 

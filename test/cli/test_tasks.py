@@ -92,7 +92,9 @@ def test_result_does_not_depend_on_where_it_is_computed(bags: Path, scheduler: s
     }
     table = parquet.read_table(tmp_path / "one" / "a.parquet")
     with open_bag(tmp_path / "one" / "a.mcap") as bag:
-        assert sum(topic.count for topic in bag.topics) == table.num_rows + 1
+        # One message per joint state, one row per contact point of it.
+        points = len(set(table["contact_point"].to_pylist()))
+        assert sum(topic.count for topic in bag.topics) == table.num_rows // points + 1
     parts = parquet.read_table(tmp_path / "one" / "data").select(table.column_names)
     assert parts.replace_schema_metadata() == table.replace_schema_metadata()
 

@@ -51,7 +51,7 @@ def test_a_verdict_of_one_message_is_not_missed_and_silence_is_unknown(node: Nod
 
     def send(verdict: Verdict, speed: float, reason: str = "") -> None:
         contact = unknown_contact("tool", reason)
-        contact = contact._replace(verdict=verdict, speed=speed, allowable_speed=0.5)
+        contact = contact._replace(verdict=verdict, speed=speed, allowable_speed=0.5, margin=0.5 - speed)
         states.publish(encoder.encode(assessments_of(decision_on(contact))))
 
     with CellClient("display", NAMESPACE) as client:

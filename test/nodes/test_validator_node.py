@@ -197,7 +197,7 @@ def test_write_report_service_writes_the_report(node: ValidatorHarness) -> None:
     assert page.name == "report.html"
     record = json.loads(page.with_name("report.json").read_text(encoding="utf-8"))
     assert record["models"][0]["count"] == 4
-    assert record["models"][0]["correlation"] == node.received[-1].series[0].correlation
+    assert record["models"][0]["correlation"] == node.received[-1].series.correlation
 
 
 def test_folder_that_the_file_system_refuses_does_not_end_the_node(new_harness: Callable[..., NodeHarness]) -> None:
