@@ -16,7 +16,7 @@ from scara_effmass.cell.status import CellStatus
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.safety import unknown_contact
-from scara_effmass.values import Verdict
+from scara_effmass.values import Decision, Verdict
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_states import ContactStatesEncoder
 from test.decisions import assessments_of, decision_on
@@ -89,6 +89,39 @@ def test_a_verdict_of_one_message_is_not_missed_and_silence_is_unknown(node: Nod
             poll_until(client, lambda s: s.verdict is Verdict.OK, lambda: send(Verdict.OK, 0.1))
         node.destroy_publisher(next(p for p in node.publishers if p.topic_name == "/cell/contact_states"))
         poll_until(client, lambda s: s.reason == "no monitor: contact_states has no publisher")
+
+
+def test_decisions_of_the_watchdog_arrive_as_such(node: Node) -> None:
+    states, encoder = publisher(node, ContactStates, topics.CONTACT_STATES), ContactStatesEncoder("base_link")
+    received: list[tuple[bool, str]] = []
+    take = lambda decision: received.append((decision.watchdog, decision.reason))  # noqa: E731
+    with CellClient("display", NAMESPACE, on_decision=take) as client:
+        assert client.spin(TIMEOUT_S, lambda: client.connected and states.get_subscription_count() > 0)
+        silent = decision_on(unknown_contact("tool", "no joint state yet"), watchdog=True)
+        answer = decision_on(unknown_contact("tool", "")._replace(verdict=Verdict.OK))
+        for decision in (silent, answer):
+            states.publish(encoder.encode(assessments_of(decision)))
+        assert client.spin(TIMEOUT_S, lambda: len(received) == 2)
+    assert received == [(True, "no joint state yet"), (False, "")]
+
+
+def test_interrupt_in_a_callback_ends_spinning_without_output(node: Node, capfd: pytest.CaptureFixture[str]) -> None:
+    states, encoder = publisher(node, ContactStates, topics.CONTACT_STATES), ContactStatesEncoder("base_link")
+    received: list[int] = []
+
+    def interrupt(decision: Decision) -> None:
+        received.append(decision.stamp_ns)
+        signal.raise_signal(signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    with CellClient("display", NAMESPACE, on_decision=interrupt) as client:
+        assert client.spin(TIMEOUT_S, lambda: client.connected and states.get_subscription_count() > 0)
+        states.publish(encoder.encode(assessments_of(decision_on(unknown_contact("tool", "")))))
+        with pytest.raises(KeyboardInterrupt):
+            client.spin(TIMEOUT_S, lambda: False)
+    assert received == [1]
+    assert signal.getsignal(signal.SIGINT) is before
+    assert capfd.readouterr().err == ""
 
 
 def test_every_topic_of_the_cell_arrives(node: Node) -> None:
