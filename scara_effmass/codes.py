@@ -40,9 +40,10 @@ class Reason(IntEnum):
     COMMAND_MISMATCH = 38  # joint; values: difference
     PAYLOAD_UNKNOWN = 39  # detail: why
     GAP = 40  # values: duration [s]
-    SILENCE = 41  # values: duration [s]; detail: joint states of other devices
+    SILENCE = 41  # values: duration [s]
     NO_JOINT_STATE = 42
-    ONLY_OTHER_JOINTS = 43  # detail: joint states of other devices
+    ONLY_OTHER_JOINTS = 43  # values: duration [s], joint states of other devices; detail: their names
+    OTHER_JOINTS_SINCE = 44  # the same, after joint states of the robot
     NO_MASSES = 50
     NO_LUMPED_MASS = 51  # values: why there is none
     NO_FULL_MASS = 52
@@ -57,7 +58,6 @@ class Reason(IntEnum):
     TOO_SLOW = 71  # values: duration [s]
     STUCK = 72
     NO_ROBOT = 80  # detail: why
-    CONTACTS_CHANGED = 81
     DEACTIVATED = 82
     SHUTDOWN = 83
     NODE_ERROR = 84  # detail: error

@@ -16,6 +16,8 @@ from pyarrow import csv, parquet
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.batches import IntArray
 from scara_effmass.bags.files import open_bag
+from scara_effmass.codes import Reason
+from scara_effmass.safety.reasons import HELD_AFTER, LATCHED_UNTIL_RESET, plain_text
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import BoolArray, FloatArray, Verdict, severity
 from scara_effmass.wire.contact_states import decode_contact_states
@@ -83,8 +85,9 @@ _COLUMNS = (
     *("log_time_ns", "stamp_ns", "contact_point", "verdict", "reason", "watchdog"),
     *("allowable_speed_m_s", "margin_m_s", "input_age_s"),
 )
-_NOT_A_CAUSE = ("held after: ", "latched until reset: ")
-_ENDS = ("the monitor was deactivated", "the node shuts down", "the node ends: ")
+_NOT_A_CAUSE = (HELD_AFTER, LATCHED_UNTIL_RESET)
+_ENDS = tuple(plain_text(code) for code in (Reason.DEACTIVATED, Reason.SHUTDOWN, Reason.NODE_ERROR))
+"""Beginnings of reasons: former recordings have no codes."""
 _SEVERITIES = {verdict.name: severity(verdict) for verdict in Verdict}
 _NAMES = {int(verdict): verdict.name for verdict in Verdict}
 _BLOCK = 16_384

@@ -13,7 +13,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from scara_effmass.codes import Reason
-from scara_effmass.safety.reasons import TEXTS
+from scara_effmass.safety.reasons import plain_text
 from scara_effmass.values import (
     ContactAssessment,
     Decision,
@@ -109,7 +109,7 @@ class Diagnostic(NamedTuple):
 
 def _no_verdict(code: Reason, *values: float) -> tuple[Reason, str]:
     """Return code and text of a reason that the display concludes by itself."""
-    return code, TEXTS[code].format(v=values)
+    return code, plain_text(code, *values)
 
 
 @final

@@ -15,6 +15,7 @@ from rclpy.duration import Duration
 from scara_effmass_msgs.msg import ForceBlock, Impact
 
 from scara_effmass import values
+from scara_effmass.codes import Reason
 from scara_effmass.daq import make_source
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.conditioning import SignalConditioner
@@ -110,9 +111,9 @@ class DaqNode(LifecycleBase):
         if self._acquisition is not None:
             self._acquisition.stop()
             self._acquisition = None
-        self.publish_last("")
+        self.publish_last(Reason.NONE)
 
-    def publish_last(self, reason: str) -> None:  # noqa: ARG002 - impacts have none
+    def publish_last(self, reason: Reason, detail: str = "") -> None:  # noqa: ARG002 - impacts have none
         """Publish the impacts that wait."""
         if self.context.ok():
             for output in self._outputs:

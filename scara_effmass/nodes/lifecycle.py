@@ -44,6 +44,7 @@ from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 from std_srvs.srv import Trigger
 
+from scara_effmass.codes import Reason
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.qos import qos_profile
@@ -118,7 +119,7 @@ class LifecycleBase(LifecycleNode):
     def deactivate(self) -> None:
         """Undo `activate`, even if it failed halfway; may be called repeatedly."""
 
-    def publish_last(self, reason: str) -> None:
+    def publish_last(self, reason: Reason, detail: str = "") -> None:
         """Publish the last message before the outputs end for `reason`, in any thread; later calls do nothing."""
 
     def on_configure(self, state: State) -> TransitionCallbackReturn:
@@ -280,7 +281,7 @@ class LifecycleBase(LifecycleNode):
     def abort(self, error: EffmassError) -> None:
         """End the process; `run` prints `error` and returns 2."""
         self._abort_error = error
-        self.publish_last(str(error))
+        self.publish_last(Reason.STATED, str(error))
         rclpy.try_shutdown()
 
     def raise_abort_error(self) -> None:
@@ -376,7 +377,7 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
         if node is not None:
             node.stopping.set()
         try:
-            _publish_last(node, "the node shuts down")
+            _publish_last(node, Reason.SHUTDOWN)
         finally:
             spin.end()
 
@@ -403,7 +404,7 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
                 raise
             except Exception as error:
                 if rclpy.ok():
-                    _publish_last(node, f"the node ends: {error!r}")
+                    _publish_last(node, Reason.NODE_ERROR, repr(error))
                     raise
                 # A signal or `abort` ended the context.
             finally:
@@ -520,9 +521,9 @@ def _log_refusal(name: str, error: EffmassError, arguments: list[str]) -> None:
         publisher.wait_for_all_acked(Duration(seconds=_ROSOUT_ACK_S))
 
 
-def _publish_last(node: LifecycleBase | None, reason: str) -> None:
+def _publish_last(node: LifecycleBase | None, reason: Reason, detail: str = "") -> None:
     if node is not None:
-        node.publish_last(reason)
+        node.publish_last(reason, detail)
 
 
 def _use_thread_priority(node: LifecycleBase) -> None:

@@ -158,13 +158,9 @@ class MonitorNode(LifecycleBase):
         if watchdog is not None:
             self._wake_watchdog.set()
             watchdog.join()
-        self._publish_last(Reason.DEACTIVATED)
+        self.publish_last(Reason.DEACTIVATED)
 
-    def publish_last(self, reason: str) -> None:
-        """Publish UNKNOWN and a speed of 0 because the process ends, and publish nothing after it."""
-        self._publish_last(Reason.STATED, reason)
-
-    def _publish_last(self, reason: Reason, detail: str = "") -> None:
+    def publish_last(self, reason: Reason, detail: str = "") -> None:
         """Publish UNKNOWN and a speed of 0, wait until subscribers have them, and publish nothing after it."""
         with self._output_lock:
             if not self._publishing or not self.context.ok():

@@ -17,10 +17,12 @@ from scara_effmass_msgs.msg import ContactStates
 from std_msgs.msg import Float64
 
 from scara_effmass.cell.speed_scaling import SpeedScaler
+from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.nodes.diagnostics import Diagnostics, status
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.parameters import NodeParameters, declare
+from scara_effmass.safety.reasons import plain_text
 from scara_effmass.settings.loading import fixed
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_states import decode_contact_states
@@ -98,14 +100,14 @@ class SpeedScalingNode(LifecycleBase):
 
     def deactivate(self) -> None:
         """Publish a last 0."""
-        self.publish_last("the node was deactivated")
+        self.publish_last(Reason.STATED, "the node was deactivated")
 
-    def publish_last(self, reason: str) -> None:
+    def publish_last(self, reason: Reason, detail: str = "") -> None:
         """Publish 0, wait until subscribers have it, and publish nothing after it."""
         with self._lock:
             if not self._publishing or not self.context.ok():
                 return
-            self._scaler.stop(reason)
+            self._scaler.stop(plain_text(reason, detail=detail))
             self._send()
             self._publishing = False
         self._publisher.wait_for_all_acked(_ACK_TIMEOUT)

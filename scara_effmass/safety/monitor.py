@@ -417,10 +417,12 @@ class Monitor:
         It does not affect later verdicts: those depend on the gap between header stamps alone.
         """
         last_ns, seconds = int(self._memory["last_stamp_ns"][0]), elapsed_ns / 1e9
-        hint = f" ({self.ignored} named none of the robot's joints){self.joint_map_hint}" if self.ignored else ""
-        never = Reason.ONLY_OTHER_JOINTS if self.ignored else Reason.NO_JOINT_STATE
-        reason = Reason.SILENCE if last_ns else never
-        pending = self._unknown_state(reason, hint, last_ns or now_ns, seconds, seconds)
+        if self.ignored:
+            reason = Reason.OTHER_JOINTS_SINCE if last_ns else Reason.ONLY_OTHER_JOINTS
+        else:
+            reason = Reason.SILENCE if last_ns else Reason.NO_JOINT_STATE
+        pending = self._unknown_state(reason, self.joint_map_hint, last_ns or now_ns, seconds, seconds)
+        pending.records["reason"][0, VALUES + 1] = self.ignored
         pending.records["is_watchdog"] = 1
         return self.settle(pending)
 

@@ -21,6 +21,7 @@ CRITERIA = ("", "force", "pressure")
 HELD_AFTER = "held after: "
 """Prefix of the reason of a verdict that is held from an earlier joint state."""
 LATCHED_UNTIL_RESET = "latched until reset: "
+OTHER_JOINTS = "({v[1]:.0f} named none of the robot's joints){detail}"
 
 TEXTS = {
     Reason.NONE: "",
@@ -56,9 +57,10 @@ TEXTS = {
     Reason.COMMAND_MISMATCH: "{joint} is {v[0]:+.4f} {unit} off its command",
     Reason.PAYLOAD_UNKNOWN: "{detail}",
     Reason.GAP: "no joint state for {v[0]:.3f} s",
-    Reason.SILENCE: "no joint state for {v[0]:.2f} s{detail}",
+    Reason.SILENCE: "no joint state for {v[0]:.2f} s",
     Reason.NO_JOINT_STATE: "no joint state yet",
-    Reason.ONLY_OTHER_JOINTS: "no joint state yet{detail}",
+    Reason.ONLY_OTHER_JOINTS: f"no joint state yet {OTHER_JOINTS}",
+    Reason.OTHER_JOINTS_SINCE: f"no joint state for {{v[0]:.2f}} s {OTHER_JOINTS}",
     Reason.NO_MASSES: "{masses}",
     Reason.NO_LUMPED_MASS: "no lumped mass ({lumped}): choose effective_mass_model auto, full or iso",
     Reason.NO_FULL_MASS: "no full mass ({full}): choose effective_mass_model auto, lumped or iso",
@@ -79,7 +81,6 @@ TEXTS = {
     Reason.TOO_SLOW: "the assessment took {v[0]:.3f} s",
     Reason.STUCK: "the assessment of a joint state takes too long",
     Reason.NO_ROBOT: "{detail}",
-    Reason.CONTACTS_CHANGED: "the contact points change with the robot_description",
     Reason.DEACTIVATED: "the monitor was deactivated",
     Reason.SHUTDOWN: "the node shuts down",
     Reason.NODE_ERROR: "the node ends: {detail}",
@@ -90,6 +91,11 @@ TEXTS = {
     Reason.NO_CONTACT_STATES: "no contact states yet",
 }
 """English text of each code: `v` are its numbers, `joint` and `unit` those of its joint, `detail` its own text."""
+
+
+def plain_text(code: Reason, *values: float, detail: str = "") -> str:
+    """Return the text of a reason that needs no robot."""
+    return TEXTS[code].format(v=values, detail=detail)
 
 
 @dataclass(frozen=True)
