@@ -15,7 +15,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactState, ContactStates
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
@@ -31,21 +31,22 @@ if "verdict_qos" in sys.argv:
 
 
 class EchoNode(Node):
-    """Answer each joint state with a constant ContactState, restamped, and two constant numbers."""
+    """Answer each joint state with constant ContactStates, restamped, and two constant numbers."""
 
     def __init__(self) -> None:
         super().__init__("echo")
-        self._contact_state = self.create_publisher(ContactState, "contact_state", OUT)
+        self._contact_states = self.create_publisher(ContactStates, "contact_states", OUT)
         self._allowable_speed = self.create_publisher(Float64, "allowable_speed", SCALARS)
         self._speed_scaling = self.create_publisher(Float64, "speed_scaling", SCALARS)
-        self._message = ContactState(contact_point="tool", body_region="lower_leg", criterion="force", verdict=1)
+        contact = ContactState(contact_point="tool", body_region="lower_leg", criterion="force", verdict=1)
+        self._message = ContactStates(contacts=[contact], verdict=1)
         self._message.header.frame_id = "base_link"
         self._number = Float64(data=1.0)
         self.create_subscription(JointState, "joint_states", self._on_joint_state, IN)
 
     def _on_joint_state(self, state: JointState) -> None:
         self._message.header.stamp = state.header.stamp
-        self._contact_state.publish(self._message)
+        self._contact_states.publish(self._message)
         self._allowable_speed.publish(self._number)
         self._speed_scaling.publish(self._number)
 

@@ -22,7 +22,7 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from rich.console import Console
 from rich.table import Table
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactStates
 from sensor_msgs.msg import JointState
 from usage import cpu_s, resident_mb
 
@@ -71,12 +71,12 @@ class Sender(Node):
         self.sent = 0
         self.latencies_ns: list[int] = []
         self._first_ns = 0
-        self.create_subscription(ContactState, "contact_state", self._on_answer, QoSProfile(depth=200))
+        self.create_subscription(ContactStates, "contact_states", self._on_answer, QoSProfile(depth=200))
         self._timer = self.create_timer(1.0 / rate_hz, self._send)
 
     def connected(self) -> bool:
         """Return whether the target has subscribed to the joint states and publishes contact states."""
-        return self._publisher.get_subscription_count() > 0 and self.count_publishers("contact_state") > 0
+        return self._publisher.get_subscription_count() > 0 and self.count_publishers("contact_states") > 0
 
     def count_from_now(self) -> None:
         """Discard the counts of the warm-up."""
@@ -100,7 +100,7 @@ class Sender(Node):
         self._publisher.publish(self._state)
         self.sent += 1
 
-    def _on_answer(self, answer: ContactState) -> None:
+    def _on_answer(self, answer: ContactStates) -> None:
         now_ns = time.time_ns()
         stamp_ns = answer.header.stamp.sec * 1_000_000_000 + answer.header.stamp.nanosec
         # Contact states from the watchdog answer no joint state.
