@@ -113,14 +113,17 @@ def test_interrupt_in_a_callback_ends_spinning_without_output(node: Node, capfd:
         received.append(decision.stamp_ns)
         signal.raise_signal(signal.SIGINT)
 
-    before = signal.getsignal(signal.SIGINT)
-    with CellClient("display", NAMESPACE, on_decision=interrupt) as client:
-        assert client.spin(TIMEOUT_S, lambda: client.connected and states.get_subscription_count() > 0)
-        states.publish(encoder.encode(assessments_of(decision_on(unknown_contact("tool", "")))))
-        with pytest.raises(KeyboardInterrupt):
-            client.spin(TIMEOUT_S, lambda: False)
-    assert received == [1]
-    assert signal.getsignal(signal.SIGINT) is before
+    inherited = signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
+    try:
+        with CellClient("display", NAMESPACE, on_decision=interrupt) as client:
+            assert client.spin(TIMEOUT_S, lambda: client.connected and states.get_subscription_count() > 0)
+            states.publish(encoder.encode(assessments_of(decision_on(unknown_contact("tool", "")))))
+            with pytest.raises(KeyboardInterrupt):
+                client.spin(TIMEOUT_S, lambda: False)
+        assert received == [1]
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, inherited)
     assert capfd.readouterr().err == ""
 
 
